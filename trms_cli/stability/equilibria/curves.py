@@ -1,4 +1,4 @@
-"""Curves of equilibria over one input, found from many starts, and the stability of their points.
+"""Curves of equilibria over one input, found from many starts, with what is special on them.
 
 ``y = (z, λ)`` are the unknowns z of :class:`RestSystem` and the varied input λ. On a switch (a
 cable that is stiffer to one side) ∂f/∂x is the mean of both sides, which small swings across it
@@ -19,7 +19,6 @@ from scipy.stats import qmc
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.models.continuation import ImplicitCurve, SolutionCurve
-from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.equilibria.rest_system import RestSystem
 from trms_cli.stability.intervals.interval import Interval
@@ -41,21 +40,9 @@ class EquilibriumPoint(OperatingPoint):
 
 
 class CurveEquations(ImplicitCurve):
-    """``g(z, λ) = 0`` with the other inputs given.
+    """``g(z, λ) = 0`` with the other inputs and torques given, v (n_v,); λ is that at ``varied``.
 
-    Parameters
-    ----------
-    system : RestSystem
-    varied : int
-        Position of λ in v.
-    v : (n_v,) array
-        The other inputs, and torques.
-    box : Interval
-        (n,), of z.
-    scale : (n,) array
-        Of z.
-    bounds : (float, float)
-        Of λ.
+    ``box``, ``scale``: (n,), of z; ``bounds``: of λ.
     """
 
     def __init__(
@@ -87,9 +74,9 @@ class CurveEquations(ImplicitCurve):
         x, u, reached = self._point(y)
         return np.array(x)[:, 0], np.array(u)[:, 0], np.array(reached)[:, 0]
 
-    def stability(self, linear: Linear, y: FloatArray) -> EquilibriumPoint:
+    def stability(self, y: FloatArray) -> EquilibriumPoint:
         """A point of a curve with its eigenvalues; y is (n + 1,)."""
-        return equilibrium_point(linear, *self.point(y))
+        return equilibrium_point(self.system.linear, *self.point(y))
 
     def starts(self, inputs: FloatArray, count: int) -> list[FloatArray]:
         """Equilibria from many starts, at each of some inputs (m,)."""
@@ -118,18 +105,12 @@ def equilibrium_point(
         return EquilibriumPoint(x, u, np.full(len(x), np.nan, dtype=complex), 0, "marginal")
     values = np.linalg.eigvals(slopes).astype(complex)
     values = values[np.argsort(-values.real, kind="stable")]
-    verdict = _verdict(linear.model, slopes, values)
-    return EquilibriumPoint(x, u, values, int(np.sum(values.real > GROWTH)), verdict)
-
-
-def _verdict(model: Model, slopes: FloatArray, values: ComplexArray) -> Verdict:
-    if np.any(values.real > GROWTH):
-        return "unstable"
-    staying = int(np.sum(values.real >= -GROWTH))
-    if staying > 1:
+    unstable, staying = (int(np.sum(values.real > side)) for side in (GROWTH, -GROWTH))
+    verdict: Verdict = "unstable" if unstable else "marginal" if staying else "stable"
+    if not unstable and staying > 1:
         # Two on the axis may grow as t: their eigenvectors decide.
-        return modes_of_matrix(slopes, parts_of(model)).verdict
-    return "marginal" if staying else "stable"
+        verdict = modes_of_matrix(slopes, parts_of(linear.model)).verdict
+    return EquilibriumPoint(x, u, values, unstable, verdict)
 
 
 Kind = Literal["fold", "kink", "oscillation", "exchange", "crossing", "level", "zero"]
@@ -155,39 +136,37 @@ class Landmark:
 
 
 def landmarks(
-    linear: Linear,
     equations: CurveEquations,
     curve: SolutionCurve,
     points: Sequence[EquilibriumPoint],
 ) -> list[Landmark]:
     """The special points of a curve, in order along it."""
-    marks: list[tuple[float, Landmark]] = []
-    folds = _folds(linear, equations, curve)
-    marks += folds
+    folds = _folds(equations, curve)
+    marks = list(folds)
     kinks = [place for place, one in folds if one.kind == "kink"]
-    for before, after in pairwise(_with_folds(linear, equations, curve, points, folds)):
+    for before, after in pairwise(_with_folds(equations, curve, points, folds)):
         more = after.at.unstable - before.at.unstable
         # At a fold one real eigenvalue crosses, between the two nodes beside it. Where a kink is
         # is not known as well.
         folding = abs(more) == 1 and before.beside and after.beside
         kinked = more % 2 == 1 and any(abs(place - before.place) <= 2 for place in kinks)
-        if more == 0 or folding or kinked:
-            continue
-        marks.append((before.place, _change(linear, equations, before.y, after.y, before.at)))
+        if more != 0 and not folding and not kinked:
+            marks.append((before.place, _change(equations, before.y, after.y, before.at)))
     for k in curve.crossings:
         if not any(abs(place - k) <= 2 for place, _ in marks):
             y = curve.y[k]
-            marks.append((k, Landmark("crossing", "", y, equations.stability(linear, y))))
+            marks.append((k, Landmark("crossing", "", y, equations.stability(y))))
+    levels: list[tuple[Kind, str, FloatArray]] = []
     for index, signal in enumerate(equations.system.unknowns):
-        if signal.name in equations.system.model.controlled and _varies(curve.y[:, index]):
+        controlled = signal.name in equations.system.model.controlled
+        if controlled and float(np.ptp(curve.y[:, index])) > 1e-6:
             for y in equations.crossings_of(curve, 0.0, index):
-                if _stays(equations, curve, y, index):
-                    continue
-                point = Landmark("level", signal.name, y, equations.stability(linear, y))
-                marks.append((_place(equations, curve, y), point))
-    for y in equations.crossings_of(curve, 0.0):
-        point = Landmark("zero", "", y, equations.stability(linear, y))
-        marks.append((_place(equations, curve, y), point))
+                if not _stays(equations, curve, y, index):
+                    levels.append(("level", signal.name, y))
+    levels += [("zero", "", y) for y in equations.crossings_of(curve, 0.0)]
+    for kind, name, y in levels:
+        mark = Landmark(kind, name, y, equations.stability(y))
+        marks.append((_place(equations, curve, y), mark))
     return [landmark for _, landmark in sorted(marks, key=lambda item: item[0])]
 
 
@@ -198,17 +177,11 @@ def _stays(equations: CurveEquations, curve: SolutionCurve, y: FloatArray, index
     return int(np.sum(np.abs(around) < 1e-9 * equations.scale[index])) >= 2
 
 
-def _varies(values: FloatArray) -> bool:
-    return float(np.ptp(values)) > 1e-6
-
-
 def _place(equations: CurveEquations, curve: SolutionCurve, y: FloatArray) -> int:
     return int(np.argmin(np.linalg.norm((curve.y - y) / equations.scale, axis=1)))
 
 
-def _folds(
-    linear: Linear, equations: CurveEquations, curve: SolutionCurve
-) -> list[tuple[float, Landmark]]:
+def _folds(equations: CurveEquations, curve: SolutionCurve) -> list[tuple[float, Landmark]]:
     steps = np.diff(curve.y[:, -1])
     folds: list[tuple[float, Landmark]] = []
     # The end of a curve may lie on its last point: a step of nothing turns nowhere.
@@ -222,7 +195,7 @@ def _folds(
         point = y if smooth and y is not None else near
         kind: Kind = "fold" if smooth else "kink"
         place = _between(equations, curve, point, range(int(i), int(j) + 1)) if smooth else float(i)
-        folds.append((place, Landmark(kind, "", point, equations.stability(linear, point))))
+        folds.append((place, Landmark(kind, "", point, equations.stability(point))))
     return folds
 
 
@@ -250,7 +223,6 @@ class _Node:
 
 
 def _with_folds(
-    linear: Linear,
     equations: CurveEquations,
     curve: SolutionCurve,
     points: Sequence[EquilibriumPoint],
@@ -278,7 +250,7 @@ def _with_folds(
                 guess = fold.y + side * size * along * equations.scale
                 y = equations.corrected(guess, along)
                 if y is not None and equations.inside(y):
-                    at = equations.stability(linear, y)
+                    at = equations.stability(y)
                     where = _between(equations, curve, y, (k,))
                     nodes.append(_Node(where, y, at, beside=size == _BESIDE))
                 size *= 2.0
@@ -286,7 +258,6 @@ def _with_folds(
 
 
 def _change(
-    linear: Linear,
     equations: CurveEquations,
     before: FloatArray,
     after: FloatArray,
@@ -302,7 +273,7 @@ def _change(
         here = equations.corrected(before + middle * (after - before), along)
         if here is None:
             break
-        y, at = here, equations.stability(linear, here)
+        y, at = here, equations.stability(here)
         if at.unstable == first.unstable:
             low = middle
         else:

@@ -9,9 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.core import chart as draw
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.chart import Chart
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Contour,
+    Curve,
+    Line,
+    Mark,
+    Marker,
+    Note,
+    Panel,
+    Points,
+    Region,
+)
 from trms_cli.core.findings import Column, Findings, Judged, Section, Table, Value, json_data, table
 from trms_cli.core.wording import symbol, titled
 from trms_cli.core.wording import unit as written_unit
@@ -20,9 +32,8 @@ from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.equilibria.curves import EquilibriumPoint, Kind, Landmark
 from trms_cli.stability.equilibria.named_points import FrictionBand, NamedPoint
 from trms_cli.stability.equilibria.proof import EnclosedEquilibrium, RangePiece
-from trms_cli.stability.equilibria.survey import EquilibriumMap, Survey, SurveyCurve
+from trms_cli.stability.equilibria.survey import EquilibriumMap, Survey
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.local.linear import Linear
 
 #: Landmarks that the answer names.
 _FIRST = ("fold", "kink", "oscillation", "exchange", "crossing")
@@ -61,7 +72,7 @@ def findings_of(result: EquilibriaResult, left_out: Sequence[str]) -> Findings:
         title="Equilibria",
         lead=_lead(result),
         sections=[
-            *(_section(result.model, one, result.named) for one in result.surveys),
+            *(_section(one, result.named) for one in result.surveys),
             *_map_sections(result),
             _special_section(result),
         ],
@@ -76,7 +87,7 @@ def findings_of(result: EquilibriaResult, left_out: Sequence[str]) -> Findings:
 
 
 def _survey_data(survey: Survey) -> dict[str, Any]:
-    model = survey.system.model
+    model = survey.model
     return {
         "over": survey.setting.over,
         "range": survey.setting.bounds,
@@ -198,6 +209,10 @@ def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
     return [Column(titled(symbol(name), _signal(model, name).unit), cell(name)) for name in shown]
 
 
+def _symbols(signals: Sequence[str]) -> str:
+    return ", ".join(symbol(name) for name in signals)
+
+
 def _sentence(words: str) -> str:
     return words[0].upper() + words[1:] + "."
 
@@ -225,28 +240,24 @@ def _named_words(model: Model, point: NamedPoint) -> str:
 
 def _landmark_words(survey: Survey, one: Landmark) -> str:
     """One special point, in words."""
-    model = survey.system.model
+    model = survey.model
     at = _written(model, survey.setting.over, float(one.y[-1]), 6)
     angles = [name for name in model.controlled if name not in survey.system.free]
-    place = f"{at}, " + ", ".join(
-        _written(model, name, one.at.value(model, name)) for name in angles
-    )
-    if one.kind == "fold":
-        return f"two equilibria meet and end in a fold at {place}"
-    if one.kind == "kink":
-        return f"two equilibria meet and end at a kink near {place}"
-    if one.kind == "oscillation":
-        frequency = _number(one.frequency or 0.0, 3)
-        return f"an oscillation of {frequency} Hz begins or ends to grow at {place}"
-    if one.kind == "exchange":
-        return f"stability changes at {place}"
-    return f"another curve may cross at {place}"
+    place = ", ".join(_written(model, name, one.at.value(model, name)) for name in angles)
+    frequency = _number(one.frequency or 0.0, 3)
+    what = {
+        "fold": "two equilibria meet and end in a fold at",
+        "kink": "two equilibria meet and end at a kink near",
+        "oscillation": f"an oscillation of {frequency} Hz begins or ends to grow at",
+        "exchange": "stability changes at",
+    }.get(one.kind, "another curve may cross at")
+    return f"{what} {at}, {place}"
 
 
 def _proof_words(survey: Survey) -> str:
     """What is proved, in one or two sentences."""
     over, checks = survey.setting.over, survey.checks
-    unit = _signal(survey.system.model, over).unit
+    unit = _signal(survey.model, over).unit
     complete = sum(check.proof.complete for check in checks)
     low, high = survey.setting.bounds
     words = (
@@ -296,7 +307,7 @@ def band_words(model: Model, band: FrictionBand) -> str:
     return held
 
 
-def _section(model: Model, one: Survey, named: Sequence[NamedPoint]) -> Section:
+def _section(one: Survey, named: Sequence[NamedPoint]) -> Section:
     bounds = [
         f"{symbol(signal.name)} "
         + (
@@ -308,39 +319,30 @@ def _section(model: Model, one: Survey, named: Sequence[NamedPoint]) -> Section:
             one.system.unknowns, one.box.lower.tolist(), one.box.upper.tolist(), strict=True
         )
     ]
+    over, structure = symbol(one.setting.over), []
+    if one.system.free:
+        free = f"{_symbols(one.system.free)} is determined by nothing"
+        structure.append(_sentence(f"{free}: any value rests; zero is taken"))
+    if one.system.released and not one.setting.held:
+        asked = f"Rest asks for one value of {_symbols(one.system.released)} at each {over}"
+        structure.append(f"{asked}: it is solved for.")
     text = [
         f"The box: {', '.join(bounds)}; all other states follow from these. An angle beyond its "
         "stop is reached by no rig.",
-        *(_sentence(words) for words in _structure(one)),
+        *structure,
         *(
             f"A curve runs from {a} to {b}."
             for a, b in dict.fromkeys(c.curve.ends for c in one.curves)
         ),
     ]
-    shown = shown_signals(model, one)
-    charts = [curves_chart(model, one, named)] if one.curves and shown else []
-    over = symbol(one.setting.over)
-    return Section(f"Over {over}", text, [*charts, _point_table(model, one, shown)])
+    shown = _shown_signals(one)
+    charts = [_curves_chart(one, shown, named)] if one.curves and shown else []
+    return Section(f"Over {over}", text, [*charts, _point_table(one, shown)])
 
 
-def _structure(one: Survey) -> list[str]:
-    words = []
-    if one.system.free:
-        words.append(
-            f"{', '.join(symbol(name) for name in one.system.free)} is determined by nothing: "
-            "any value rests; zero is taken"
-        )
-    if one.system.released and not one.setting.held:
-        words.append(
-            f"rest asks for one value of {', '.join(symbol(n) for n in one.system.released)} at "
-            f"each {symbol(one.setting.over)}: it is solved for"
-        )
-    return words
-
-
-def _point_table(model: Model, survey: Survey, shown: Sequence[Signal]) -> Table:
+def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
     """Equilibria at the inputs of the proofs."""
-    over = survey.setting.over
+    model, over = survey.model, survey.setting.over
     columns = _value_columns(model, names(shown))
     rows: list[list[Value | Judged]] = []
     for check in survey.checks:
@@ -378,7 +380,7 @@ def _map_sections(result: EquilibriaResult) -> list[Section]:
     if result.map is None:
         return []
     first, second = (one.setting.over for one in result.surveys)
-    chart = map_chart(result.model, result.map, first, second)
+    chart = _map_chart(result.model, result.map, first, second)
     text = "Each point is the stable equilibrium that a step of the command leads to from its "
     text += "neighbour; it is searched for, not proved to be the only one."
     return [Section("Over both inputs", [text], [chart])] if chart.panels else []
@@ -472,23 +474,19 @@ def _warnings(result: EquilibriaResult, left_out: Sequence[str]) -> list[str]:
 
 def _switch_words(survey: Survey) -> list[str]:
     """That a curve lies on a switch, and which slopes then count."""
-    model = survey.system.model
-    linear = Linear(model)
+    names = survey.model.state_names
     for one in survey.curves:
         on_curve = zip(one.points, one.curve.y, strict=True)
         for point, y in list(on_curve)[::_SWITCH_STRIDE]:
-            switches = linear.switches(point.x, survey.equations.point(y)[2])
-            if not switches:
-                continue
-            places = ", ".join(
-                f"{symbol(model.state_names[s.state])} = {_number(float(point.x[s.state]))}"
-                for s in switches
-            )
-            return [
-                f"over {symbol(survey.setting.over)} equilibria lie on a switch ({places}), on "
-                "whose sides the slopes differ: stability is told for the mean of both, which "
-                "small swings across it see; either side: study=local"
-            ]
+            switches = survey.system.linear.switches(point.x, survey.equations.point(y)[2])
+            places = [f"{symbol(names[s.state])} = {_number(point.x[s.state])}" for s in switches]
+            if places:
+                return [
+                    f"over {symbol(survey.setting.over)} equilibria lie on a switch "
+                    f"({', '.join(places)}), on whose sides the slopes differ: stability is told "
+                    "for the mean of both, which small swings across it see; either side: "
+                    "study=local"
+                ]
     return []
 
 
@@ -510,7 +508,7 @@ def _undecided_words(survey: Survey) -> list[str]:
         )
         more = len(proof.undecided) - 2
         words.append(
-            f"at {_written(survey.system.model, survey.setting.over, check.input)} the number is "
+            f"at {_written(survey.model, survey.setting.over, check.input)} the number is "
             f"not proved: {len(proof.proved)} found, undecided: {places}"
             + (f" and {more} places more" if more > 0 else "")
             + f"; the curves have {len(check.points) or 'none'} there"
@@ -519,7 +517,7 @@ def _undecided_words(survey: Survey) -> list[str]:
 
 
 #: Name, marker and colour of what is special on a curve.
-MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {
+MARKS: dict[Kind, tuple[str, Marker, Colour]] = {
     "fold": ("fold", "star", "ink"),
     "kink": ("fold at a kink", "star", "grey"),
     "oscillation": ("oscillation begins", "triangle", "purple"),
@@ -531,101 +529,70 @@ _VARIES = 1e-6
 _ASIDE, _BELOW, _ABOVE = 0.025, 0.065, 0.03
 
 
-def shown_signals(model: Model, survey: Survey) -> list[Signal]:
+def _along(survey: Survey, name: str) -> FloatArray:
+    """A state or command along all curves."""
+    values = [one.values(survey.model, name) for one in survey.curves]
+    return np.concatenate(values or [np.zeros(1)])
+
+
+def _shown_signals(survey: Survey) -> list[Signal]:
     """What is drawn over an input: angles that change with it, speeds, released inputs."""
-    every = [*model.states, *model.inputs]
-    wanted = [*model.controlled, *(s.name for s in model.states if s.name.startswith("omega"))]
-    wanted += [*survey.system.released]
-    shown: list[Signal] = []
-    for name in dict.fromkeys(wanted):
-        signal = next(s for s in every if s.name == name)
-        values = np.concatenate(
-            [values_of(model, one, name) for one in survey.curves] or [np.zeros(1)]
-        )
-        if np.ptp(values) > _VARIES:
-            shown.append(signal)
-    return shown
+    model = survey.model
+    speeds = (s.name for s in model.states if s.name.startswith("omega"))
+    wanted = dict.fromkeys([*model.controlled, *speeds, *survey.system.released])
+    return [_signal(model, name) for name in wanted if np.ptp(_along(survey, name)) > _VARIES]
 
 
-def values_of(model: Model, curve: SurveyCurve, name: str) -> FloatArray:
-    """A state or command along a curve."""
-    return np.array([point.value(model, name) for point in curve.points])
+def _axis(model: Model, name: str, limits: tuple[float, float] | None = None) -> Axis:
+    return Axis(symbol(name), written_unit(_signal(model, name).unit), limits)
 
 
-def curves_chart(model: Model, survey: Survey, named: Sequence[NamedPoint]) -> draw.Chart:
+def _curves_chart(survey: Survey, shown: Sequence[Signal], named: Sequence[NamedPoint]) -> Chart:
     """Equilibria over one input."""
-    over = survey.setting.over
-    unit = next(s.unit for s in model.inputs if s.name == over)
+    model, over = survey.model, survey.setting.over
+    given = [f"{symbol(name)} = {value:g}" for name, value in survey.setting.given.items()]
+    if survey.system.released:
+        given.append(f"{_symbols(survey.system.released)} as rest asks for")
+    condition = f" ({', '.join(given)})" if given else ""
+    across = _axis(model, over, survey.setting.bounds)
     panels = [
-        draw.Panel(
-            draw.Axis(symbol(over), written_unit(unit), survey.setting.bounds),
-            draw.Axis(symbol(signal.name), written_unit(signal.unit)),
-            _marks(model, survey, signal, written_unit(unit), named, legend=k == 0),
-        )
-        for k, signal in enumerate(shown_signals(model, survey))
+        Panel(across, _axis(model, one.name), _marks(survey, one.name, named, legend=k == 0))
+        for k, one in enumerate(shown)
     ]
-    return draw.Chart(
+    return Chart(
         f"equilibria_{over}",
         panels,
-        f"All equilibria of {model.name} over {symbol(over)}{_condition(survey)}: "
+        f"All equilibria of {model.name} over {symbol(over)}{condition}: "
         "solid where small motions die out, dashed where they grow; dots are proved, and proved to "
         "be all.",
         columns=2 if len(panels) != 3 else 3,
     )
 
 
-def _condition(survey: Survey) -> str:
-    given = [
-        f"{symbol(n)} = {v:g}" for n, v in {**survey.setting.inputs, **survey.setting.held}.items()
-    ]
-    if survey.system.released:
-        given.append(f"{', '.join(symbol(n) for n in survey.system.released)} as rest asks for")
-    return f" ({', '.join(given)})" if given else ""
-
-
-def _marks(
-    model: Model,
-    survey: Survey,
-    signal: Signal,
-    unit: str,
-    named: Sequence[NamedPoint],
-    legend: bool,
-) -> list[draw.Points | draw.Curve | draw.Line | draw.Note]:
-    name = signal.name
-    marks: list[draw.Points | draw.Curve | draw.Line | draw.Note] = []
-    reached = np.concatenate(
-        [values_of(model, one, name) for one in survey.curves] or [np.zeros(1)]
-    )
+def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool) -> list[Mark]:
+    model, over = survey.model, survey.setting.over
+    marks: list[Mark] = []
+    reached = _along(survey, name)
     stop = model.stops.get(name, math.inf)
     if math.isfinite(stop):
         marks += [
-            draw.Line(y=side * stop, label="stop" if legend else "")
+            Line(y=side * stop, label="stop" if legend else "")
             for side in (-1, 1)
             if np.any(side * reached >= 0.8 * stop)
         ]
-    over = survey.setting.over
     for one in survey.curves:
-        u, y = values_of(model, one, over), values_of(model, one, name)
+        u, y = one.values(model, over), one.values(model, name)
         growing = np.array([point.verdict == "unstable" for point in one.points])
         # What neither grows nor dies out (a free yaw) is the same all along a curve.
         idle = all(point.verdict == "marginal" for point in one.points if point.unstable == 0)
-        for mask, label, colour, style in (
-            (~growing, "marginal" if idle else "stable", "blue", "solid"),
-            (growing, "unstable", "vermilion", "dashed"),
-        ):
-            # One point beyond, so that the parts touch.
-            wide = mask | np.r_[mask[1:], False] if label == "unstable" else mask
-            if wide.any():
-                marks.append(
-                    draw.Curve(
-                        u,
-                        np.where(wide, y, np.nan),
-                        label if legend else "",
-                        colour,  # type: ignore[arg-type]
-                        style,  # type: ignore[arg-type]
-                        1.8,
-                    )
-                )
+        # One point beyond, so that the parts touch.
+        wide = growing | np.r_[growing[1:], False]
+        calm, unstable = ("marginal" if idle else "stable", "unstable") if legend else ("", "")
+        if not growing.all():
+            marks.append(Curve(u, np.where(growing, np.nan, y), calm, "blue", "solid", 1.8))
+        if wide.any():
+            still = np.where(wide, y, np.nan)
+            marks.append(Curve(u, still, unstable, "vermilion", "dashed", 1.8))
     proved = [
         (check.input, point.value(model, name))
         for check in survey.checks
@@ -634,39 +601,43 @@ def _marks(
     ]
     if proved:
         at, where = [u for u, _ in proved], [y for _, y in proved]
-        marks.append(draw.Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
+        marks.append(Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
+    unit = written_unit(_signal(model, over).unit)
     for kind, (label, marker, colour) in MARKS.items():
         special = [one for one in survey.landmarks if one.kind == kind]
         if special:
             at = [float(one.y[-1]) for one in special]
             where = [one.at.value(model, name) for one in special]
             labels = [f"{value:.4g} {unit}" for value in at] if legend and marker == "star" else ()
-            marks.append(
-                draw.Points(at, where, label if legend else "", marker, colour, labels, 7.0)
-            )
-    here = [point for point in named if _belongs(model, survey, point)]
+            marks.append(Points(at, where, label if legend else "", marker, colour, labels, 7.0))
+    given = survey.setting.given.items()
+    here = [
+        point
+        for point in named
+        if all(abs(point.value(model, other) - value) < 1e-6 for other, value in given)
+    ]
     if here:
         at = [point.value(model, over) for point in here]
         where = [point.value(model, name) for point in here]
-        marks.append(draw.Points(at, where, "", "square", "green", size=6.0))
+        marks.append(Points(at, where, "", "square", "green", size=6.0))
         low, high = survey.setting.bounds
         aside, tall = _ASIDE * (high - low), float(np.ptp(reached)) or 1.0
         for point, place, height in zip(here, at, where, strict=True):
             # On the side that the curve does not turn to.
-            away = -_BELOW if _rises(model, survey, name, place, height, tall) else _ABOVE
-            marks.append(draw.Note(place + aside, height + away * tall, point.name))
+            away = -_BELOW if _rises(survey, name, place, height, tall) else _ABOVE
+            marks.append(Note(place + aside, height + away * tall, point.name))
     return marks
 
 
-def _rises(model: Model, survey: Survey, name: str, u: float, y: float, tall: float) -> bool:
+def _rises(survey: Survey, name: str, u: float, y: float, tall: float) -> bool:
     """Whether the curve next to a place rises with the input."""
-    over = survey.setting.over
     low, high = survey.setting.bounds
     best, rising = math.inf, True
     for one in survey.curves:
         if len(one.points) < 2:
             continue
-        inputs, values = values_of(model, one, over), values_of(model, one, name)
+        inputs = one.values(survey.model, survey.setting.over)
+        values = one.values(survey.model, name)
         away = np.hypot((inputs - u) / (high - low), (values - y) / tall)
         k = int(np.argmin(away))
         before, after = max(k - 1, 0), min(k + 1, len(values) - 1)
@@ -676,44 +647,27 @@ def _rises(model: Model, survey: Survey, name: str, u: float, y: float, tall: fl
     return rising
 
 
-def _belongs(model: Model, survey: Survey, point: NamedPoint) -> bool:
-    """Whether a named point lies under the conditions of a survey."""
-    given = {**survey.setting.inputs, **survey.setting.held}
-    return all(abs(point.value(model, name) - value) < 1e-6 for name, value in given.items())
-
-
-def map_chart(model: Model, over_both: EquilibriumMap, first: str, second: str) -> draw.Chart:
+def _map_chart(model: Model, over_both: EquilibriumMap, first: str, second: str) -> Chart:
     """Where the rig rests over both inputs."""
-    units = {signal.name: signal.unit for signal in model.inputs}
+    steps = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
     panels = []
     for name, values in over_both.angles.items():
         finite = values[np.isfinite(values)]
         if not finite.size or np.ptp(finite) < _VARIES:
             continue
-        levels = _levels(float(finite.min()), float(finite.max()))
-        panels.append(
-            draw.Panel(
-                draw.Axis(symbol(first), written_unit(units[first])),
-                draw.Axis(symbol(second), written_unit(units[second])),
-                [
-                    draw.Region(
-                        over_both.first, over_both.second, np.isfinite(values), "stable rest"
-                    ),
-                    draw.Contour(over_both.first, over_both.second, values, levels, numbers=True),
-                ],
-                f"{symbol(name)} [rad]",
-            )
-        )
-    return draw.Chart(
+        low, high = float(finite.min()), float(finite.max())
+        step = next(size for size in steps if (high - low) / size <= 12)
+        levels = [
+            round(k * step, 9) for k in range(math.ceil(low / step), math.floor(high / step) + 1)
+        ]
+        grid = over_both.first, over_both.second
+        region = Region(*grid, np.isfinite(values), "stable rest")
+        lines = Contour(*grid, values, levels, numbers=True)
+        axes = _axis(model, first), _axis(model, second)
+        panels.append(Panel(*axes, [region, lines], f"{symbol(name)} [rad]"))
+    return Chart(
         "equilibria_map",
         panels,
         f"Angles at which {model.name} rests over both inputs, where a stable equilibrium lies "
         "in the box.",
     )
-
-
-def _levels(low: float, high: float) -> list[float]:
-    steps = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
-    step = next(size for size in steps if (high - low) / size <= 12)
-    first, last = math.ceil(low / step), math.floor(high / step)
-    return [round(k * step, 9) for k in range(first, last + 1)]

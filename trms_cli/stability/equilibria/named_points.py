@@ -13,7 +13,7 @@ torque between −F and F, which one curve of equilibria over that torque passes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -58,7 +58,9 @@ def named_points(
     if "pitch" in model.axes:
         usual["hover"] = dict.fromkeys(model.controlled, 0.0)
     for name, at in usual.items():
-        if name in more or (name == "hover" and points and _is_level(model, points[0])):
+        # A rig without command that rests with all controlled angles at zero: that is its hover.
+        level = points and all(abs(points[0].value(model, n)) < 1e-9 for n in model.controlled)
+        if name in more or (name == "hover" and level):
             continue
         try:
             points.append(_named(model, name, operating_point(model, at)))
@@ -71,31 +73,6 @@ def named_points(
     return points, missing
 
 
-def _is_level(model: Model, rest: NamedPoint) -> bool:
-    """Whether a rig without command rests with all controlled angles at zero: that is its hover."""
-    return all(abs(rest.value(model, name)) < 1e-9 for name in model.controlled)
-
-
-def _without_rounding(
-    model: Model,
-    point: OperatingPoint,
-    field: VectorField,
-    arrives: Callable[[FloatArray], FloatArray],
-) -> OperatingPoint:
-    """The point with commands of exactly zero where that changes no angle.
-
-    As of :func:`operating_point`, for commands that pass a dead zone on their way too.
-    """
-    u = np.where(np.abs(point.u) < _NEAR_ZERO, 0.0, point.u)
-    if np.array_equal(u, point.u):
-        return point
-    x = refined(field, point.x, arrives(u))
-    rows = [model.state_index(name) for name in model.controlled]
-    if x is None or np.abs(x - point.x)[rows].max() > _SAME_ANGLE:
-        return point
-    return OperatingPoint(x, u)
-
-
 def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
     u, p = ca.SX.sym("u", model.n_u), ca.SX.sym("p", len(model.parameters))
     path = ca.Function("path", [u, p], [arriving(model, u, p)])
@@ -104,7 +81,14 @@ def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
     def arrives(commands: FloatArray) -> FloatArray:
         return np.array(path(commands, field.parameters))[:, 0]
 
-    point = _without_rounding(model, point, field, arrives)
+    # Commands of exactly zero where that changes no angle: as of :func:`operating_point`, for
+    # commands that pass a dead zone on their way too.
+    u = np.where(np.abs(point.u) < _NEAR_ZERO, 0.0, point.u)
+    if not np.array_equal(u, point.u):
+        settled = refined(field, point.x, arrives(u))
+        rows = [model.state_index(name) for name in model.controlled]
+        if settled is not None and np.abs(settled - point.x)[rows].max() <= _SAME_ANGLE:
+            point = OperatingPoint(settled, u)
     reached = arrives(point.u)
     at = equilibrium_point(Linear(model), point.x, point.u, reached)
     x, u, p, _ = model.symbols()
@@ -197,16 +181,14 @@ def friction_bands(
         if start is None:
             continue
         curve = equations.through(start)
+        reach = {
+            signal.name: (float(curve.y[:, k].min()), float(curve.y[:, k].max()))
+            for k, signal in enumerate(system.unknowns)
+        }
         if free:
-            command = None
-            for name in system.released:
-                values = curve.y[:, names(system.unknowns).index(name)]
-                if np.ptp(values) > 1e-9:
-                    command = (name, float(values.min()), float(values.max()))
+            moving = [name for name in system.released if reach[name][1] - reach[name][0] > 1e-9]
+            command = (moving[-1], *reach[moving[-1]]) if moving else None
             bands.append(FrictionBand(axis, place.angle, torque, None, None, command))
         else:
-            values = curve.y[:, names(system.unknowns).index(place.angle)]
-            bands.append(
-                FrictionBand(axis, place.angle, torque, float(values.min()), float(values.max()))
-            )
+            bands.append(FrictionBand(axis, place.angle, torque, *reach[place.angle]))
     return bands

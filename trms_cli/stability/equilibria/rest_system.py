@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -30,6 +31,7 @@ from scipy.sparse.csgraph import connected_components
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.models.rest import arriving, rest_equations
+from trms_cli.stability.local.linear import Linear
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,11 @@ class RestSystem:
     def n(self) -> int:
         return len(self.unknowns)
 
+    @cached_property
+    def linear(self) -> Linear:
+        """Slopes of the model."""
+        return Linear(self.model)
+
     def given_index(self, name: str) -> int:
         return names(self.given).index(name)
 
@@ -73,23 +80,12 @@ def rest_system(
     held: Mapping[str, float] | None = None,
     torques_too: bool = False,
 ) -> RestSystem:
-    """The equations of rest of a model.
+    """The equations of rest of a model, its input path with them, but no impulses and sensors.
 
-    Parameters
-    ----------
-    model : Model
-        What impulses, delays and sensors do is no part of them; the input path is.
-    varied : collection of str
-        Inputs that are to stay given.
-    held : dict of str to float
-        Angles that are given (rad), each in exchange for an input.
-    torques_too : bool
-        Whether constant torques act; without them equations fall apart into smaller blocks.
-
-    Raises
-    ------
-    ModelError
-        If no inputs are left to be released for what has to be held.
+    ``varied``: inputs that are to stay given. ``held``: angles that are given (rad), each in
+    exchange for an input. ``torques_too``: whether constant torques act; without them equations
+    fall apart into smaller blocks. Raises ModelError if no inputs are left to be released for what
+    has to be held.
     """
     held = dict(held or {})
     s, u, p, w = model.symbols()
@@ -101,7 +97,8 @@ def rest_system(
         row = names(own).index(name)
         residual = ca.substitute(residual, s[row], ca.SX(value))
     # What an effect remembers (a cable's z) stays too: it is free, not the angle that it acts on.
-    lasting = [i for i, s_i in enumerate(own) if s_i.name in _angles(model) or "." in s_i.name]
+    angles = {axis.angle for axis in model.axes.values()} | set(model.controlled)
+    lasting = [i for i, s_i in enumerate(own) if s_i.name in angles or "." in s_i.name]
     reduced, nonzero = _reduced(model, residual, s, (u, p, w), lasting, torques_too)
     resting = model.rest()[list(equations.unknowns)]
     for row, signal in enumerate(own):
@@ -113,7 +110,7 @@ def rest_system(
     symbols = ca.vertcat(*(s[i] for i in columns), u)
     candidates = [own[i] for i in columns] + list(model.inputs)
     pattern = _pattern(rows, symbols)
-    worth = [_worth(signal.name, columns, model, varied) for signal in candidates]
+    worth = [_worth(signal.name, model, varied) for signal in candidates]
     matched = _matched(pattern, worth)
     if len(matched) < rows.numel():
         _refuse(model, varied, held, rows.numel() - len(matched))
@@ -204,11 +201,7 @@ def _stripped(rows: list[ca.SX], variables: ca.SX) -> tuple[list[ca.SX], list[ca
     return [row for row, _ in parts], [factor for _, factors in parts for factor in factors]
 
 
-def _angles(model: Model) -> set[str]:
-    return {axis.angle for axis in model.axes.values()} | set(model.controlled)
-
-
-def _worth(name: str, columns: list[int], model: Model, varied: Collection[str]) -> float:
+def _worth(name: str, model: Model, varied: Collection[str]) -> float:
     """How gladly an equation is matched to an unknown: as many states as can be, then inputs."""
     if name in varied:
         return 0.0
@@ -278,17 +271,8 @@ def reduce(
 ) -> ReducedEquations:
     """Solve linear equations of ``f(x, others, p) = 0`` for symbols of x, one after the other.
 
-    Parameters
-    ----------
-    f : (n, 1)
-    x : (n, 1)
-        Symbols.
-    others : (m, 1)
-        Symbols that a factor must not depend on either.
-    p, values : (n_p, 1)
-        Parameters and their values: a factor that is zero there cannot be divided by.
-    keep : collection of int
-        Positions in x that are to stay unknowns.
+    A factor must not depend on x or the others, nor be zero at the values of p; positions in x to
+    ``keep`` stay unknowns.
     """
     rows = ca.vertsplit(ca.cse(f))
     state, left = x, [j for j in range(x.numel()) if j not in keep]
@@ -343,13 +327,7 @@ def torques(
 ) -> tuple[list[ca.SX], ca.SX | None]:
     """Two rows of coupled accelerations as torques, and W (2, 2); unchanged and None otherwise.
 
-    Parameters
-    ----------
-    rows : (n,) sequence of scalars
-    moments : sequence of symbols
-        Torques on the axes.
-    symbols : (m, 1)
-        All symbols of the rows.
+    ``moments``: symbols of the torques on the axes; ``symbols``: all symbols of the rows.
     """
     if len(moments) != 2 or len(rows) < 2:
         return list(rows), None

@@ -25,7 +25,6 @@ from trms_cli.stability.equilibria.curves import (
 from trms_cli.stability.equilibria.proof import Proof, Prover, RangePiece, over_range
 from trms_cli.stability.equilibria.rest_system import RestSystem, rest_system
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.study import Tell
 
 #: Inputs at which equilibria are looked for from many starts, and how many starts.
@@ -45,6 +44,11 @@ class SurveySetting:
     inputs: Mapping[str, float]  #: The other inputs, where they are given
     held: Mapping[str, float]  #: Angles that are held by an input that follows, rad
 
+    @property
+    def given(self) -> dict[str, float]:
+        """Inputs and angles that stay as they are."""
+        return {**self.inputs, **self.held}
+
 
 @dataclass(frozen=True)
 class SurveyCurve:
@@ -53,6 +57,10 @@ class SurveyCurve:
     curve: SolutionCurve
     points: tuple[EquilibriumPoint, ...]  #: One for each point of the curve
     landmarks: tuple[Landmark, ...]
+
+    def values(self, model: Model, name: str) -> FloatArray:
+        """A state or command along it."""
+        return np.array([point.value(model, name) for point in self.points])
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,10 @@ class Survey:
     late: int  #: Curves that only the proof led to
 
     @property
+    def model(self) -> Model:
+        return self.system.model
+
+    @property
     def landmarks(self) -> tuple[Landmark, ...]:
         return tuple(one for curve in self.curves for one in curve.landmarks)
 
@@ -94,21 +106,10 @@ def survey(
     whole_range: bool,
     tell: Tell,
 ) -> Survey:
-    """All equilibria of a model over one input.
+    """All equilibria of a model over one input; ``box`` bounds states where not as usual.
 
-    Parameters
-    ----------
-    box : dict of str to (float, float)
-        Bounds of states, where not the default.
-    proof_inputs : (m,) array
-        Inputs at which the number of equilibria is proved.
-    whole_range : bool
-        Whether it is proved between them too.
-
-    Raises
-    ------
-    TrmsError
-        For a setting or a box that the model does not allow.
+    Their number is proved at some inputs, (m,), and for each between them if that is asked for.
+    Raises TrmsError for a setting or a box that the model does not allow.
     """
     inputs = {setting.over, *setting.inputs}
     system = rest_system(model, inputs, setting.held)
@@ -118,7 +119,6 @@ def survey(
         v[system.given_index(name)] = value
     index = system.given_index(setting.over)
     equations = CurveEquations(system, index, v, bounds, scale, setting.bounds)
-    linear = Linear(model)
 
     tell(f"curves over {setting.over}")
     seeds = equations.starts(np.linspace(*setting.bounds, _INPUTS), _STARTS)
@@ -131,9 +131,13 @@ def survey(
     proofs = prover.at(given)
     curves, late = complete_curves(equations, curves, proofs)
     checks = tuple(
-        _check(linear, equations, curves, float(value), proof)
+        _check(equations, curves, float(value), proof)
         for value, proof in zip(proof_inputs, proofs, strict=True)
     )
+    surveyed = []
+    for curve in curves:
+        points = tuple(equations.stability(y) for y in curve.y)
+        surveyed.append(SurveyCurve(curve, points, tuple(landmarks(equations, curve, points))))
     pieces: tuple[RangePiece, ...] = ()
     if whole_range:
         tell(f"proof for every {setting.over}")
@@ -144,7 +148,7 @@ def survey(
         system=system,
         equations=equations,
         box=bounds,
-        curves=tuple(_curve_of(linear, equations, curve) for curve in curves),
+        curves=tuple(surveyed),
         checks=checks,
         pieces=pieces,
         late=late,
@@ -175,7 +179,6 @@ def _within(equations: CurveEquations, y: FloatArray, z: Interval) -> bool:
 
 
 def _check(
-    linear: Linear,
     equations: CurveEquations,
     curves: Sequence[SolutionCurve],
     value: float,
@@ -189,13 +192,8 @@ def _check(
         agree &= len(inside) == 1 if one.unique else True
         ordered += inside
     agree &= all(any(_within(equations, y, one.z) for one in proof.enclosed) for y in known)
-    points = tuple(equations.stability(linear, y) for y in (ordered if agree else known))
+    points = tuple(equations.stability(y) for y in (ordered if agree else known))
     return ProofCheck(value, proof, points, agree)
-
-
-def _curve_of(linear: Linear, equations: CurveEquations, curve: SolutionCurve) -> SurveyCurve:
-    points = tuple(equations.stability(linear, y) for y in curve.y)
-    return SurveyCurve(curve, points, tuple(landmarks(linear, equations, curve, points)))
 
 
 def setting_of(
@@ -209,20 +207,19 @@ def setting_of(
     """
     own = {axis: model.rotors.get(rotor) for axis, rotor in (("pitch", "main"), ("yaw", "tail"))}
     holder = {model.axes[axis].angle: own[axis] for axis in own if axis in model.axes}
-    asked = dict(at)
     held = {
         name: value
-        for name, value in asked.items()
+        for name, value in at.items()
         if name in holder and holder[name] not in (None, over)
     }
-    if not asked and "pitch" in model.axes and own["pitch"] is not None and over == own["yaw"]:
+    if not at and "pitch" in model.axes and own["pitch"] is not None and over == own["yaw"]:
         angle = model.axes["pitch"].angle
         if not rest_system(model, {over}).free:
             held = {angle: 0.0}
     released = {holder[name] for name in held}
     others = [name for name in names(model.inputs) if name not in (over, *released)]
     free = rest_system(model, {over}, held)
-    inputs = {n: float(asked.get(n, 0.0)) for n in others if n not in free.released}
+    inputs = {n: float(at.get(n, 0.0)) for n in others if n not in free.released}
     return SurveySetting(over, bounds, inputs, held)
 
 
@@ -240,12 +237,8 @@ def bounds_of(
     A pitch reaches to its stop, at least to :data:`UPRIGHT`; another angle to its stop, or a half
     turn; a released input to its limit; all else has no bounds.
 
-    Raises
-    ------
-    ConfigurationError
-        For a name that is no state, or bounds that are none.
-    ModelError
-        If with the beam upright, within the bounds, an equation holds for whatever else.
+    Raises ConfigurationError for a name that is no state, or bounds that are none; ModelError if
+    with the beam upright, within the bounds, an equation holds for whatever else.
     """
     model = system.model
     for name, bounds in asked.items():
@@ -345,14 +338,10 @@ def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap 
     others = np.linspace(-limit, limit, _MAP_POINTS)
     rows = [model.state_index(name) for name in model.controlled]
     angles = np.full((len(rows), _MAP_POINTS, _MAP_POINTS), np.nan)
-    linear = Linear(model)
-    names = [signal.name for signal in system.unknowns]
     box, scale = bounds_of(system, {})
     for column, value in enumerate(first):
         known = [y for one in along.curves for y in along.equations.crossings_of(one.curve, value)]
-        stable = [
-            p for p in (along.equations.stability(linear, y) for y in known) if not p.unstable
-        ]
+        stable = [p for p in (along.equations.stability(y) for y in known) if not p.unstable]
         if not stable:
             continue
         v = np.zeros(len(system.given))
@@ -360,14 +349,14 @@ def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap 
         bounds = (-limit, limit)
         equations = CurveEquations(system, system.given_index(second), v, box, scale, bounds)
         x = stable[0].x
-        seed = np.array([*(x[model.state_index(name)] for name in names), start])
+        seed = np.array([*(x[model.state_index(s.name)] for s in system.unknowns), start])
         for side in (others[others >= start], others[others < start][::-1]):
             y: FloatArray | None = seed
             for at in side:
                 y = equations.pinned(y, equations.n, float(at)) if y is not None else None
                 if y is None or not equations.inside(y):
                     break
-                here = equations.stability(linear, y)
+                here = equations.stability(y)
                 if not here.unstable:
                     row = int(np.argmin(np.abs(others - at)))
                     angles[:, row, column] = here.x[rows]
