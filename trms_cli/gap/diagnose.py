@@ -71,17 +71,8 @@ class _Watch:
 def diagnose(problem: GapProblem, progress: Progress | None = None) -> DiagnosisResult:
     """Say where the gap lies, which effect causes it, and how far it shrinks.
 
-    Parameters
-    ----------
-    problem : GapProblem
-    progress : Progress or None
-
-    Raises
-    ------
-    ConfigurationError
-        For recordings that are too short.
-    KeyboardInterrupt
-        If the progress asks to stop; what is finished has been saved with it.
+    Raises ConfigurationError for recordings that are too short, and KeyboardInterrupt if the
+    progress asks to stop; what is finished has been saved with it.
     """
     watch = _Watch(progress or Unwatched())
     watch.enter("refit")

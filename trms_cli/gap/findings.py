@@ -88,13 +88,8 @@ def findings(
 ) -> Findings:
     """What is worth telling of a diagnosis.
 
-    Parameters
-    ----------
-    diagnosis : DiagnosisResult
-    remarks : sequence of str
-        What was found in the recordings and what was done to them.
-    folder : Path or None
-        Where the corrected model lies, for what to type next.
+    ``remarks``: what was found in the recordings and what was done to them. ``folder``: of the
+    corrected model, for what to type next.
     """
     sections = (
         _causes(diagnosis),

@@ -72,28 +72,12 @@ def free_run_errors(
     rollout: Rollout | None = None,
     jobs: int = 1,
 ) -> dict[str, dict[float, HorizonErrors]]:
-    """Errors of free runs that lie within spans of recordings.
+    """Errors of free runs that lie within spans of recordings, by channel, then by horizon.
 
-    Parameters
-    ----------
-    datasets : sequence of Dataset
-        Whole recordings of one sample time: a start may know what was before its span.
-    parts : sequence of (dataset, first, last)
-        Spans of samples, without ``last``.
-    horizons : sequence of float
-        s. One that no span holds is left out.
-    stride, block : float
-        s between two starts; length of the blocks.
-    rollout : Rollout or None
-        Of the same model at the recordings' sample time, if there is one already; the values of
-        parameters are ``model``'s.
-    jobs : int
-        Threads.
-
-    Returns
-    -------
-    dict of str to dict of float to HorizonErrors
-        By channel, then by horizon. Empty if no span holds a run.
+    ``datasets``: whole recordings of one sample time, for a start may know what was before its
+    span. ``horizons``: s; one that no span holds is left out. ``stride``, ``block``: s, between two
+    starts, and of the blocks. ``rollout``: of the same model at the recordings' sample time, if
+    there is one already; the values of parameters are ``model``'s. ``jobs``: threads.
     """
     step = datasets[0].sample_time
     rollout = rollout or Rollout(model, step, jobs=jobs)

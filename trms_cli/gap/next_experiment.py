@@ -360,34 +360,15 @@ def advise(
     Each is simulated with the refitted model; along that motion the traces of the effects asked
     after are projected and compared as those of the recordings are
     (:mod:`trms_cli.gap.separability`). A second or two on one core where the models of the effects
-    are compiled, as they are after the race.
+    are compiled, as they are after the race. None where no experiment can be predicted: in open
+    loop the angles would not stay within their bounds at any amplitude.
 
-    Parameters
-    ----------
-    refit : Refit
-        Of the nominal model on the recordings: its model, datasets, values, discrepancy. The
-        model object is the one that the race used, so that nothing is compiled again.
-    candidates : dict of str to CandidateEffect
-        All that are known, by name.
-    model_name : str
-        As the user named the model, for the command.
-    apart : sequence of str
-        Effects that cannot be told apart, the likeliest first. Used where it names two or more.
-    untested : sequence of str
-        Else these are to be made visible; the first three count. Where both are empty, the first
-        of the candidates that the recordings hardly show are.
-    values : dict of str to float or None
-        Fitted sizes by name, ``<effect>.<size>``, of those that were fitted; the others are taken
-        at typical sizes. Other names are ignored.
-    shares : (n_d,) array or None
-        Discrepancy to be reckoned with; None: a third of the refit's, for most of that goes when
-        the cause is in the model.
-
-    Returns
-    -------
-    NextExperiment or None
-        None where no experiment can be predicted: in open loop the angles would not stay within
-        their bounds at any amplitude.
+    ``apart``: effects that cannot be told apart, the likeliest first; used where it names two or
+    more. ``untested``: else these are to be made visible; the first three count. Where both are
+    empty, the first of the candidates that the recordings hardly show are. ``values``: fitted sizes
+    by name, ``<effect>.<size>``; the others are taken at typical sizes. ``shares``, (n_d,) array:
+    discrepancy to be reckoned with; None: a third of the refit's, for most of that goes when the
+    cause is in the model.
     """
     values = values or {}
     step = refit.structure.windows.sample_time

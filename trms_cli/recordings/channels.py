@@ -103,23 +103,10 @@ def _root_units(unit: str) -> Any:
 def to_si(
     values: np.ndarray, unit: str, allowed: tuple[str, ...], *, where: str, name: str
 ) -> tuple[np.ndarray, str]:
-    """Convert a column to SI.
+    """Convert a column, (n,) array, to SI; the values and their SI unit.
 
-    Parameters
-    ----------
-    values : (n,) float array
-        In ``unit``; NaN stays NaN.
-    unit : str
-        As written between the brackets of the header.
-    allowed : tuple of str
-        SI units that fit the channel; empty if any does.
-    where, name : str
-        File and line, and the column, for the message.
-
-    Returns
-    -------
-    (n,) float array, str
-        The values in SI, and that SI unit.
+    ``unit``: as written between the brackets of the header. ``allowed``: SI units that fit the
+    channel; any does if empty. ``where``, ``name``: file and line, and the column, for the message.
     """
     unit = unit.strip()
     if unit in allowed or (not allowed and unit in (*_TIDY_UNITS, "1")):

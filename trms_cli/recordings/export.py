@@ -20,18 +20,11 @@ SUFFIXES = {"csv": ".csv", "parquet": ".parquet", "mat": ".mat"}
 
 
 def export_log(log: LoggedRun, path: Path | str, format: str, *, force: bool = False) -> None:
-    """Write a log in another format; the file appears when it is whole.
+    """Write a log, complete or not, in another format; the file appears when it is whole.
 
-    Parameters
-    ----------
-    log : LoggedRun
-        Complete or not; all that it holds is written.
-    path : Path
-        Refused when it exists, unless ``force``.
-    format : str
-        "csv": the recording (inputs, outputs, references) on the sample grid, as
-        ``trms import`` reads it. "parquet": one wide table of all topics, a row per sample
-        time. "mat": a struct per topic.
+    ``path``: refused when it exists, unless ``force``. ``format``: "csv": the recording (inputs,
+    outputs, references) on the sample grid, as ``trms import`` reads it; "parquet": one wide table
+    of all topics, a row per sample time; "mat": a struct per topic.
     """
     path = Path(path)
     if format == "csv":

@@ -106,26 +106,12 @@ class Selection:
     def read(
         self, file: str, model: Model, preparation: Preparation | None = None
     ) -> list[RecordedRun]:
-        """Read a file for a model, made ready on request.
+        """Read a file (CSV, MAT or MCAP) for a model, made ready on request.
 
-        Parameters
-        ----------
-        file : str
-            CSV, MAT or MCAP.
-        preparation : Preparation or None
-            None: the part is taken as it is.
+        Gives one, unless the recording is split; their remarks tell what was found and done.
 
-        Returns
-        -------
-        list of RecordedRun
-            One, unless the recording is split. Their remarks tell what was found and done.
-
-        Raises
-        ------
-        RecordingError
-            If it cannot be read or is not evenly sampled, or what is asked for cannot be done.
-        ConfigurationError
-            If its channels or units are not those of the model; it tells what to do.
+        Raises RecordingError if it cannot be read or is not evenly sampled, or what is asked for
+        cannot be done, and ConfigurationError if its channels or units are not those of the model.
         """
         part = self.part_of(read_recording(Path(file).expanduser()))
         parts = [part] if preparation is None else preparation.apply(part)

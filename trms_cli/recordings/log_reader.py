@@ -63,20 +63,10 @@ def most_cells(size: int = 0) -> int:
 
 
 def content_of(chunk: Chunk, room: int) -> bytes:
-    """The records of a chunk.
+    """The records of a chunk, of at most ``room`` bytes; its checksum is the caller's.
 
-    Parameters
-    ----------
-    room : int
-        Bytes that it may have.
-
-    Raises
-    ------
-    TooMuch
-        If it claims more.
-    ValueError
-        If it is not what it claims: of another size, damaged, of an unknown compression. The
-        checksum is the caller's.
+    Raises TooMuch if it claims more, and ValueError if it is not what it claims: of another size,
+    damaged, of an unknown compression.
     """
     size = chunk.uncompressed_size
     if size > min(room, most_kept()):
@@ -203,19 +193,10 @@ class _Content:
 
 
 def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedRun:
-    """Read a run log.
+    """Read a run log written by trms, complete or not; only some topics, or all.
 
-    Parameters
-    ----------
-    path : Path
-        An MCAP file written by trms, complete or not.
-    topics : collection of str, optional
-        Only these; all by default.
-
-    Raises
-    ------
-    RecordingError
-        When the file cannot be read, is no MCAP file, is of another program or is empty.
+    Raises RecordingError when the file cannot be read, is no MCAP file, is of another program or is
+    empty.
     """
     path = Path(path)
     data = _read_bytes(path)
@@ -381,19 +362,9 @@ def table_of(
 ) -> TopicTable:
     """Messages as columns, in the order of time.
 
-    Parameters
-    ----------
-    times : sequence of int
-        Log times, ns.
-    messages : sequence of bytes
-        JSON objects.
-    kinds, units : mapping of str to str
-        JSON type and SI unit of each column that is wanted.
-
-    Raises
-    ------
-    ValueError, TypeError, AttributeError, OverflowError
-        If the messages are not of this form.
+    ``times``: log times, ns. ``messages``: JSON objects. ``kinds``, ``units``: JSON type and SI
+    unit of each column that is wanted. Raises ValueError, TypeError, AttributeError or
+    OverflowError if the messages are not of this form.
     """
     time_ns = np.array(times, dtype=np.int64)
     rows = orjson.loads(b"[" + b",".join(messages) + b"]")

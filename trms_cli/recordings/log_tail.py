@@ -62,19 +62,12 @@ class _Rows:
 
 
 class LogTail:
-    """A log that may be growing. Also a context manager: it closes the file.
+    """A log that may be growing, or be empty yet. Also a context manager: it closes the file.
 
-    Parameters
-    ----------
-    path : Path
-        An MCAP file; it may be empty yet.
-    wanted : callable, optional
-        Decides which columns are kept, by topic and name; all by default.
+    ``wanted``: decides which columns are kept, by topic and name; all by default.
 
-    Raises
-    ------
-    RecordingError
-        When the file cannot be opened, and from :meth:`read` when it is no MCAP file.
+    Raises RecordingError when the file cannot be opened, and from :meth:`read` when it is no MCAP
+    file.
     """
 
     def __init__(self, path: Path | str, wanted: Wanted = lambda topic, column: True) -> None:

@@ -62,17 +62,11 @@ def write_mcap(
 ) -> None:
     """Write a recording as a run log with the rig's own time stamps.
 
-    MCAP times are not negative: a recording that begins before zero is shifted, and the
-    shift stands in the metadata and is undone on reading.
+    MCAP times are not negative: a recording that begins before zero is shifted, and the shift
+    stands in the metadata and is undone on reading. Missing samples become null.
 
-    Parameters
-    ----------
-    recording : Recording
-        Missing samples become null.
-    path : Path
-        Appears when it is whole; an existing file is refused unless ``force``.
-    run_metadata : dict of str to str
-        For the ``trms.run`` record, beside the recording's own metadata.
+    ``path``: appears when it is whole; an existing file is refused unless ``force``.
+    ``run_metadata``: for the ``trms.run`` record, beside the recording's own metadata.
     """
     topics = _topics(recording)
     offset_ns = max(0, -round(float(recording.time[0]) * 1e9))

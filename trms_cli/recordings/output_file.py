@@ -90,15 +90,9 @@ def arrow_table(
 ) -> pyarrow.Table:
     """Rows as columns, each of one type, with its unit in its metadata.
 
-    Parameters
-    ----------
-    rows : sequence of mappings
-        None for what a row does not have.
-    kinds : mapping of str to type or None
-        The columns in their order: ``float``, ``int``, ``bool``, ``str``, or None for a column
-        of values that may be of several types (numbers if all are numbers, else text).
-    units : mapping of str to str
-        By column; "" or absent for what has none.
+    ``rows``: None for what a row does not have. ``kinds``: the columns in their order: ``float``,
+    ``int``, ``bool``, ``str``, or None for values that may be of several types (numbers if all are
+    numbers, else text). ``units``: by column; "" or absent for what has none.
     """
     import pyarrow as pa
 

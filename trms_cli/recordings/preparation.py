@@ -182,24 +182,10 @@ _MOST_SAMPLES = 20_000_000
 
 
 def resample(recording: Recording, step: float) -> Recording:
-    """Put a recording on the grid of a step, from its first row on.
+    """Put a recording, evenly sampled or not, on the grid of a step (s), from its first row on.
 
-    Parameters
-    ----------
-    recording : Recording
-        Evenly sampled or not.
-    step : float
-        s, above zero.
-
-    Returns
-    -------
-    Recording
-        Missing samples are NaN and stand in the grid; a remark tells what was done.
-
-    Raises
-    ------
-    RecordingError
-        If fewer than two or absurdly many samples would result.
+    Missing samples are NaN and stand in the grid; a remark tells what was done. Raises
+    RecordingError if fewer than two or absurdly many samples would result.
     """
     count = int(np.floor(recording.duration_s / step * (1 + _SAME) + _SAME)) + 1
     if not 2 <= count <= _MOST_SAMPLES:

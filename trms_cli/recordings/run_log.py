@@ -32,16 +32,11 @@ from trms_cli.recordings.topics import EVENT_TOPIC, EncodedTopic, Topic
 
 
 class AppendStream:
-    """Collects bytes and hands them to the operating system on :meth:`flush`.
+    """Collects bytes for a new file and hands them to the operating system on :meth:`flush`.
 
-    A step that fails half-way (full disk) is cut off again, so that the file always ends
-    where the last good step ended. What a flush has passed to the system outlives SIGKILL
-    of this process; it is not forced to the platters, a power cut may still lose it.
-
-    Parameters
-    ----------
-    path : Path
-        Must not exist: the file is created exclusively.
+    A step that fails half-way (full disk) is cut off again, so that the file always ends where the
+    last good step ended. What a flush has passed to the system outlives SIGKILL of this process; it
+    is not forced to the platters, a power cut may still lose it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -149,16 +144,9 @@ class RunLog:
         self._flush_stream()
 
     def write(self, topic: str, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
-        """Log one message; it is kept until :meth:`flush`.
+        """Log one message at a run time [ns]; it is kept until :meth:`flush`.
 
-        Parameters
-        ----------
-        topic : str
-            Name of one of the log's topics.
-        time_ns : int
-            Run time [ns].
-        values : sequence
-            In the order of the topic's fields; a field of kind "array" takes a (k,) array.
+        ``values``: in the order of the topic's fields; a field of kind "array" takes a (k,) array.
         """
         self._append(self._channel(topic), time_ns, values)
 

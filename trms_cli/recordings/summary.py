@@ -41,19 +41,12 @@ _USUAL_PERCENT, _QUANTILE_TO_SD = 90, 1 / 1.645
 
 
 def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
-    """Which samples are outliers.
+    """Which samples are outliers, (n,) bool array.
 
-    Parameters
-    ----------
-    values : (n,) float array
-        Evenly spaced but for what is missing (NaN).
-    threshold : float
-        In standard deviations of what is usual around the sample.
+    Runs of up to three samples. Channels of fewer than 15 samples have none.
 
-    Returns
-    -------
-    (n,) bool array
-        Runs of up to three samples. Channels of fewer than 15 samples have none.
+    ``values``, (n,) array: evenly spaced but for what is missing (NaN). ``threshold``: in standard
+    deviations of what is usual around the sample.
     """
     from scipy.ndimage import median_filter, percentile_filter
 

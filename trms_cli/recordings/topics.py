@@ -142,30 +142,15 @@ def standard_topics(
     controller: bool = True,
     prediction: bool = False,
 ) -> list[Topic]:
-    """Build the topics of a run from its signals.
+    """Build the topics of a run from its signals, always with /event, which any run may need.
 
     A topic whose signals are absent is not created: a replayed recording has no true state.
 
-    Parameters
-    ----------
-    references : sequence of Field
-        Reference per controlled axis, named as the output it is for.
-    inputs, outputs : sequence of Field
-        Commands as applied, and measured channels.
-    states : sequence of Field
-        The plant's true state; empty for rigs that are not simulated.
-    estimates : sequence of Field
-        States of the observer, in its order. Standard deviations are added to them, and the
-        prediction, innovation and innovation's deviation of each output.
-    disturbances : sequence of Field
-        Known disturbances that act on the plant.
-    controller, prediction : bool
-        Whether the run has a controller, and whether that tells its predictions.
-
-    Returns
-    -------
-    list of Topic
-        Always with /event, which any run may need.
+    ``references``: per controlled axis, named as the output it is for. ``inputs``, ``outputs``:
+    commands as applied, and measured channels. ``estimates``: states of the observer, in its order;
+    standard deviations are added to them, and the prediction, innovation and innovation's deviation
+    of each output. ``disturbances``: known ones. ``prediction``: whether the controller tells its
+    predictions.
     """
     topics = [
         Topic("/reference", tuple(references), "What the outputs are asked to be"),

@@ -53,14 +53,8 @@ class FitProgress:
     Within its ``with`` block the first Ctrl-C or SIGTERM asks the method to stop at the best so
     far, the second one interrupts it where it stands.
 
-    Parameters
-    ----------
-    file : Path
-        Where the state is kept.
-    resume : bool
-        Whether to go on from it.
-    quiet : bool
-        No bar, as in a sweep.
+    ``file``: where the state is kept, to go on from with ``resume``. ``quiet``: no bar, as in a
+    sweep.
     """
 
     #: A fit that ends before this needs no bar (s).
@@ -166,21 +160,11 @@ class DiagnoseProgress(FitProgress):
     """Progress of a diagnosis; see :class:`trms_cli.identification.method.Progress`.
 
     A message is the name of a stage, and after a colon what is done in it. Within the ``with``
-    block the first Ctrl-C or SIGTERM asks to stop at the next step, the second one interrupts
-    where it stands; finished stages stay on the disk either way.
+    block the first Ctrl-C or SIGTERM asks to stop at the next step, the second one interrupts where
+    it stands; finished stages stay on the disk either way.
 
-    Parameters
-    ----------
-    file : Path
-        Where the state is kept.
-    log : Path
-        Gets a line a stage.
-    fingerprint : str
-        Of the problem, so that a state is only gone on with for the same one.
-    resume : bool
-        Whether to go on from the state.
-    quiet : bool
-        No line, as in a sweep.
+    ``log``: gets a line a stage. ``fingerprint``: of the problem, so that a state is only gone on
+    with for the same one.
     """
 
     _STOPPING = "stopping; finished stages are kept (once more: at once)"

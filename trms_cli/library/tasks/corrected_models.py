@@ -25,12 +25,7 @@ CORRECTED_NAME, REFIT_NAME = "corrected_model.yaml", "refit_model.yaml"
 def write_models(
     request: DiagnosisRequest, origin: ModelOrigin, diagnosis: DiagnosisResult, folder: Path
 ) -> tuple[Path, Path]:
-    """Write the corrected model, and the nominal one refitted without a cause.
-
-    Returns
-    -------
-    corrected, refit : Path
-    """
+    """Write the corrected model, and the nominal one refitted without a cause; their files."""
     cause = applied_cause(diagnosis)
     refit = {} if diagnosis.verdict == "no_gap" else dict(diagnosis.refit)
     deviations: dict[str, float | None] = {n: p.sd for n, p in diagnosis.parameters.items()}

@@ -202,22 +202,13 @@ def candidates_of(
 ) -> Candidates:
     """The effects that ``candidates`` names, as far as the model can carry them.
 
-    Parameters
-    ----------
-    words : sequence of str
-        ``all``, names, patterns, and any of these after ``!`` to leave out again.
-    model : Model
-        The nominal one; an effect that it has already is no candidate.
-    config_dirs : sequence of Path
-        The user's folders; an option there hides a built-in namesake.
+    ``words``: ``all``, names, patterns, and any of these after ``!`` to leave out again. ``model``:
+    the nominal one; an effect that it has already is no candidate. ``config_dirs``: the user's
+    folders; an option there hides a built-in namesake.
 
-    Raises
-    ------
-    ConfigurationError
-        For a name or pattern that fits nothing, an option that is no effect, or a list that
-        leaves nothing.
-    ModelError
-        For an effect that is asked for by its name and that the model cannot carry.
+    Raises ConfigurationError for a name or pattern that fits nothing, an option that is no effect,
+    or a list that leaves nothing, and ModelError for an effect that is asked for by its name and
+    that the model cannot carry.
     """
     library = effect_nodes(config_dirs)
     effects: dict[str, Effect] = {}

@@ -31,20 +31,9 @@ NO_ATTITUDE = "neither pitch nor yaw is in the log: a motor or a propeller alone
 class RunScene:
     """The 3D view of one run.
 
-    Parameters
-    ----------
-    config : mapping
-        The composed configuration; ``sim.scene_every`` decides how often, or whether at all.
-    topics : sequence of Topic
-        Of the run's log.
-    model : Model
-    plant : PlantRun or RecordedRun
-        Its parameters, where it has some, tell the body's lengths; the model's otherwise.
-
-    Raises
-    ------
-    ConfigurationError
-        When ``sim.scene_every`` is no whole number.
+    ``config``: its ``sim.scene_every`` decides how often, or whether at all. ``plant``: its
+    parameters, where it has some, tell the body's lengths; the model's otherwise. Raises
+    ConfigurationError when ``sim.scene_every`` is no whole number.
     """
 
     def __init__(

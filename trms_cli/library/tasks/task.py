@@ -61,10 +61,7 @@ class Interrupted(KeyboardInterrupt):
 class Listener:
     """Hears what a task is about to do; this one says nothing of it.
 
-    Parameters
-    ----------
-    command : str
-        The first word of what is shown.
+    ``command``: the first word of what is shown.
     """
 
     quiet = True  #: Whether a bar of progress is unwelcome

@@ -73,13 +73,8 @@ _LEVELS = {
 class SceneEncoder:
     """Messages of one rig.
 
-    Parameters
-    ----------
-    scene : Scene
-    ghosts : sequence of str
-        Of :data:`~trms_cli.core.scene.GHOSTS`: those that the run has.
-    about : str
-        A sentence that goes along with the bodies.
+    ``ghosts``: of :data:`~trms_cli.core.scene.GHOSTS`, those that the run has. ``about``: a
+    sentence that goes along with the bodies.
     """
 
     def __init__(self, scene: Scene, ghosts: Sequence[str] = GHOSTS, about: str = "") -> None:

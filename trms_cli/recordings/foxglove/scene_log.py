@@ -48,14 +48,8 @@ def find_sources(
 ) -> Sources | None:
     """Where the attitudes stand in a log; None if it has none: of a motor alone, say.
 
-    Parameters
-    ----------
-    fields : dict of str to sequence of str
-        Names of each topic's fields, in the order of its rows.
-    limits : dict of str to float
-        Largest command by name; 1 where there is none.
-    arrows : sequence of str
-        Names of the commands that are shown.
+    ``fields``: names of each topic's fields, in the order of its rows. ``limits``: largest command
+    by name; 1 where there is none. ``arrows``: names of the commands that are shown.
     """
 
     def place(topic: str, name: str) -> int | None:
@@ -112,16 +106,8 @@ class PoseMemory:
 class SceneLog:
     """A log that gains poses; takes a log's place as the sink of a run's history.
 
-    Parameters
-    ----------
-    log : RunLog
-        Open, with the topics of :func:`~trms_cli.recordings.foxglove.types.encoded_topics`.
-    encoder : SceneEncoder
-    sources : Sources
-    every : int
-        Samples from one pose to the next.
-    last_topic : str
-        The topic that ends a sample.
+    ``log``: open, with the topics of :func:`~trms_cli.recordings.foxglove.types.encoded_topics`.
+    ``every``: samples from one pose to the next. ``last_topic``: the one that ends a sample.
     """
 
     def __init__(
