@@ -8,7 +8,7 @@ import pytest
 from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.fitting import nominal_parameters, refit
 from trms_cli.gap.problem import divide, quantum_of, with_noise
-from trms_cli.gap.race import EFFORTS, Checkpoint, Race, StructureCache, run_race
+from trms_cli.gap.race import EFFORTS, Checkpoint, Race, run_race
 from trms_cli.gap.separability import effect_traces
 from trms_cli.models.newtonian import Newtonian
 
@@ -23,9 +23,8 @@ def raced(dataset, checkpoint: Checkpoint | None = None) -> Race:
     assert not left_out
     parts = divide((dataset,), 10.0, 0.25, MODEL.stops)
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
-    structures = StructureCache(nominal, parts.block)
-    seen = effect_traces(nominal, list(found.values()), structures.of)
-    return run_race(nominal, found, seen, structures, EFFORTS["quick"], checkpoint=checkpoint)
+    seen = effect_traces(nominal, list(found.values()))
+    return run_race(nominal, found, seen, EFFORTS["quick"], checkpoint=checkpoint)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from trms_cli.gap.innovation_tests import innovation_tests
 from trms_cli.gap.location import locate, smoothed_forces
 from trms_cli.gap.posterior import calibration, posterior_of
 from trms_cli.gap.problem import GapProblem, Parts, divide
-from trms_cli.gap.race import EFFORTS, Checkpoint, Race, StructureCache, run_race
+from trms_cli.gap.race import EFFORTS, Checkpoint, Race, run_race
 from trms_cli.gap.separability import EffectTraces, effect_traces
 from trms_cli.gap.summary import summary_fields
 from trms_cli.identification.method import Progress, Unwatched
@@ -85,15 +85,13 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         for name, s in candidates.items()
         if not s.stochastic and not name.endswith("quantisation")
     }
-    structures = StructureCache(nominal, parts.block)
     watch.enter("separability")
-    traces = _traces(nominal, simulated, structures, problem.jobs, watch)
+    traces = _traces(nominal, simulated, problem.jobs, watch)
     watch.enter("race")
     race = run_race(
         nominal,
         simulated,
         traces,
-        structures,
         EFFORTS[problem.effort],
         checkpoint=watch.checkpoint,
         jobs=problem.jobs,
@@ -141,7 +139,6 @@ def _answered(
 def _traces(
     nominal: Refit,
     simulated: Mapping[str, CandidateEffect],
-    structures: StructureCache,
     jobs: int,
     watch: _Watch,
 ) -> EffectTraces:
@@ -150,7 +147,7 @@ def _traces(
 
     chosen = list(simulated.values())
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        for k, _ in enumerate(pool.map(structures.of, chosen)):
+        for k, _ in enumerate(pool.map(nominal.structure.with_effects, chosen)):
             try:
                 watch.tell(0.7 * (k + 1) / len(chosen), chosen[k].name)
             except KeyboardInterrupt:
@@ -159,6 +156,5 @@ def _traces(
     return effect_traces(
         nominal,
         chosen,
-        structures.of,
         watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces"),
     )

@@ -71,12 +71,6 @@ class Metric:
         roots: FloatArray = np.sqrt(self.robust / np.maximum(np.abs(z), self.robust))
         return roots
 
-    @property
-    def normalisation(self) -> FloatArray:
-        """What a window's log density loses by the spread of its innovations, nats, (m,)."""
-        half: FloatArray = 0.5 * self.filter_.logdet
-        return half
-
 
 #: Slopes per scaled unit beyond this say nothing; in the outputs' units.
 _STEEPEST = 1e8
@@ -129,13 +123,19 @@ class InnovationObjective:
     def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
         """Its value, and the parabola in scaled changes."""
         residuals = self._simulated(theta, starts, slopes=True)
-        quadratic, cost = self._quadratic(residuals, theta, starts)
-        return cost, quadratic, residuals
-
-    def innovations(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
-        """Predicted less measured, whitened, (m, c, n_y)."""
-        r = self._simulated(theta, starts, slopes=False).r
-        return self.metric.whitened(r[..., None])[..., 0]
+        m, gaps = len(self.windows), (starts - self.centres) / self.windows.spread
+        cost, made = np.inf, np.zeros((m, 1, self.windows.n_x + len(theta) + 1))
+        if residuals.finite:
+            columns = self.columns(residuals)
+            z = columns[..., -1]
+            cost = float(self.metric.losses(z).sum() + 0.5 * np.sum(gaps**2))
+            cost += self.of_parameters(theta)
+            columns = columns * self.metric.roots(z)[..., None]
+            flat = columns.reshape(m, -1, columns.shape[-1])
+            made = triangles(flat[..., :-1], flat[..., -1])
+        roots = np.sqrt(self.precisions)
+        own = (roots * self.scales, roots * (theta - self.means))
+        return cost if np.isfinite(cost) else np.inf, Quadratic(made, gaps, *own, None), residuals
 
     def columns(self, residuals: Residuals) -> FloatArray:
         """Whitened slopes in scaled starts and parameters, then the residual, (m, c, n_y, k)."""
@@ -144,33 +144,6 @@ class InnovationObjective:
         # where a simulation bounces its slopes may run away though itself it does not
         scaled = np.where(np.abs(scaled) < _STEEPEST, scaled, 0.0)
         return self.metric.whitened(np.concatenate([scaled, residuals.r[..., None]], axis=-1))
-
-    def _quadratic(
-        self, residuals: Residuals, theta: FloatArray, starts: FloatArray
-    ) -> tuple[Quadratic, float]:
-        m = len(self.windows)
-        n_f = len(theta)
-        gaps = (starts - self.centres) / self.windows.spread
-        if not residuals.finite:
-            empty = np.zeros((m, 1, self.windows.n_x + n_f + 1))
-            cost = np.inf
-            made = empty
-        else:
-            columns = self.columns(residuals)
-            z = columns[..., -1]
-            cost = float(self.metric.losses(z).sum() + 0.5 * np.sum(gaps**2))
-            cost += self.of_parameters(theta)
-            columns = columns * self.metric.roots(z)[..., None]
-            flat = columns.reshape(m, -1, columns.shape[-1])
-            made = triangles(flat[..., :-1], flat[..., -1])
-        quadratic = Quadratic(
-            made,
-            gaps,
-            np.sqrt(self.precisions) * self.scales,
-            np.sqrt(self.precisions) * (theta - self.means),
-            None,
-        )
-        return quadratic, cost if np.isfinite(cost) else np.inf
 
     def _losses(self, r: FloatArray, starts: FloatArray) -> FloatArray:
         z = self.metric.whitened(r[..., None])[..., 0]
@@ -226,7 +199,8 @@ def evidence(
     prior = np.diag(quadratic.prior_root[free] ** 2)
     each = np.swapaxes(r, 1, 2) @ r
     total = each.sum(axis=0) + prior
-    base = -of_starts - objective.metric.normalisation
+    # what a window's log density loses by the spread of its starts and of its innovations
+    base = -of_starts - 0.5 * objective.metric.filter_.logdet
     likelihood = base - objective.by_window(theta, starts)
     predictive = np.empty(m)
     for j in range(m):
@@ -360,6 +334,16 @@ class ModelStructure:
         )
         self.windows = Windows(self.problem, rollout=rollout)
         known[key] = self.windows.rollout
+        self._with: dict[tuple[str, ...], ModelStructure] = {}
+
+    def with_effects(self, *effects: CandidateEffect) -> ModelStructure:
+        """The structure with some effects; each is made once."""
+        chosen = sorted(effects, key=lambda e: e.name)
+        key = tuple(effect.name for effect in chosen)
+        if key not in self._with:
+            p = self.problem
+            self._with[key] = ModelStructure(p.model, p.free, chosen, p.datasets, p.window_length)
+        return self._with[key]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -418,7 +402,7 @@ class ModelStructure:
         """The same with its parameters as they were."""
         held = copy.copy(self)
         free = tuple(replace(p, lower=p.start, upper=p.start) for p in self.problem.free)
-        held.problem = replace(self.problem, free=free)
+        held.problem, held._with = replace(self.problem, free=free), {}
         return held
 
 

@@ -11,6 +11,7 @@ over samples is C (``kalman.c``); without a compiler NumPy runs it over all wind
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -120,20 +121,33 @@ def scores(
 def _scores_of_arrays(
     system: LinearSystem, filter_: FilterGains, e: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
+    n = system.h.shape[-1]
+    squares, variances = np.zeros(n), np.zeros(n)
+    for t, back, spread in _backward(system, filter_, e):
+        if t > 0:
+            squares += (back**2).sum(axis=0)
+            variances += np.einsum("mii->i", spread)
+    return squares, variances
+
+
+def _backward(
+    system: LinearSystem, filter_: FilterGains, e: FloatArray
+) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    """From the last sample to the first: what all later innovations say of the state, (m, n).
+
+    With it its precision, (m, n, n). ``e``, (m, c, n_y) array: innovations.
+    """
     m, c, _, n = system.h.shape
     h = system.h * system.seen[..., None]
     precision = np.swapaxes(filter_.root, -1, -2) @ filter_.root
     back, spread = np.zeros((m, n)), np.zeros((m, n, n))
-    squares, variances = np.zeros(n), np.zeros(n)
     for t in range(c - 1, -1, -1):
-        squares += (back**2).sum(axis=0)
-        variances += np.einsum("mii->i", spread)
         turned = np.swapaxes(h[:, t], 1, 2)
         carry = system.f[:, t] @ (np.eye(n) - filter_.k[:, t] @ h[:, t])
         over = np.swapaxes(carry, 1, 2)
         back = _times(turned, _times(precision[:, t], e[:, t])) + _times(over, back)
         spread = turned @ precision[:, t] @ h[:, t] + over @ spread @ carry
-    return squares, variances
+        yield t, back, spread
 
 
 def smooth(
@@ -156,16 +170,8 @@ def smooth(
         predicted[:, t] = x
         e[:, t] = np.where(system.seen[:, t], r[:, t], 0.0) - _times(h[:, t], x)
         x = _times(system.f[:, t], x + _times(filter_.k[:, t], e[:, t]))
-    precision = np.swapaxes(filter_.root, -1, -2) @ filter_.root
-    back, spread = np.zeros((m, n)), np.zeros((m, n, n))
     smoothed, variance = np.empty((m, c, n)), np.empty((m, c, n))
-    identity = np.eye(n)
-    for t in range(c - 1, -1, -1):
-        turned = np.swapaxes(h[:, t], 1, 2)
-        carry = system.f[:, t] @ (identity - filter_.k[:, t] @ h[:, t])
-        over = np.swapaxes(carry, 1, 2)
-        back = _times(turned, _times(precision[:, t], e[:, t])) + _times(over, back)
-        spread = turned @ precision[:, t] @ h[:, t] + over @ spread @ carry
+    for t, back, spread in _backward(system, filter_, e):
         p = filter_.p[:, t]
         smoothed[:, t] = predicted[:, t] + _times(p, back)
         variance[:, t] = np.einsum("mii->mi", p) - np.einsum("mij,mjk,mki->mi", p, spread, p)

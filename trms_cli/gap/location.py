@@ -38,8 +38,6 @@ class Location:
     locations: tuple[str, ...]
     gains: FloatArray  #: (k, m) array; nats by which each place raises the likelihood of each block
     together: FloatArray  #: (m,) array; the same of all places
-    #: (k,) array; most likely size of each disturbance, as a share of what acts there
-    shares: FloatArray
 
     def share(self, blocks: IntArray | None = None) -> dict[str, float]:
         """Share of the gap by place, from some blocks (with repetition); None: from all."""
@@ -57,18 +55,17 @@ def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     model, windows = nominal.structure.problem.model, nominal.structure.windows
     channels = (*usual_channels(model), *sensor_channels(model, windows.measured))
     every = replace(nominal.metric.discrepancy, channels=channels)
-    floor = np.array(
-        [_SENSOR_FLOOR if c.kind == "output" else usual.get(c.location, 0.03) for c in channels]
-    )
+    sensors = np.array([channel.kind == "output" for channel in channels])
+    equations = [usual.get(channel.location, 0.03) for channel in channels]
+    floor = np.where(sensors, _SENSOR_FLOOR, equations)
+    begins = np.maximum(floor, np.where(sensors, _FIRST_OF_SENSORS, _FIRST))
     r = nominal.residuals
     none = log_likelihood(every, r, floor)
     gains, shares = [], []
     tried = [i for i in range(len(channels)) if channels[i].fixed is None]
     for i in tried:
         moving = np.arange(len(channels)) == i
-        first = np.where(
-            moving, np.maximum(floor, _FIRST if channels[i].kind != "output" else 0.01), floor
-        )
+        first = np.where(moving, begins, floor)
         found = likely_shares(every, r, first, moving=moving, iterations=_ITERATIONS, least=floor)
         gains.append(log_likelihood(every, r, found) - none)
         shares.append(found[i])
@@ -76,9 +73,7 @@ def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     start[tried] = np.maximum(floor[tried], 0.7 * np.array(shares))
     both = likely_shares(every, r, start, iterations=_ITERATIONS, least=floor)
     together = log_likelihood(every, r, both) - none
-    return Location(
-        tuple(channels[i].location for i in tried), np.array(gains), together, np.array(shares)
-    )
+    return Location(tuple(channels[i].location for i in tried), np.array(gains), together)
 
 
 def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRecord]:

@@ -585,14 +585,7 @@ _NOTHING = 1.0
 
 def signatures(recording: FittedModel, candidates: Sequence[CandidateEffect]) -> Signatures:
     """Projected traces of some effects at their variants, in a recording made or predicted."""
-    problem = recording.structure.problem
-
-    def structure_of(candidate: CandidateEffect) -> ModelStructure:
-        return ModelStructure(
-            problem.model, problem.free, [candidate], problem.datasets, problem.window_length
-        )
-
-    return projected(recording, effect_traces(recording, candidates, structure_of))
+    return projected(recording, effect_traces(recording, candidates))
 
 
 def with_rows(candidate: CandidateEffect, values: Mapping[str, float]) -> CandidateEffect:

@@ -89,36 +89,10 @@ class Checkpoint:
             self._keep(self._points)
 
 
-class StructureCache:
-    """Makes each structure once.
-
-    ``block``: s.
-    """
-
-    def __init__(self, refit: Refit, block: float) -> None:
-        self._refit, self._block = refit, block
-        self._known: dict[tuple[str, ...], ModelStructure] = {}
-
-    def of(self, *effects: CandidateEffect) -> ModelStructure:
-        """The structure with some effects."""
-        key = tuple(sorted(e.name for e in effects))
-        if key not in self._known:
-            nominal = self._refit.structure
-            self._known[key] = ModelStructure(
-                nominal.problem.model,
-                nominal.problem.free,
-                sorted(effects, key=lambda e: e.name),
-                nominal.problem.datasets,
-                self._block,
-            )
-        return self._known[key]
-
-
 def run_race(
     refit: Refit,
     candidates: Mapping[str, CandidateEffect],
     traces: EffectTraces,
-    structures: StructureCache,
     effort: Effort,
     *,
     checkpoint: Checkpoint | None = None,
@@ -154,7 +128,7 @@ def run_race(
 
     def single(name: str) -> FittedModel:
         candidate = candidates[name]
-        structure = structures.of(candidate)
+        structure = refit.structure.with_effects(candidate)
 
         def search() -> FittedModel:
             points = _points(structure, candidate, refit, (tight_signs, wide_signs))
@@ -187,7 +161,8 @@ def run_race(
         partners = _partners(best, traces, candidates, effort.pairs)
 
         def pair(name: str, base: FittedModel = best) -> FittedModel:
-            structure = structures.of(*base.structure.effects, candidates[name])
+            effects = (*base.structure.effects, candidates[name])
+            structure = refit.structure.with_effects(*effects)
             return once(
                 "joint " + "+".join((*base.names, name)),
                 structure,

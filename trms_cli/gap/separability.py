@@ -16,7 +16,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.candidates import CandidateEffect
-from trms_cli.gap.fitting import FittedModel, Metric, ModelStructure
+from trms_cli.gap.fitting import FittedModel, Metric
 from trms_cli.gap.kalman import FilterGains, LinearSystem, whiten
 
 #: Windows whose columns are whitened at a time.
@@ -97,15 +97,13 @@ class EffectTraces:
 def effect_traces(
     nominal: FittedModel,
     candidates: Sequence[CandidateEffect],
-    structure_of: Callable[[CandidateEffect], ModelStructure],
     *,
     watch: Callable[[int], bool] = lambda k: True,
 ) -> EffectTraces:
     """Simulate every effect at a few sizes, all else as fitted without it.
 
-    ``nominal``: without any of the candidates. ``candidates``: none that noise
-    drives. ``structure_of``: makes the structure of one candidate. ``watch``: told how many
-    candidates are done; False stops.
+    ``nominal``: without any of the candidates, none of which noise drives. ``watch``: told how
+    many candidates are done; False stops.
     """
     base = -nominal.residuals
     theta = nominal.values
@@ -115,7 +113,7 @@ def effect_traces(
     for k, candidate in enumerate(candidates):
         if not watch(k):
             break
-        structure = structure_of(candidate)
+        structure = nominal.structure.with_effects(candidate)
         for row in candidate.variants:
             own = {f.name: v for f, v in zip(candidate.free, row, strict=True)}
             vector = structure.theta({**theta, **own})

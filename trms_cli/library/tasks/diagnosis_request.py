@@ -193,8 +193,6 @@ class Candidates:
 
     effects: Mapping[str, Effect]  #: At the sizes of their options
     nodes: Mapping[str, Mapping[str, Any]]  #: What the options say: class and arguments
-    #: Effects that were asked for by a pattern and that the model cannot carry, and why
-    left_out: Mapping[str, str]
 
 
 def candidates_of(
@@ -240,7 +238,7 @@ def candidates_of(
             where="candidates",
             remedy="candidates=[all], or names that `trms list effect` shows",
         )
-    return Candidates(effects, {name: library[name] for name in effects}, left_out)
+    return Candidates(effects, {name: library[name] for name in effects})
 
 
 def effect_nodes(config_dirs: Sequence[Path] = ()) -> dict[str, dict[str, Any]]:
