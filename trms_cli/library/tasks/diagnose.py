@@ -2,22 +2,385 @@
 
 from __future__ import annotations
 
+import fnmatch
 import shlex
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from time import perf_counter
+from typing import Annotated, Any, Literal
 
+from msgspec import Meta
+
+from trms_cli.composition.catalogue import config_folder, read_groups, read_yaml
 from trms_cli.composition.composer import Composition
+from trms_cli.composition.plain_values import model_of_choice
 from trms_cli.core import wording
-from trms_cli.core.errors import EXIT_TERMINATED
+from trms_cli.core.errors import EXIT_TERMINATED, ConfigurationError, ModelError, RecordingError
 from trms_cli.core.invocation import command_line, program
+from trms_cli.core.plugins import TARGET, build, nearest
 from trms_cli.core.versions import versions
-from trms_cli.gap.diagnosis import DiagnosisResult
-from trms_cli.library.tasks.corrected_models import model_origin, write_models
-from trms_cli.library.tasks.diagnosis_request import DiagnosisRequest, request_of
-from trms_cli.library.tasks.files import write_config
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import ExtendedModel, effect_names, extended
+from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult
+from trms_cli.gap.findings import likeliest
+from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.admission import Admission, admit
+from trms_cli.identification.data import DataOptions, load_datasets
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
+from trms_cli.identification.problem import free_parameters
+from trms_cli.library.tasks.files import effect_arguments, names_of_files, origin_of, write_config
+from trms_cli.library.tasks.subject import model_of, several
 from trms_cli.library.tasks.task import Done, Interrupted, Listener
+from trms_cli.models.model import Model
+
+#: Keys of the configuration that are plugins of their own.
+_GROUPS = ("model", "effect", "data")
+#: Checks of an admission that hold a recording against the model.
+_BY_MODEL = {"unit", "sign", "swapped", "speed", "zero", "sample time"}
+#: Blocks that a recording must hold: some to fit, some to choose by, one that is sealed.
+_FEWEST_BLOCKS = 4
+#: s. Blocks of a recording that is long enough, and those that are too short to show anything.
+_USUAL_BLOCK, _SHORTEST_BLOCK = 10.0, 5.0
+#: Samples that a block must hold to be worth one.
+_FEWEST_SAMPLES = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions:
+    """The keys of ``configs/diagnose.yaml`` that are no group."""
+
+    real: str | tuple[str, ...]
+    candidates: str | tuple[str, ...] = ("all",)
+    effort: Literal["quick", "normal", "thorough"] = "normal"
+    block: Annotated[float, Meta(gt=0)] | None = None  #: s
+    sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25  #: kept aside for the verdict
+    seed: Annotated[int, Meta(ge=0)] = 0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+    out: str | None = None
+    page: bool = True
+
+
+@dataclass(frozen=True)
+class DiagnosisRequest:
+    """All that a diagnosis needs."""
+
+    options: DiagnoseOptions
+    problem: GapProblem
+    candidates: Candidates
+    remarks: tuple[str, ...]  #: What was found in the recordings and what was done to them
+
+    @property
+    def fingerprint(self) -> str:
+        """Of all that the result depends on, hexadecimal."""
+        problem = self.problem
+        parts = [
+            problem.model_name,
+            *(f"{p.name} {p.value!r} {p.prior_sd!r}" for p in problem.model.parameters),
+            repr(self.candidates.nodes),
+            repr((problem.block, problem.sealed_share, problem.effort, problem.seed)),
+        ]
+        digest = sha256("\n".join(parts).encode())
+        for dataset in problem.datasets:
+            for values in (dataset.time, dataset.commands, dataset.measurements, dataset.noise_sd):
+                digest.update(values.tobytes())
+        return digest.hexdigest()
+
+
+def request_of(composition: Composition) -> DiagnosisRequest:
+    """Build what a configuration asks for.
+
+    Raises TrmsError for the first key, recording or effect that is wrong.
+    """
+    config = composition.config
+    own = {key: value for key, value in config.items() if key not in _GROUPS}
+    options = build({TARGET: f"{__name__}.DiagnoseOptions", **own})
+    assert isinstance(options, DiagnoseOptions)
+    data = build(config["data"], "data")
+    assert isinstance(data, DataOptions)
+    model = model_of(config)
+    _require_equations(model)
+    words = several(options.candidates, "candidates")
+    candidates = candidates_of(words, model, composition.config_dirs)
+    datasets = tuple(load_datasets(several(options.real, "real"), model, data))
+    with_prior = sum(p.prior_sd is not None for p in model.parameters)
+    admission = admit(datasets, model, with_prior)
+    _require(admission, model_of_choice(composition))
+    _require_one_rate(datasets)
+    _require_blocks(datasets, options)
+    problem = GapProblem(
+        model=model,
+        model_name=model_of_choice(composition),
+        datasets=datasets,
+        candidates=candidates.effects,
+        block=_block(datasets, options),
+        sealed_share=options.sealed_share,
+        effort=options.effort,
+        seed=options.seed,
+        jobs=options.jobs,
+        warnings=tuple(str(issue) for issue in admission.warnings),
+    )
+    remarks = dict.fromkeys(remark for dataset in datasets for remark in dataset.remarks)
+    return DiagnosisRequest(options, problem, candidates, tuple(remarks))
+
+
+def _require(admission: Admission, model: str) -> None:
+    """Refuse what makes every answer wrong; what does not fit a model may be of another rig."""
+    try:
+        admission.require()
+    except RecordingError as error:
+        if {issue.check for issue in admission.errors} & _BY_MODEL:
+            error.remedy += f"\nif the file is right: is {model} the model of this rig?"
+        raise
+
+
+def _require_equations(model: Model) -> None:
+    """A network steps from sample to sample: nothing in it is a place where a force could miss."""
+    if model.sample_time is not None:
+        raise ConfigurationError(
+            f"model {model.name!r} only steps from sample to sample: a gap has no place in it",
+            where="model",
+            remedy="diagnose a model with equations of motion, as newtonian; `trms validate` tells "
+            "how good a network is",
+        )
+
+
+def _require_one_rate(datasets: tuple[Dataset, ...]) -> None:
+    steps = sorted({round(d.sample_time, 9) for d in datasets})
+    if len(steps) > 1:
+        raise ConfigurationError(
+            f"the recordings have sample times of {', '.join(f'{s:g}' for s in steps)} s",
+            where="real",
+            remedy=f"bring them to one: data.resample={steps[-1]:g}",
+        )
+
+
+def _block(datasets: Sequence[Dataset], options: DiagnoseOptions) -> float:
+    """Length of the blocks, s; as asked for, or such that a short recording has enough of them."""
+    if options.block is not None:
+        return options.block
+    length = sum(dataset.duration for dataset in datasets)
+    return max(_SHORTEST_BLOCK, min(_USUAL_BLOCK, length / (_FEWEST_BLOCKS + 1)))
+
+
+def _require_blocks(datasets: tuple[Dataset, ...], options: DiagnoseOptions) -> None:
+    """Some blocks to fit, some to choose by, and one at least that is sealed."""
+    step = datasets[0].sample_time
+    block = _block(datasets, options)
+    if block < _FEWEST_SAMPLES * step:
+        raise ConfigurationError(
+            f"a block of {block:g} s holds {block / step:.0f} samples",
+            where="block",
+            remedy=f"give at least {_FEWEST_SAMPLES * step:g} s; 5 to 15 s suit most rigs",
+        )
+    whole = sum(int(d.duration / block + 1e-6) for d in datasets)
+    if whole < _FEWEST_BLOCKS:
+        length = sum(d.duration for d in datasets)
+        raise ConfigurationError(
+            f"{length:g} s recorded hold {whole} blocks of {block:g} s, and "
+            f"{_FEWEST_BLOCKS} are needed: to fit, to choose by, and to be sealed",
+            where="real",
+            remedy=f"record at least {_FEWEST_BLOCKS * block:g} s, better 120 s"
+            + (
+                f"; or shorter blocks: block={length / _FEWEST_BLOCKS:.3g}"
+                if length / _FEWEST_BLOCKS >= max(5.0, _FEWEST_SAMPLES * step)
+                else ""
+            ),
+        )
+
+
+#: The group of the effects, and the word for all of them.
+_GROUP, _ALL = "effect", "all"
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Effects that may be the cause."""
+
+    effects: Mapping[str, Effect]  #: At the sizes of their options
+    nodes: Mapping[str, Mapping[str, Any]]  #: What the options say: class and arguments
+
+
+def candidates_of(
+    words: Sequence[str], model: Model, config_dirs: Sequence[Path] = ()
+) -> Candidates:
+    """The effects that ``candidates`` names, as far as the model can carry them.
+
+    ``words``: ``all``, names, patterns, and any of these after ``!`` to leave out again. ``model``:
+    the nominal one; an effect that it has already is no candidate. ``config_dirs``: the user's
+    folders; an option there hides a built-in namesake.
+
+    Raises ConfigurationError for a name or pattern that fits nothing, an option that is no effect,
+    or a list that leaves nothing, and ModelError for an effect that is asked for by its name and
+    that the model cannot carry.
+    """
+    library = effect_nodes(config_dirs)
+    effects: dict[str, Effect] = {}
+    left_out: dict[str, str] = {}
+    present = effect_names(model)
+    for name in _chosen(words, library):
+        if name in present:
+            left_out[name] = "the nominal model has it already"
+            continue
+        effect = build(library[name], f"{_GROUP}.{name}")
+        if not isinstance(effect, Effect):
+            raise ConfigurationError(
+                f"{library[name][TARGET]!r} is no effect",
+                where=f"{_GROUP}.{name}",
+                remedy=f"derive it from trms_cli.effects.effect.Effect, or leave it out: !{name}",
+            )
+        try:
+            ExtendedModel(model, name, effect)
+        except ModelError as error:
+            if name in words:
+                raise
+            left_out[name] = error.problem
+            continue
+        effects[name] = effect
+    if not effects:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+        raise ConfigurationError(
+            "no effect is left to be suspected" + (f" ({reasons})" if reasons else ""),
+            where="candidates",
+            remedy="candidates=[all], or names that `trms list effect` shows",
+        )
+    return Candidates(effects, {name: library[name] for name in effects})
+
+
+def effect_nodes(config_dirs: Sequence[Path] = ()) -> dict[str, dict[str, Any]]:
+    """All effects in the search path, by the name under which a model gains them."""
+    nodes: dict[str, dict[str, Any]] = {}
+    for option in read_groups(config_dirs).get(_GROUP, {}).values():
+        content = read_yaml(option.file)
+        for name, node in content.items() if isinstance(content, dict) else ():
+            if isinstance(node, dict) and TARGET in node:
+                nodes.setdefault(str(name), node)
+    return dict(sorted(nodes.items()))
+
+
+def _chosen(words: Sequence[str], library: Mapping[str, Any]) -> list[str]:
+    """Names in the order of the library."""
+    taken: set[str] = set()
+    if words and all(word.startswith("!") for word in words):
+        taken = set(library)  # `all` goes without saying
+    for word in words:
+        if word.startswith("!"):
+            taken -= _fitting(word[1:], library)
+        else:
+            taken |= _fitting(word, library)
+    return [name for name in library if name in taken]
+
+
+def _fitting(word: str, library: Mapping[str, Any]) -> set[str]:
+    if word == _ALL:
+        return set(library)
+    found = {name for name in library if fnmatch.fnmatchcase(name, word)}
+    if not found:
+        raise ConfigurationError(
+            f"no effect is called {word!r}",
+            where="candidates",
+            remedy=nearest(word, [_ALL, *library]),
+        )
+    return found
+
+
+CORRECTED_NAME, REFIT_NAME = "corrected_model.yaml", "refit_model.yaml"
+
+
+def write_models(
+    request: DiagnosisRequest, origin: ModelOrigin, diagnosis: DiagnosisResult, folder: Path
+) -> Path:
+    """Write the corrected model, whose file is returned, and the refitted one without a cause."""
+    cause = applied_cause(diagnosis)
+    fitted = {name: p.fitted for name, p in diagnosis.parameters.items()}
+    deviations: dict[str, float | None] = {n: p.sd for n, p in diagnosis.parameters.items()}
+    if diagnosis.verdict == "no_gap":
+        refit, words = {}, "the nominal model: there is no gap, so nothing was refitted"
+    else:
+        refit = dict(diagnosis.refit) or ({} if cause is not None else fitted)
+        words = "the nominal model with its parameters refitted, and nothing added"
+    corrected = folder / CORRECTED_NAME
+    values = refit if cause is None else fitted
+    _write(request, origin, cause, values, deviations, corrected, corrected_words(diagnosis))
+    spread = deviations if cause is None else {}
+    _write(request, origin, None, refit, spread, folder / REFIT_NAME, words)
+    return corrected
+
+
+def applied_cause(diagnosis: DiagnosisResult) -> Cause | None:
+    """The cause that the corrected model has, and that the figures of the sealed part are of.
+
+    The likeliest, where it is an effect that was fitted: a torque from outside is estimated, not
+    simulated, and has no sizes.
+    """
+    first = likeliest(diagnosis)
+    if first is None or not first.parameters or set(first.effects) & set(NO_EFFECT):
+        return None
+    return first if diagnosis.verdict in ("effect", "undecided") else None
+
+
+def corrected_words(diagnosis: DiagnosisResult) -> str:
+    """What the corrected model is, for the comment in its file."""
+    applied, first = applied_cause(diagnosis), likeliest(diagnosis)
+    refit = "the nominal model with its parameters refitted"
+    if applied is not None:
+        named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
+        open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
+        return f"the nominal model refitted together with {named}{open_}"
+    if diagnosis.verdict == "effect" and first is not None:
+        return f"{refit}: {' with '.join(first.effects)} was not fitted, so it is not added"
+    return {
+        "no_gap": "the nominal model as it was: no gap was found",
+        "parameters_only": f"{refit}: other parameters explain the gap, and no effect is needed",
+        "none_of_these": f"{refit}: no effect of the library explains what is left of the gap",
+    }.get(diagnosis.verdict, f"{refit}; undecided, so no effect was added")
+
+
+def model_origin(composition: Composition, request: DiagnosisRequest) -> ModelOrigin:
+    """What the models' files say besides values; a model of one's own goes in as a plugin."""
+    try:
+        return origin_of(composition) or ModelOrigin(option="")
+    except ConfigurationError:
+        effects = composition.config.get("effect") or {}
+        node = dict(composition.config["model"])
+        if (config_folder() / "model" / f"{composition.choices['model']}.yaml").is_file():
+            node.pop("parameters", None)  # they stand in the file
+        return ModelOrigin(
+            option=node, effects={name: effect_arguments(name, n) for name, n in effects.items()}
+        )
+
+
+def _write(
+    request: DiagnosisRequest,
+    origin: ModelOrigin,
+    cause: Cause | None,
+    values: Mapping[str, float],
+    deviations: Mapping[str, float | None],
+    path: Path,
+    words: str,
+) -> None:
+    model, effects = request.problem.model, dict(origin.effects)
+    known = [name for name in values if name in model.parameters]
+    free = free_parameters(model.parameters, known) if known else ()
+    if cause is not None:
+        candidates = request.candidates
+        model = extended(model, {name: candidates.effects[name] for name in cause.effects})
+        for name in cause.effects:
+            effects[name] = effect_arguments(name, candidates.nodes[name])
+        values = dict(values) | {name: size.value for name, size in cause.parameters.items()}
+    document = model_document(
+        request.problem.datasets[0].name,
+        model,
+        ModelOrigin(option=origin.option, limits=origin.limits, effects=effects),
+        values=values,
+        deviations=deviations,
+        free=free,
+        source=f"diagnosed on {names_of_files(request.problem.datasets)}",
+    )
+    write_model(document, path, f"{command_line()}\n{words}")
+
 
 #: Files of a diagnosis in its folder.
 DOCUMENT_NAME, PAGE_NAME = "diagnosis.json", "report.html"
@@ -61,7 +424,7 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         raise Interrupted(folder, how) from None
     files = {"figures": folder / DOCUMENT_NAME}
     write_document(document_of(diagnosis), files["figures"])
-    files["model"], _ = write_models(request, origin, diagnosis, folder)
+    files["model"] = write_models(request, origin, diagnosis, folder)
     result = findings(diagnosis, request.remarks, folder)
     if request.options.page:
         from trms_cli.reporting.findings_page import write_page

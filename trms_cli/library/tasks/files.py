@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,12 @@ from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.invocation import command_line
 from trms_cli.core.plugins import TARGET
 from trms_cli.core.whole_file import replace_whole
+from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.method import FitResult
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.library.tasks.identification_request import Identification
 from trms_cli.models.model import Model
-from trms_cli.models.parameters import ParameterFile, parameter_file
+from trms_cli.models.parameters import parameter_file
 
 #: What was typed, for `resume`.
 REQUEST_NAME, CONFIG_NAME = "request.json", "config.yaml"
@@ -28,7 +29,9 @@ _OF_THE_FILE = {TARGET, "parameter_set", "parameters"}
 def write_config(composition: Composition, folder: Path) -> None:
     """The resolved configuration for a person, and what was typed for `resume`."""
     request = {
-        "overrides": [word for word in composition.overrides if not _is_own(word)],
+        "overrides": [
+            word for word in composition.overrides if word.lstrip("+").partition("=")[0] != "out"
+        ],
         "config_dirs": [str(folder) for folder in composition.config_dirs],
         "working_folder": str(Path.cwd()),
     }
@@ -59,7 +62,8 @@ def origin_of(composition: Composition) -> ModelOrigin | None:
         )
     option = str(composition.choices["model"])
     _check_places(option, node)
-    limits = _limits(node)
+    name = node.get("parameter_set")
+    limits = dict(parameter_file(name).limits) if isinstance(name, str) else {}
     return ModelOrigin(option=option, limits=limits, effects=own)
 
 
@@ -106,10 +110,14 @@ def network_of(result: FitResult, file: Path) -> Model | None:
 
 def source_words(request: Identification) -> str:
     """What was fitted to what."""
-    files = {d.source: d.sha256 for d in request.problem.datasets}
-    words = ", ".join(f"{Path(f).name} (sha256 {digest[:16]})" for f, digest in files.items())
     driven = f", driven by the measured {', '.join(request.driven)}" if request.driven else ""
-    return f"fitted to {words}{driven}"
+    return f"fitted to {names_of_files(request.problem.datasets)}{driven}"
+
+
+def names_of_files(datasets: Iterable[Dataset]) -> str:
+    """The files of recordings, each once, with the beginnings of their hashes."""
+    files = {dataset.source: dataset.sha256 for dataset in datasets}
+    return ", ".join(f"{Path(file).name} (sha256 {sha[:16]})" for file, sha in files.items())
 
 
 def effect_arguments(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
@@ -142,15 +150,3 @@ def _check_places(option: str, node: Mapping[str, Any]) -> None:
                 where=f"model.{key}",
                 remedy="choose an option of `trms list model` that has it",
             )
-
-
-def _limits(node: Mapping[str, Any]) -> dict[str, float]:
-    name = node.get("parameter_set")
-    if not isinstance(name, str):
-        return {}
-    content: ParameterFile = parameter_file(name)
-    return dict(content.limits)
-
-
-def _is_own(word: str) -> bool:
-    return word.lstrip("+").partition("=")[0] == "out"
