@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
+from tests.models.network_case import LIMITS, rig_like
 from trms_cli.models.narx_file import NarxFile, write_narx_file
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
-from network_case import LIMITS, rig_like
 
 
 @pytest.fixture

@@ -1,84 +1,148 @@
-"""A closed loop of a few lines for tests of linear controllers: the rig is the model itself."""
+"""Control samples made by hand, and a closed loop without sensors, logs or configuration."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from trms_cli.controllers.controller import Controller, ControlSample, ControlSetup
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
 
+#: Of controllers that take the period of the loop, s.
 SAMPLE_TIME = 0.02
 #: Half a period of the default squares, s.
 LEVEL_TIME = 20.0
 LEVEL = {"alpha_v": 0.3, "alpha_h": 0.5}
+#: Times (n,) to references (n, n_r).
+Reference = Callable[[np.ndarray], np.ndarray]
 
 
-@dataclass
-class Trajectory:
-    """x: (n, n_x), u: (n, n_u), r: (n, n_r), one row a sample."""
-
-    model: Model
-    x: np.ndarray
-    u: np.ndarray
-    r: np.ndarray
-
-    def error(self, angle: str) -> np.ndarray:
-        return (
-            self.x[:, self.model.state_index(angle)] - self.r[:, self.model.controlled.index(angle)]
-        )
-
-    def levels(self, angle: str) -> list[np.ndarray]:
-        """Errors towards the new level on each level after the first, overshoot positive."""
-        n = round(LEVEL_TIME / SAMPLE_TIME)
-        side = np.sign(self.r[:, self.model.controlled.index(angle)])
-        signed = self.error(angle) * side
-        return [signed[k : k + n] for k in range(n, len(signed) - n + 1, n)]
+def setup_of(model: Model, period: float = 0.1, u: np.ndarray | None = None) -> ControlSetup:
+    return ControlSetup(model, period, np.zeros(model.n_u) if u is None else u)
 
 
-def squares(model: Model) -> Callable[[float], np.ndarray]:
-    """The default references."""
+def sample_of(
+    model: Model,
+    reference: Any,
+    x: np.ndarray | None = None,
+    u: np.ndarray | None = None,
+    w: np.ndarray | None = None,
+) -> ControlSample:
+    """A certain estimate, at rest and undisturbed unless told otherwise."""
+    x = model.rest() if x is None else x
+    w = np.zeros(model.n_w) if w is None else w
+    estimate = Estimate(x, np.zeros_like(x), w, np.zeros_like(w))
+    before = np.zeros(model.n_u) if u is None else u
+    return ControlSample(0.0, np.array([reference], dtype=float), estimate, before)
+
+
+def state_with(model: Model, **values: float) -> np.ndarray:
+    """The rest but for some states."""
+    x = model.rest()
+    for name, value in values.items():
+        x[model.state_index(name)] = value
+    return x
+
+
+def constant(*values: float) -> Reference:
+    return lambda times: np.tile(values, (len(times), 1))
+
+
+def squares(model: Model, half_period: float = LEVEL_TIME) -> Reference:
+    """±0.3 rad in pitch and ±0.5 rad in yaw."""
     level = np.array([LEVEL[name] for name in model.controlled])
 
-    def reference(time: float) -> np.ndarray:
-        return level if (time / (2 * LEVEL_TIME)) % 1 < 0.5 else -level
+    def reference(times: np.ndarray) -> np.ndarray:
+        sign = np.where(np.mod(times / (2 * half_period), 1.0) < 0.5, 1.0, -1.0)
+        return sign[:, None] * level
 
     return reference
 
 
-def run(
-    controller: Controller,
+@dataclass
+class Ran:
+    """A closed loop's trajectories, one row a control period."""
+
+    model: Model
+    period: float
+    x: list[np.ndarray] = field(default_factory=list)
+    u: list[np.ndarray] = field(default_factory=list)
+    r: list[np.ndarray] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+
+    @property
+    def states(self) -> np.ndarray:
+        return np.array(self.x)
+
+    @property
+    def inputs(self) -> np.ndarray:
+        return np.array(self.u)
+
+    @property
+    def angles(self) -> np.ndarray:
+        """Of what is controlled, (n, n_r)."""
+        return self.states[:, [self.model.state_index(name) for name in self.model.controlled]]
+
+    @property
+    def errors(self) -> np.ndarray:
+        return self.angles - np.array(self.r)
+
+    def error(self, angle: str) -> np.ndarray:
+        return self.errors[:, self.model.controlled.index(angle)]
+
+    def at(self, time: float) -> int:
+        """The row at a time, s."""
+        return round(time / self.period)
+
+    def levels(self, angle: str) -> list[np.ndarray]:
+        """Errors towards the new level on each level after the first, overshoot positive."""
+        n = self.at(LEVEL_TIME)
+        signed = self.error(angle) * np.sign(self.r)[:, self.model.controlled.index(angle)]
+        return [signed[k : k + n] for k in range(n, len(signed) - n + 1, n)]
+
+
+def close_loop(
+    controller: Any,
     model: Model,
-    reference: Callable[[float], np.ndarray],
-    duration: float,
-    torque: Callable[[float], np.ndarray] | None = None,
-    start: np.ndarray | None = None,
+    reference: Reference,
+    seconds: float,
+    *,
     rig: Model | None = None,
-) -> Trajectory:
-    """Close the loop around the true state."""
+    x0: np.ndarray | None = None,
+    torque: Callable[[float], Any] | None = None,
+    known: bool = False,
+) -> Ran:
+    """Around the true state of a rig, which is the model unless another is given.
+
+    ``torque`` maps a time to w (n_w,), which the estimate tells only if it is ``known``.
+    """
     rig = rig or model
-    discrete = discretise(rig, SAMPLE_TIME)
-    step, p = BufferedFunction(discrete.step), rig.parameters.values
-    u = np.zeros(model.n_u)
-    x = discrete.initial(model.rest() if start is None else start, u)
-    state = controller.init(ControlSetup(model, SAMPLE_TIME, u))
-    n_x, n_w = model.n_x, model.n_w
-    samples = round(duration / SAMPLE_TIME)
-    rows: tuple[list[np.ndarray], ...] = ([], [], [])
-    upper = model.input_bounds()[1]
-    for k in range(samples):
-        time = k * SAMPLE_TIME
-        estimate = Estimate(x[:n_x].copy(), np.zeros(n_x), np.zeros(n_w), np.zeros(n_w))
-        sample = ControlSample(time, reference(time)[None, :], estimate, u)
-        u = controller.step(state, sample, want_prediction=False).u
-        assert np.all(np.abs(u) <= upper)
-        for row, value in zip(rows, (x[:n_x], u, reference(time)), strict=True):
+    period = controller.sample_time or SAMPLE_TIME
+    setup = setup_of(model, period)
+    preview, state = controller.preview(setup), controller.init(setup)
+    discrete = discretise(rig, period, 1 if rig.sample_time else max(1, round(period / 0.02) * 2))
+    step, p, u = BufferedFunction(discrete.step), rig.parameters.values, np.zeros(model.n_u)
+    x = discrete.initial(rig.rest() if x0 is None else x0, u)
+    lower, upper = model.input_bounds()
+    ran, still = Ran(model, period), np.zeros(rig.n_w)
+    for k in range(round(seconds / period)):
+        w = still if torque is None else np.asarray(torque(k * period))
+        told, full = (w if known else np.zeros(model.n_w)), x[: rig.n_x].copy()
+        estimate = Estimate(full[: model.n_x], np.zeros(model.n_x), told, np.zeros_like(told))
+        r = reference((k + np.arange(preview + 1)) * period)
+        command = controller.step(
+            state, ControlSample(k * period, r, estimate, u), want_prediction=k == 0
+        )
+        u = command.u
+        assert np.all(u >= lower) and np.all(u <= upper)
+        for row, value in ((ran.x, full), (ran.u, u), (ran.r, r[0])):
             row.append(value.copy())
-        w = np.zeros(n_w) if torque is None else torque(time)
+        ran.commands.append(command)
         x = step.evaluate(x, u, p, w)[0].copy()
-    return Trajectory(model, *(np.array(row) for row in rows))
+    return ran

@@ -9,21 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_controller import PERIOD, Exported, build, compare, contiguous
 
 from trms_cli.code_generation.export import example_rows, rounding_difference
 from trms_cli.code_generation.newton_source import newton_source
-from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import compiler
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
-from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.square import Square
 from trms_cli.references.trajectory import ReferenceTrajectory
+
+from .closed_loop_case import sample_of, setup_of
+from .exported_controller import PERIOD, Exported, build, compare, contiguous
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
@@ -38,10 +39,6 @@ LIMITED: dict[str, Any] = {
     "preview_horizon": 6,
     "input_weights": {"u_v": 0.05},
 }
-
-
-def setup_of(model: Any) -> ControlSetup:
-    return ControlSetup(model, PERIOD, np.zeros(model.n_u))
 
 
 def squares(time: float) -> tuple[float, float]:
@@ -250,11 +247,9 @@ def test_settings_that_are_changed_between_steps_count(one):
     ctypes.c_int.from_address(at + size).value = 10
     x, u, w = setup.model.rest(), np.zeros(2), np.zeros(4)
     for k in range(5):
-        r = contiguous([squares(8 * k)])
-        said = exported.step(x, w, r, u)
-        command = many.step(
-            state, ControlSample(0, r, Estimate(x, x, w, w), u), want_prediction=False
-        )
+        r = squares(8 * k)
+        said = exported.step(x, w, contiguous([r]), u)
+        command = many.step(state, sample_of(setup.model, r, x, u), want_prediction=False)
         assert np.abs(said.u - command.u).max() <= EQUAL
         assert said.iterations == command.iterations
         u = command.u

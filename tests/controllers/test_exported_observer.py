@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_controller import build, pointer
 
 from trms_cli.code_generation.observer_source import observer_source
-from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import compiler
 from trms_cli.core.errors import ConfigurationError
@@ -23,6 +21,9 @@ from trms_cli.observers.ekf import Ekf
 from trms_cli.observers.kalman import Kalman
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.ukf import Ukf
+
+from .closed_loop_case import setup_of
+from .exported_controller import build, pointer
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
@@ -62,7 +63,7 @@ def made(folder: Any, observer: Any, model: Any, channels: tuple[str, ...]) -> t
         model, PERIOD, channels, {name: CHANNELS[name] for name in channels}, first,
         np.full(model.n_u, 0.3),
     )  # fmt: skip
-    control = ControlSetup(model, 5 * PERIOD, setup.first_command)
+    control = setup_of(model, 5 * PERIOD, setup.first_command)
     short = NewtonMpc(prediction_horizon=4)
     return setup, build(folder, short, control, observer_source(observer, setup))
 

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_controller import STRICT, contiguous, pointer
 
 import trms_cli.code_generation as code
 from trms_cli.core.compilation import compiler
 from trms_cli.core.qp import Daqp, Qp
+
+from .exported_controller import STRICT, contiguous, pointer
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop_case import run
-from linear_model import DoubleMass, matrices
 
-from trms_cli.controllers.controller import ControlSetup
+from tests.models.network_case import rig_like
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import BufferedFunction
@@ -21,8 +17,8 @@ from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.steady_state import SteadyState
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
-from network_case import rig_like
+from .closed_loop_case import close_loop, constant, sample_of, setup_of
+from .linear_model import DoubleMass, matrices
 
 MPC = NewtonMpc(prediction_horizon=12, move_blocks=(1, 1, 2, 3, 5))
 
@@ -64,7 +60,7 @@ class TestPrediction:
     @pytest.fixture
     def horizon(self):
         model = rig_like(bend=0.4)
-        state = MPC.init(ControlSetup(model, 0.1, np.zeros(2)))
+        state = MPC.init(setup_of(model))
         return state.newton.horizon
 
     @pytest.fixture
@@ -112,22 +108,20 @@ class TestPrediction:
 
 
 class TestNewtonMpc:
-    def test_reaches_the_reference_without_offset(self, close_loop):
-        model = rig_like()
-        level = np.array([0.25, -0.3])
-        ran = close_loop(MPC, model, lambda t: np.tile(level, (len(t), 1)), 12.0)
-        np.testing.assert_allclose(ran.states[-10:, :2] - level, 0, atol=2e-3)
+    def test_reaches_the_reference_without_offset(self):
+        ran = close_loop(MPC, rig_like(), constant(0.25, -0.3), 12.0)
+        np.testing.assert_allclose(ran.errors[-10:], 0, atol=2e-3)
         assert ran.commands[-1].status.label == "ok"
 
-    def test_knows_a_constant_push(self, close_loop):
-        model = rig_like()
-        push = np.array([0.15, -0.08, 10.0, 0.0])
-        ran = close_loop(MPC, model, lambda t: np.zeros((len(t), 2)), 12.0, disturbance=push)
-        np.testing.assert_allclose(ran.states[-10:, :2], 0, atol=2e-3)
+    def test_knows_a_constant_push(self):
+        ran = close_loop(
+            MPC, rig_like(), constant(0, 0), 12.0, torque=lambda t: [0.15, -0.08, 10, 0], known=True
+        )
+        np.testing.assert_allclose(ran.errors[-10:], 0, atol=2e-3)
 
     def test_needs_whole_steps_of_the_network(self):
         with pytest.raises(ModelError, match=r"controller\.sample_time"):
-            MPC.init(ControlSetup(rig_like(), 0.05, np.zeros(2)))
+            MPC.init(setup_of(rig_like(), 0.05))
 
 
 def linear_narx(model: DoubleMass, step: float) -> Narx:
@@ -163,42 +157,30 @@ def test_a_linear_network_gives_the_regulator_of_the_linear_model():
     )
     level = np.array([0.4, -0.3])
     start = np.array([0.1, 0.0, -0.2, 0.0])
-    known = run(law, rig, lambda _: level, 6.0, start=start)
+    known = close_loop(law, rig, constant(*level), 6.0, x0=start).inputs
 
     # the same loop with the network as the model, its past kept beside the rig
     A, B = matrices(discretise(rig, 0.02).step, rig)
     before = np.linalg.solve(A, start)  # one sample ago, without a command
     x_rig, past, u = start.copy(), before[[0, 2]], np.zeros(2)
-    state = law.init(ControlSetup(model, 0.02, u))
-    sample = _sample(level)
+    state = law.init(setup_of(model, 0.02))
     found = []
-    for _ in range(len(known.u)):
+    for _ in range(len(known)):
         x = np.concatenate([x_rig[[0, 2]], past, u])
         past = x_rig[[0, 2]]
-        u = law.step(state, sample(x, u), want_prediction=False).u
+        u = law.step(state, sample_of(model, level, x, u), want_prediction=False).u
         found.append(u)
         x_rig = A @ x_rig + B @ u
-    np.testing.assert_allclose(found, known.u, rtol=0, atol=2e-5 * np.abs(known.u).max())
-    assert np.abs(known.u[0] - known.u[-1]).max() > 1.0
+    np.testing.assert_allclose(found, known, rtol=0, atol=2e-5 * np.abs(known).max())
+    assert np.abs(known[0] - known[-1]).max() > 1.0
 
 
-def _sample(level):
-    from trms_cli.controllers.controller import ControlSample
-    from trms_cli.models.estimate import Estimate
-
-    def sample(x, u):
-        estimate = Estimate(x, np.zeros_like(x), np.zeros(2), np.zeros(2))
-        return ControlSample(0.0, level[None, :], estimate, u)
-
-    return sample
-
-
-def test_rate_weights_damp_a_network(close_loop):
+def test_rate_weights_damp_a_network():
     """The rate is the difference quotient over a control period, whatever the model's states."""
     model = rig_like()
     peaks = []
     for weight in (0.0, 5.0):
         mpc = replace(MPC, rate_weights={"alpha_v": weight, "alpha_h": weight}, terminal="none")
-        ran = close_loop(mpc, model, lambda t: np.full((len(t), 2), 0.3), 3.0)
+        ran = close_loop(mpc, model, constant(0.3, 0.3), 3.0)
         peaks.append(np.abs(np.diff(ran.states[:, 1])).max())
     assert peaks[1] < 0.8 * peaks[0]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -11,48 +10,54 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from linear_model import DoubleMass, matrices
 
-from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Status
 from trms_cli.controllers.horizon import blocks_of
-from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
+from trms_cli.controllers.linear_mpc import LinearMpc
+from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.qp.osqp import Osqp
-from trms_cli.core.errors import ConfigurationError, SimulationError
-from trms_cli.core.qp import Daqp, Qp, QpResult
+from trms_cli.core.qp import Daqp, Qp
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
 
+from .closed_loop_case import (
+    Reference,
+    close_loop,
+    constant,
+    sample_of,
+    setup_of,
+    squares,
+    state_with,
+)
+from .linear_model import DoubleMass, matrices
+
+MODEL = Newtonian()
+SQUARE = squares(MODEL, 5.0)
 CONVERGED = {"max_iterations": 60, "tolerance": 1e-7}
-SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20, "max_iterations": 1}
-
-
-def sample_at(
-    model: Any, x: np.ndarray, reference: list[float], u: np.ndarray | None = None
-) -> ControlSample:
-    """A control sample with a constant reference and no disturbance."""
-    zeros = np.zeros(model.n_w)
-    estimate = Estimate(x, np.zeros_like(x), zeros, zeros)
-    return ControlSample(0.0, np.array([reference]), estimate, np.zeros(2) if u is None else u)
+SHORT: dict[str, Any] = {
+    "prediction_horizon": 20,
+    "move_blocks": (1,) * 20,
+    "max_iterations": 1,
+}
+QUICK: dict[str, Any] = {
+    "prediction_horizon": 24,
+    "move_blocks": (1, 1, 1, 1, 2, 2, 4, 4, 8),
+    "machine_code": False,
+}
+LIMITED: dict[str, Any] = {
+    "input_rate_limits": {"u_v": 15.0},
+    "soft_limits": {"alpha_v": (-0.7, 0.25)},
+}
+QUASI: dict[str, Any] = {"terminal": "quasi_infinite"}
 
 
 def first_command(mpc: NewtonMpc, model: Any, x: np.ndarray, reference: list[float]) -> Any:
     """State and command of one sample."""
-    setup = ControlSetup(model, mpc.sample_time, np.zeros(model.n_u))
-    state = mpc.init(setup)
-    return state, mpc.step(state, sample_at(model, x, reference), want_prediction=True)
-
-
-def constant(*values: float) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda times: np.tile(values, (len(times), 1))
-
-
-def square(times: np.ndarray) -> np.ndarray:
-    """±0.3 rad pitch and ±0.5 rad yaw, 0.1 Hz."""
-    sign = np.where(np.mod(times * 0.1, 1.0) < 0.5, 1.0, -1.0)
-    return np.column_stack([0.3 * sign, 0.5 * sign])
+    state = mpc.init(setup_of(model, mpc.sample_time))
+    return state, mpc.step(state, sample_of(model, reference, x), want_prediction=True)
 
 
 # -- against other solutions ------------------------------------------------------------------
@@ -127,7 +132,6 @@ def ipopt_solution(
     ],
 )
 def test_equals_ipopt_with_constraints(start: dict[str, float], goal: list[float]) -> None:
-    model = Newtonian()
     mpc = NewtonMpc(
         prediction_horizon=35,
         move_blocks=(1,) * 35,
@@ -136,26 +140,26 @@ def test_equals_ipopt_with_constraints(start: dict[str, float], goal: list[float
         move_weights={"u_v": 0.01, "u_h": 0.01},
         **CONVERGED,
     )
-    x = model.rest()
-    for name, value in start.items():
-        x[model.state_index(name)] = value
-    state, command = first_command(mpc, model, x, goal)
+    x = state_with(MODEL, **start)
+    state, command = first_command(mpc, MODEL, x, goal)
     assert command.slack < 1e-5
-    u, cost = ipopt_solution(mpc, model, x, state.target, np.array(goal), np.zeros(2))
+    u, cost = ipopt_solution(mpc, MODEL, x, state.target, np.array(goal), np.zeros(2))
     assert command.objective == pytest.approx(cost, rel=1e-4)
     assert state.newton.plan == pytest.approx(u, abs=2e-2)
     assert np.abs(state.newton.plan).max() <= 2.5
 
 
-def test_qp_solvers_agree(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
-    base = NewtonMpc(
-        **SHORT,
-        input_rate_limits={"u_v": 15.0},
-        soft_limits={"alpha_v": (-0.7, 0.25)},
-    )
-    daqp = close_loop(replace(base, qp=Daqp()), model, square, 4.0)
-    osqp = close_loop(replace(base, qp=Osqp()), model, square, 4.0)
+@pytest.mark.parametrize(
+    ("law", "reference", "seconds"),
+    [
+        (NewtonMpc(**SHORT, **LIMITED), SQUARE, 4.0),
+        (NewtonMpc(**{**SHORT, "max_iterations": 2}, **QUASI), constant(0.1, 0.3), 2.0),
+        (LinearMpc(), constant(0.3, 0.5), 2.0),
+    ],
+)
+def test_qp_solvers_agree(law: Any, reference: Reference, seconds: float) -> None:
+    daqp = close_loop(replace(law, qp=Daqp()), MODEL, reference, seconds)
+    osqp = close_loop(replace(law, qp=Osqp()), MODEL, reference, seconds)
     assert {c.status for c in osqp.commands} <= {Status.OK, Status.BUDGET, Status.RELAXED}
     assert osqp.inputs == pytest.approx(daqp.inputs, abs=2e-3)
 
@@ -198,7 +202,6 @@ def test_a_program_that_daqp_cannot_set_up_is_unsolved() -> None:
 
 
 def test_cost_equals_the_direct_sum() -> None:
-    model = Newtonian()
     mpc = NewtonMpc(
         prediction_horizon=12,
         move_blocks=(1, 1, 2, 3),
@@ -207,14 +210,14 @@ def test_cost_equals_the_direct_sum() -> None:
         input_weights={"u_v": 0.05, "u_h": 0.02},
         move_weights={"u_v": 0.01, "u_h": 0.03},
     )
-    state, command = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    state, command = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
     x, u = command.prediction.states, command.prediction.inputs
     target, direct = state.target, 0.0
     for k in range(12):
-        after = dict(zip(model.state_names, x[k + 1], strict=True))
+        after = dict(zip(MODEL.state_names, x[k + 1], strict=True))
         direct += 2.0 * (after["alpha_v"] - 0.1) ** 2 + 0.7 * (after["alpha_h"] - 0.2) ** 2
-        direct += 0.3 * (after["S_v"] - target.x[model.state_index("S_v")]) ** 2
-        row = model.state_index("alpha_h")
+        direct += 0.3 * (after["S_v"] - target.x[MODEL.state_index("S_v")]) ** 2
+        row = MODEL.state_index("alpha_h")
         direct += 0.4 * ((x[k + 1, row] - x[k, row]) / 0.1) ** 2
         direct += 0.05 * (u[k, 0] - target.u[0]) ** 2 + 0.02 * (u[k, 1] - target.u[1]) ** 2
         move = u[k] - (u[k - 1] if k else np.zeros(2))
@@ -223,24 +226,22 @@ def test_cost_equals_the_direct_sum() -> None:
 
 
 def test_prediction_is_what_the_model_does() -> None:
-    model = Newtonian()
     mpc = NewtonMpc()
-    _, command = first_command(mpc, model, model.rest(), [0.1, 0.2])
-    step = discretise(model, mpc.sample_time, mpc.integration_steps).step
+    _, command = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
+    step = discretise(MODEL, mpc.sample_time, mpc.integration_steps).step
     prediction = command.prediction
-    x = model.rest()
+    x = MODEL.rest()
     assert prediction.time == pytest.approx(np.arange(41) * 0.1)
     for k in range(40):
-        x = np.array(step(x, prediction.inputs[k], model.parameters.values, np.zeros(4))).ravel()
+        x = np.array(step(x, prediction.inputs[k], MODEL.parameters.values, np.zeros(4))).ravel()
         assert prediction.states[k + 1] == pytest.approx(x, rel=1e-9, abs=1e-12)
 
 
 def test_warm_start_shifts_in_time_and_not_across_inputs() -> None:
-    model = Newtonian()
     mpc = NewtonMpc(prediction_horizon=6, move_blocks=(1, 1, 2, 2))
-    state, _ = first_command(mpc, model, model.rest(), [0.1, 0.2])
+    state, _ = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
     state.newton.plan[:] = [[0.1, 0.2, 0.3, 0.4], [1.1, 1.2, 1.3, 1.4]]
-    again = sample_at(model, model.rest(), [0.1, 0.2])
+    again = sample_of(MODEL, [0.1, 0.2])
     state.begin_sample(again)
     u_v, u_h = state.target.u
     # Periods before: a b c c d d; after: b c c d d s, so that the blocks are b, c, (c d), (d s).
@@ -248,16 +249,13 @@ def test_warm_start_shifts_in_time_and_not_across_inputs() -> None:
     assert state.newton.plan[1] == pytest.approx([1.2, 1.3, 1.35, 0.5 * (1.4 + u_h)])
 
 
-def test_merit_never_rises_within_a_sample() -> None:
-    model = Newtonian()
-    mpc = NewtonMpc(**SHORT)
+@pytest.mark.parametrize("terminal", [{}, QUASI], ids=["equality", "region"])
+def test_merit_never_rises_within_a_sample(terminal: dict[str, Any]) -> None:
     generator = np.random.default_rng(5)
-    for _ in range(30):
-        x = model.rest()
-        x += generator.uniform(-1, 1, 6) * [150, 0.6, 0.8, 150, 0.6, 0.5]
-        setup = ControlSetup(model, 0.1, np.zeros(2))
-        state = mpc.init(setup)
-        state.begin_sample(sample_at(model, x, generator.uniform(-0.4, 0.4, 2).tolist()))
+    for _ in range(25):
+        x = MODEL.rest() + generator.uniform(-1, 1, 6) * [150, 0.6, 0.8, 150, 0.6, 0.5]
+        state = NewtonMpc(**SHORT, **terminal).init(setup_of(MODEL))
+        state.begin_sample(sample_of(MODEL, generator.uniform(-0.4, 0.4, 2), x))
         merits = []
         for _ in range(8):
             outcome = state.newton.solve(1, 1e-9)
@@ -272,8 +270,8 @@ def test_of_two_starts_the_better_end_is_kept() -> None:
     mpc = NewtonMpc(move_weights={"u_h": 0.2}, rate_weights={"alpha_h": 0.36}, **CONVERGED)
     different = 0
     for goal in (0.3, -0.4, 0.05):
-        sample = sample_at(model, model.rest(), [goal], np.zeros(1))
-        state = mpc.init(ControlSetup(model, 0.1, np.zeros(1)))
+        sample = sample_of(model, [goal])
+        state = mpc.init(setup_of(model))
         state.begin_sample(sample)
         newton = state.newton
         starts = [np.zeros_like(newton.plan), newton.plan.copy()]
@@ -293,270 +291,126 @@ def test_of_two_starts_the_better_end_is_kept() -> None:
 # -- constraints ------------------------------------------------------------------------------
 
 
-def test_terminal_equality_is_met_when_it_can_be(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
+def test_terminal_equality_is_met_when_it_can_be() -> None:
     # Cheap moves from a tail rotor at rest take hundreds of iterations to the last digit.
     mpc = NewtonMpc(move_weights={"u_v": 0.1, "u_h": 0.2}, **CONVERGED)
-    ran = close_loop(mpc, model, constant(0.2, 0.4), 3.0)
+    ran = close_loop(mpc, MODEL, constant(0.2, 0.4), 3.0)
     assert max(command.slack for command in ran.commands) < 1e-4
     assert all(command.status is Status.OK for command in ran.commands)
 
 
 def test_terminal_equality_is_relaxed_and_reported_when_it_cannot_be() -> None:
-    model = Newtonian()
     short = NewtonMpc(prediction_horizon=5, move_blocks=(1,) * 5, **CONVERGED)
-    _, command = first_command(short, model, model.rest(), [0.4, 1.0])
+    _, command = first_command(short, MODEL, MODEL.rest(), [0.4, 1.0])
     assert command.status is Status.RELAXED
     assert command.slack > 0.01
     assert "relaxed" in command.message
     assert np.isfinite(command.u).all()
 
 
-def test_reference_out_of_reach_is_projected(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
-    ran = close_loop(NewtonMpc(), model, constant(0.0, 9.0), 12.0)
-    last = dict(zip(model.state_names, ran.states[-1], strict=True))
-    assert last["alpha_h"] == pytest.approx(model.stops["alpha_h"], abs=0.01)
-    assert last["alpha_v"] == pytest.approx(0.0, abs=0.01)
-    assert "out of reach" in ran.commands[-1].message
+@pytest.mark.parametrize(
+    ("law", "seconds"),
+    [
+        (NewtonMpc(**SHORT, input_rate_limits={"u_v": 4.0, "u_h": 6.0}), 15.0),
+        (Nmpc(**QUICK, input_rate_limits={"u_v": 4.0}), 3.0),
+    ],
+)
+def test_rates_stay_within_hard_limits(law: Any, seconds: float) -> None:
+    ran = close_loop(law, MODEL, SQUARE, seconds)
+    moves = np.abs(np.diff(np.vstack([np.zeros(2), ran.inputs]), axis=0))
+    for j, limit in enumerate(law.input_rate_limits.values()):
+        assert moves[:, j].max() <= 0.1 * limit + 1e-6
+    assert moves[:, 0].max() > 0.39  # and they are used
 
 
-def test_inputs_and_rates_stay_within_hard_limits(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
-    mpc = NewtonMpc(**SHORT, input_rate_limits={"u_v": 4.0, "u_h": 6.0})
-    ran = close_loop(mpc, model, square, 15.0)
-    assert np.abs(ran.inputs).max() <= 2.5
-    moves = np.diff(np.vstack([np.zeros(2), ran.inputs]), axis=0)
-    assert np.abs(moves[:, 0]).max() <= 0.4 + 1e-9
-    assert np.abs(moves[:, 1]).max() <= 0.6 + 1e-9
-    assert np.abs(moves[:, 0]).max() > 0.39  # and they are used
-
-
-def test_soft_limit_holds_exactly_when_it_can(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
+def test_soft_limit_holds_exactly_when_it_can() -> None:
     swinging = NewtonMpc(rate_weights={}, move_weights={"u_v": 0.003, "u_h": 0.003})
-    free = close_loop(swinging, model, square, 14.0)
-    limited = close_loop(
-        replace(swinging, soft_limits={"alpha_v": (-0.62, 0.31)}, max_iterations=20),
-        model,
-        square,
-        14.0,
+    limits = {"soft_limits": {"alpha_v": (-0.62, 0.31)}, "max_iterations": 20}
+    free, limited = (
+        close_loop(law, MODEL, SQUARE, 14.0).states[:, MODEL.state_index("alpha_v")].max()
+        for law in (swinging, replace(swinging, **limits))
     )
-    row = model.state_index("alpha_v")
-    assert free.states[:, row].max() > 0.34
-    assert limited.states[:, row].max() < 0.31 + 2e-3
+    assert free > 0.34
+    assert limited < 0.31 + 2e-3
 
 
-def test_reference_beyond_a_soft_limit_is_followed_to_the_limit_and_calmly(
-    close_loop: Callable[..., Any],
-) -> None:
-    model = Newtonian()
+def test_reference_beyond_a_soft_limit_is_followed_to_the_limit_and_calmly() -> None:
     mpc = NewtonMpc(soft_limits={"alpha_v": (-0.9, 0.2)})
-    ran = close_loop(mpc, model, constant(0.4, 0.3), 12.0)
-    last = dict(zip(model.state_names, ran.states[-1], strict=True))
-    assert last["alpha_v"] == pytest.approx(0.2, abs=2e-3)
-    assert last["alpha_h"] == pytest.approx(0.3, abs=2e-3)
+    ran = close_loop(mpc, MODEL, constant(0.4, 0.3), 12.0)
+    assert ran.angles[-1] == pytest.approx([0.2, 0.3], abs=2e-3)
     assert np.ptp(ran.inputs[-30:], axis=0).max() < 0.02
     assert all(command.status is Status.OK for command in ran.commands[-30:])
 
 
-def test_soft_limit_gives_way_when_it_must(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
+def test_soft_limit_gives_way_when_it_must() -> None:
     mpc = NewtonMpc(soft_limits={"alpha_v": (-0.2, 0.6)})  # the run starts at −0.619
-    ran = close_loop(mpc, model, constant(0.1, 0.0), 6.0)
+    ran = close_loop(mpc, MODEL, constant(0.1, 0.0), 6.0)
     assert all(command.status is not Status.FAILED for command in ran.commands)
     assert ran.commands[0].slack > 0.1
-    assert ran.states[-1, model.state_index("alpha_v")] == pytest.approx(0.1, abs=5e-3)
+    assert ran.error("alpha_v")[-1] == pytest.approx(0.0, abs=5e-3)
 
 
 # -- the closed loop --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("preview", [0, 15])
-def test_tracks_without_steady_state_error(close_loop: Callable[..., Any], preview: int) -> None:
-    model = Newtonian()
-    ran = close_loop(NewtonMpc(preview_horizon=preview), model, constant(-0.3, -0.5), 9.0)
-    state = dict(zip(model.state_names, ran.states[-1], strict=True))
-    assert state["alpha_v"] == pytest.approx(-0.3, abs=1e-3)
-    assert state["alpha_h"] == pytest.approx(-0.5, abs=1e-3)
+DELAYED = extended(MODEL, {"d": InputDelay(rotor="main", delay=0.13)})
 
 
-def test_preview_lowers_the_tracking_error(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
+@pytest.mark.parametrize(
+    ("options", "model", "goal", "seconds", "left"),
+    [
+        ({}, MODEL, (-0.3, -0.5), 9.0, 1e-3),
+        ({"preview_horizon": 15}, MODEL, (-0.3, -0.5), 9.0, 1e-3),
+        # At rest with ω_h = 0 no first-order change of u_h moves yaw.
+        ({}, Newtonian(freedom="horizontal"), (0.4,), 8.0, 5e-3),
+        (SHORT, Newtonian(currents="dynamic"), (0.1, 0.2), 9.0, 6e-3),
+        (SHORT, Newtonian(freedom="vertical"), (0.1,), 9.0, 6e-3),
+        (SHORT, DELAYED, (0.1, 0.2), 9.0, 6e-3),
+    ],
+    ids=["both", "preview", "horizontal", "currents", "vertical", "delay"],
+)
+def test_tracks_without_steady_state_error(
+    options: dict[str, Any], model: Any, goal: tuple[float, ...], seconds: float, left: float
+) -> None:
+    ran = close_loop(NewtonMpc(**options), model, constant(*goal), seconds)
+    assert ran.errors[-1] == pytest.approx(0.0, abs=left)
 
-    def error(preview: int) -> float:
-        ran = close_loop(NewtonMpc(preview_horizon=preview), model, square, 20.0)
-        y = ran.states[:, [model.state_index("alpha_v"), model.state_index("alpha_h")]]
-        return float(np.square(y - square(np.arange(len(y)) * 0.1))[50:].sum())
 
-    assert error(15) < 0.8 * error(0)
+def test_reference_out_of_reach_is_projected() -> None:
+    ran = close_loop(NewtonMpc(), MODEL, constant(0.0, 9.0), 12.0)
+    assert ran.angles[-1] == pytest.approx([0.0, MODEL.stops["alpha_h"]], abs=0.01)
+    assert "out of reach" in ran.commands[-1].message
 
 
-def test_known_constant_torque_leaves_no_offset(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
-    push = np.array([0.01, 0.008, 0.0, 0.0])
-    ran = close_loop(NewtonMpc(), model, constant(0.1, 0.2), 10.0, disturbance=push)
-    last = dict(zip(model.state_names, ran.states[-1], strict=True))
-    assert last["alpha_v"] == pytest.approx(0.1, abs=1e-3)
-    assert last["alpha_h"] == pytest.approx(0.2, abs=1e-3)
+def test_preview_lowers_the_tracking_error() -> None:
+    blind, ahead = (
+        np.square(close_loop(NewtonMpc(preview_horizon=n), MODEL, SQUARE, 20.0).errors[50:]).sum()
+        for n in (0, 15)
+    )
+    assert ahead < 0.8 * blind
 
 
 def test_disturbance_that_no_input_holds_is_reported_and_survived() -> None:
-    model = Newtonian()
     mpc = NewtonMpc(**SHORT)
-    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
-    sample = sample_at(model, model.rest(), [0.1, 0.2], first.u)
+    state, first = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
+    sample = sample_of(MODEL, [0.1, 0.2], u=first.u)
     sample.estimate.disturbance = np.array([-5.0, 0.0, 0.0, 0.0])  # gravity's moment is 0.26 N m
     command = mpc.step(state, sample, want_prediction=False)
     assert np.isfinite(command.u).all()
     assert "no input holds" in command.message or "out of reach" in command.message
 
 
-def test_yaw_is_left_from_the_point_where_its_linearisation_is_uncontrollable(
-    close_loop: Callable[..., Any],
-) -> None:
-    # At rest with ω_h = 0 no first-order change of u_h moves yaw.
-    model = Newtonian(freedom="horizontal")
-    ran = close_loop(NewtonMpc(), model, constant(0.4), 8.0)
-    assert ran.states[-1, model.state_index("alpha_h")] == pytest.approx(0.4, abs=5e-3)
-
-
-@pytest.mark.parametrize(
-    "model",
-    [
-        pytest.param(Newtonian(currents="dynamic"), id="8 states"),
-        pytest.param(Newtonian(freedom="vertical"), id="vertical"),
-        pytest.param(
-            extended(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)}), id="delay"
-        ),
-    ],
-)
-def test_other_models(close_loop: Callable[..., Any], model: Any) -> None:
-    goal = [0.1, 0.2][: len(model.controlled)]
-    if model.memory(0.1):
-        # The rig's memory is kept by its simulation; the controller keeps a copy of its own.
-        ran = run_with_memory(NewtonMpc(**SHORT), model, goal, 9.0)
-    else:
-        ran = close_loop(NewtonMpc(**SHORT), model, constant(*goal), 9.0)
-    last = ran.states[-1]
-    for name, value in zip(model.controlled, goal, strict=True):
-        assert last[model.state_index(name)] == pytest.approx(value, abs=6e-3)
-
-
-def run_with_memory(mpc: NewtonMpc, model: Any, goal: list[float], seconds: float) -> Any:
-    """As close_loop, for a rig whose input path has memory."""
-    from .conftest import Ran
-
-    discrete = discretise(model, mpc.sample_time, 10)
-    full = discrete.initial(model.rest(), np.zeros(model.n_u))
-    state = mpc.init(ControlSetup(model, mpc.sample_time, np.zeros(model.n_u)))
-    u, ran = np.zeros(model.n_u), Ran()
-    for _ in range(round(seconds / mpc.sample_time)):
-        sample = sample_at(model, full[: model.n_x].copy(), goal, u)
-        u = mpc.step(state, sample, want_prediction=False).u
-        full = np.array(
-            discrete.step(full, u, model.parameters.values, np.zeros(model.n_w))
-        ).ravel()
-        ran.x.append(full[: model.n_x].copy())
-    return ran
-
-
-def test_second_run_equals_the_first(close_loop: Callable[..., Any]) -> None:
-    model, mpc = Newtonian(), NewtonMpc(**SHORT)
-    once = close_loop(mpc, model, square, 6.0)
-    again = close_loop(mpc, model, square, 6.0)
-    assert np.array_equal(once.states, again.states)
-    assert np.array_equal(once.inputs, again.inputs)
-
-
-# -- what happens when a solve fails ----------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class FailingQp:
-    """Solves as DAQP does, until it does not."""
-
-    after: int
-
-    def start(self) -> list[Any]:
-        return [0, Daqp().start()]
-
-    def solve(self, workspace: list[Any], qp: Qp) -> QpResult:
-        workspace[0] += 1
-        if workspace[0] > self.after:
-            return QpResult(np.full(len(qp.gradient), np.nan), False, 0, "made to fail")
-        return Daqp().solve(workspace[1], qp)
-
-
-@dataclass(frozen=True)
-class RaisingQp(FailingQp):
-    """Raises where a library would."""
-
-    def solve(self, workspace: list[Any], qp: Qp) -> QpResult:
-        result = super().solve(workspace, qp)
-        if not result.solved:
-            raise RuntimeError("made to fail")
-        return result
-
-
-def test_an_exception_of_the_solver_is_a_failed_solve() -> None:
-    model = Newtonian()
-    mpc = NewtonMpc(**SHORT, qp=RaisingQp(after=1))
-    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
-    sample = sample_at(model, model.rest(), [0.1, 0.2], first.u)
-    command = mpc.step(state, sample, want_prediction=False)
-    assert command.status is Status.FAILED
-    assert "RuntimeError: made to fail" in command.message
-    assert np.isfinite(command.u).all()
-
-
-@pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input"])
-def test_fall_back_acts_and_is_reported(policy: Any) -> None:
-    model = Newtonian()
-    mpc = NewtonMpc(**SHORT, fallback=policy, qp=FailingQp(after=1))
-    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
-    planned = state.newton.plan.copy()
-    sample = sample_at(model, model.rest(), [0.1, 0.2], first.u)
-    command = mpc.step(state, sample, want_prediction=False)
-    assert command.status is Status.FAILED
-    assert command.fallback == policy
-    assert "made to fail" in command.message
-    expected = {
-        "shifted_plan": planned[:, 1],
-        "hold": first.u,
-        "steady_input": state.target.u,
-    }[policy]
-    assert command.u == pytest.approx(expected)
-
-
-def test_run_may_be_stopped_instead() -> None:
-    model = Newtonian()
-    mpc = NewtonMpc(**SHORT, fallback="stop", qp=FailingQp(after=0))
-    with pytest.raises(SimulationError, match="made to fail"):
-        first_command(mpc, model, model.rest(), [0.1, 0.2])
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
 def test_estimate_that_is_no_number_never_reaches_the_rig(bad: float) -> None:
-    model = Newtonian()
     mpc = NewtonMpc(**SHORT)
-    state, first = first_command(mpc, model, model.rest(), [0.1, 0.2])
-    x = model.rest()
+    state, first = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
+    x = MODEL.rest()
     x[2] = bad
-    command = mpc.step(state, sample_at(model, x, [0.1, 0.2], first.u), want_prediction=False)
+    command = mpc.step(state, sample_of(MODEL, [0.1, 0.2], x, first.u), want_prediction=False)
     assert command.status is Status.FAILED
     assert np.isfinite(command.u).all()
-    healthy = sample_at(model, model.rest(), [0.1, 0.2], command.u)
+    healthy = sample_of(MODEL, [0.1, 0.2], u=command.u)
     assert mpc.step(state, healthy, want_prediction=False).status is not Status.FAILED
-
-
-# -- configuration ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("blocks", [(), (0, 2), (1, -1)])
-def test_impossible_blocks_are_refused(blocks: tuple[int, ...]) -> None:
-    with pytest.raises(ConfigurationError, match="given"):
-        NewtonMpcState(NewtonMpc(move_blocks=blocks), ControlSetup(Newtonian(), 0.1, np.zeros(2)))
 
 
 def test_blocks_beyond_the_horizon_are_left_out() -> None:
@@ -564,58 +418,24 @@ def test_blocks_beyond_the_horizon_are_left_out() -> None:
     assert blocks_of(5, (1, 2)).tolist() == [0, 1, 1, 1, 1]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "where"),
-    [
-        ({"input_rate_limits": {"u_x": 5.0}}, "input_rate_limits.u_x"),
-        ({"soft_limits": {"alpha_v": (0.6, -0.9)}}, "soft_limits.alpha_v"),
-        ({"soft_limits": {"alpha_w": (-1.0, 1.0)}}, "soft_limits.alpha_w"),
-        ({"rate_weights": {"omega": 1.0}}, "rate_weights.omega"),
-        ({"preview_horizon": 50}, "preview_horizon"),
-    ],
-)
-def test_mistakes_are_reported_by_key(arguments: dict[str, Any], where: str) -> None:
-    with pytest.raises(ConfigurationError) as raised:
-        NewtonMpcState(NewtonMpc(**arguments), ControlSetup(Newtonian(), 0.1, np.zeros(2)))
-    assert raised.value.where == where
-
-
-def test_weight_on_an_unknown_state_names_the_nearest() -> None:
-    with pytest.raises(ConfigurationError) as raised:
-        NewtonMpcState(
-            NewtonMpc(state_weights={"alpha_w": 1.0}),
-            ControlSetup(Newtonian(), 0.1, np.zeros(2)),
-        )
-    assert "alpha_" in raised.value.remedy
-
-
 # -- the reference ahead ----------------------------------------------------------------------
 
 
-def test_a_sine_is_followed_as_if_it_were_known(close_loop: Callable[..., Any]) -> None:
+def test_a_sine_is_followed_as_if_it_were_known() -> None:
     def sine(times: np.ndarray) -> np.ndarray:
         return np.column_stack([0.2 * np.sin(0.4 * times), 0.4 * np.sin(0.3 * times)])
 
-    model, errors = Newtonian(), {}
-    for name, keys in (
-        ("held", {"forecast_horizon": 0}),
-        ("forecast", {}),
-        ("known", {"preview_horizon": 15}),
-    ):
-        ran = close_loop(NewtonMpc(**keys), model, sine, 20.0)
-        angles = ran.states[: len(ran.inputs), [5, 2]]
-        wanted = sine(0.1 * np.arange(len(angles)))
-        errors[name] = np.sqrt(np.square(angles - wanted)[100:].mean())
-    assert errors["forecast"] == pytest.approx(errors["known"], rel=0.05)
-    assert errors["forecast"] < 0.6 * errors["held"]
+    held, forecast, known = (
+        np.sqrt(np.square(close_loop(NewtonMpc(**keys), MODEL, sine, 20.0).errors[100:]).mean())
+        for keys in ({"forecast_horizon": 0}, {}, {"preview_horizon": 15})
+    )
+    assert forecast == pytest.approx(known, rel=0.05)
+    assert forecast < 0.6 * held
 
 
-def test_a_step_is_followed_the_same_with_and_without_forecast(
-    close_loop: Callable[..., Any],
-) -> None:
-    model = Newtonian()
+def test_a_step_is_followed_the_same_with_and_without_forecast() -> None:
     with_it, without = (
-        close_loop(NewtonMpc(forecast_horizon=periods), model, square, 12.0).inputs
+        close_loop(NewtonMpc(forecast_horizon=periods), MODEL, SQUARE, 12.0).inputs
         for periods in (15, 0)
     )
     np.testing.assert_array_equal(with_it, without)

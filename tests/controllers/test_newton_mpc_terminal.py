@@ -2,50 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from linear_model import DoubleMass, matrices
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
-from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.newton_region import TerminalRegion
-from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
 
-QUASI = {"terminal": "quasi_infinite"}
-SHORT = {"prediction_horizon": 20, "move_blocks": (1,) * 20}
+from .closed_loop_case import close_loop, constant, sample_of, setup_of
+from .linear_model import DoubleMass, matrices
+
+MODEL = Newtonian()
+QUASI: dict[str, Any] = {"terminal": "quasi_infinite"}
 GOALS = ([0.2, 0.4], [-0.3, -0.5], [0.0, 0.1], [0.0, 0.0], [0.35, 0.02])
-
-
-def sample_at(
-    model: Any, x: np.ndarray, reference: list[float], u: np.ndarray | None = None
-) -> ControlSample:
-    zeros = np.zeros(model.n_w)
-    estimate = Estimate(x, np.zeros_like(x), zeros, zeros)
-    before = np.zeros(model.n_u) if u is None else u
-    return ControlSample(0.0, np.array([reference]), estimate, before)
 
 
 def begun(mpc: NewtonMpc, model: Any, goal: list[float], x: np.ndarray | None = None) -> Any:
     """A state that has seen one sample, its region designed."""
-    state = mpc.init(ControlSetup(model, mpc.sample_time, np.zeros(model.n_u)))
-    state.begin_sample(sample_at(model, model.rest() if x is None else x, goal))
+    state = mpc.init(setup_of(model, mpc.sample_time))
+    state.begin_sample(sample_of(model, goal, x))
     return state
-
-
-def constant(*values: float) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda times: np.tile(values, (len(times), 1))
 
 
 def decrease(mpc: NewtonMpc, model: Any, target: Any, region: TerminalRegion) -> Any:
@@ -94,8 +80,8 @@ def test_equals_the_infinite_horizon_lqr_without_constraints(horizon: int) -> No
         max_iterations=3,
     )
     x, before = np.array([0.3, -0.2, 0.5, 0.1]), np.array([0.4, -0.1])
-    state = mpc.init(ControlSetup(model, 0.2, np.zeros(2)))
-    command = mpc.step(state, sample_at(model, x, [0.0, 0.0], before), want_prediction=False)
+    state = mpc.init(setup_of(model, 0.2))
+    command = mpc.step(state, sample_of(model, [0.0, 0.0], x, before), want_prediction=False)
 
     a, b = matrices(discretise(model, 0.2).step, model)
     # The last input is a state of its own; the cost of x⁺ is one of x and u.
@@ -118,9 +104,8 @@ def test_equals_the_infinite_horizon_lqr_without_constraints(horizon: int) -> No
 
 
 def test_gradient_and_slopes_are_those_of_the_objective() -> None:
-    model = Newtonian()
     mpc = NewtonMpc(**QUASI, prediction_horizon=12, move_blocks=(1, 1, 2, 3))
-    state = begun(mpc, model, [0.1, 0.2])
+    state = begun(mpc, MODEL, [0.1, 0.2])
     horizon = state.newton.horizon
     generator = np.random.default_rng(3)
     z = horizon.arguments["z"]
@@ -147,11 +132,11 @@ def test_gradient_and_slopes_are_those_of_the_objective() -> None:
 
 @pytest.mark.parametrize("goal", GOALS)
 def test_decrease_holds_all_over_the_region(goal: list[float]) -> None:
-    model, mpc = Newtonian(), NewtonMpc(**QUASI)
-    state = begun(mpc, model, goal)
+    mpc = NewtonMpc(**QUASI)
+    state = begun(mpc, MODEL, goal)
     region = state.regions.region
     assert region is not None and region.level <= region.limits_level
-    gap = decrease(mpc, model, state.target, region)
+    gap = decrease(mpc, MODEL, state.target, region)
     inverse = np.linalg.inv(region.root)
     generator = np.random.default_rng(11)
     worst = -np.inf
@@ -173,10 +158,10 @@ def test_decrease_holds_all_over_the_region(goal: list[float]) -> None:
 
 def test_decrease_can_fail_far_outside() -> None:
     # Else the test above would prove nothing.
-    model, mpc = Newtonian(), NewtonMpc(**QUASI)
-    state = begun(mpc, model, [0.0, 0.0])
+    mpc = NewtonMpc(**QUASI)
+    state = begun(mpc, MODEL, [0.0, 0.0])
     region = state.regions.region
-    gap = decrease(mpc, model, state.target, region)
+    gap = decrease(mpc, MODEL, state.target, region)
     inverse = np.linalg.inv(region.root)
     generator = np.random.default_rng(1)
     zetas = generator.standard_normal((300, 8))
@@ -186,9 +171,8 @@ def test_decrease_can_fail_far_outside() -> None:
 
 @pytest.mark.parametrize("goal", GOALS)
 def test_local_law_keeps_limits_in_the_region(goal: list[float]) -> None:
-    model = Newtonian()
     mpc = NewtonMpc(**QUASI, input_rate_limits={"u_v": 6.0}, soft_limits={"alpha_v": (-0.9, 0.4)})
-    state = begun(mpc, model, goal)
+    state = begun(mpc, MODEL, goal)
     region, target = state.regions.region, state.target
     assert region is not None
     inverse = np.linalg.inv(region.root)
@@ -201,10 +185,10 @@ def test_local_law_keeps_limits_in_the_region(goal: list[float]) -> None:
 
 
 def test_terminal_cost_is_no_less_than_what_the_law_costs() -> None:
-    model, mpc = Newtonian(), NewtonMpc(**QUASI)
-    state = begun(mpc, model, [0.1, 0.3])
+    mpc = NewtonMpc(**QUASI)
+    state = begun(mpc, MODEL, [0.1, 0.3])
     region, target = state.regions.region, state.target
-    step = BufferedFunction(discretise(model, 0.1, 1).step)
+    step = BufferedFunction(discretise(MODEL, 0.1, 1).step)
     generator = np.random.default_rng(4)
     for _ in range(20):
         zeta = generator.standard_normal(8)
@@ -212,7 +196,7 @@ def test_terminal_cost_is_no_less_than_what_the_law_costs() -> None:
         total, first = 0.0, float(np.sum((region.root @ xi) ** 2))
         for _ in range(300):
             x, u = target.x + xi[:6], region.gain @ xi
-            after = step.evaluate(x, target.u + u, model.parameters.values, np.zeros(4))[0].copy()
+            after = step.evaluate(x, target.u + u, MODEL.parameters.values, np.zeros(4))[0].copy()
             total += 1.2 * (after - target.x)[5] ** 2 + (after - target.x)[2] ** 2
             damping = [mpc.rate_weights[name] for name in ("alpha_v", "alpha_h")]
             total += np.square((after - x)[[5, 2]] / 0.1) @ damping
@@ -223,13 +207,13 @@ def test_terminal_cost_is_no_less_than_what_the_law_costs() -> None:
 
 
 def test_a_region_serves_the_targets_of_its_cell() -> None:
-    model, mpc = Newtonian(), NewtonMpc(**QUASI)
-    state = begun(mpc, model, [0.1, 0.3])
+    mpc = NewtonMpc(**QUASI)
+    state = begun(mpc, MODEL, [0.1, 0.3])
     region = state.regions.region
     for shift in ([0.004, 0.003], [-0.004, 0.003]):
         near = [0.1 + shift[0], 0.3 + shift[1]]
         target = state.steady_state.solve(np.array(near))
-        gap = decrease(mpc, model, target, region)
+        gap = decrease(mpc, MODEL, target, region)
         zetas = np.random.default_rng(5).standard_normal((1000, 8))
         zetas *= np.sqrt(region.level) / np.linalg.norm(zetas, axis=1)[:, None]
         assert max(gap(xi) for xi in np.linalg.solve(region.root, zetas.T).T) < 0.0
@@ -238,9 +222,7 @@ def test_a_region_serves_the_targets_of_its_cell() -> None:
 # -- where there is none --------------------------------------------------------------------------
 
 
-def test_yaw_that_nothing_drives_nor_pulls_back_keeps_the_equality(
-    close_loop: Callable[..., Any],
-) -> None:
+def test_yaw_that_nothing_drives_nor_pulls_back_keeps_the_equality() -> None:
     # Without the cable yaw rests anywhere at ω_h = 0, where u_h moves it by second order only.
     model = Newtonian(parameters={"k_chp": 0.0, "k_chn": 0.0})
     mpc = NewtonMpc(**QUASI)
@@ -278,21 +260,20 @@ def test_a_target_at_a_bound_keeps_the_equality() -> None:
 # -- the controller -------------------------------------------------------------------------------
 
 
-def test_region_is_entered_and_the_steady_state_reached(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
+def test_region_is_entered_and_the_steady_state_reached() -> None:
     mpc = NewtonMpc(**QUASI, max_iterations=30, tolerance=1e-6)
-    ran = close_loop(mpc, model, constant(0.1, 0.2), 9.0)
+    ran = close_loop(mpc, MODEL, constant(0.1, 0.2), 9.0)
     assert max(command.slack for command in ran.commands) < 1e-6
     assert ran.states[-1, 5] == pytest.approx(0.1, abs=1e-3)
     assert ran.states[-1, 2] == pytest.approx(0.2, abs=1e-3)
 
 
 def test_terminal_residual_is_told() -> None:
-    model, x = Newtonian(), Newtonian().rest()
+    x = Newtonian().rest()
     for terminal, sample in (("equality", 18), ("quasi_infinite", 10), ("none", 10)):
         mpc = NewtonMpc(terminal=terminal, prediction_horizon=sample, move_blocks=(1,) * sample)
-        state = mpc.init(ControlSetup(model, 0.1, np.zeros(2)))
-        command = mpc.step(state, sample_at(model, x, [0.1, 0.3]), want_prediction=False)
+        state = mpc.init(setup_of(MODEL))
+        command = mpc.step(state, sample_of(MODEL, [0.1, 0.3], x), want_prediction=False)
         if terminal == "none":
             assert np.isnan(command.terminal_residual)
         else:
@@ -300,22 +281,20 @@ def test_terminal_residual_is_told() -> None:
 
 
 def test_a_shorter_horizon_suffices_than_with_the_equality() -> None:
-    model = Newtonian()
     blocks = {"prediction_horizon": 18, "move_blocks": (1,) * 18}
     for terminal, relaxed in (("equality", True), ("quasi_infinite", False)):
         mpc = NewtonMpc(**blocks, terminal=terminal, max_iterations=60, tolerance=1e-6)
-        x = model.rest()
-        state = mpc.init(ControlSetup(model, 0.1, np.zeros(2)))
-        command = mpc.step(state, sample_at(model, x, [0.1, 0.3]), want_prediction=False)
+        x = MODEL.rest()
+        state = mpc.init(setup_of(MODEL))
+        command = mpc.step(state, sample_of(MODEL, [0.1, 0.3], x), want_prediction=False)
         assert (command.status is Status.RELAXED) == relaxed, (terminal, command)
 
 
-def test_objective_falls_by_the_stage_cost_every_sample(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
+def test_objective_falls_by_the_stage_cost_every_sample() -> None:
     mpc = NewtonMpc(
         **QUASI, prediction_horizon=30, move_blocks=(1,) * 30, max_iterations=60, tolerance=1e-7
     )
-    ran = close_loop(mpc, model, constant(0.1, 0.2), 5.0)
+    ran = close_loop(mpc, MODEL, constant(0.1, 0.2), 5.0)
     cost = np.array([command.objective for command in ran.commands])
     x, u = ran.states, np.vstack([np.zeros(2), ran.inputs])
     goal = np.array([0.1, 0.2])
@@ -329,32 +308,7 @@ def test_objective_falls_by_the_stage_cost_every_sample(close_loop: Callable[...
     assert (np.diff(cost) + stage <= 1e-4 * (1.0 + cost[:-1])).all()
 
 
-def test_merit_never_rises_within_a_sample() -> None:
-    model = Newtonian()
-    mpc = NewtonMpc(**SHORT, **QUASI)
-    generator = np.random.default_rng(5)
-    state = mpc.init(ControlSetup(model, 0.1, np.zeros(2)))
-    for _ in range(20):
-        x = model.rest()
-        x += generator.uniform(-1, 1, 6) * [150, 0.6, 0.8, 150, 0.6, 0.5]
-        state.begin_sample(sample_at(model, x, generator.uniform(-0.4, 0.4, 2).tolist()))
-        merits = []
-        for _ in range(8):
-            outcome = state.newton.solve(1, 1e-9)
-            assert not outcome.failed
-            merits.append(outcome.merit)
-        assert (np.diff(merits) <= 1e-9 * (1 + np.abs(merits[:-1]))).all()
-
-
-def test_qp_solvers_agree(close_loop: Callable[..., Any]) -> None:
-    model = Newtonian()
-    mpc = NewtonMpc(**SHORT, **QUASI, max_iterations=2)
-    daqp = close_loop(mpc, model, constant(0.1, 0.3), 2.0)
-    osqp = close_loop(replace(mpc, qp=Osqp()), model, constant(0.1, 0.3), 2.0)
-    assert osqp.inputs == pytest.approx(daqp.inputs, abs=2e-3)
-
-
-def test_models_with_memory_and_with_currents(close_loop: Callable[..., Any]) -> None:
+def test_models_with_memory_and_with_currents() -> None:
     delayed = extended(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)})
     state = begun(NewtonMpc(**QUASI), delayed, [0.1, 0.2])
     assert state.regions.region is not None

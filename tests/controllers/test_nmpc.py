@@ -1,4 +1,4 @@
-"""nmpc: the problem of newton_mpc, its optimum, limits, caps and fall-backs."""
+"""nmpc: the problem of newton_mpc, its optimum, a limit and a cap."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
-from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
-from trms_cli.controllers.ocp import OcpSolution
-from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
-from trms_cli.models.estimate import Estimate
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.steady_state import SteadyState
+
+from .closed_loop_case import close_loop, constant, sample_of, setup_of
 
 BOTH = Newtonian()
 #: Small enough to be quick without compiled derivatives.
@@ -34,19 +35,6 @@ SOLVERS = ["ipopt", "fatrop"]
 
 def quick(**keys: Any) -> Nmpc:
     return Nmpc(**{**SHORT, "machine_code": False, **keys})
-
-
-def setup_of(model: Model) -> ControlSetup:
-    return ControlSetup(model, 0.1, np.zeros(model.n_u))
-
-
-def sample_of(
-    model: Model, r: list[float], x: np.ndarray | None = None, w: np.ndarray | None = None
-) -> ControlSample:
-    x = model.rest() if x is None else x
-    w = np.zeros(model.n_w) if w is None else w
-    estimate = Estimate(x, np.zeros_like(x), w, np.zeros_like(w))
-    return ControlSample(0.0, np.array([r]), estimate, np.zeros(model.n_u))
 
 
 @pytest.mark.parametrize("keys", [{}, LIMITED, {"terminal": "none"}], ids=["plain", "all", "free"])
@@ -77,9 +65,8 @@ def test_it_finds_the_optimum_of_newton_mpc(solver: str, keys: Any, model: Model
     """Both converged on the same sample: objective within 0.5 %, and much closer where smooth."""
     law = quick(solver=solver, **keys)
     newton = replace(law.problem(), max_iterations=200, tolerance=1e-8)
-    x = SteadyStart.of(model)
-    sample = sample_of(model, [0.15, 0.4], x)
-    sample.previous_command[:] = SteadyStart.command(model)
+    start = SteadyState(model).solve(np.array([0.0, 0.3]))  # both rotors turn
+    sample = sample_of(model, [0.15, 0.4], start.x, start.u)
     ours, theirs = law.init(setup_of(model)), newton.init(setup_of(model))
     answer = law.step(ours, sample, want_prediction=True)
     other = newton.step(theirs, sample, want_prediction=True)
@@ -90,23 +77,7 @@ def test_it_finds_the_optimum_of_newton_mpc(solver: str, keys: Any, model: Model
     np.testing.assert_allclose(answer.u, other.u, atol=0.02)
     assert answer.prediction is not None and other.prediction is not None
     np.testing.assert_allclose(answer.prediction.time, other.prediction.time)
-    np.testing.assert_allclose(answer.prediction.states[0], x)
-
-
-class SteadyStart:
-    """A point at rest with both rotors turning."""
-
-    @staticmethod
-    def of(model: Model) -> np.ndarray:
-        from trms_cli.models.steady_state import SteadyState
-
-        return SteadyState(model).solve(np.array([0.0, 0.3])).x
-
-    @staticmethod
-    def command(model: Model) -> np.ndarray:
-        from trms_cli.models.steady_state import SteadyState
-
-        return SteadyState(model).solve(np.array([0.0, 0.3])).u
+    np.testing.assert_allclose(answer.prediction.states[0], start.x)
 
 
 def test_machine_code_gives_the_answer_of_the_virtual_machine() -> None:
@@ -118,37 +89,10 @@ def test_machine_code_gives_the_answer_of_the_virtual_machine() -> None:
     np.testing.assert_allclose(answers[0].u, answers[1].u, atol=1e-6)
 
 
-@pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_one_axis_is_followed_without_offset(freedom: Any, solver: Any, close_loop: Any) -> None:
-    model = Newtonian(freedom=freedom)
-    level = 0.2
-    push = np.array([0.004, 0.0])
-    ran = close_loop(
-        quick(solver=solver),
-        model,
-        lambda times: np.full((len(times), 1), level),
-        9.0,
-        disturbance=push,
-    )
-    angle = ran.states[:, model.state_index(model.controlled[0])]
-    assert abs(angle[-1] - level) < 5e-3
-    assert all(command.status is not Status.FAILED for command in ran.commands)
-
-
-def test_the_rate_limit_is_kept(close_loop: Any) -> None:
-    rate = 4.0
-    law = quick(input_rate_limits={"u_v": rate})
-    ran = close_loop(law, BOTH, lambda times: np.tile([0.3, 0.5], (len(times), 1)), 3.0)
-    moves = np.diff(np.vstack([np.zeros(2), ran.inputs]), axis=0)
-    assert np.abs(moves[:, 0]).max() <= rate * law.sample_time + 1e-6
-    assert np.abs(moves[:, 0]).max() > 0.9 * rate * law.sample_time  # it was in the way
-
-
-def test_a_soft_limit_is_kept_where_it_can_be(close_loop: Any) -> None:
+def test_a_soft_limit_is_kept_where_it_can_be() -> None:
     ceiling = 0.2
     law = quick(soft_limits={"alpha_v": (-0.7, ceiling)})
-    ran = close_loop(law, BOTH, lambda times: np.tile([0.3, 0.5], (len(times), 1)), 6.0)
+    ran = close_loop(law, BOTH, constant(0.3, 0.5), 6.0)
     angle = ran.states[:, BOTH.state_index("alpha_v")]
     assert angle.max() < ceiling + 5e-3
     assert angle[-1] > ceiling - 0.02
@@ -156,16 +100,14 @@ def test_a_soft_limit_is_kept_where_it_can_be(close_loop: Any) -> None:
 
 def test_preview_moves_before_the_step() -> None:
     ahead, blind = quick(preview_horizon=10), quick()
-    x = SteadyStart.of(BOTH)
-    moved = []
+    start, moved = SteadyState(BOTH).solve(np.array([0.0, 0.3])), []
     for law in (ahead, blind):
-        sample = sample_of(BOTH, [0.0, 0.3], x)
-        sample.previous_command[:] = SteadyStart.command(BOTH)
+        sample = sample_of(BOTH, [0.0, 0.3], start.x, start.u)
         known = law.preview(setup_of(BOTH)) + 1
         sample.reference = np.tile([0.0, 0.3], (known, 1))
         sample.reference[5:] = [0.2, 0.3]
         answer = law.step(law.init(setup_of(BOTH)), sample, want_prediction=False)
-        moved.append(abs(answer.u - sample.previous_command).max())
+        moved.append(abs(answer.u - start.u).max())
     assert moved[0] > 0.01 > moved[1]
 
 
@@ -180,37 +122,6 @@ def test_a_cap_on_iterations_never_makes_a_plan_worse() -> None:
     start = fresh.evaluate(fresh.shared.newton.plan)
     assert state.evaluate(state.shared.newton.plan) <= start
     assert answer.status is not Status.FAILED or answer.fallback == "shifted_plan"
-
-
-@pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input", "stop"])
-def test_a_failed_solve_falls_back_as_declared(policy: Any, monkeypatch: Any) -> None:
-    law = quick(fallback=policy)
-    state = law.init(setup_of(BOTH))
-    sample = sample_of(BOTH, [0.3, 0.5])
-    law.step(state, sample, want_prediction=False)
-    plan = state.shared.newton.plan.copy()
-
-    def fails(guess: np.ndarray, multipliers: Any = None) -> OcpSolution:
-        nothing = np.full_like(guess, np.nan)
-        return OcpSolution(nothing, np.nan, False, False, 7, "forced", (guess, guess), 0.0)
-
-    monkeypatch.setattr(state.solver, "solve", fails)
-    sample.previous_command[:] = [1.0, -1.0]
-    if policy == "stop":
-        with pytest.raises(SimulationError, match="nmpc: ipopt: forced"):
-            law.step(state, sample, want_prediction=False)
-        return
-    answer = law.step(state, sample, want_prediction=False)
-    assert answer.status is Status.FAILED and answer.fallback == policy
-    assert "forced" in answer.message
-    expected = {
-        "shifted_plan": plan[:, 1],
-        "hold": sample.previous_command,
-        "steady_input": state.shared.target.u,
-    }[policy]
-    np.testing.assert_allclose(answer.u, expected, atol=1e-9)
-    monkeypatch.undo()
-    assert law.step(state, sample, want_prediction=False).status is not Status.FAILED
 
 
 def test_its_defaults_are_those_of_newton_mpc() -> None:
@@ -233,8 +144,3 @@ def yaml_of(name: str) -> dict[str, Any]:
 def test_a_terminal_region_has_no_counterpart() -> None:
     with pytest.raises(ConfigurationError, match="no counterpart"):
         Nmpc.of(NewtonMpc(terminal="quasi_infinite"))
-
-
-def test_the_preview_fits_in_the_horizon() -> None:
-    with pytest.raises(ConfigurationError):
-        Nmpc(prediction_horizon=5, preview_horizon=6)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.robust.polytope import box, independent_cube
 from trms_cli.controllers.robust.regulation import Regulation, RegulationDesign
 from trms_cli.core.compilation import BufferedFunction
@@ -15,12 +14,13 @@ from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 
-PERIOD = 0.1
+from .closed_loop_case import setup_of
+
 BOTH = Newtonian()
 
 
 def regulation_of(model: Model = BOTH, **design: object) -> Regulation:
-    return Regulation(RegulationDesign(**design), ControlSetup(model, PERIOD, np.zeros(model.n_u)))
+    return Regulation(RegulationDesign(**design), setup_of(model))
 
 
 @pytest.fixture(scope="module")

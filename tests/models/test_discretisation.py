@@ -13,16 +13,15 @@ from trms_cli.models.discretisation import Method, discretise, factorised
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 
+from .simulate import rates
+
 COMMAND = [1.8, 0.9]
 
 
 def exact(model: Model, x: np.ndarray, seconds: float) -> np.ndarray:
     """SciPy's stiff integrator on the model's own equations."""
-    at = model.symbols()
-    f = ca.Function("f", list(at), [model.dynamics(*at)])
-    p, w = model.parameters.values, np.zeros(model.n_w)
     solved = solve_ivp(
-        lambda _, z: np.array(f(z, COMMAND, p, w)).ravel(),
+        lambda _, z: rates(model, z, COMMAND),
         (0.0, seconds),
         x,
         method="Radau",
@@ -51,8 +50,8 @@ def test_order_of_accuracy(method: Method, order: int) -> None:
         step = BufferedFunction(discretise(model, 0.4, substeps, method).step)
         after = step.evaluate(x, COMMAND, model.parameters.values, np.zeros(4))[0]
         errors.append(np.abs(after - reference).max())
-    rates = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert rates[-1] == pytest.approx(order, abs=0.4)
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert orders[-1] == pytest.approx(order, abs=0.4)
 
 
 def test_stiff_currents_are_integrated_far_above_their_time_constant() -> None:

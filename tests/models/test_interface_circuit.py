@@ -14,6 +14,8 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 
+from .simulate import rates
+
 
 def voltage(circuit, u: float, gain: float = 8.5) -> float:
     x = ca.SX.sym("u")
@@ -71,12 +73,7 @@ def test_a_straight_curve_is_the_gain(kind, write) -> None:
     assert set(nominal.parameters.names) - set(measured.parameters.names) == {"k_uv"}
     x, command = np.array([50.0, 0.1, 0.2, 120.0, 0.1, -0.3]), [1.3, 0.4]
 
-    def rates(model) -> np.ndarray:
-        at = model.symbols()
-        f = ca.Function("f", list(at), [model.dynamics(*at)])
-        return np.array(f(x, command, model.parameters.values, np.zeros(4))).ravel()
-
-    assert rates(measured) == pytest.approx(rates(nominal), rel=1e-9)
+    assert rates(measured, x, command) == pytest.approx(rates(nominal, x, command), rel=1e-9)
 
 
 def test_mistakes_are_told_with_their_place(write, tmp_path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -18,23 +16,7 @@ from trms_cli.models.rig_bodies import bodies, energies
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.models.steady_state import SteadyState
 
-from .simulate import simulate
-
-
-def square(*levels: float):
-    """Each input between its level and the opposite, every 4 s, one after the other."""
-    return lambda t: [v * (1 if (t + i) % 8 < 4 else -1) for i, v in enumerate(levels)]
-
-
-@cache
-def function_of(model: Lagrangian | Newtonian) -> ca.Function:
-    at = model.symbols()
-    return ca.Function("f", list(at), [model.dynamics(*at)])
-
-
-def rates(model, x, u=(0.0, 0.0), w=(0.0, 0.0, 0.0, 0.0)) -> np.ndarray:
-    return np.array(function_of(model)(x, list(u), model.parameters.values, list(w))).ravel()
-
+from .simulate import rates, simulate, square
 
 #: No friction, no rotor that acts on the beam.
 FREE = {"k_oh": 0.0, "k_ov": 0.0, "k_g": 0.0, "k_m": 0.0, "k_t": 0.0, "k_chp": 0.0, "k_chn": 0.0}
@@ -199,31 +181,6 @@ class TestForm:
         left = m @ acceleration + coriolis @ v + gravity.ravel()
         assert left == pytest.approx(torque + turning, rel=1e-9)
 
-    def test_currents_as_states_hardly_matter(self) -> None:
-        slow, fast = (
-            simulate(Lagrangian(currents=c), square(1.6, 0.6), 4.0, 0.02, 4)  # type: ignore[arg-type]
-            for c in ("quasi_static", "dynamic")
-        )
-        for angle in ("alpha_v", "alpha_h"):
-            assert 0 < np.abs(slow[angle] - fast[angle]).max() < 1e-4
-
-    @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
-    def test_one_axis_is_the_whole_model_with_the_other_at_rest(self, freedom: str) -> None:
-        # With the beam on the axis no acceleration of one axis turns the other; no rotor does.
-        on_axis = {"h": 0.0, "k_m": 0.0, "k_t": 0.0}
-        one = Lagrangian(freedom=freedom, parameters=on_axis)  # type: ignore[arg-type]
-        both = Lagrangian(parameters=on_axis)
-        x = dict(zip(one.state_names, (60.0, 0.3, -0.2), strict=True))
-        if freedom == "horizontal":
-            x["alpha_h"] = 0.1
-        full = np.array([x.get(name, 0.0) for name in both.state_names])
-        w = np.zeros(one.n_w)
-        found = np.array(function_of(one)(list(x.values()), 1.0, one.parameters.values, w)).ravel()
-        command = (1.0, 0.0) if freedom == "vertical" else (0.0, 1.0)
-        whole = dict(zip(both.state_names, rates(both, full, command), strict=True))
-        expected = [whole[name] for name in one.state_names]
-        assert found == pytest.approx(expected, rel=1e-9)
-
     def test_names_are_those_of_the_newtonian_model(self) -> None:
         ours, theirs = Lagrangian(), Newtonian()
         for attribute in ("states", "inputs", "outputs", "disturbances", "axes", "rotors", "stops"):
@@ -243,7 +200,7 @@ class TestForm:
     def test_takes_effects(self) -> None:
         damped = extended(Lagrangian(), {"drag": QuadraticDamping(axis="yaw", coefficient=0.05)})
         x = np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
-        assert rates(damped, x)[1] < rates(Lagrangian(), x)[1]  # type: ignore[arg-type]
+        assert rates(damped, x)[1] < rates(Lagrangian(), x)[1]
 
     def test_a_set_without_the_arm_is_told(self, tmp_path) -> None:
         from trms_cli.core.resources import config_folder

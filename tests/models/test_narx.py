@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -16,8 +14,8 @@ from trms_cli.identification.validation.prediction import measured_states
 from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
 
-sys.path.insert(0, str(Path(__file__).parent))
-from network_case import LIMITS, rig_like, structure
+from .network_case import LIMITS, rig_like, structure
+from .simulate import rates, slopes
 
 STRUCTURES = [
     {},
@@ -26,11 +24,6 @@ STRUCTURES = [
     {"output_lags": (1, 3), "input_lags": (1, 2), "incremental": False},
     {"output_lags": (1, 2), "input_lags": (1,), "differences": False},
 ]
-
-
-def step_of(model):
-    at = model.symbols()
-    return ca.Function("step", list(at), [model.transition(*at)])
 
 
 def history(model: Narx, outputs: np.ndarray, commands: np.ndarray) -> Dataset:
@@ -81,10 +74,9 @@ def test_runs_as_the_network_evaluated_on_the_history(kinds):
     y, u = rng.normal(size=(past, 4)), rng.normal(size=(past + 30, 2))
     now = past - 1
     x = measured_states(model, history(model, y, u[:past]))[-1]
-    step = step_of(model)
     found = []
     for k in range(30):
-        x = np.array(step(x, u[now + k], [], np.zeros(4)))[:, 0]
+        x = rates(model, x, u[now + k])
         found.append(x[:4])
     np.testing.assert_allclose(found, network_run(model, y, u, 30), rtol=1e-9, atol=1e-12)
 
@@ -132,9 +124,8 @@ class TestPushes:
         """A push moves a speed by T w and an angle by T² w in a sample."""
         model = rig_like()
         x, u = model.rest() + 0.1, np.array([1.0, 0.2])
-        step = step_of(model)
         w = np.array([0.3, -0.2, 50.0, -7.0])
-        moved = np.array(step(x, u, [], w) - step(x, u, [], np.zeros(4)))[:, 0]
+        moved = rates(model, x, u, w) - rates(model, x, u)
         T = 0.02
         expected = [T**2 * 0.3, -(T**2) * 0.2, T * 50.0, -T * 7.0, *([0.0] * 4)]
         np.testing.assert_allclose(moved, expected, rtol=1e-9, atol=1e-13)
@@ -150,7 +141,7 @@ class TestRest:
     def test_is_a_fixed_point(self, kinds):
         model = rig_like(**kinds, bend=0.5)
         x = model.rest()
-        after = np.array(step_of(model)(x, np.zeros(2), [], np.zeros(4)))[:, 0]
+        after = rates(model, x)
         np.testing.assert_allclose(after, x, rtol=0, atol=1e-9)
         assert np.abs(x).max() > 1e-3  # it is not simply zero
 
@@ -169,18 +160,14 @@ class TestRest:
 
 def test_derivatives_are_exact():
     model = rig_like((1, 3), (1, 2), bend=0.5)
-    at = model.symbols()
-    after = model.transition(*at)
-    slopes = ca.Function("slopes", list(at), [ca.jacobian(after, v) for v in (at[0], at[1])])
-    step = step_of(model)
     rng = np.random.default_rng(4)
-    x, u, w = model.rest() + 0.1, np.array([0.4, -0.3]), np.zeros(4)
-    in_x, in_u = (np.array(slope) for slope in slopes(x, u, [], w))
+    x, u = model.rest() + 0.1, np.array([0.4, -0.3])
+    in_x, in_u = slopes(model, x, u)
     for _ in range(5):
         dx, du = rng.normal(size=model.n_x), rng.normal(size=2)
         h = 1e-5
-        ahead, behind = (step(x + s * h * dx, u + s * h * du, [], w) for s in (1, -1))
-        difference = np.array(ahead - behind)[:, 0] / (2 * h)
+        ahead, behind = (rates(model, x + s * h * dx, u + s * h * du) for s in (1, -1))
+        difference = (ahead - behind) / (2 * h)
         np.testing.assert_allclose(in_x @ dx + in_u @ du, difference, rtol=1e-6, atol=1e-9)
 
 

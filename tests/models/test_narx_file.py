@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,7 @@ from trms_cli.effects.extended_model import effect_names
 from trms_cli.effects.model_file import load_model
 from trms_cli.models.narx_file import NarxFile, narx, read_narx_file, write_narx_file
 
-sys.path.insert(0, str(Path(__file__).parent))
-from network_case import LIMITS, rig_like
+from .network_case import LIMITS, rig_like
 
 
 @pytest.fixture

@@ -2,48 +2,22 @@
 
 from __future__ import annotations
 
-import casadi as ca
+from typing import Any
+
 import numpy as np
 import pytest
 
-from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import Model
+from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian, geometry
 
-# Equilibria at constant command of the main rotor: u_v → ω_v [rad/s], α_v [rad].
-EQUILIBRIA = {
-    -1.0: (-165.4, -0.898),
-    -0.5: (-104.8, -0.730),
-    0.2: (52.5, -0.578),
-    0.4: (86.7, -0.506),
-    0.6: (114.1, -0.422),
-    0.8: (137.6, -0.330),
-    1.0: (158.5, -0.231),
-    1.2: (177.6, -0.124),
-    1.6: (211.6, 0.121),
-    1.8: (227.1, 0.271),
-    2.0: (241.8, 0.458),
-}
+from .simulate import rates, settle, simulate, slopes, square, travel
+
+# Equilibria at constant command of the main rotor, besides those of the page of the model:
+# u_v → ω_v [rad/s], α_v [rad].
+EQUILIBRIA = {0.4: (86.7, -0.506), 0.8: (137.6, -0.330), 1.8: (227.1, 0.271)}
 # Yaw at α_v = 0: u_h → α_h [rad].
 YAW = {0.2: 0.10, 0.5: 0.50, 1.0: 1.56, -0.5: -0.85}
-
-
-def settle(model: Model, command: list[float], seconds: float = 250.0) -> dict[str, float]:
-    """State after a long time at a constant command."""
-    step = BufferedFunction(discretise(model, 0.05, 10).step)
-    x = model.rest()
-    for _ in range(round(seconds / 0.05)):
-        x = step.evaluate(x, command, model.parameters.values, np.zeros(model.n_w))[0].copy()
-    return dict(zip(model.state_names, x.tolist(), strict=True))
-
-
-def slopes(model: Model, x: np.ndarray, u: list[float]) -> np.ndarray:
-    """∂f/∂x at a point."""
-    at = model.symbols()
-    jacobian = ca.Function("jacobian", list(at), [ca.jacobian(model.dynamics(*at), at[0])])
-    return np.array(jacobian(x, u, model.parameters.values, np.zeros(model.n_w)))
 
 
 @pytest.mark.parametrize(("u_v", "expected"), EQUILIBRIA.items())
@@ -96,16 +70,18 @@ RAHIDEH = {
 }
 
 
-@pytest.mark.parametrize("name", RAHIDEH)
-def test_eigenvalues_with_the_thesis_parameters(name: str) -> None:
-    u_v, expected = RAHIDEH[name]
+def thesis() -> Newtonian:
+    """With the mean of the cable's two slopes."""
     base = Newtonian(parameter_set="rahideh").parameters
     mean = (base["k_chp"].value + base["k_chn"].value) / 2
-    model = Newtonian(parameter_set="rahideh", parameters={"k_chp": mean, "k_chn": mean})
-    state = settle(model, [u_v, 0.0])
-    state["alpha_h"] = 0.0
-    x = np.array([state[name] for name in model.state_names])
-    found = np.linalg.eigvals(slopes(model, x, [u_v, 0.0]))
+    return Newtonian(parameter_set="rahideh", parameters={"k_chp": mean, "k_chn": mean})
+
+
+@pytest.mark.parametrize("name", RAHIDEH)
+def test_eigenvalues_with_the_thesis_parameters(name: str) -> None:
+    (u_v, expected), model = RAHIDEH[name], thesis()
+    state = settle(model, [u_v, 0.0]) | {"alpha_h": 0.0}
+    found = np.linalg.eigvals(slopes(model, list(state.values()), [u_v, 0.0])[0])
     for value in expected:
         assert np.abs(found - value).min() < 2e-3
 
@@ -114,7 +90,7 @@ def test_main_rotor_at_rest_decays_with_back_emf_and_bearing_alone() -> None:
     # model.md prints −0.328 here; the exact slope at ω = 0, where the drag has none, is
     # −(kφ²/R + B_mr)/J_mr = −0.3200.
     model = Newtonian(parameter_set="rahideh")
-    found = np.linalg.eigvals(slopes(model, model.rest(), [0.0, 0.0]))
+    found = np.linalg.eigvals(slopes(model, model.rest())[0])
     p = model.parameters
     exact = -(p["kphi"].value ** 2 / p["R"].value + p["B_mr"].value) / p["J_mr"].value
     assert np.abs(found - exact).min() < 1e-9
@@ -122,9 +98,7 @@ def test_main_rotor_at_rest_decays_with_back_emf_and_bearing_alone() -> None:
 
 
 def test_thesis_gain_makes_pitch_unstable_above_the_published_angle() -> None:
-    base = Newtonian(parameter_set="rahideh").parameters
-    mean = (base["k_chp"].value + base["k_chn"].value) / 2
-    model = Newtonian(parameter_set="rahideh", parameters={"k_chp": mean, "k_chn": mean})
+    model = thesis()
     p = {parameter.name: parameter.value for parameter in model.parameters}
     g = geometry(p)
     # What holds α_v = 0.4: G sin(α_v + 0.6194) = l_m k_fvp ω_v², and the motor's balance.
@@ -135,37 +109,26 @@ def test_thesis_gain_makes_pitch_unstable_above_the_published_angle() -> None:
     inertia = g["D"] * np.cos(0.4) ** 2 + g["E"] * np.sin(0.4) ** 2 + g["F"]
     state = {"omega_v": omega, "alpha_v": 0.4, "S_h": -p["k_m"] * omega * np.cos(0.4) / inertia}
     x = np.array([state.get(name, 0.0) for name in model.state_names])
-    pair = max(np.linalg.eigvals(slopes(model, x, [u_v, 0.0])), key=lambda value: value.real)
+    pair = max(np.linalg.eigvals(slopes(model, x, [u_v, 0.0])[0]), key=lambda value: value.real)
     assert pair.real == pytest.approx(0.023, abs=2e-3)
     assert abs(pair.imag) == pytest.approx(1.270, abs=4e-3)
 
 
-def test_currents_as_states_hardly_matter() -> None:
-    # 4 s with a step on both inputs; the angles stay within 1e-4 rad.
-    def angles(model: Model) -> np.ndarray:
-        step = BufferedFunction(discretise(model, 0.02, 8).step)
-        x, rows = model.rest(), []
-        for _ in range(200):
-            u = [1.6, 0.6]
-            x = step.evaluate(x, u, model.parameters.values, np.zeros(model.n_w))[0].copy()
-            rows.append(x[[model.state_index("alpha_v"), model.state_index("alpha_h")]])
-        return np.array(rows)
-
-    difference = angles(Newtonian(currents="dynamic")) - angles(Newtonian())
-    assert 0 < np.abs(difference).max() < 1e-4
+@pytest.mark.parametrize("kind", [Newtonian, Lagrangian])
+def test_currents_as_states_hardly_matter(kind: Any) -> None:
+    # 4 s with steps on both inputs; the angles stay within 1e-4 rad.
+    slow, fast = (
+        simulate(kind(currents=c), square(1.6, 0.6), 4.0, 0.02, 8)
+        for c in ("quasi_static", "dynamic")
+    )
+    for angle in ("alpha_v", "alpha_h"):
+        assert 0 < np.abs(slow[angle] - fast[angle]).max() < 1e-4
 
 
 def test_linearised_yaw_is_uncontrollable_with_the_tail_rotor_at_rest() -> None:
-    model = Newtonian(freedom="horizontal")
-    at = model.symbols()
-    f = model.dynamics(*at)
-    slope = ca.Function("slopes", list(at), [ca.jacobian(f, at[0]), ca.jacobian(f, at[1])])
-
     def rank(omega_h: float) -> int:
-        a, b = slope([omega_h, 0.0, 0.0], [0.0], model.parameters.values, np.zeros(model.n_w))
-        a, b = np.array(a), np.array(b)
-        controllability = np.hstack([b, a @ b, a @ a @ b])
-        return int(np.linalg.matrix_rank(controllability, tol=1e-9))
+        a, b = slopes(Newtonian(freedom="horizontal"), [omega_h, 0.0, 0.0])
+        return int(np.linalg.matrix_rank(np.hstack([b, a @ b, a @ a @ b]), tol=1e-9))
 
     assert rank(0.0) == 1
     assert rank(50.0) == 3
@@ -183,31 +146,30 @@ def test_free_pitch_without_friction_conserves_energy() -> None:
         sine, cosine = np.sin(state["alpha_v"]), np.cos(state["alpha_v"])
         return kinetic - gravity * ((g["A"] - g["B"]) * sine + g["C"] * cosine)
 
-    step = BufferedFunction(discretise(model, 0.02, 4).step)
-    x = model.rest()
-    x[model.state_index("alpha_v")] = 0.4
-    before = energy(x)
-    for _ in range(1000):
-        x = step.evaluate(x, [0.0], model.parameters.values, np.zeros(model.n_w))[0].copy()
-    assert energy(x) == pytest.approx(before, rel=1e-8)
+    start = model.rest()
+    start[model.state_index("alpha_v")] = 0.4
+    end = travel(model, start, [0.0], 20.0, 0.02, 4)[-1]
+    assert energy(end) == pytest.approx(energy(start), rel=1e-8)
+
+
+#: No rotor turns the beam; with the beam on the axis no acceleration of one axis turns the other.
+APART = {"k_m": 0.0, "k_t": 0.0}
 
 
 @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
-def test_one_axis_is_the_whole_model_with_the_other_locked(freedom: str) -> None:
-    one, both = Newtonian(freedom=freedom), Newtonian()  # type: ignore[arg-type]
-    generator = np.random.default_rng(1)
-    at_one, at_both = one.symbols(), both.symbols()
-    f_one = ca.Function("one", list(at_one), [one.dynamics(*at_one)])
-    f_both = ca.Function("both", list(at_both), [both.dynamics(*at_both)])
-    x = generator.uniform(-0.3, 0.3, one.n_x)
-    full = np.zeros(both.n_x)
-    for name, value in zip(one.state_names, x, strict=True):
-        full[both.state_index(name)] = value
+@pytest.mark.parametrize(
+    ("kind", "changed"), [(Newtonian, APART), (Lagrangian, APART | {"h": 0.0})]
+)
+def test_one_axis_is_the_whole_model_with_the_other_locked(
+    kind: Any, changed: dict[str, float], freedom: str
+) -> None:
+    one, both = kind(freedom=freedom, parameters=changed), kind(parameters=changed)
+    x = dict(zip(one.state_names, (60.0, 0.3, -0.2), strict=True))
+    full = [x.get(name, 0.0) for name in both.state_names]
     command = [1.0, 0.0] if freedom == "vertical" else [0.0, 1.0]
-    found = np.array(f_one(x, [1.0], one.parameters.values, np.zeros(one.n_w))).ravel()
-    whole = np.array(f_both(full, command, both.parameters.values, np.zeros(4))).ravel()
-    expected = [whole[both.state_index(name)] for name in one.state_names]
-    assert found == pytest.approx(expected, rel=1e-9)
+    whole = dict(zip(both.state_names, rates(both, full, command), strict=True))
+    expected = [whole[name] for name in one.state_names]
+    assert rates(one, list(x.values()), [1.0]) == pytest.approx(expected, rel=1e-9)
 
 
 def test_unknown_parameter_names_the_nearest() -> None:

@@ -20,23 +20,9 @@ from trms_cli.recordings.log_reader import read_log
 from trms_cli.simulation.closed_loop import Loop
 from trms_cli.simulation.history import History
 
+from .simulate import rates, slopes, travel
+
 FREE = {"d_1": 0.0, "d_2": 0.0}
-
-
-def rates(model: QuanserAero, x, u=(0.0, 0.0), w=(0.0, 0.0, 0.0, 0.0)) -> np.ndarray:
-    at = model.symbols()
-    f = ca.Function("f", list(at), [model.dynamics(*at)])
-    return np.asarray(f(x, list(u), model.parameters.values, list(w))).ravel()
-
-
-def travel(model, x, u, seconds: float, step: float) -> np.ndarray:
-    """States over time, shape (n, 6)."""
-    advance = discretise(model, step).step
-    states = [np.asarray(x, dtype=float)]
-    for _ in range(round(seconds / step)):
-        after = advance(states[-1], list(u), model.parameters.values, np.zeros(4))
-        states.append(np.asarray(after).ravel())
-    return np.array(states)
 
 
 def inertias() -> tuple[float, float]:
@@ -109,23 +95,16 @@ def test_dry_friction_holds_below_its_size_and_brakes_above():
     model = QuanserAero(parameters=held)
     beam, yoke = inertias()
     beam -= 0.2 * 0.016**2  # of the mass that now lies on the axis
-    advance = discretise(model, 0.01).step
-    p = model.parameters.values
-    x = np.zeros(6)
-    for _ in range(100):
-        x = np.asarray(advance(x, [0, 0], p, [0.0029, -0.0019, 0, 0])).ravel()
+    x = travel(model, np.zeros(6), (0, 0), 1.0, w=[0.0029, -0.0019, 0, 0])[-1]
     # It creeps below v_s, by the torque's share of the friction.
     assert x[4] == pytest.approx(5e-4 * 0.0029 / 0.003, rel=1e-6)
     assert x[1] == pytest.approx(-5e-4 * 0.0019 / 0.002, rel=1e-6)
-    before = x[4]
-    for _ in range(100):
-        x = np.asarray(advance(x, [0, 0], p, [0.0049, 0, 0, 0])).ravel()
-    assert x[4] - before == pytest.approx((0.0049 - 0.003) / beam, rel=0.01)
-    turning = np.array([0, 0.5, 0, 0, 0, 0.0])
-    after = np.asarray(advance(turning, [0, 0], p, np.zeros(4))).ravel()
+    faster = travel(model, x, (0, 0), 1.0, w=[0.0049, 0, 0, 0])[-1]
+    assert faster[4] - x[4] == pytest.approx((0.0049 - 0.003) / beam, rel=0.01)
+    after = travel(model, [0, 0.5, 0, 0, 0, 0], (0, 0), 0.01)[-1]
     assert after[1] == pytest.approx(0.5 - 0.002 * 0.01 / (yoke + beam), rel=1e-6)
-    rigid = QuanserAero(parameters={**held, "v_s": 1e-9}).parameters.values
-    x = np.asarray(advance(np.zeros(6), [0, 0], rigid, [0.0029, -0.0019, 0, 0])).ravel()
+    rigid = QuanserAero(parameters={**held, "v_s": 1e-9})
+    x = travel(rigid, np.zeros(6), (0, 0), 0.01, w=[0.0029, -0.0019, 0, 0])[-1]
     assert np.abs(x).max() < 1e-9  # v_s
 
 
@@ -160,23 +139,13 @@ def test_the_fitted_set_is_the_published_one_but_for_what_was_fitted():
 
 def test_a_command_beyond_the_amplifier_acts_as_its_limit():
     model = QuanserAero()
-    start = np.zeros(6)
-    np.testing.assert_array_equal(
-        travel(model, start, (36.2, -30.0), 1.0, 0.02),
-        travel(model, start, (24.0, -24.0), 1.0, 0.02),
-    )
+    beyond, at_limit = (travel(model, np.zeros(6), u, 1.0, 0.02) for u in ((36.2, -30), (24, -24)))
+    np.testing.assert_array_equal(beyond, at_limit)
     # Also behind a delay, whose mean over a step is of what the amplifier lets through.
     delayed = extended(model, {"d": InputDelay(rotor="main", delay=0.03)})
-    discrete = discretise(delayed, 0.02)
-    x = np.zeros(discrete.n_x)
-    p = delayed.parameters.values
-    for command in (36.2, 24.0):
-        following = x
-        for _ in range(3):
-            following = np.asarray(discrete.step(following, [command, 0], p, np.zeros(4))).ravel()
-        if command == 36.2:
-            beyond = following
-    np.testing.assert_array_equal(beyond[:6], following[:6])
+    x = np.zeros(discretise(delayed, 0.02).n_x)
+    beyond, at_limit = (travel(delayed, x, (u, 0), 0.06, 0.02)[-1, :6] for u in (36.2, 24.0))
+    np.testing.assert_array_equal(beyond, at_limit)
 
 
 def test_the_rotor_follows_its_command_with_its_time_constant():
@@ -187,10 +156,7 @@ def test_the_rotor_follows_its_command_with_its_time_constant():
 
 def test_the_documented_eigenvalues():
     model = QuanserAero()
-    at = model.symbols()
-    slope = ca.Function("J", list(at), [ca.jacobian(model.dynamics(*at), at[0])])
-    p = model.parameters.values
-    at_rest = np.linalg.eigvals(np.asarray(slope(model.rest(), [0, 0], p, np.zeros(4))))
+    at_rest = np.linalg.eigvals(slopes(model, model.rest())[0])
     expected = [-20, -20, -0.4061, -0.0844 + 1.3047j, -0.0844 - 1.3047j, 0]
     key = lambda v: (round(v.real, 3), round(v.imag, 3))  # noqa: E731
     np.testing.assert_allclose(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,19 +14,15 @@ from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.steady_state import SteadyState, Target
 
+from .simulate import rates
+
 BOTH = Newtonian()
 SOLVER = SteadyState(BOTH)
 
 
-def rates(model: Model, target: Target, w: np.ndarray) -> np.ndarray:
-    at = model.symbols()
-    f = ca.Function("f", list(at), [model.dynamics(*at)])
-    return np.array(f(target.x, target.u, model.parameters.values, w)).ravel()
-
-
 def is_steady(model: Model, target: Target, w: np.ndarray) -> None:
     assert target.converged
-    np.testing.assert_allclose(rates(model, target, w), 0.0, atol=2e-8)
+    np.testing.assert_allclose(rates(model, target.x, target.u, w), 0.0, atol=2e-8)
     assert target.residual <= 1e-8
     lower, upper = model.input_bounds()
     assert np.all((target.u >= lower - 1e-8) & (target.u <= upper + 1e-8))

@@ -11,33 +11,14 @@ import pytest
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
-from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.static_curve import read_static_curve, rising_spline
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
 
+from .simulate import rates, slopes, travel
+
 RPM = np.pi / 30
-
-
-def function_of(model: Tras) -> ca.Function:
-    at = model.symbols()
-    return ca.Function("f", list(at), [model.dynamics(*at)])
-
-
-def rates(model: Tras, x, u=(0.0, 0.0), w=None) -> np.ndarray:
-    w = np.zeros(4) if w is None else w
-    return np.array(function_of(model)(x, list(u), model.parameters.values, w)).ravel()
-
-
-def step_through(model: Tras, x, u, seconds: float, step: float = 0.01) -> np.ndarray:
-    """States over time, shape (n, 6)."""
-    advance = discretise(model, step).step
-    states = [np.asarray(x, dtype=float)]
-    for _ in range(round(seconds / step)):
-        after = advance(states[-1], list(u), model.parameters.values, np.zeros(4))
-        states.append(np.array(after).ravel())
-    return np.array(states)
 
 
 @pytest.fixture
@@ -72,10 +53,7 @@ class TestEquations:
 
     def test_free_pitch_has_the_frequency_and_damping_of_its_constants(self):
         model = Tras()
-        at = model.symbols()
-        slope = ca.Function("J", list(at), [ca.jacobian(model.dynamics(*at), at[0])])
-        matrix = np.array(slope(model.rest(), [0, 0], model.parameters.values, np.zeros(4)))
-        pitch = [v for v in np.linalg.eigvals(matrix) if v.imag > 1]
+        pitch = [v for v in np.linalg.eigvals(slopes(model, model.rest())[0]) if v.imag > 1]
         stiffness = np.hypot(0.050, 0.094)  # N m/rad around rest
         assert len(pitch) == 1
         assert abs(pitch[0]) == pytest.approx(np.sqrt(stiffness / 0.03006))
@@ -87,7 +65,7 @@ class TestEquations:
         assert started[3] == pytest.approx(6100 * RPM, rel=1e-4)
         assert started[0] == pytest.approx(-37000 * RPM, rel=1e-4)
         # Full command: about 3860 rpm and -7340 rpm on the bench.
-        end = step_through(model, model.rest(), (1.0, -1.0), 8.0)[-1]
+        end = travel(model, model.rest(), (1.0, -1.0), 8.0)[-1]
         assert end[3] == pytest.approx(3860 * RPM, rel=0.05)
         assert end[0] == pytest.approx(-7340 * RPM, rel=0.05)
 
@@ -101,7 +79,7 @@ class TestEquations:
     def test_keeps_energy_without_friction_and_commands(self):
         model = Tras(parameters={"k_ov": 0.0, "k_oh": 0.0})
         x = np.array([0.0, 3.0, 0.1, 0.0, 1.0, 0.4])
-        states = step_through(model, x, (0.0, 0.0), 5.0, 0.002)
+        states = travel(model, x, (0.0, 0.0), 5.0, 0.002)
         rate_h, rate_v, alpha = states[:, 1], states[:, 4], states[:, 5]
         yaw_inertia = 0.0268 * np.cos(alpha) ** 2 + (0.03006 - 0.0268) * np.sin(alpha) ** 2
         energy = (
@@ -130,10 +108,8 @@ class TestEquations:
 
     def test_takes_effects(self):
         rubbing = extended(Tras(), {"rub": CoulombFriction(axis="yaw", torque=0.004)})
-        advance = discretise(rubbing, 0.01).step
-        x = Tras().rest()
         w = np.array([0.0, 0.003, 0.0, 0.0])  # less than friction holds
-        after = np.array(advance(x, [0, 0], rubbing.parameters.values, w)).ravel()
+        after = travel(rubbing, Tras().rest(), (0, 0), 0.01, w=w)[-1]
         assert after[1] == pytest.approx(0.0, abs=1e-12)
 
 
@@ -154,8 +130,8 @@ class TestMeasuredCurves:
         measured = Tras(main_curve=str(write_table("v")), tail_curve=str(write_table("h")))
         x = measured.rest()
         u = (0.7, -0.4)
-        ours = step_through(measured, x, u, 3.0)
-        theirs = step_through(Tras(), x, u, 3.0)
+        ours = travel(measured, x, u, 3.0)
+        theirs = travel(Tras(), x, u, 3.0)
         assert ours[:, [0, 3]] == pytest.approx(theirs[:, [0, 3]], abs=1.0)
         assert ours[:, [2, 5]] == pytest.approx(theirs[:, [2, 5]], abs=5e-3)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import casadi as ca
@@ -89,12 +89,13 @@ def followed(
     torque: np.ndarray | float = 0.0,
     noise_sd: np.ndarray | float = 0.0,
     lost: range = range(0),
+    spoil: Callable[[int, np.ndarray], np.ndarray] = lambda k, y: y,
 ) -> Iterator[tuple[int, Estimate]]:
     """Run rig and observer; at each sample, before the rig moves on, the estimate is yielded."""
     w = np.zeros(rig.discrete.model.n_w) + torque
     u_before = inputs[0]
     for k, u in enumerate(inputs):
-        y = rig.measure()
+        y = spoil(k, rig.measure())
         if k in lost:
             y[:] = np.nan
         yield k, observer.step(state, u_before, y, None)

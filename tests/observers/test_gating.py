@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from observed_rigs import SAMPLE_TIME, Rig, commands, setup_for
-from test_all_filters import ALL, NONLINEAR, made
 
 from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
@@ -16,6 +14,9 @@ from trms_cli.observers.kalman import Kalman
 from trms_cli.observers.recursive_filter import Gate
 from trms_cli.observers.ukf import Ukf
 
+from .observed_rigs import SAMPLE_TIME, Rig, commands, followed, setup_for
+from .test_all_filters import ALL, NONLINEAR, made
+
 MODEL = Newtonian()
 SAMPLES = 800
 
@@ -23,16 +24,10 @@ SAMPLES = 800
 def run(observer: Any, spoil: Any, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Errors of the estimated state, (samples, 6), and what was rejected, (samples, 4)."""
     state = observer.init(setup_for(MODEL))
-    rig = Rig(MODEL, names(MODEL.outputs))
-    inputs = commands(samples)
-    errors, rejected, before = [], [], inputs[0]
-    for k, u in enumerate(inputs):
-        y = spoil(k, rig.measure())
-        estimate = observer.step(state, before, y, None)
+    rig, errors, rejected = Rig(MODEL, names(MODEL.outputs)), [], []
+    for _, estimate in followed(observer, state, rig, commands(samples), spoil=spoil):
         errors.append(estimate.x - rig.x)
         rejected.append(estimate.rejected.copy())
-        rig.advance(u, np.zeros(4))
-        before = u
     return np.array(errors), np.array(rejected)
 
 

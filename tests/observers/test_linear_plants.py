@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig
 from scipy.linalg import solve_discrete_are
 
 from trms_cli.core.errors import ConfigurationError
@@ -19,6 +18,8 @@ from trms_cli.observers.mhe import Mhe
 from trms_cli.observers.observer import Observer, ObserverSetup
 from trms_cli.observers.state_dependent_ekf import StateDependentEkf
 from trms_cli.observers.ukf import Ukf
+
+from .observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig
 
 TOLD = {
     "disturbances": ("moment",),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig, commands, followed, setup_for
 
 from trms_cli.core.qp import Daqp, QpResult
 from trms_cli.models.model import names
@@ -13,6 +12,8 @@ from trms_cli.observers import mhe
 from trms_cli.observers.ekf import Ekf
 from trms_cli.observers.mhe import Mhe, bounded
 from trms_cli.observers.observer import ObserverSetup
+
+from .observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig, commands, followed, setup_for
 
 
 def test_the_two_ways_to_solve_a_step_are_one_problem() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -18,11 +15,10 @@ from trms_cli.observers.full_state import FullState
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.ukf import Ukf
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
-from network_case import rig_like
+from ..models.network_case import rig_like
+from .observed_rigs import NOISE_SD
 
-CHANNELS = ("alpha_v", "alpha_h", "omega_v", "omega_h")
-NOISE_SD = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
+CHANNELS = tuple(NOISE_SD)
 
 
 @pytest.fixture(autouse=True)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from tests.models.network_case import rig_like
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.input_delay import InputDelay
@@ -15,9 +13,6 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "models"))
-from network_case import rig_like
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,221 @@
+"""What the laws of the angles follow and reject: PID, LQR, feedback linearisation, linear MPC."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trms_cli.controllers.controller import Status
+from trms_cli.controllers.feedback_linearisation import FeedbackLinearisation
+from trms_cli.controllers.linear_mpc import LinearMpc
+from trms_cli.controllers.lqr import Lqr
+from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.nmpc import Nmpc
+from trms_cli.controllers.pid import Pid
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.lagrangian import Lagrangian
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.steady_state import SteadyState
+from trms_cli.models.tras import Tras
+
+from .closed_loop_case import (
+    SAMPLE_TIME,
+    Ran,
+    close_loop,
+    constant,
+    sample_of,
+    setup_of,
+    squares,
+    state_with,
+)
+
+BOTH = Newtonian()
+STEPS = {"alpha_v": 0.6, "alpha_h": 1.0}
+MODELS: dict[str, Model] = {
+    "newtonian": BOTH,
+    "lagrangian": Lagrangian(),
+    "vertical": Newtonian(freedom="vertical"),
+    "horizontal": Newtonian(freedom="horizontal"),
+    "currents": Newtonian(currents="dynamic"),
+    "tras": Tras(),
+    "delay": extended(BOTH, {"late": InputDelay(rotor="main", delay=0.1)}),
+}
+LATER = extended(BOTH, {"late": InputDelay(rotor="main", delay=0.3)})
+WAYS: list[Any] = ["fixed", "target", "current"]
+LAWS: dict[str, Any] = {
+    "pid": Pid(),
+    "lqr": Lqr(),
+    "feedback_linearisation": FeedbackLinearisation(),
+}
+
+
+def settled(levels: list[np.ndarray], within: float) -> float:
+    """Latest time at which any level is left by more than ``within`` rad, s."""
+    outside = [np.flatnonzero(np.abs(error) > within) for error in levels]
+    return max((rows[-1] + 1) * SAMPLE_TIME if rows.size else 0.0 for rows in outside)
+
+
+@pytest.mark.parametrize(
+    ("law", "share", "times", "overshoot", "left"),
+    [("pid", 0.02, (6.5, 8.0), 0.11, 0.003), ("lqr", 0.05, (3.5, 3.5), 0.08, 1e-3)],
+)
+def test_squares_are_followed(
+    law: str, share: float, times: tuple[float, float], overshoot: float, left: float
+) -> None:
+    """A share of the step until a time; what is left two seconds before the next step."""
+    ran = close_loop(LAWS[law], BOTH, squares(BOTH), 120.0)
+    for (angle, step), time in zip(STEPS.items(), times, strict=True):
+        levels = ran.levels(angle)
+        assert settled(levels, share * step) < time
+        assert max(error.max() for error in levels) < overshoot * step
+        assert max(np.abs(error[-100:]).max() for error in levels) < left
+    if law == "pid":  # the start, from standing rotors
+        for angle, step in (("alpha_v", 0.919), ("alpha_h", 0.5)):
+            error = ran.error(angle)[: ran.at(20.0)]
+            assert error.max() < 0.1 * step
+            assert settled([error], 0.02 * step) < 8.0
+
+
+@pytest.mark.parametrize(
+    ("law", "overshoot", "left", "models"),
+    [
+        ("pid", np.inf, 0.03, "vertical horizontal currents tras"),
+        ("lqr", np.inf, 3e-3, "vertical horizontal currents delay"),
+        (
+            "feedback_linearisation",
+            0.1,
+            5e-3,
+            "newtonian lagrangian vertical horizontal currents tras",
+        ),
+    ],
+)
+def test_every_model_is_followed(law: str, overshoot: float, left: float, models: str) -> None:
+    for name in models.split():
+        model = MODELS[name]
+        ran = close_loop(LAWS[law], model, squares(model), 60.0)
+        for angle in model.controlled:
+            for error in ran.levels(angle):
+                assert error.max() < overshoot * STEPS[angle], name
+                assert np.abs(error[-100:]).max() < left, name
+
+
+@pytest.mark.parametrize("equation", [0, 1])
+@pytest.mark.parametrize(
+    ("law", "start", "end", "felt", "left"),
+    [
+        ("pid", 30.0, 120.0, 0.01, 2e-4),
+        ("lqr", 20.0, 60.0, 0.005, 1e-4),
+        ("feedback_linearisation", 15.0, 45.0, 0.005, 1e-3),
+    ],
+)
+def test_a_constant_torque_leaves_no_error(
+    law: str, equation: int, start: float, end: float, felt: float, left: float
+) -> None:
+    push = 0.01 * np.eye(4)[equation]
+    ran = close_loop(
+        LAWS[law], BOTH, constant(0.1, 0.4), end, torque=lambda time: push * (time > start)
+    )
+    assert np.abs(ran.errors[-100:]).max() < left
+    assert np.abs(ran.errors[ran.at(start) :, equation]).max() > felt
+
+
+@pytest.mark.parametrize(
+    ("law", "start", "short", "long", "after", "last", "left"),
+    [
+        ("pid", 30.0, 10.0, 30.0, 25.0, 5.0, 0.08),
+        ("lqr", 20.0, 8.0, 30.0, 15.0, 2.0, 0.05),
+        ("feedback_linearisation", 15.0, 6.0, 25.0, 12.0, 3.0, 0.05),
+    ],
+)
+def test_an_input_at_its_limit_does_not_wind_up(
+    law: str, start: float, short: float, long: float, after: float, last: float, left: float
+) -> None:
+    """A torque that the rotor cannot hold: back as fast after a long one as after a short one."""
+
+    def pushed_for(length: float) -> tuple[Ran, float]:
+        ran = close_loop(
+            LAWS[law], BOTH, constant(0.2, 0.3), start + length + after,
+            torque=lambda time: [0, -0.11 if start < time < start + length else 0, 0, 0],
+        )  # fmt: skip
+        return ran, float(np.abs(ran.error("alpha_h"))[-ran.at(last) :].max())
+
+    (_, after_short), (ran, after_long) = pushed_for(short), pushed_for(long)
+    held = ran.u[ran.at(start + long - 10) : ran.at(start + long - 1)]
+    assert np.all(np.array(held)[:, 1] == 2.5)
+    assert after_long < after_short + 0.02
+    assert after_long < left
+
+
+@pytest.mark.parametrize(("law", "within"), [("lqr", 1e-6), ("feedback_linearisation", 0.02)])
+def test_an_estimated_torque_is_met_at_once(law: str, within: float) -> None:
+    level, push = np.array([0.1, 0.4]), np.array([0.005, 0.01, 0.0, 0.0])
+    steady = SteadyState(BOTH).solve(level, push)
+    state = LAWS[law].init(setup_of(BOTH, SAMPLE_TIME))
+    before = np.zeros(2) if law == "lqr" else steady.u
+    sample = sample_of(BOTH, level, steady.x, before, push)
+    answer = LAWS[law].step(state, sample, want_prediction=False)
+    np.testing.assert_allclose(answer.u, steady.u, atol=within)
+
+
+SHORT = {"prediction_horizon": 24, "move_blocks": (1, 1, 1, 1, 2, 2, 4, 4, 8)}
+KNOWN: list[Any] = [
+    *(
+        (LinearMpc(linearisation=way), model, (0.2, 0.5), (0.004, 0.0), 25.0, 2e-3)
+        for way in WAYS
+        for model in ("newtonian", "lagrangian", "vertical", "horizontal", "currents")
+    ),
+    (NewtonMpc(), "newtonian", (0.1, 0.2), (0.01, 0.008), 10.0, 1e-3),
+    *(
+        (Nmpc(**SHORT, machine_code=False, solver=solver), model, (0.2, 0.2), (0.004, 0), 9.0, 5e-3)
+        for solver in ("ipopt", "fatrop")
+        for model in ("vertical", "horizontal")
+    ),
+]
+
+
+@pytest.mark.parametrize(("law", "model", "level", "push", "seconds", "left"), KNOWN)
+def test_a_known_torque_leaves_no_offset(
+    law: Any, model: str, level: Any, push: Any, seconds: float, left: float
+) -> None:
+    rig = MODELS[model]
+    goal = [dict(zip(("alpha_v", "alpha_h"), level, strict=True))[name] for name in rig.controlled]
+    w = np.zeros(rig.n_w)
+    w[:2] = push
+    ran = close_loop(law, rig, constant(*goal), seconds, torque=lambda time: w, known=True)
+    np.testing.assert_allclose(ran.errors[-1], 0.0, atol=left)
+    assert all(command.status is not Status.FAILED for command in ran.commands)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_linear_mpc_reckons_with_a_known_delay(way: Any) -> None:
+    """Believing in no delay swings more than knowing it: the memory is part of the state."""
+    law = LinearMpc(
+        linearisation=way, sample_time=SAMPLE_TIME, prediction_horizon=60, move_blocks=(6,) * 10
+    )
+    aware, unaware = (
+        np.abs(close_loop(law, model, constant(0.2, 0.5), 12.0, rig=LATER).error("alpha_v"))
+        for model in (LATER, BOTH)
+    )
+    assert aware[-50:].max() < 5e-3
+    assert aware[-200:].max() < 0.5 * unaware[-200:].max()
+
+
+def test_an_lqr_reckons_with_a_known_delay() -> None:
+    late = MODELS["delay"]
+    aware, unaware = (
+        close_loop(Lqr(), model, squares(BOTH), 40.0, rig=late) for model in (late, BOTH)
+    )
+    worst = [max(e.max() for e in ran.levels("alpha_v")) for ran in (aware, unaware)]
+    assert worst[0] < worst[1]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_rotor_at_rest_does_not_stop_a_linear_mpc(way: Any) -> None:
+    """From and to yaw 0, where a linear model sees no thrust of the tail rotor."""
+    start = state_with(BOTH, alpha_h=0.6)
+    ran = close_loop(LinearMpc(linearisation=way), BOTH, constant(0.0, 0.0), 20.0, x0=start)
+    assert np.abs(ran.error("alpha_h")[-20:]).max() < 0.05
