@@ -17,10 +17,10 @@ import numpy as np
 from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import SimulationError
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model, by_name
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.rest import rest_equations
-from trms_cli.plants.plant import PlantRun, PlantSetup
+from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
 from trms_cli.references.constant import Constant
@@ -77,46 +77,34 @@ class CountedController:
         return command
 
 
-@dataclass
 class RecordedPlant:
-    """A rig that remembers its states and what reached its motors."""
+    """A rig, as the plant of an experiment, that remembers its states and its commands."""
 
-    rig: PlantRun
-    path: Path | None = None
-    until: Until | None = None
-    #: ``visited``, ``commands``, ``applied``: States before each sample; commands as given and as
-    #: they arrived
-    visited: list[FloatArray] = field(default_factory=list)
-    commands: list[FloatArray] = field(default_factory=list)
-    applied: list[FloatArray] = field(default_factory=list)
+    def __init__(self, plant: SimulatedRig, path: Path | None, until: Until | None) -> None:
+        self._plant, self._path, self._until = plant, path, until
+        #: States before each sample; commands as given and as they arrived
+        self.visited: list[FloatArray] = []
+        self.commands: list[FloatArray] = []
+        self.applied: list[FloatArray] = []
+
+    def init(self, setup: PlantSetup) -> RecordedPlant:
+        """The rig at its start."""
+        self._rig = self._plant.init(setup)
+        return self
 
     def __getattr__(self, name: str) -> object:
-        return getattr(self.rig, name)
+        return getattr(self.__dict__["_rig"], name)
 
     def advance(self, command: FloatArray) -> None:
         """A sample of the rig, its command changed on the way."""
-        if self.until is not None and (why := self.until(self.rig.state)):
+        state = self._rig.state
+        if self._until is not None and (why := self._until(state)):
             raise Enough(why)
-        k = len(self.applied)
-        arriving = command if self.path is None else self.path(k, command)
-        self.visited.append(self.rig.state.copy())
+        arriving = command if self._path is None else self._path(len(self.applied), command)
+        self.visited.append(state.copy())
         self.commands.append(command.copy())
         self.applied.append(np.array(arriving, dtype=float))
-        self.rig.advance(arriving)
-
-
-@dataclass(frozen=True)
-class _Bench:
-    """The rig as a plant of an experiment."""
-
-    rig: SimulatedRig
-    made: list[RecordedPlant]
-    path: Path | None
-    until: Until | None
-
-    def init(self, setup: PlantSetup) -> RecordedPlant:
-        self.made.append(RecordedPlant(self.rig.init(setup), self.path, self.until))
-        return self.made[-1]
+        self._rig.advance(arriving)
 
 
 def run_loop(
@@ -131,56 +119,46 @@ def run_loop(
     until: Until | None = None,
     integration_step: float = 0.005,
 ) -> LoopRun:
-    """Close the loop around an operating point.
+    """Close the loop around an operating point of a rig: it starts there, its command in force.
 
     Parameters
     ----------
     model : Model
         The rig, with its effects.
-    point : OperatingPoint
-        Of the model: the run starts there with its command in force.
     duration : float
         s.
     offset : dict of str to float
         By how much the start differs from the point, by state.
     reference : dict of str to float
         Constant references by controlled state; default the point's.
-    path : callable, optional
-        What reaches the motors instead of the command. It may raise :class:`Enough`.
-    until : callable, optional
-        Ends the run at a state, and tells why.
-
-    Returns
-    -------
-    LoopRun
-        Shorter than asked for where the run had to end (a state that is no longer finite), or
-        where the path had enough.
+    path, until : callable, optional
+        What reaches the motors instead of the command; what ends the run at a state, and tells why.
+        The run is also shorter than asked for where a state is no longer finite, or where the path
+        raises :class:`Enough`.
     """
-    start = dict(zip(model.state_names, point.x.tolist(), strict=True))
+    start = by_name(model.states, point.x)
     for name, change in (offset or {}).items():
         start[name] += change
     if model.sample_time is not None:
         # what a black box remembers follows from where it is, unless it is given
         free = {model.state_names[i] for i in rest_equations(model).unknowns}
         start = {name: value for name, value in start.items() if name in {*free, *(offset or {})}}
-    goal = {name: float(point.x[model.state_index(name)]) for name in model.controlled} | dict(
-        reference or {}
-    )
+    goal = {name: point.value(model, name) for name in model.controlled} | dict(reference or {})
     rig = SimulatedRig(
         model=model,
         integration_step=integration_step,
         sensors=Sensors(noise_sd={}, quantum={}),
         initial=start,
-        first_command=dict(zip(names(model.inputs), point.u.tolist(), strict=True)),
+        first_command=by_name(model.inputs, point.u),
         mechanical_stops=False,
     )
     signals: dict[str, Any] = {name: Constant(offset=value) for name, value in goal.items()}
-    made: list[RecordedPlant] = []
+    plant = RecordedPlant(rig, path, until)
     period = getattr(loop.controller, "sample_time", None)
     counted = CountedController(loop.controller, period, Counter())
     experiment = Experiment(
         model=loop.model,
-        plant=_Bench(rig, made, path, until),
+        plant=plant,
         observer=loop.observer,
         controller=counted,
         reference=ReferenceTrajectory(**signals),
@@ -196,13 +174,11 @@ def run_loop(
         ended = str(enough)
     except (ArithmeticError, SimulationError) as error:
         ended = str(error)
-    plant = made[0]
     n = len(plant.applied)
-    kept = plant.visited[:n], plant.commands[:n], plant.applied
-    widths = model.n_x, model.n_u, model.n_u
-    x, u, applied = (
-        np.array(rows, dtype=float).reshape(n, width)
-        for rows, width in zip(kept, widths, strict=True)
+    x = np.array(plant.visited, dtype=float).reshape(n, model.n_x)
+    u, applied = (
+        np.array(rows, dtype=float).reshape(n, model.n_u)
+        for rows in (plant.commands, plant.applied)
     )
     failures = sum(kind == "solver" for _, kind, *_ in running.history.events)
     time = np.arange(n, dtype=np.float64) * loop.sample_time

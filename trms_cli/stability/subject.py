@@ -56,23 +56,13 @@ class Subject:
     def require_equations(
         self, study: str, instead: str = "", *, command_path: bool = False
     ) -> Model:
-        """The model, refused if it only steps from sample to sample.
+        """The model, refused if it only steps from sample to sample: ModelError.
 
-        Parameters
-        ----------
-        study : str
-            Who asks, for the message.
-        instead : str
-            What is possible instead, for the message.
-        command_path : bool
-            Whether effects stay that only change a command on its way to the motors (a delay, a
-            dead zone). Like those of sensors they are no part of ẋ = f(x, u): without them,
-            whoever simulates sees the same rig as whoever reads the equations, and commands are
-            those that reach the motors. Effects with impulses (dry friction) stay.
-
-        Raises
-        ------
-        ModelError
+        The message says who asks (``study``) and what is possible instead. Effects that only change
+        a command on its way to the motors (a delay, a dead zone) stay with ``command_path``. Like
+        those of sensors they are no part of ẋ = f(x, u): without them, whoever simulates sees the
+        same rig as whoever reads the equations, and commands are those that reach the motors.
+        Effects with impulses (dry friction) stay.
         """
         if self.model.sample_time is not None:
             raise ModelError(
@@ -87,10 +77,7 @@ class Subject:
         return _without_paths(self.model)
 
     def require_loop(self, study: str) -> LoopParts:
-        """The loop, refused where there is none.
-
-        Raises ConfigurationError.
-        """
+        """The loop; ConfigurationError where there is none."""
         if self.loop is None:
             raise ConfigurationError(
                 f"{study} is about a closed loop, and no controller is chosen",
@@ -100,10 +87,7 @@ class Subject:
         return self.loop
 
     def require_no_loop(self, study: str, instead: str = "") -> None:
-        """Refuse a controller where the study is about the model alone.
-
-        Raises ConfigurationError.
-        """
+        """Refuse a controller where the study is about the model alone: ConfigurationError."""
         if self.loop is not None:
             raise ConfigurationError(
                 f"{study} is about the model alone, and controller={self.loop.names['controller']} "

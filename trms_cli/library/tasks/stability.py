@@ -149,19 +149,13 @@ def _left_out(subject: Subject) -> list[str]:
     """What of the effects is no part of ẋ = f(x, u), for a study of the model alone."""
     if subject.loop is not None:
         return []
-    left_out = []
-    if subject.dry:
-        left_out.append(
-            f"{', '.join(subject.dry)}: dry friction acts by impulses, which are no part of "
-            "ẋ = f(x, u); eigenvalues and equilibria are those without"
-        )
-    if subject.on_commands:
-        left_out.append(
-            f"{', '.join(subject.on_commands)}: on the commands' way to the motors; eigenvalues "
-            "are those of the rig behind it"
-        )
-    if subject.on_sensors:
-        left_out.append(
-            f"{', '.join(subject.on_sensors)}: changes what is measured, not how the rig moves"
-        )
-    return left_out
+    dry = "dry friction acts by impulses, which are no part of ẋ = f(x, u); "
+    kinds = (
+        (subject.dry, dry + "eigenvalues and equilibria are those without"),
+        (
+            subject.on_commands,
+            "on the commands' way to the motors; eigenvalues are those of the rig behind it",
+        ),
+        (subject.on_sensors, "changes what is measured, not how the rig moves"),
+    )
+    return [f"{', '.join(effects)}: {words}" for effects, words in kinds if effects]

@@ -54,21 +54,9 @@ def branch_and_bound(
 ) -> BoxSearch:
     """Take boxes in the order of their keys until none is left, or that is enough.
 
-    Parameters
-    ----------
-    first : BoxSearch
-        To begin with.
-    visit : callable
-        (boxes (m, n), keys (m,)) → the halves that stay open, their keys, and how many boxes were
-        bounded for that.
-    budget : int
-        Boxes to bound at most.
-    enough : callable
-        Whether the search may end at a lowest key.
-    chunk : int
-        Boxes that are visited at once.
-    whole_chunks : bool
-        Whether the last chunk may take more boxes than the budget has left.
+    ``visit``: (boxes (m, n), keys (m,)) → the halves that stay open, their keys, and how many boxes
+    were bounded for that; a chunk of boxes at once. At most the budget is bounded, unless the last
+    chunk may take more (``whole_chunks``). ``enough``: whether it may end at a lowest key.
     """
     boxes, keys, examined = first.boxes, first.keys, first.examined
     while len(keys) and examined < budget:

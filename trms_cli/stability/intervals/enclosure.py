@@ -61,7 +61,9 @@ class Enclosure:
                     "bounds are known",
                     remedy="statements by intervals are not possible for this model",
                 )
-        self._rows = [_positions(function.sparsity_out(i)) for i in range(function.n_out())]
+        # Row and column of each nonzero of the outputs, in CasADi's order.
+        triplets = (function.sparsity_out(i).get_triplet() for i in range(function.n_out()))
+        self._rows = [list(zip(*triplet, strict=True)) for triplet in triplets]
         self._slope: Enclosure | None = None
 
     def __call__(self, *arguments: Interval) -> list[Interval]:
@@ -70,7 +72,8 @@ class Enclosure:
         Arguments are one an input, (n_boxes, size), or (size,) for one that all boxes share.
         """
         count = max((len(a.lower) for a in arguments if a.lower.ndim == 2), default=1)
-        results = [_zeros(count, self.function.size_out(i)) for i in range(self.function.n_out())]
+        sizes = [(count, *self.function.size_out(i)) for i in range(self.function.n_out())]
+        results = [Interval(np.zeros(size), np.zeros(size)) for size in sizes]
         _run(self._program, arguments, results, self._rows, count)
         return [
             Interval(r.lower[:, :, 0], r.upper[:, :, 0]) if r.lower.shape[2] == 1 else r
@@ -142,10 +145,9 @@ def _run(
                 condition = (which, not holds)
         elif operation == ca.OP_IF_ELSE_ZERO:
             value, branch = _half(work[inputs[0]], work[inputs[1]], conditions.get(inputs[0]))
-        elif operation == ca.OP_ADD and _belong(branches, inputs):
-            value = _joined(
-                branches[inputs[0]], branches[inputs[1]], work[inputs[0]], work[inputs[1]]
-            )
+        elif operation == ca.OP_ADD and (hull := _other_half(branches, inputs)) is not None:
+            # The sum where the switch is decided; both bounds hold everywhere.
+            value = (work[inputs[0]] + work[inputs[1]]).intersection(hull)
         elif operation in _UNARY:
             value = _UNARY[operation](work[inputs[0]])
         else:
@@ -166,29 +168,20 @@ def _half(
     never, always = truth.upper < 0.5, truth.lower > 0.5
     zero = np.zeros(1)
     hull = value.hull(Interval(zero, zero))
-    found = Interval(
+    half = Interval(
         np.where(never, 0.0, np.where(always, value.lower, hull.lower)),
         np.where(never, 0.0, np.where(always, value.upper, hull.upper)),
     )
-    return found, None if condition is None else _Branch(*condition, value)
+    return half, None if condition is None else _Branch(*condition, value)
 
 
-def _belong(branches: dict[int, _Branch], inputs: list[int]) -> bool:
+def _other_half(branches: dict[int, _Branch], inputs: list[int]) -> Interval | None:
+    """The hull of both branches of a switch, where its halves are what is added."""
     first, second = branches.get(inputs[0]), branches.get(inputs[1])
-    return (
-        first is not None
-        and second is not None
-        and first.condition == second.condition
-        and first.holds != second.holds
-    )
-
-
-def _joined(first: _Branch, second: _Branch, one: Interval, other: Interval) -> Interval:
-    """Both halves of a switch: their sum where it is decided, else the hull of the branches.
-
-    Both bounds hold everywhere, so that the narrower may be taken.
-    """
-    return (one + other).intersection(first.value.hull(second.value))
+    if first is None or second is None:
+        return None
+    belong = first.condition == second.condition and first.holds != second.holds
+    return first.value.hull(second.value) if belong else None
 
 
 def _compare(
@@ -215,14 +208,6 @@ _COMPARISONS = {
 }
 
 
-def _sign(a: Interval) -> Interval:
-    return Interval(np.sign(a.lower), np.sign(a.upper))
-
-
-def _tangent(a: Interval) -> Interval:
-    return a.sine() / a.cosine()
-
-
 def _to_the_power(a: Interval, b: Interval) -> Interval:
     exponent = b.lower.flat[0] if b.lower.size else 0.0
     constant = bool(np.all(b.lower == exponent) and np.all(b.upper == exponent))
@@ -241,10 +226,10 @@ _UNARY: dict[int, Callable[[Interval], Interval]] = {
     ca.OP_SQRT: Interval.square_root,
     ca.OP_INV: Interval.reciprocal,
     ca.OP_FABS: Interval.absolute,
-    ca.OP_SIGN: _sign,
+    ca.OP_SIGN: lambda a: Interval(np.sign(a.lower), np.sign(a.upper)),
     ca.OP_SIN: Interval.sine,
     ca.OP_COS: Interval.cosine,
-    ca.OP_TAN: _tangent,
+    ca.OP_TAN: lambda a: a.sine() / a.cosine(),
     ca.OP_EXP: lambda a: a.rising(np.exp),
     ca.OP_EXPM1: lambda a: a.rising(np.expm1),
     ca.OP_LOG: lambda a: a.rising(np.log),
@@ -268,16 +253,6 @@ _BINARY: dict[int, Callable[[Interval, Interval], Interval]] = {
     ca.OP_OR: lambda a, b: Interval(np.maximum(a.lower, b.lower), np.maximum(a.upper, b.upper)),
 }
 _SPECIAL = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_NOT, ca.OP_IF_ELSE_ZERO, *_COMPARISONS}
-
-
-def _zeros(count: int, size: tuple[int, int]) -> Interval:
-    return Interval(np.zeros((count, *size)), np.zeros((count, *size)))
-
-
-def _positions(sparsity: ca.Sparsity) -> list[tuple[int, int]]:
-    """Row and column of each nonzero, in CasADi's order."""
-    rows, columns = sparsity.get_triplet()
-    return list(zip(rows, columns, strict=True))
 
 
 def _name(operation: int) -> str:

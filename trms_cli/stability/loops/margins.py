@@ -1,12 +1,11 @@
-"""What a single loop can take, read off its Nyquist curve.
+"""Margins of a measured loop: of each command alone, and of all of them at once.
 
 The loop is known to be stable: it was measured closed. Along a change of the loop that grows from
-nothing, it stays so until the changed curve first runs through −1. For a factor g that is a
+nothing, it stays so until the changed Nyquist curve first runs through −1. For a factor g that is a
 crossing of the negative real axis at −1/g; for a phase or a delay, a crossing of the unit circle.
 
-Disk margins: how much gain and phase may change at once.
-
-A loop's actuator is changed by a factor f from the disk
+Disk margins tell how much gain and phase may change at once. A loop's actuator is changed by a
+factor f from the disk
 
     D(α) = { (1 + δ/2) / (1 − δ/2) : |δ| < α }
 
@@ -21,12 +20,8 @@ if they vary with frequency, up to
 μ is the structured singular value for diagonal complex Δ. For two loops it is exact here: the
 upper bound ``min_D σ̄(D M D⁻¹)`` equals μ up to three blocks, and the best scaling of a 2 × 2
 matrix is the one that makes its off-diagonal entries equal. Beyond two loops the norm σ̄, a bound
-on the safe side, is used.
-
-Source: Seiler, Packard & Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine
-40(5), 2020, the balanced case (skew 0).
-
-Margins of a measured loop: of each command alone, and of all of them at once.
+on the safe side, is used (Seiler, Packard & Gahinet, "An introduction to disk margins", IEEE
+Control Systems Magazine 40(5), 2020, the balanced case, skew 0).
 
 Between the lines the sensitivity S is interpolated, not L: the closed loop has no sharp peaks
 where the rig's lightly damped modes and the controller's integrators have theirs. How far that
@@ -38,6 +33,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
@@ -74,19 +70,15 @@ def classical_margins(omega: FloatArray, loops: ComplexArray) -> ClassicalMargin
     lags = [limit for curve in curves for limit in _lags(omega, curve)]
     # a lead of φ is a lag of 2π − φ
     phases = [StabilityLimit(min(lag.value, 2 * math.pi - lag.value), lag.omega) for lag in lags]
+    delays = [StabilityLimit(lag.value / lag.omega, lag.omega) for lag in lags]
+    value = attrgetter("value")
     return ClassicalMargins(
-        up=min((f for f in factors if f.value > 1), key=_value, default=None),
-        down=max((f for f in factors if f.value < 1), key=_value, default=None),
-        phase=min(phases, key=_value, default=None),
-        delay=min(
-            (StabilityLimit(g.value / g.omega, g.omega) for g in lags), key=_value, default=None
-        ),
+        up=min((f for f in factors if f.value > 1), key=value, default=None),
+        down=max((f for f in factors if f.value < 1), key=value, default=None),
+        phase=min(phases, key=value, default=None),
+        delay=min(delays, key=value, default=None),
         crossover=max((lag.omega for lag in lags), default=0.0),
     )
-
-
-def _value(limit: StabilityLimit) -> float:
-    return limit.value
 
 
 def _factors(omega: FloatArray, curve: ComplexArray) -> list[StabilityLimit]:
@@ -96,14 +88,14 @@ def _factors(omega: FloatArray, curve: ComplexArray) -> list[StabilityLimit]:
     share = before.imag[k] / (before.imag[k] - after.imag[k])
     real = before.real[k] + share * (after.real[k] - before.real[k])
     at = omega[k] + share * (omega[k + 1] - omega[k])
-    found = [
+    limits = [
         StabilityLimit(-1 / r, w) for r, w in zip(real.tolist(), at.tolist(), strict=True) if r < 0
     ]
     # the curve of a sampled loop ends on the real axis, at half the rate
     end = complex(curve[-1])
     if end.real < 0 and abs(end.imag) < 1e-3 * abs(end.real):
-        found.append(StabilityLimit(-1 / end.real, float(omega[-1])))
-    return found
+        limits.append(StabilityLimit(-1 / end.real, float(omega[-1])))
+    return limits
 
 
 def _lags(omega: FloatArray, curve: ComplexArray) -> list[StabilityLimit]:
@@ -225,17 +217,12 @@ class MarginResult:
     @cached_property
     def loops(self) -> tuple[LoopMargins, ...]:
         """Each loop's own."""
-        return tuple(self._of(i, name) for i, name in enumerate(self.response.inputs))
-
-    def _of(self, i: int, name: str) -> LoopMargins:
-        S, T = self.S[:, i, i], self.T[:, i, i]
-        return LoopMargins(
-            name,
-            classical_margins(self.omega, self.single[:, i]),
-            peak(self.omega, np.abs(S)),
-            peak(self.omega, np.abs(T)),
-            disk_margin(self.omega, np.abs(S - T)),
-        )
+        w, loops = self.omega, []
+        for i, name in enumerate(self.response.inputs):
+            S, T = self.S[:, i, i], self.T[:, i, i]
+            peaks, disk = (peak(w, np.abs(S)), peak(w, np.abs(T))), disk_margin(w, np.abs(S - T))
+            loops.append(LoopMargins(name, classical_margins(w, self.single[:, i]), *peaks, disk))
+        return tuple(loops)
 
     @cached_property
     def together(self) -> ClassicalMargins:

@@ -19,7 +19,6 @@ from trms_cli.stability.equilibria.findings import EquilibriaResult, findings_of
 from trms_cli.stability.equilibria.named_points import NamedPoint, named_points
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import (
-    Survey,
     SurveySetting,
     equilibrium_map,
     setting_of,
@@ -67,17 +66,10 @@ class Equilibria:
             command_path=True,
         )
         settings = [self._setting(model, name) for name in self._inputs(model)]
-        surveys = [
-            survey(
-                model,
-                setting,
-                self.box,
-                np.linspace(*setting.bounds, self.proof_points),
-                self.proof_range,
-                tell,
-            )
-            for setting in settings
-        ]
+        surveys = []
+        for setting in settings:
+            inputs = np.linspace(*setting.bounds, self.proof_points)
+            surveys.append(survey(model, setting, self.box, inputs, self.proof_range, tell))
         tell("rest and hover")
         named, missing = self._named(model)
         stable_map = None
@@ -86,35 +78,29 @@ class Equilibria:
             stable_map = equilibrium_map(model, surveys[0], surveys[1].setting.over)
         result = EquilibriaResult(model, surveys, named, stable_map, missing)
         findings = findings_of(result, subject.left_out_of_equations())
-        return replace(findings, warnings=[*findings.warnings, *self._held_outside(surveys)])
-
-    def _held_outside(self, surveys: list[Survey]) -> list[str]:
-        """Surveys that hold an angle outside the box, where nothing else was asked for."""
-        return [
+        held_outside = [
             f"over {symbol(one.setting.over)} the beam is held at {symbol(name)} = {value:g} rad, "
             f"outside the box: another angle by study.at.{name}=…"
             for one in surveys
             for name, value in one.setting.held.items()
             if name in self.box and not self.box[name][0] <= value <= self.box[name][1]
         ]
+        return replace(findings, warnings=[*findings.warnings, *held_outside])
 
     def _named(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
         """The named points; rest and hover only within the box, and why one is missing."""
         points, missing = named_points(model, self.special)
         kept = []
         for point in points:
-            out = [
-                name
+            outside = ", ".join(
+                f"{symbol(name)} = {point.value(model, name):.4g}"
                 for name, (low, high) in self.box.items()
-                if not low <= point.x[model.state_index(name)] <= high
-            ]
-            if not out or point.name in self.special:
+                if not low <= point.value(model, name) <= high
+            )
+            if not outside or point.name in self.special:
                 kept.append(point)
                 continue
-            where = ", ".join(
-                f"{symbol(name)} = {point.x[model.state_index(name)]:.4g}" for name in out
-            )
-            missing.append(f"{point.name} lies outside the box ({where}) and is left out")
+            missing.append(f"{point.name} lies outside the box ({outside}) and is left out")
         return kept, missing
 
     def _inputs(self, model: Model) -> tuple[str, ...]:
@@ -164,20 +150,14 @@ class Equilibria:
                 where=f"study.range.{over}",
                 remedy="give the lower value first",
             )
-        self._require_reached(model)
-        return setting_of(model, over, (float(low), float(high)), self.at)
-
-    def _require_reached(self, model: Model) -> None:
-        """Angles that are held lie in the box and within the stops."""
-        for name, value in self.at.items():
-            if name not in model.controlled:
-                continue
-            low, high = self.box.get(name) or usual_bounds(model, name)
+        for name in (name for name in self.at if name in model.controlled):
+            least, most = self.box.get(name) or usual_bounds(model, name)
             stop = model.stops.get(name, math.inf)
-            low, high = max(low, -stop), min(high, stop)
-            if not low <= value <= high:
+            least, most = max(least, -stop), min(most, stop)
+            if not least <= self.at[name] <= most:
                 raise ConfigurationError(
-                    f"{name} = {value:g} rad lies outside the box or beyond a stop",
+                    f"{name} = {self.at[name]:g} rad lies outside the box or beyond a stop",
                     where=f"study.at.{name}",
-                    remedy=f"hold it between {low:.4g} and {high:.4g} rad",
+                    remedy=f"hold it between {least:.4g} and {most:.4g} rad",
                 )
+        return setting_of(model, over, (float(low), float(high)), self.at)

@@ -101,10 +101,8 @@ def _lead(
         "unstable": "small motions grow",
     }[modes.verdict]
     sentences = [f"{modes.verdict.capitalize()}, {verdict}, at {words}."]
-    critical = max(
-        (m for m in modes.modes if math.isfinite(m.eigenvalue.real)),
-        key=lambda m: m.eigenvalue.real,
-    )
+    finite = (m for m in modes.modes if math.isfinite(m.eigenvalue.real))
+    critical = max(finite, key=lambda m: m.eigenvalue.real)
     sentences.append(f"Closest to growing is {_described(critical)}.")
     swing = [m for m in modes.modes if m.oscillates and m is not critical and not m.alternating]
     for mode in sorted(swing, key=lambda m: m.damping_ratio or 0.0)[:2]:
@@ -145,10 +143,8 @@ def _lead_range(locus: Locus) -> list[str]:
     unstable = max(float(track.slowest.real.max()) for track in locus.tracks)
     if not locus.crossings:
         # A mode that is at rest on the axis everywhere does not cross it.
-        always = "no mode crosses the imaginary axis"
-        return [
-            f"Over {span}, {always}{'; one is unstable throughout' if unstable > 1e-6 else ''}."
-        ]
+        always = "; one is unstable throughout" if unstable > 1e-6 else ""
+        return [f"Over {span}, no mode crosses the imaginary axis{always}."]
     sentences = [
         f"{path.over} = {c.value:.4g} {path.unit} ({locus.name(c)}, "
         + (f"{c.frequency:.3g} rad/s, " if c.frequency else "")

@@ -107,8 +107,10 @@ class RootLocus:
         sections = [_locus_section(locus), _why_section(locus, reasons)]
         mapped, at_ends = None, []
         if against is not None:
+            usual = self.over is None and self.against in (None, _USUAL_AGAINST)
+            asked = self.against_range or (_USUAL_AGAINST_RANGE if usual else None)
             line = OperatingPath(model, at, against, self.side)
-            span_2 = line.range(self._against_range(), "study.against_range")
+            span_2 = line.range(asked, "study.against_range")
             size = (self.map_points, 2 * self.map_points + 1)
             mapped = stability_map(path, against, (low, high), span_2, size, tell)
             ends = (float(locus.sweep.values[0]), float(locus.sweep.values[-1]))
@@ -122,10 +124,6 @@ class RootLocus:
             _warnings(locus, sides),
         )
 
-    def _against_range(self) -> tuple[float, float] | None:
-        usual = self.over is None and self.against in (None, _USUAL_AGAINST)
-        return _USUAL_AGAINST_RANGE if usual and self.against_range is None else self.against_range
-
     def _asked(
         self, model: Model
     ) -> tuple[dict[str, float], str, tuple[float, float] | None, str | None]:
@@ -133,14 +131,9 @@ class RootLocus:
         over = line_of(model, at, self.over, "")
         if over:
             return at, over, self.range, self.against
-        both = {"pitch", "yaw"} <= set(model.axes)
-        if _USUAL_PARAMETER in model.parameters and both:
-            return (
-                at or dict(_USUAL_AT),
-                _USUAL_PARAMETER,
-                self.range or _USUAL_RANGE,
-                self.against or _USUAL_AGAINST,
-            )
+        if _USUAL_PARAMETER in model.parameters and {"pitch", "yaw"} <= set(model.axes):
+            at, span = at or dict(_USUAL_AT), self.range or _USUAL_RANGE
+            return at, _USUAL_PARAMETER, span, self.against or _USUAL_AGAINST
         return at, usual_line(model), self.range, self.against
 
 
@@ -153,10 +146,8 @@ def _sides(
     if not path.linear.switches(middle.point.x, middle.point.u, middle.held.p):
         return {}
     values: dict[str, list[float]] = {}
-    others: tuple[Side, ...] = ("upper", "lower", "mean")
-    for side in others:
-        if side == path.side:
-            continue
+    every: tuple[Side, ...] = ("upper", "lower", "mean")
+    for side in (side for side in every if side != path.side):
         tell(f"with the slopes of the {side} side")
         other = OperatingPath(path.model, path.at, path.over, side)
         crossed = crossings(other, sweep_eigenvalues(other, *span, points))
@@ -166,22 +157,13 @@ def _sides(
 
 def _nearest(locus: Locus) -> list[ModeSensitivity]:
     """The reason for the mode that comes closest to the axis from the left, where one does."""
-    best = None
-    for track in locus.tracks:
-        if track.fast:
-            continue
-        growth = track.rates.real.max(axis=1)
-        varies = float(np.ptp(track.rates.real, axis=0).max()) > _STILL
-        k = int(np.argmax(growth))
-        if varies and (best is None or growth[k] > best[0]):
-            member = track.members[
-                int(np.argmax(track.rates[k].real + 1e-12 * track.rates[k].imag))
-            ]
-            best = (float(growth[k]), k, member, track.name)
-    if best is None:
+    varying = [t for t in locus.slow if float(np.ptp(t.rates.real, axis=0).max()) > _STILL]
+    if not varying:
         return []
-    _, k, member, name = best
-    nearest = mode_sensitivity(locus.path, locus.sweep.places[k], member, name)
+    track = max(varying, key=lambda track: float(track.rates.real.max()))
+    k = int(np.argmax(track.rates.real.max(axis=1)))
+    member = track.members[int(np.argmax(track.rates[k].real + 1e-12 * track.rates[k].imag))]
+    nearest = mode_sensitivity(locus.path, locus.sweep.places[k], member, track.name)
     if moves(nearest.sensitivity):
         return [nearest]
     return [replace(nearest, course=growth_trend(locus.path, locus.sweep, k, member))]
@@ -233,10 +215,8 @@ def _why_section(locus: Locus, reasons: list[ModeSensitivity]) -> Section:
         text.append(_still_words(path))
     if reasons and len(locus.sweep.places) > 2:
         mode = reasons[0].mode
-        if locus.crossings:
-            member = locus.crossings[0].track
-        else:
-            member = next(t.members[0] for t in locus.tracks if t.name == mode)
+        own = (track.members[0] for track in locus.tracks if track.name == mode)
+        member = locus.crossings[0].track if locus.crossings else next(own)
         chart = share_chart("root_locus_why", path, locus.sweep, member, mode)
         blocks += [] if chart is None else [chart]
     return Section("Why", text, blocks)
@@ -317,11 +297,11 @@ def _lead(
 def _held_words(path: OperatingPath) -> str:
     """``at alpha_v = 0.4 rad``: what is held besides what is varied."""
     model = path.model
-    held = [amount_words(model, name, v) for name, v in path.at.items() if name != path.over]
-    if not held and path.kind == "angle":
-        held = [amount_words(model, name, 0.0) for name in model.controlled if name != path.over]
-        return f"at {', '.join(held)}" if held else "held by its command"
-    return f"at {', '.join(held)}" if held else "at rest without command"
+    at, nothing = path.at, "at rest without command"
+    if path.kind == "angle" and not at.keys() - {path.over}:
+        at, nothing = dict.fromkeys(model.controlled, 0.0), "held by its command"
+    held = [amount_words(model, name, v) for name, v in at.items() if name != path.over]
+    return f"at {', '.join(held)}" if held else nothing
 
 
 def _still_words(path: OperatingPath) -> str:
@@ -330,16 +310,10 @@ def _still_words(path: OperatingPath) -> str:
 
 def _warnings(locus: Locus, sides: Mapping[str, list[float]]) -> list[str]:
     path, sweep = locus.path, locus.sweep
-    sentences = []
-    if sides:
-        sentences.append(
-            "The operating points lie on a switch, where a coefficient depends on a direction: "
-            f"the slopes are those of the {path.side}"
-            + (" of both sides" if path.side == "mean" else " side")
-            + " (study.side)."
-        )
-    if len(sweep.places) < 2:
-        sentences.append(
-            f"There is but one operating point along {path.over}: {sweep.high or sweep.low}."
-        )
-    return sentences
+    side = "mean of both sides" if path.side == "mean" else f"{path.side} side"
+    switch = (
+        "The operating points lie on a switch, where a coefficient depends on a direction: the "
+        f"slopes are those of the {side} (study.side)."
+    )
+    alone = f"There is but one operating point along {path.over}: {sweep.high or sweep.low}."
+    return [*([switch] if sides else []), *([alone] if len(sweep.places) < 2 else [])]
