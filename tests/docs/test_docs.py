@@ -14,6 +14,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ from .markdown import blocks
 ROOT = Path(__file__).parents[2]
 #: Pages whose commands are typed here.
 TYPED = ["README.md", "docs/getting-started.md", "docs/tutorial.md", "docs/writing-a-plugin.md"]
+#: Pages whose runs are looked at afterwards: as long as they say.
+WHOLE = ["docs/recordings.md", "docs/excitation.md"]
+TYPED += WHOLE
 #: What others of them type in much the same words.
 LONG = {"docs/getting-started.md", "docs/how-to/real-time-export.md"}
 TYPED += sorted(page.relative_to(ROOT).as_posix() for page in ROOT.glob("docs/how-to/*.md"))
@@ -42,7 +46,11 @@ _SHORT = 2.0  # s
 
 
 def shortened(command: str) -> str:
-    """A run that begins as the page says, but ends soon and draws nothing."""
+    """A run that begins as the page says, but ends soon; drawings have tests of their own."""
+    if command.startswith(("trms excite ", "trms identify ")):
+        return f"{command} picture=false"
+    if command.startswith("trms validate "):
+        return f"{command} page=false windows.stride=2"
     if not command.startswith("trms run ") or "--cfg" in command:
         return command
     if "controller=played" in command:  # what is recorded is fitted afterwards: all of it counts
@@ -74,32 +82,64 @@ def says(expected: str, output: str) -> bool:
     return re.fullmatch(rf"\s*{pattern}\s*", " ".join(output.split()), re.DOTALL) is not None
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in TYPED]
-)
-def test_what_a_page_tells_to_type_works(name: str, tmp_path: Path) -> None:
-    (tmp_path / "docs").symlink_to(ROOT / "docs")
+def type_page(name: str, folder: Path, change: Callable[[str], str] = shortened) -> int:
+    """Write its files, type its commands, compare what it shows; the number of commands."""
     count = 0
     for block in blocks(ROOT / name):
         place = f"{name}, line {block.line}"
         if block.file is not None:
-            file = tmp_path / block.file
+            file = folder / block.file
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(block.text, encoding="utf-8")
         elif block.language == "sh" and "by-hand" not in block.words:
             for command in block.commands:
-                done = typed(shortened(command), tmp_path)
+                done = typed(change(command), folder)
                 assert done.returncode == 0, f"{place}: {command}\n{done.stdout}{done.stderr}"
                 assert "Traceback" not in done.stderr
                 count += 1
         elif block.language == "console" and "by-hand" not in block.words:
             first, _, expected = block.text.partition("\n")
-            command = first.removeprefix("$ ")
-            done = typed(command, tmp_path)
+            done = typed(first.removeprefix("$ "), folder)
             output = done.stdout + done.stderr
-            assert says(expected, output), f"{place}: {command}\n{output}"
+            assert says(expected, output), f"{place}: {first}\n{output}"
             count += 1
-    assert count >= 3
+    return count
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in TYPED]
+)
+def test_what_a_page_tells_to_type_works(name: str, tmp_path: Path) -> None:
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    change = str if name in WHOLE else shortened
+    assert type_page(name, tmp_path, change) >= (1 if name in WHOLE else 3)
+
+
+@pytest.mark.slow
+def test_from_a_recording_to_a_model_that_runs(tmp_path: Path) -> None:
+    assert type_page("docs/identify.md", tmp_path, str) >= 6
+    fit = json.loads((tmp_path / "fit/identification.json").read_text(encoding="utf-8"))
+    for name, before in fit["errors"]["held_out"]["before"].items():
+        assert fit["errors"]["held_out"]["after"][name]["rmse"] < before["rmse"]
+    found = {frozenset(entry["names"]) for entry in fit["identifiability"]["confounded"]}
+    assert frozenset({"m_cb", "l_cb"}) in found  # as the page says
+    for name in ("model.yaml", "identification.html", "config.yaml", "free_runs.png"):
+        assert (tmp_path / "fit" / name).is_file()
+    search = json.loads((tmp_path / "search/identification.json").read_text(encoding="utf-8"))
+    assert search["details"]["generations"] == 5
+
+
+@pytest.mark.slow
+def test_the_table_of_excitations_is_what_the_program_says(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "excitation.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", page, re.M)
+    assert len(rows) == 4
+    for kind, *numbers in rows:
+        done = typed(f"trms excite excitation={kind} rigs=0 picture=false out={kind}", tmp_path)
+        assert done.returncode == 0, done.stderr
+        inputs = json.loads((tmp_path / kind / "excitation.json").read_text())["inputs"]
+        measured = [inputs[n][k] for n in ("u_v", "u_h") for k in ("amplitude", "crest_factor")]
+        assert measured == pytest.approx([float(n) for n in numbers], rel=0.02), kind
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
