@@ -10,6 +10,7 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from study_cases import NEWTONIAN, answer
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.newtonian import Newtonian
@@ -31,10 +32,9 @@ from trms_cli.stability.local.access import (
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.local.modes import modes_of
 from trms_cli.stability.studies.controllability import Controllability
-from trms_cli.stability.study import silent
-from trms_cli.stability.subject import Subject
 
 U_V, U_H = 0, 1
+AT = {"alpha_v": 0.0, "alpha_h": 0.3}
 
 
 class Case:
@@ -78,7 +78,7 @@ def test_the_tail_rotor_does_not_move_yaw_where_it_stands_still(at, currents):
 
 
 def test_yaw_is_controllable_where_the_tail_rotor_turns():
-    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    case = Case(NEWTONIAN, AT)
     reach = case.by_inputs("yaw swing", [U_H])
     assert reach.grade == "yes" and reach.margin > 0.1
     assert all(case.by_inputs(mode, [U_V, U_H]).grade == "yes" for mode in case.modes)
@@ -91,9 +91,7 @@ def test_no_input_turns_the_other_rotor():
 
 
 def test_the_gain_of_yaw_goes_as_the_speed_of_the_tail_rotor():
-    findings = Controllability(range=(-0.04, 0.04), points=9).run(
-        Subject(Newtonian(), "newtonian"), silent
-    )
+    findings = answer(Controllability(range=(-0.04, 0.04), points=9))
     found = findings.results["range"]
     omega = np.array(found["states"]["omega_h"])
     moved = np.array(found["moved_per_unit_rms"]["alpha_h"]["u_h"])
@@ -117,9 +115,9 @@ def test_one_input_does_not_move_two_equal_rotors():
 
 
 def test_angles_alone_see_every_mode_and_pitch_alone_not_yaw_at_rest():
-    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    case = Case(NEWTONIAN, AT)
     assert all(case.by_sensors(m, ["alpha_v", "alpha_h"]).grade == "yes" for m in case.modes)
-    rest = Case(Newtonian(), {})
+    rest = Case(NEWTONIAN, {})
     assert rest.by_sensors("yaw swing", ["alpha_v"]).grade == "none"
     assert rest.by_sensors("pitch swing", ["alpha_h"]).grade == "none"
     # The main rotor at rest has no thrust, and its momentum turns yaw only.
@@ -134,31 +132,24 @@ def test_a_free_yaw_is_not_seen_without_its_encoder():
 
 
 def test_constant_torques_by_sensor_set():
-    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    case = Case(NEWTONIAN, AT)
     angles, everything = case.torques(["alpha_v", "alpha_h"]), case.torques(case.outputs)
     # Two angles in rest cannot tell more than two torques, whatever the filter.
-    assert angles.together == 2 and all(torque.seen for torque in angles.torques)
+    assert angles.together == 2 and all(torque.seen for torque in angles.alone.values())
     assert everything.together == 4
-    pitch_alone = {t.name: t.seen for t in case.torques(["alpha_v"]).torques}
-    assert pitch_alone == {
-        "pitch_moment": True,
-        "yaw_moment": False,
-        "main_motor": True,
-        "tail_motor": False,
-    }
-
-
-def test_a_torque_on_a_free_yaw_is_not_told_by_pitch():
-    case = Case(QuanserAero(), {"alpha_v": 0.2})
-    seen = {t.name: t.seen for t in case.torques(["alpha_v"]).torques}
-    assert seen["pitch_moment"] and not seen["yaw_moment"]
+    free_yaw = Case(QuanserAero(), {"alpha_v": 0.2})
+    for one, seen in ((case, {"pitch_moment", "main_motor"}), (free_yaw, {"pitch_moment"})):
+        alone = one.torques(["alpha_v"]).alone
+        assert {name for name, t in alone.items() if t.seen} >= seen
+        assert not alone["yaw_moment"].seen
+    assert not case.torques(["alpha_v"]).alone["tail_motor"].seen
 
 
 def test_the_error_of_a_torque_is_that_of_a_kalman_filter():
     # A joint filter on state and torque, read every 10 ms, from the same prior.
     case = Case(Newtonian(freedom="vertical"), {"alpha_v": 0.0})
     duration, step = 2.0, 0.01
-    sentences = case.torques(["alpha_v"], duration).torques[0]
+    (torque, *_) = case.torques(["alpha_v"], duration).alone.values()
     m, n = case.matrices, case.model.n_x
     joint = np.zeros((n + 1, n + 1))
     joint[:n, :n], joint[:n, n] = m.a, m.e[:, 0]
@@ -173,7 +164,7 @@ def test_the_error_of_a_torque_is_that_of_a_kalman_filter():
         now = flow @ now
         information += now.T @ row.T @ row @ now / 0.00044**2
     error = math.sqrt(np.linalg.inv(information)[n, n])
-    assert sentences.errors[0] == pytest.approx(error, rel=0.03)
+    assert torque.error == pytest.approx(error, rel=0.03)
 
 
 def _stable(seed):
@@ -209,25 +200,20 @@ def test_finite_gramians_are_the_integral_for_unstable_systems_too(seed, duratio
 
 
 def test_finite_gramians_stand_poles_that_a_block_exponential_does_not():
-    case = Case(Newtonian(currents="dynamic"), {"alpha_v": 0.0, "alpha_h": 0.3})
-    slow = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
-    row = {c: c.model.state_index("alpha_h") for c in (case, slow)}
-    volts = [
-        volts_to_move(
-            controllability_gramian(c.matrices.a, c.matrices.b[:, [U_H]], 2.0),
-            np.eye(c.model.n_x)[row[c]],
-            0.1,
-            2.0,
-        )
-        for c in (case, slow)
-    ]
+    case = Case(Newtonian(currents="dynamic"), AT)
+    slow = Case(NEWTONIAN, AT)
+    volts = []
+    for c in (case, slow):
+        gramian = controllability_gramian(c.matrices.a, c.matrices.b[:, [U_H]], 2.0)
+        direction = np.eye(c.model.n_x)[c.model.state_index("alpha_h")]
+        volts.append(volts_to_move(gramian, direction, 0.1, 2.0))
     assert volts[0] == pytest.approx(volts[1], rel=1e-3)
     stationary = stationary_gramian(case.matrices.a, case.matrices.b)
     assert np.isfinite(stationary).all()
 
 
 def test_gramians_of_a_step_count_energy_as_those_in_continuous_time():
-    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    case = Case(NEWTONIAN, AT)
     a, b = case.matrices.a, case.matrices.b
     step = 0.005
     block = scipy.linalg.expm(np.block([[a, b], [np.zeros((2, 6)), np.zeros((2, 2))]]) * step)
@@ -237,7 +223,7 @@ def test_gramians_of_a_step_count_energy_as_those_in_continuous_time():
 
 
 def test_the_least_command_moves_the_rig_as_far_as_it_says():
-    case = Case(Newtonian(), {"alpha_v": 0.0, "alpha_h": 0.3})
+    case = Case(NEWTONIAN, AT)
     a, b, T = case.matrices.a, case.matrices.b[:, [U_H]], 2.0
     row = np.eye(6)[case.model.state_index("alpha_h")]
     gramian = controllability_gramian(a, b, T)
@@ -247,13 +233,10 @@ def test_the_least_command_moves_the_rig_as_far_as_it_says():
     def command(t):
         return float((b.T @ scipy.linalg.expm(a.T * (T - t)) @ row)[0]) * 0.1 / reach
 
-    run = solve_ivp(
-        lambda t, x: np.append(a @ x[:6] + b[:, 0] * command(t), command(t) ** 2),
-        (0, T),
-        np.zeros(7),
-        rtol=1e-8,
-        atol=1e-10,
-    )
+    def rate(t, x):
+        return np.append(a @ x[:6] + b[:, 0] * command(t), command(t) ** 2)
+
+    run = solve_ivp(rate, (0, T), np.zeros(7), rtol=1e-8, atol=1e-10)
     assert run.y[:6, -1] @ row == pytest.approx(0.1, rel=1e-5)
     assert math.sqrt(run.y[6, -1] / T) == pytest.approx(volts, rel=1e-5)
 
@@ -277,37 +260,28 @@ def test_usual_sets_of_sensors():
     model = Newtonian()
     sets = sensor_sets(model, None)
     assert [set_words(model, one) for one in sets] == [
-        "all",
-        "angles, omega_v",
-        "angles, omega_h",
-        "angles",
-        "alpha_v",
-        "alpha_h",
-        "omega_v",
-        "omega_h",
+        *("all", "angles, omega_v", "angles, omega_h", "angles"),
+        *("alpha_v", "alpha_h", "omega_v", "omega_h"),
     ]
     assert sensor_sets(model, [["alpha_h"]]) == (("alpha_h",),)
 
 
 def test_the_study_reports_everything():
-    findings = Controllability(points=7).run(Subject(Newtonian(), "newtonian"), silent)
+    findings = answer(Controllability(points=7))
     results = findings.results
     assert results["at"]["x"]["alpha_h"] == pytest.approx(0.3)
     assert results["gramians"]["lyapunov_residual"] < 1e-10
     assert len(results["gramians"]["hankel"]) == 6
     yaw = next(mode for mode in results["modes"] if mode["name"] == "yaw swing")
     assert set(yaw["by_input"]) == {"u_v", "u_h", "together"}
-    assert {chart.name for chart in findings.charts} == {
-        "controllability_loss",
-        "controllability_volts",
-        "observability_torques",
-    }
+    drawn = {"controllability_loss", "controllability_volts", "observability_torques"}
+    assert {chart.name for chart in findings.charts} == drawn
     angles = next(t for t in results["torques"] if t["sensors"] == ["alpha_v", "alpha_h"])
     assert angles["together"] == 2
 
 
 def test_where_yaw_is_free_the_pitch_is_varied():
-    findings = Controllability(points=7).run(Subject(QuanserAero(), "quanser_aero"), silent)
+    findings = answer(Controllability(points=7), QuanserAero())
     found = findings.results["range"]
     assert found["over"] == "alpha_v"
     moved = np.array(found["moved_per_unit_rms"]["alpha_v"]["u_v"])
@@ -317,4 +291,4 @@ def test_where_yaw_is_free_the_pitch_is_varied():
 @pytest.mark.parametrize("sensors", [(("alpha_z",),), ((),)])
 def test_sensors_that_do_not_exist_are_refused(sensors):
     with pytest.raises(ConfigurationError, match=r"study\.sensors"):
-        Controllability(sensors=sensors).run(Subject(Newtonian(), "newtonian"), silent)
+        answer(Controllability(sensors=sensors))

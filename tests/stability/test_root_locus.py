@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from study_cases import RAHIDEH, answer
 
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.inflow import Inflow
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian, geometry
@@ -24,7 +27,6 @@ from trms_cli.stability.local.stability_map import stability_map
 from trms_cli.stability.local.sweep import OperatingPath, crossings, sweep_eigenvalues, tracks_of
 from trms_cli.stability.studies.root_locus import RootLocus
 from trms_cli.stability.study import silent
-from trms_cli.stability.subject import Subject
 
 RANGE = (0.0123, 0.2)
 
@@ -37,11 +39,10 @@ def locus(at, over, span, side="mean", points=21, model=None):
 
 def test_the_thesis_value_of_k_g_destabilises_pitch_above_the_published_angle():
     # model.md: above 0.34 rad. The slopes of the upper side give it exactly, the mean 0.347.
-    model = Newtonian(parameter_set="rahideh")
-    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "upper", 31, model)
+    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "upper", 31, RAHIDEH)
     assert found[0].value == pytest.approx(0.3396, abs=5e-4)
     assert found[0].unstable_above and found[0].kind == "Hopf"
-    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "mean", 31, model)
+    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "mean", 31, RAHIDEH)
     assert found[0].value == pytest.approx(0.3468, abs=5e-4)
 
 
@@ -77,7 +78,7 @@ def test_the_crossing_is_that_of_a_model_built_with_the_value():
     ],
 )
 def test_sensitivities_are_those_of_finite_differences(at, over, span):
-    path, sweep, _ = locus(at, over, span, points=5, model=Newtonian(parameter_set="rahideh"))
+    path, sweep, _ = locus(at, over, span, points=5, model=RAHIDEH)
     place = sweep.places[2]
     h = 1e-6 * (span[1] - span[0])
     for track in range(path.model.n_x):
@@ -111,10 +112,9 @@ def test_the_loop_is_closed_over_pitch_and_yaw():
 
 def test_the_instability_needs_both_couplings_in_product():
     _, _, (over_k_g,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
-    thesis = Newtonian(parameter_set="rahideh")
-    _, _, (over_k_m,) = locus({"alpha_v": 0.4}, "k_m", (0.0, 4e-4), model=thesis)
+    _, _, (over_k_m,) = locus({"alpha_v": 0.4}, "k_m", (0.0, 4e-4), model=RAHIDEH)
     bench = Newtonian().parameters
-    assert over_k_m.value * thesis.parameters["k_g"].value == pytest.approx(
+    assert over_k_m.value * RAHIDEH.parameters["k_g"].value == pytest.approx(
         over_k_g.value * bench["k_m"].value, rel=1e-6
     )
 
@@ -124,7 +124,7 @@ def test_the_lagrangian_form_has_no_such_instability():
     path, sweep, found = locus({}, "alpha_v", (-0.6, 0.94), points=31, model=model)
     assert found == () and sweep.eigenvalues.real.max() < 0
     # Its yaw moment depends on the pitch rate, which the Newtonian form's does not.
-    for form, expected in ((model, -0.186), (Newtonian(parameter_set="rahideh"), 0.0)):
+    for form, expected in ((model, -0.186), (RAHIDEH, 0.0)):
         path = OperatingPath(form, {}, "alpha_v")
         point = path.first(0.4, 0.4).point
         row, column = (form.state_index(name) for name in ("S_h", "S_v"))
@@ -143,9 +143,6 @@ def test_gains_of_loops_are_those_of_masons_rule():
 
 
 def test_the_size_of_an_effect_can_be_varied():
-    from trms_cli.effects.extended_model import extended
-    from trms_cli.effects.inflow import Inflow
-
     model = extended(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=10.0)})
     path, sweep, _ = locus({"alpha_v": 0.0}, "main_inflow.coefficient", (0.0, 60.0), model=model)
     assert path.unit == "rad/m"
@@ -172,7 +169,7 @@ def test_the_map_has_holes_where_there_is_no_operating_point():
 
 def test_a_locus_over_a_command_ends_at_the_fold_and_so_does_its_map():
     asked = RootLocus(over="u_v", range=(1.5, 2.5), against="u_h", points=9, map_points=3)
-    findings = asked.run(Subject(Newtonian(), "newtonian"), silent)
+    findings = answer(asked)
     values = findings.results["locus"]["values"]
     assert values[-1] == pytest.approx(2.23, abs=5e-3)
     assert "ends" in findings.results["locus"]["ended_high"]
@@ -180,7 +177,7 @@ def test_a_locus_over_a_command_ends_at_the_fold_and_so_does_its_map():
 
 
 def test_the_study_says_where_and_why():
-    findings = RootLocus(points=21, map_points=5).run(Subject(Newtonian(), "newtonian"), silent)
+    findings = answer(RootLocus(points=21, map_points=5))
     assert "k_g = 0.14813" in findings.lead[0]
     sentences = " ".join(findings.lead)
     assert "pitch moment per yaw rate" in sentences
@@ -190,12 +187,13 @@ def test_the_study_says_where_and_why():
     assert results["crossings_by_side"]["upper"][0] == pytest.approx(0.1413, abs=1e-3)
     (at_model, *_) = [e for e in results["map"]["along_against"] if e["over"] == 0.2]
     assert at_model["crossings"][0]["value"] == pytest.approx(0.347, abs=2e-3)
-    assert {chart.name for chart in findings.charts} == {
-        "root_locus",
-        "root_locus_range",
-        "root_locus_why",
-        "root_locus_map",
-    }
+    drawn = {"root_locus", "root_locus_range", "root_locus_why", "root_locus_map"}
+    assert {chart.name for chart in findings.charts} == drawn
+    # Numbers have units.
+    assert "At alpha_v = 0.4 rad the pitch swing" in sentences
+    assert "unstable above alpha_v = 0.3468 rad" in sentences
+    commands = answer(RootLocus(over="k_g", at={"u_v": 1.0}, points=5))
+    assert "At u_v = 1 V, k_g" in commands.lead[0]
 
 
 @pytest.mark.parametrize(
@@ -204,21 +202,17 @@ def test_the_study_says_where_and_why():
         ({"over": "k_q"}, "k_g"),
         ({"over": "k_g", "range": (0.1, 0.1)}, "different"),
         ({"over": "k_ov", "range": (-1.0, 0.1)}, "between"),
-        (
-            {"over": "k_g", "at": {"alpha_v": 0.1}, "against": "u_h", "map_points": 3},
-            "others follow",
-        ),
+        ({"over": "k_g", "at": {"alpha_v": 0.1}, "against": "u_h"}, "others follow"),
     ],
 )
 def test_bad_requests_say_what_is_possible(asked, says):
     with pytest.raises(ConfigurationError) as refused:
-        RootLocus(points=3, **asked).run(Subject(Newtonian(), "newtonian"), silent)
+        answer(RootLocus(points=3, **asked))
     assert says in f"{refused.value.problem} {refused.value.remedy}"
 
 
 def test_at_a_kink_it_is_said_where_and_what_the_growth_rate_does_over_the_range():
-    subject = Subject(Newtonian(freedom="horizontal"), "horizontal")
-    findings = RootLocus(points=41).run(subject, silent)
+    findings = answer(RootLocus(points=41), Newtonian(freedom="horizontal"))
     sentences = " ".join(findings.lead)
     assert "does not move the growth rate" not in sentences
     assert "The tail rotor comes closest to the axis at alpha_h = 0 rad" in sentences
@@ -228,7 +222,7 @@ def test_at_a_kink_it_is_said_where_and_what_the_growth_rate_does_over_the_range
 
 
 def test_at_an_extreme_rounding_is_no_cause():
-    findings = RootLocus(points=21).run(Subject(QuanserAero(), "quanser_aero"), silent)
+    findings = answer(RootLocus(points=21), QuanserAero())
     assert abs(findings.results["why"][0]["dlambda"][0]) < 1e-6
     sentences = " ".join(findings.lead)
     assert "comes closest to the axis at alpha_v = 0 rad" in sentences and "e-" not in sentences
@@ -248,10 +242,7 @@ def test_what_cancels_but_for_rounding_moves_nothing(parts, moved):
 
 def test_a_number_that_moves_nothing_is_told_as_such():
     # The cable's stiffness on the other side of the yaw.
-    model = Newtonian()
-    findings = RootLocus(over="k_chp", at={"alpha_h": -0.3}, points=5).run(
-        Subject(model, "newtonian"), silent
-    )
+    findings = answer(RootLocus(over="k_chp", at={"alpha_h": -0.3}, points=5))
     assert "k_chp moves no growth rate" in " ".join(findings.lead)
     assert findings.results["why"] == []
 
@@ -267,14 +258,3 @@ def test_the_chart_of_a_jump_breaks_its_curves_there():
     # At the jump itself, and where the derivative grows beyond bounds beside it.
     assert np.any(np.abs(sweep.values[gaps]) < 1e-9)
     assert np.all(np.abs(sweep.values[gaps]) < 0.01)
-
-
-def test_numbers_have_units():
-    findings = RootLocus(points=11, map_points=3).run(Subject(Newtonian(), "newtonian"), silent)
-    sentences = " ".join(findings.lead)
-    assert "At alpha_v = 0.4 rad the pitch swing" in sentences
-    assert "unstable above alpha_v = 0.3468 rad" in sentences
-    commands = RootLocus(over="k_g", at={"u_v": 1.0}, points=5).run(
-        Subject(Newtonian(), "newtonian"), silent
-    )
-    assert "At u_v = 1 V, k_g" in commands.lead[0]

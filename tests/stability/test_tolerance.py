@@ -159,12 +159,8 @@ class TestWhatGoesWrong:
         assert rig.parameters["added_friction_pitch.torque"].value == 0.004
 
     def test_each_rig_has_its_own(self):
-        assert [one.key for one in impairments_of(Newtonian(freedom="vertical"))] == [
-            "delay",
-            "gain_up_u_v",
-            "gain_down_u_v",
-            "friction_pitch",
-        ]
+        keys = [one.key for one in impairments_of(Newtonian(freedom="vertical"))]
+        assert keys == ["delay", "gain_up_u_v", "gain_down_u_v", "friction_pitch"]
 
 
 #: Close to the point the rig is linear, and the simulated limit has to be the foretold one.
@@ -217,10 +213,8 @@ class TestTheStudy:
         assert down["verdict"] == "rests beside"
         assert f"below {share:.2g}" in told["gain_down_u_v"]["compared"]
         assert told["friction_pitch"]["linear"] is None
-        assert {chart.name for chart in findings.charts} == {
-            "tolerance_overview",
-            "tolerance_responses",
-        }
+        drawn = {chart.name for chart in findings.charts}
+        assert drawn == {"tolerance_overview", "tolerance_responses"}
         assert len(findings.lead) == 8
 
     def test_its_margins_are_those_of_the_other_study(self):
@@ -242,29 +236,30 @@ def test_a_gain_too_small_is_stood_down_to_a_factor():
     assert "stood up to ×4" in told
 
 
-class TestBadRequests:
-    def test_no_controller(self):
-        with pytest.raises(ConfigurationError, match="no controller is chosen"):
-            NEAR.run(Subject(MODEL, "newtonian"), silent)
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"delays": ()}, "no sizes"),
+        ({"offset": {"alpha_x": 0.1}}, "alpha_x"),
+        ({"offset": {"alpha_v": -2.0}}, "counts as lost"),
+        pytest.param(
+            {"duration": 1.0, "swing": 1e-9, "rest": 1e-9},
+            "with nothing wrong",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_what_makes_no_sense_is_refused(keys, says):
+    with pytest.raises(ConfigurationError, match=says):
+        replace(NEAR, **keys).run(subject_of(lqr()), silent)
 
-    def test_nothing_to_try(self):
-        with pytest.raises(ConfigurationError, match="no sizes"):
-            replace(NEAR, delays=()).run(subject_of(lqr()), silent)
 
-    def test_no_such_state(self):
-        with pytest.raises(ConfigurationError, match="alpha_x"):
-            replace(NEAR, offset={"alpha_x": 0.1}).run(subject_of(lqr()), silent)
+def test_without_a_controller_there_is_no_loop():
+    with pytest.raises(ConfigurationError, match="no controller is chosen"):
+        NEAR.run(Subject(MODEL, "newtonian"), silent)
 
-    def test_a_start_that_is_lost(self):
-        with pytest.raises(ConfigurationError, match="counts as lost"):
-            replace(NEAR, offset={"alpha_v": -2.0}).run(subject_of(lqr()), silent)
 
-    @pytest.mark.slow
-    def test_a_loop_that_is_never_back(self):
-        with pytest.raises(ConfigurationError, match="with nothing wrong"):
-            replace(NEAR, duration=1.0, swing=1e-9, rest=1e-9).run(subject_of(lqr()), silent)
-
-    @pytest.mark.slow
-    def test_a_loop_that_does_not_hold(self):
-        findings = NEAR.run(subject_of(Changed(lqr(), late=4)), silent)
-        assert findings.results["holds"] is False
+@pytest.mark.slow
+def test_a_loop_that_does_not_hold():
+    findings = NEAR.run(subject_of(Changed(lqr(), late=4)), silent)
+    assert findings.results["holds"] is False

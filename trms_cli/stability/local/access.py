@@ -264,16 +264,13 @@ def _eigenvectors(mode: EigenMode, scales: Scales) -> tuple[ComplexArray, Comple
 class Gramians:
     """Gramians at a point, states and inputs scaled (a full command is 1, a motion is 1)."""
 
-    #: ``reach``, ``sight``: (n, n) arrays; of controllability and of observability over the finite
-    #: time
-    reach: FloatArray
-    sight: FloatArray
-    #: ``reach_forever``, ``sight_forever``: (n, n) arrays or None; of a stable system for ever
-    reach_forever: FloatArray | None
-    sight_forever: FloatArray | None
-    #: (n,) array or None; hankel singular values of a stable system, largest first
-    hankel: FloatArray | None
-    residual: float | None  #: Largest entry of ``A W + W Aᵀ + B Bᵀ`` relative to that of ``B Bᵀ``
+    controllability: FloatArray  #: (n, n) array; over the finite time
+    observability: FloatArray  #: (n, n) array; over the finite time
+    controllability_forever: FloatArray | None  #: (n, n) array; of a stable system
+    observability_forever: FloatArray | None  #: (n, n) array; of a stable system
+    hankel: FloatArray | None  #: (n,) array; Hankel singular values of one, largest first
+    #: Largest entry of ``A W + W Aᵀ + B Bᵀ`` relative to that of ``B Bᵀ``
+    lyapunov_residual: float | None
 
 
 def gramians(matrices: Matrices, scales: Scales, duration: float) -> Gramians:
@@ -438,21 +435,21 @@ _PRIOR = 10.0
 
 @dataclass(frozen=True)
 class TorqueEstimate:
-    """Whether sensors tell a constant torque."""
+    """Whether sensors tell a constant torque, if it is the only one."""
 
-    name: str  #: Of the disturbance
-    seen: bool  #: If it is the only one
-    #: Standard deviation of its estimate after each of the times asked for, in its unit; None where
-    #: it is not seen
-    errors: tuple[float | None, ...]
+    seen: bool
+    #: Standard deviation of its estimate after the first of the times asked for, in its unit, and
+    #: after each of the others; None where it is not seen
+    error: float | None
+    errors_over_time: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
 class TorqueEstimates:
     """All constant torques by one set of sensors."""
 
-    torques: tuple[TorqueEstimate, ...]
     together: int  #: How many of them can be told at once
+    alone: dict[str, TorqueEstimate]  #: By disturbance
 
 
 def torque_estimates(
@@ -475,16 +472,16 @@ def torque_estimates(
     own_a, own_c, own_e = basis.T @ steady @ basis, c @ basis, basis.T @ e
     sizes = np.abs(own_e).max(axis=0, initial=0.0)
     acts = sizes > _RANK * np.abs(e).max(axis=0, initial=0.0)
-    torques = []
+    alone = {}
     for j, name in enumerate(names):
         seen = bool(acts[j]) and _rank(own_a, own_e[:, [j]], own_c) == len(own_a) + 1
-        errors = tuple(
+        error, *others = (
             _error(a, e[:, [j]], c, duration, step, reading_time) if seen else None
             for duration in durations
         )
-        torques.append(TorqueEstimate(name, seen, errors))
+        alone[name] = TorqueEstimate(seen, error, tuple(others))
     together = _rank(own_a, own_e[:, acts], own_c) - len(own_a) if acts.any() else 0
-    return TorqueEstimates(tuple(torques), together)
+    return TorqueEstimates(together, alone)
 
 
 def _error(

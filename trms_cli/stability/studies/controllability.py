@@ -228,7 +228,7 @@ def controllability_findings(result: ControllabilityResult) -> Findings:
 
 
 def _data(result: ControllabilityResult) -> dict[str, Any]:
-    model, sweep, gramians = result.model, result.sweep, result.gramians
+    model, sweep = result.model, result.sweep
     inputs = names(model.inputs)
     with_all = [*inputs, "together"] if model.n_u > 1 else inputs
 
@@ -266,29 +266,8 @@ def _data(result: ControllabilityResult) -> dict[str, Any]:
             name: by_name(model.inputs, row)
             for name, row in zip(model.state_names, result.volts, strict=True)
         },
-        "gramians": {
-            "controllability": gramians.reach,
-            "observability": gramians.sight,
-            "controllability_forever": gramians.reach_forever,
-            "observability_forever": gramians.sight_forever,
-            "hankel": gramians.hankel,
-            "lyapunov_residual": gramians.residual,
-        },
-        "torques": [
-            {
-                "sensors": one,
-                "together": estimates.together,
-                "alone": {
-                    t.name: {
-                        "seen": t.seen,
-                        "error": t.errors[0],
-                        "errors_over_time": t.errors[1:],
-                    }
-                    for t in estimates.torques
-                },
-            }
-            for one, estimates in result.torques.items()
-        ],
+        "gramians": result.gramians,
+        "torques": [{"sensors": one} | vars(result.torques[one]) for one in result.sets],
         "torque_times_s": result.times,
         "range": {
             "over": result.path.over,
@@ -330,11 +309,11 @@ def _lead(result: ControllabilityResult) -> list[str]:
         if words in ("all", "angles") or k == 0:
             words = {"all": "all sensors", "angles": "the angles alone"}.get(words, words)
             torques = result.torques[one]
-            count = sum(torque.seen for torque in torques.torques)
+            count = sum(torque.seen for torque in torques.alone.values())
             sentences.append(
                 f"With {words} "
                 + (f"not seen: {', '.join(blind)}" if blind else "every mode is seen")
-                + f"; of {len(torques.torques)} constant torques {count} can be told one at a time "
+                + f"; of {len(torques.alone)} constant torques {count} can be told one at a time "
                 f"and {torques.together} at once."
             )
     return sentences
@@ -419,7 +398,7 @@ def _inputs(result: ControllabilityResult) -> Section:
         "The point is not asymptotically stable: Gramians exist over a finite time only."
         if gramians.hankel is None
         else "The point is stable, so that Gramians for ever exist (Lyapunov equation, residual "
-        f"{gramians.residual:.1e}); Hankel singular values of the scaled system: "
+        f"{gramians.lyapunov_residual:.1e}); Hankel singular values of the scaled system: "
         f"{', '.join(f'{v:.3g}' for v in gramians.hankel)}.",
     ]
     return Section("What the inputs move", text, (modes, moves))
@@ -445,16 +424,14 @@ def _sensors(result: ControllabilityResult) -> Section:
 def _torques(result: ControllabilityResult) -> Section:
     model = result.model
 
-    def estimate(one: tuple[str, ...], j: int) -> Cell:
-        torque = result.torques[one].torques[j]
-        if not torque.seen:
-            return Judged("no", "bad")
-        error = torque.errors[0]
-        return Judged("weakly", "doubtful") if error is None else f"±{error:.2g}"
+    def estimate(one: tuple[str, ...], name: str) -> Cell:
+        torque = result.torques[one].alone[name]
+        weakly = Judged("weakly", "doubtful") if torque.seen else Judged("no", "bad")
+        return weakly if torque.error is None else f"±{torque.error:.2g}"
 
     rows: list[list[Cell]] = [
-        [f"{signal.name} [{signal.unit}]", *(estimate(one, j) for one in result.sets)]
-        for j, signal in enumerate(model.disturbances)
+        [f"{signal.name} [{signal.unit}]", *(estimate(one, signal.name) for one in result.sets)]
+        for signal in model.disturbances
     ]
     rows.append(["told at once", *(result.torques[one].together for one in result.sets)])
     errors = Table(
@@ -565,10 +542,10 @@ def _volts_chart(result: ControllabilityResult) -> Chart:
 def _torque_chart(result: ControllabilityResult) -> Chart | None:
     """How exactly each set of sensors tells a constant torque, over the time it has."""
     model, panels = result.model, []
-    for j, signal in enumerate(model.disturbances):
+    for signal in model.disturbances:
         marks: list[Mark] = []
         for one, colour in zip(result.sets, _COLOURS, strict=False):
-            errors = result.torques[one].torques[j].errors[1:]
+            errors = result.torques[one].alone[signal.name].errors_over_time
             values = np.array([np.nan if e is None else e for e in errors])
             if np.isfinite(values).any():
                 marks.append(Curve(result.times, values, set_words(model, one), colour))

@@ -1,0 +1,18 @@
+"""Studies of a model alone, as the tests ask for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trms_cli.core.findings import Findings
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.stability.study import Study, silent
+from trms_cli.stability.subject import Subject
+
+NEWTONIAN = Newtonian()
+#: The thesis's parameters of the same equations.
+RAHIDEH = Newtonian(parameter_set="rahideh")
+
+
+def answer(study: Study, model: Any = NEWTONIAN) -> Findings:
+    return study.run(Subject(model, "tested"), silent)
