@@ -29,8 +29,7 @@ from trms_cli.stability.local.access import (
     torque_estimates,
     volts_to_move,
 )
-from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.local.modes import modes_of
+from trms_cli.stability.local.linear import Linear, modes_of
 from trms_cli.stability.studies.controllability import Controllability
 
 U_V, U_H = 0, 1

@@ -19,7 +19,6 @@ from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.models.tras import Tras
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.equilibria.named_points import named_points
 from trms_cli.stability.equilibria.proof import Prover, over_range
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import (
@@ -27,6 +26,7 @@ from trms_cli.stability.equilibria.survey import (
     SurveySetting,
     bounds_of,
     complete_curves,
+    named_points,
     setting_of,
     survey,
 )

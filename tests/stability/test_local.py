@@ -21,9 +21,9 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.local.modes import (
+from trms_cli.stability.local.linear import (
     EigenMode,
+    Linear,
     Modes,
     RigPart,
     modes_of,
@@ -31,7 +31,6 @@ from trms_cli.stability.local.modes import (
     parts_of,
     spectrum_of,
 )
-from trms_cli.stability.local.stability_map import StabilityMap, map_section
 from trms_cli.stability.local.sweep import (
     OperatingPath,
     Track,
@@ -42,7 +41,7 @@ from trms_cli.stability.local.sweep import (
 from trms_cli.stability.local.tables import colours_of, points_alone, styles_of
 from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.studies.local import Local
-from trms_cli.stability.studies.root_locus import RootLocus
+from trms_cli.stability.studies.root_locus import RootLocus, StabilityMap, map_section
 
 
 def modes_at(model, at, side="mean"):

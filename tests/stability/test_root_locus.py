@@ -23,9 +23,8 @@ from trms_cli.stability.local.sensitivity import (
     share_chart,
     state_words,
 )
-from trms_cli.stability.local.stability_map import stability_map
 from trms_cli.stability.local.sweep import OperatingPath, crossings, sweep_eigenvalues, tracks_of
-from trms_cli.stability.studies.root_locus import RootLocus
+from trms_cli.stability.studies.root_locus import RootLocus, stability_map
 from trms_cli.stability.study import silent
 
 RANGE = (0.0123, 0.2)

@@ -22,8 +22,7 @@ from trms_cli.models.continuation import ImplicitCurve, SolutionCurve
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.equilibria.rest_system import RestSystem
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.local.modes import Verdict, modes_of_matrix, parts_of
+from trms_cli.stability.local.linear import Linear, Verdict, modes_of_matrix, parts_of
 
 #: 1/s: growth below this is rounding (a free yaw neither grows nor returns).
 GROWTH = 1e-7

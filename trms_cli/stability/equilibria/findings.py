@@ -30,9 +30,8 @@ from trms_cli.core.wording import unit as written_unit
 from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.equilibria.curves import EquilibriumPoint, Kind, Landmark
-from trms_cli.stability.equilibria.named_points import FrictionBand, NamedPoint
 from trms_cli.stability.equilibria.proof import EnclosedEquilibrium, RangePiece
-from trms_cli.stability.equilibria.survey import EquilibriumMap, Survey
+from trms_cli.stability.equilibria.survey import EquilibriumMap, FrictionBand, NamedPoint, Survey
 from trms_cli.stability.intervals.interval import Interval
 
 #: Landmarks that the answer names.

@@ -47,8 +47,7 @@ from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Model, names
-from trms_cli.stability.local.linear import Matrices
-from trms_cli.stability.local.modes import STILL, EigenMode, modes_of, parts_of
+from trms_cli.stability.local.linear import STILL, EigenMode, Matrices, modes_of, parts_of
 from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath
 
 #: rad, rad/s: a motion of an axis worth speaking of.

@@ -28,7 +28,7 @@ from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel
 from trms_cli.core.findings import Column, Table, rounded, table
 from trms_cli.core.wording import listing
 from trms_cli.models.model import Model
-from trms_cli.stability.local.modes import RigPart, parts_of, rate_of
+from trms_cli.stability.local.linear import RigPart, parts_of, rate_of
 from trms_cli.stability.local.sweep import (
     EigenvalueSweep,
     LocusPoint,

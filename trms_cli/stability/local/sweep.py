@@ -35,10 +35,11 @@ from trms_cli.models.operating_point import (
     TrimSolver,
     prescribes_angles,
 )
-from trms_cli.stability.local.linear import Linear, Side
-from trms_cli.stability.local.modes import (
+from trms_cli.stability.local.linear import (
     STILL,
     EigenSpectrum,
+    Linear,
+    Side,
     distinct_names,
     mode_name,
     parts_of,

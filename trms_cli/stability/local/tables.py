@@ -37,8 +37,14 @@ from trms_cli.core.findings import (
     table,
 )
 from trms_cli.models.model import Model
-from trms_cli.stability.local.linear import Switch
-from trms_cli.stability.local.modes import STILL, EigenMode, Modes, parts_of, shares_of_parts
+from trms_cli.stability.local.linear import (
+    STILL,
+    EigenMode,
+    Modes,
+    Switch,
+    parts_of,
+    shares_of_parts,
+)
 from trms_cli.stability.local.sweep import Crossing, Locus, Track, amount_words, cell
 
 _JUDGED: dict[str, Judgement] = {"stable": "good", "marginal": "doubtful", "unstable": "bad"}

@@ -43,8 +43,7 @@ from trms_cli.stability.local.access import (
     torque_estimates,
     volts_table,
 )
-from trms_cli.stability.local.linear import Side
-from trms_cli.stability.local.modes import STILL
+from trms_cli.stability.local.linear import STILL, Side
 from trms_cli.stability.local.sensitivity import state_words
 from trms_cli.stability.local.sweep import (
     EigenvalueSweep,

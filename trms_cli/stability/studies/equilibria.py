@@ -16,11 +16,12 @@ from trms_cli.core.plugins import nearest
 from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model, names
 from trms_cli.stability.equilibria.findings import EquilibriaResult, findings_of
-from trms_cli.stability.equilibria.named_points import NamedPoint, named_points
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import (
+    NamedPoint,
     SurveySetting,
     equilibrium_map,
+    named_points,
     setting_of,
     survey,
     usual_bounds,
