@@ -437,10 +437,10 @@ class TorqueEstimate:
     """Whether sensors tell a constant torque, if it is the only one."""
 
     seen: bool
-    #: Standard deviation of its estimate after the first of the times asked for, in its unit, and
-    #: after each of the others; None where it is not seen
+    #: Standard deviation of its estimate after the first of the times asked for, in its unit; None
+    #: where it is not seen
     error: float | None
-    errors_over_time: tuple[float | None, ...]
+    errors_over_time: tuple[float | None, ...]  #: The same after each of the others
 
 
 @dataclass(frozen=True)
