@@ -14,7 +14,7 @@ import pytest
 
 from trms_cli.gap.force.description import all_conditions, change_time, regions, rounded
 from trms_cli.gap.force.exogenous import exogenous
-from trms_cli.gap.force.record import ForceRecord, blocks, correlation_time, segments, thinned
+from trms_cli.gap.force.record import ForceRecord
 
 STEP, SAMPLES = 0.02, 6000
 INERTIA, DAMPING, STIFFNESS = 0.03, 0.004, 0.015  # kg m², N m s/rad, N m/rad
@@ -108,18 +108,18 @@ def test_series_of_different_lengths_are_refused():
 def test_recordings_and_gaps_part_the_samples():
     record = still().taken(np.r_[0:1000, 1500:2500, 3000:4000])
     record = replace(record, recording=np.repeat([0, 0, 1], 1000))
-    assert [part.stop for part in segments(record)] == [1000, 2000, 3000]
-    number = blocks(record, 10.0)
+    assert [part.stop for part in record.segments] == [1000, 2000, 3000]
+    number = record.blocks(10.0)
     assert number[-1] == 5 and np.all(np.diff(number) >= 0)
-    for part in segments(record):
+    for part in record.segments:
         assert number[part.start] != number[part.start - 1]
-    assert thinned(record, 10.0).time.size == 600
+    assert record.thinned(10.0).time.size == 600
 
 
 def test_memory_of_coloured_noise():
     record = still()
     values = coloured(np.random.default_rng(3), SAMPLES, 0.5)
-    assert correlation_time(record, values) == pytest.approx(1.0, rel=0.4)
+    assert record.correlation_time(values) == pytest.approx(1.0, rel=0.4)
 
 
 @pytest.mark.parametrize(

@@ -16,15 +16,7 @@ from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.diagnosis import RegionShare
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import LAWS, explained_shares
-from trms_cli.gap.force.record import (
-    ForceRecord,
-    blocks,
-    correlation_time,
-    sample_time,
-    segments,
-    signal_power,
-    thinned,
-)
+from trms_cli.gap.force.record import ForceRecord
 
 #: How many are told at most.
 MOST = 3
@@ -63,7 +55,7 @@ def regions(record: ForceRecord) -> tuple[RegionShare, ...]:
     Returns tuple of RegionShare: at most :data:`MOST`, the most telling first: by what is learnt of
     the energy's whereabouts (Kullback–Leibler divergence of its share from that of time).
     """
-    record = thinned(record, _REGION_RATE)
+    record = record.thinned(_REGION_RATE)
     energy = record.force**2 - record.sd**2
     total = float(energy.sum())
     if total <= _LEAST_ENERGY * float(np.sum(record.force**2)) or total <= 0:
@@ -102,7 +94,7 @@ def change_time(record: ForceRecord) -> float | None:
     when = ("before t", "after t", "first third", "last third")
     if not any(region.condition.startswith(when) for region in regions(record)):
         return None
-    return _most_likely_change(thinned(record, _REGION_RATE))
+    return _most_likely_change(record.thinned(_REGION_RATE))
 
 
 def all_conditions(record: ForceRecord) -> tuple[Condition, ...]:
@@ -174,7 +166,7 @@ def _about_a_command(rotor: str, values: FloatArray, record: ForceRecord) -> Ite
     yield Condition(text=f"{about} near zero (|u| < {zero:g} V)", about=about, holds=size < zero)
     yield from _limits(f"{about} |u| > {{}} V", about, size, _HIGH)
     # A step's effect on a slow force shows for about half a second.
-    ago = max(round(0.5 / sample_time(record)), 1)
+    ago = max(round(0.5 / record.sample_time), 1)
     changed = np.zeros(values.size)
     changed[ago:] = np.abs(values[ago:] - values[:-ago])
     text = f"{about} changing (by over {{}} V in 0.5 s)"
@@ -193,21 +185,12 @@ def _about_time(record: ForceRecord) -> Iterator[Condition]:
     first, last = record.time < start + third, record.time > end - third
     yield Condition(text="first third of the recording", about="time", holds=first)
     yield Condition(text="last third of the recording", about="time", holds=last)
-    change = _most_likely_change(record)
     # The grid stands for the search; only the time that was found is put in words.
-    for after in _after(record):
-        yield after
-        text = after.text.replace("after", "before")
-        yield Condition(text=text, about="time", holds=~after.holds)
-    later = record.time >= change
-    yield Condition(text=f"after t = {change:g} s", about="time", holds=later)
-    yield Condition(text=f"before t = {change:g} s", about="time", holds=~later)
-
-
-def _after(record: ForceRecord) -> Iterator[Condition]:
-    for at in np.linspace(record.time[0], record.time[-1], 22)[2:-2]:
-        text = f"after t = {round(float(at)):g} s"
-        yield Condition(text=text, about="time", holds=record.time >= round(float(at)))
+    grid = [round(at) for at in np.linspace(start, end, 22)[2:-2].tolist()]
+    for at in (*grid, _most_likely_change(record)):
+        later = record.time >= at
+        yield Condition(text=f"after t = {at:g} s", about="time", holds=later)
+        yield Condition(text=f"before t = {at:g} s", about="time", holds=~later)
 
 
 def _most_likely_change(record: ForceRecord) -> float:
@@ -249,10 +232,10 @@ def _divergence(share: FloatArray, time: FloatArray) -> FloatArray:
 def _significant(record: ForceRecord, energy: FloatArray, surplus: FloatArray) -> BoolArray:
     """Which rows of ``surplus`` (condition less its share of time) gather energy beyond chance."""
     # Of the signed force: the energy of one that acts in half of the recording remembers for ever.
-    memory = correlation_time(record, record.force)
-    duration = record.time.size * sample_time(record)
+    memory = record.correlation_time(record.force)
+    duration = record.time.size * record.sample_time
     length = min(max(1.0, _BLOCK * memory), duration / _FEWEST_BLOCKS)
-    number = blocks(record, length)
+    number = record.blocks(length)
     first = np.flatnonzero(np.diff(number, prepend=-1))
     sums = np.add.reduceat(surplus * energy, first, axis=1)
     scale = np.sqrt(np.sum(sums**2, axis=1)) + 1e-300
@@ -295,7 +278,7 @@ def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
             f"Nothing stands out of the noise at {place}: {rms:.2g} {unit} RMS, "
             f"of which noise alone explains {noise:.2g}.",
         )
-    fine = thinned(record, _RATE)
+    fine = record.thinned(_RATE)
     told = [
         f"A missing contribution at {place} of {rms:.2g} {unit} RMS (noise {noise:.2g} {unit}).",
         _offset(fine),
@@ -312,7 +295,7 @@ def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
 
 def _offset(record: ForceRecord) -> str:
     mean = float(record.force.mean())
-    energy = signal_power(record, float(np.mean(record.force**2)))
+    energy = record.signal_power(float(np.mean(record.force**2)))
     if abs(_block_t(record, record.force)) < _TOLD or mean**2 < _OFFSET * energy:
         return ""
     share = min(mean**2 / energy, 1.0)
@@ -324,11 +307,11 @@ def _band(record: ForceRecord) -> str:
     force = record.force - record.force.mean()
     if not np.any(force):
         return ""
-    step = sample_time(record)
-    longest = max(part.stop - part.start for part in segments(record))
+    step = record.sample_time
+    longest = max(part.stop - part.start for part in record.segments)
     frequency = np.fft.rfftfreq(longest, step)
     power = np.zeros(frequency.size)
-    for part in segments(record):
+    for part in record.segments:
         power += np.abs(np.fft.rfft(force[part] * np.hanning(part.stop - part.start), longest)) ** 2
     below = np.cumsum(power) / power.sum()
     low, high = (float(frequency[np.searchsorted(below, share)]) for share in (0.1, 0.9))
@@ -337,7 +320,7 @@ def _band(record: ForceRecord) -> str:
         if high - low < _LINE * middle:
             return f"It oscillates at {middle:.2g} Hz."
         return f"It oscillates: 80 % of its power lies between {low:.2g} and {high:.2g} Hz."
-    memory = correlation_time(record, record.force)
+    memory = record.correlation_time(record.force)
     return f"90 % of its power lies below {high:.2g} Hz; it forgets itself over {memory:.2g} s."
 
 
@@ -427,9 +410,9 @@ def _closest_form(record: ForceRecord) -> str:
 
 def _blocks_of(record: ForceRecord) -> tuple[IntArray, IntArray]:
     """Block of each sample, and the first sample of each block; blocks forget each other."""
-    memory = correlation_time(record, record.force)
-    duration = record.time.size * sample_time(record)
-    number = blocks(record, min(max(1.0, 2 * memory), duration / 12))
+    memory = record.correlation_time(record.force)
+    duration = record.time.size * record.sample_time
+    number = record.blocks(min(max(1.0, 2 * memory), duration / 12))
     return number, np.flatnonzero(np.diff(number, prepend=-1)).astype(np.int64)
 
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.force.laws import hysteresis
-from trms_cli.gap.force.record import ForceRecord, blocks, segments, signal_power, thinned
+from trms_cli.gap.force.record import ForceRecord
 
 #: Ridge penalties, relative to the number of samples; features have unit variance.
 PENALTIES = (1e-3, 1e-2, 1e-1)
@@ -107,7 +107,7 @@ class Response:
     def _response(self, force: Callable[[int, FloatArray], float]) -> FloatArray:
         limit = _LARGEST * self.motion.std(axis=0)
         response = np.zeros_like(self.motion)
-        for part in segments(self.record):
+        for part in self.record.segments:
             now = np.zeros(self.push.size)
             for i in range(part.start, part.stop - 1):
                 now = self.steps[i] @ now + self.push * force(i, now)
@@ -121,7 +121,7 @@ def fitted_response(record: ForceRecord) -> Response:
     names = list(record.variables)
     z = np.array([record.variables[name] for name in names]).T
     terms, slopes = _terms(names, z)
-    starts = np.concatenate([np.arange(p.start, p.stop - 1) for p in segments(record)])
+    starts = np.concatenate([np.arange(p.start, p.stop - 1) for p in record.segments])
     force = record.force[starts] / 2 + record.force[starts + 1] / 2
     increments = z[starts + 1] - z[starts]
     columns = np.column_stack([z[starts], terms[starts], force, np.ones(starts.size)])
@@ -214,13 +214,13 @@ def exogenous(record: ForceRecord, seed: int = 0) -> Exogenous:
     outside in part: time is no variable of the regression.
     """
     rng = np.random.default_rng(seed)
-    record = thinned(record, _RATE)
+    record = record.thinned(_RATE)
     variance = float(np.var(record.force))
     if not record.variables or variance == 0 or record.time.size < _FEWEST:
         return Exogenous(predictable_share=0.0, ci95=(0.0, 1.0), p_value=1.0, from_variables=())
-    block = blocks(record, _BLOCK)
+    block = record.blocks(_BLOCK)
     if block[-1] < 3:
-        block = blocks(record, float(np.ptp(record.time)) / 4)
+        block = record.blocks(float(np.ptp(record.time)) / 4)
     targets = np.column_stack([record.force, _surrogates(record, rng)])
     variables = _independent_motion(record, block)
     single = {name: _alone(record, name, values) for name, values in variables.items()}
@@ -229,7 +229,7 @@ def exogenous(record: ForceRecord, seed: int = 0) -> Exogenous:
     about_mean = np.sum((targets - targets.mean(axis=0)) ** 2, axis=0)
     explained = 1 - errors.sum(axis=0) / about_mean
     chance = max(float(np.median(explained[1:])), 0.0)
-    beyond_noise = variance / signal_power(record, variance)
+    beyond_noise = variance / record.signal_power(variance)
     share = float(np.clip((explained[0] - chance) * beyond_noise, 0.0, 1.0))
     as_good = int(np.sum(explained[1:] >= explained[0]))
     return Exogenous(
@@ -312,7 +312,7 @@ def _alone(record: ForceRecord, name: str, values: FloatArray) -> FloatArray:
 def _earlier(record: ForceRecord, values: FloatArray, ago: int) -> FloatArray:
     """Values so many samples before, the first one of a stretch before its start."""
     result = np.empty_like(values)
-    for part in segments(record):
+    for part in record.segments:
         rows = np.maximum(np.arange(part.start, part.stop) - ago, part.start)
         result[part] = values[rows]
     return result
@@ -331,7 +331,7 @@ def _together(variables: dict[str, FloatArray], rng: np.random.Generator) -> Flo
 def _surrogates(record: ForceRecord, rng: np.random.Generator) -> FloatArray:
     """Series with the force's spectrum and random phases, (k, surrogates)."""
     result = np.empty((record.time.size, _SURROGATES))
-    for part in segments(record):
+    for part in record.segments:
         values = record.force[part]
         spectrum = np.abs(np.fft.rfft(values - values.mean()))
         phase = rng.uniform(0, 2 * np.pi, size=(_SURROGATES, spectrum.size))

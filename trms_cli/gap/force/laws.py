@@ -10,19 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.gap.force.record import (
-    MOST_NOISE,
-    ForceRecord,
-    correlation_time,
-    sample_time,
-    segments,
-    thinned,
-)
+from trms_cli.gap.force.record import MOST_NOISE, ForceRecord
 
 Columns = list[FloatArray]
 
@@ -106,39 +98,31 @@ class LawInputs:
         pitch = self.angle("pitch")
         return np.sin(pitch[0]) if pitch else 0 * self.one
 
-    @cached_property
-    def parts(self) -> tuple[slice, ...]:
-        return segments(self.record)
-
-    @cached_property
-    def step(self) -> float:
-        return sample_time(self.record)
-
     def slope(self, values: FloatArray) -> FloatArray:
         """Derivative by time, within stretches."""
         result = np.zeros_like(values)
-        for part in self.parts:
+        for part in self.record.segments:
             if part.stop - part.start > 1:
-                result[part] = np.gradient(values[part], self.step)
+                result[part] = np.gradient(values[part], self.record.sample_time)
         return result
 
     def lagged(self, values: FloatArray, time: float) -> FloatArray:
         """Values after a first-order lag, each stretch from its first value."""
         from scipy.signal import lfilter
 
-        keep = float(np.exp(-self.step / time))
+        keep = float(np.exp(-self.record.sample_time / time))
         result = np.empty_like(values)
-        for part in self.parts:
+        for part in self.record.segments:
             start = np.array([keep * values[part.start]])
             result[part], _ = lfilter([1 - keep], [1, -keep], values[part], zi=start)
         return result
 
     def smoothed(self, values: FloatArray, sd: float) -> FloatArray:
         """Values under a Gaussian kernel, within stretches."""
-        reach = int(np.ceil(3 * sd / self.step))
-        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * self.step / sd) ** 2)
+        reach = int(np.ceil(3 * sd / self.record.sample_time))
+        kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * self.record.sample_time / sd) ** 2)
         result = np.empty_like(values)
-        for part in self.parts:
+        for part in self.record.segments:
             padded = np.pad(values[part], reach, mode="edge")
             result[part] = np.convolve(padded, kernel / kernel.sum(), mode="valid")
         return result
@@ -184,7 +168,7 @@ def hysteresis(record: ForceRecord, angle: FloatArray) -> Columns:
     """Memory of the travel, Bouc–Wen with β = 1/2 and n = 1, for some widths."""
     width = np.array(_WIDTHS)
     travel = np.diff(angle, prepend=angle[0])
-    for part in segments(record):
+    for part in record.segments:
         travel[part.start] = 0.0
     # Loading bends towards ±1, unloading is straight: exact over a step of one direction. Plain
     # numbers, since each step needs the one before it.
@@ -315,7 +299,7 @@ LAWS: dict[str, tuple[str, Callable[[LawInputs], Columns]]] = {
 
 def explained_shares(record: ForceRecord) -> dict[str, float]:
     """Share of the force's variation about its mean that each law explains, 0 to 1, by name."""
-    record = thinned(record, _RATE)
+    record = record.thinned(_RATE)
     at = LawInputs(record)
     of_law: dict[str, list[int]] = {}
     columns: Columns = []
@@ -334,8 +318,8 @@ def explained_shares(record: ForceRecord) -> dict[str, float]:
     unit = np.where(size > 1e-6 * size.max(), phi / np.maximum(size, 1e-300), 0.0)
     gram, product = unit.T @ unit, unit.T @ force
     noise = min(float(np.sum(record.sd**2)) / energy, MOST_NOISE)
-    memory = correlation_time(record, force, power=2)
-    chance = min(memory / (force.size * sample_time(record)), 0.2)
+    memory = record.correlation_time(force, power=2)
+    chance = min(memory / (force.size * record.sample_time), 0.2)
 
     def share(rows: list[int]) -> float:
         if not rows:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -71,86 +73,71 @@ class ForceRecord:
 
     def taken(self, rows: IntArray) -> ForceRecord:
         """Only these samples of it."""
+        taken: dict[str, Any] = {}
+        for name in ("time", "recording", "force", "sd"):
+            taken[name] = getattr(self, name)[rows]
+        for name in ("angles", "rates", "speeds", "commands"):
+            taken[name] = {key: values[rows] for key, values in getattr(self, name).items()}
+        return replace(self, **taken)
 
-        def of(group: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-            return {name: values[rows] for name, values in group.items()}
+    @cached_property
+    def sample_time(self) -> float:
+        """Median step between samples of one recording, s; 1 for a single sample."""
+        steps = np.diff(self.time)[np.diff(self.recording) == 0]
+        return float(np.median(steps)) if steps.size else 1.0
 
-        return replace(
-            self,
-            time=self.time[rows],
-            recording=self.recording[rows],
-            force=self.force[rows],
-            sd=self.sd[rows],
-            angles=of(self.angles),
-            rates=of(self.rates),
-            speeds=of(self.speeds),
-            commands=of(self.commands),
-        )
+    @cached_property
+    def segments(self) -> tuple[slice, ...]:
+        """Stretches without a gap: within one recording, steps under 1.5 sample times."""
+        broken = np.diff(self.time) > 1.5 * self.sample_time
+        broken |= np.diff(self.recording) != 0
+        edges = [0, *(np.flatnonzero(broken) + 1).tolist(), self.time.size]
+        return tuple(slice(a, b) for a, b in pairwise(edges) if b > a)
 
+    def thinned(self, rate: float) -> ForceRecord:
+        """Every so-manieth sample, at least ``rate`` [Hz] of them; a smoothed force has no more.
 
-def sample_time(record: ForceRecord) -> float:
-    """Median step between samples of one recording, s; 1 for a single sample."""
-    steps = np.diff(record.time)[np.diff(record.recording) == 0]
-    return float(np.median(steps)) if steps.size else 1.0
+        Samples are picked, not averaged, so that their standard deviation stays what it is.
+        """
+        stride = max(int(1.0 / (rate * self.sample_time) + 1e-9), 1)
+        rows = [np.arange(part.start, part.stop, stride) for part in self.segments]
+        return self.taken(np.concatenate(rows))
 
+    def blocks(self, length: float) -> IntArray:
+        """Number of the block that each sample belongs to, rising, about ``length`` [s] each.
 
-def segments(record: ForceRecord) -> tuple[slice, ...]:
-    """Stretches without a gap: within one recording, steps under 1.5 sample times."""
-    broken = np.diff(record.time) > 1.5 * sample_time(record)
-    broken |= np.diff(record.recording) != 0
-    edges = [0, *(np.flatnonzero(broken) + 1).tolist(), record.time.size]
-    return tuple(slice(a, b) for a, b in pairwise(edges) if b > a)
+        A stretch is cut into equal blocks, one at least.
+        """
+        number = np.empty(self.time.size, dtype=np.int64)
+        first = 0
+        for part in self.segments:
+            samples = part.stop - part.start
+            count = max(round(samples * self.sample_time / length), 1)
+            number[part] = first + np.arange(samples) * count // samples
+            first += count
+        return number
 
+    def correlation_time(self, values: FloatArray, power: int = 1) -> float:
+        """Time over which a series forgets itself, s: the integral of its autocorrelation.
 
-def thinned(record: ForceRecord, rate: float) -> ForceRecord:
-    """Every so-manieth sample, at least ``rate`` [Hz] of them; a smoothed force has no more.
+        Up to where that first falls below a tenth; not below one sample time. With ``power`` 2, of
+        the autocorrelation's square: what decides how much of one series another explains by chance
+        when both remember alike (Bartlett 1946).
+        """
+        longest = max((part.stop - part.start for part in self.segments), default=1)
+        size = 1 << (2 * longest - 1).bit_length()
+        spectrum = np.zeros(size // 2 + 1)
+        for part in self.segments:
+            spectrum += np.abs(np.fft.rfft(values[part] - values.mean(), size)) ** 2
+        correlation = np.fft.irfft(spectrum)[:longest]
+        if correlation[0] <= 0:
+            return self.sample_time
+        correlation = correlation / correlation[0]
+        below = np.flatnonzero(correlation < 0.1)
+        end = int(below[0]) if below.size else longest
+        return float(self.sample_time * max(2 * np.sum(correlation[:end] ** power) - 1, 1.0))
 
-    Samples are picked, not averaged, so that their standard deviation stays what it is.
-    """
-    stride = max(int(1.0 / (rate * sample_time(record)) + 1e-9), 1)
-    rows = [np.arange(part.start, part.stop, stride) for part in segments(record)]
-    return record.taken(np.concatenate(rows))
-
-
-def blocks(record: ForceRecord, length: float) -> IntArray:
-    """Number of the block that each sample belongs to, rising, about ``length`` [s] each.
-
-    A stretch is cut into equal blocks, one at least.
-    """
-    step = sample_time(record)
-    number = np.empty(record.time.size, dtype=np.int64)
-    first = 0
-    for part in segments(record):
-        samples = part.stop - part.start
-        count = max(round(samples * step / length), 1)
-        number[part] = first + np.arange(samples) * count // samples
-        first += count
-    return number
-
-
-def correlation_time(record: ForceRecord, values: FloatArray, power: int = 1) -> float:
-    """Time over which a series forgets itself, s: the integral of its autocorrelation.
-
-    Up to where that first falls below a tenth; not below one sample time. With ``power`` 2, of the
-    autocorrelation's square: what decides how much of one series another explains by chance when
-    both remember alike (Bartlett 1946).
-    """
-    step = sample_time(record)
-    longest = max((part.stop - part.start for part in segments(record)), default=1)
-    size = 1 << (2 * longest - 1).bit_length()
-    spectrum = np.zeros(size // 2 + 1)
-    for part in segments(record):
-        spectrum += np.abs(np.fft.rfft(values[part] - values.mean(), size)) ** 2
-    correlation = np.fft.irfft(spectrum)[:longest]
-    if correlation[0] <= 0:
-        return step
-    correlation = correlation / correlation[0]
-    below = np.flatnonzero(correlation < 0.1)
-    end = int(below[0]) if below.size else longest
-    return float(step * max(2 * np.sum(correlation[:end] ** power) - 1, 1.0))
-
-
-def signal_power(record: ForceRecord, mean_square: float) -> float:
-    """A mean square of the force less that of its noise; a fifth of it is always left."""
-    noise = float(np.mean(record.sd**2))
-    return mean_square - min(noise, MOST_NOISE * mean_square)
+    def signal_power(self, mean_square: float) -> float:
+        """A mean square of the force less that of its noise; a fifth of it is always left."""
+        noise = float(np.mean(self.sd**2))
+        return mean_square - min(noise, MOST_NOISE * mean_square)
