@@ -21,7 +21,7 @@ from trms_cli.recordings.channels import CHANNELS, REFERENCE_OF_AXIS
 from trms_cli.recordings.mcap_recording import sha256_of
 from trms_cli.recordings.preparation import Preparation
 from trms_cli.recordings.read import read_recording
-from trms_cli.recordings.recording import GriddedRecording, Recording, on_grid
+from trms_cli.recordings.recording import GriddedRecording, Recording, held, on_grid
 
 #: A channel with more runs of missing samples than this gets one event instead of one each.
 _MOST_EVENTS = 20
@@ -227,8 +227,8 @@ def _listed(items: Sequence[str]) -> str:
 
 def _held(commands: FloatArray, inputs: Sequence[str], gridded: GriddedRecording) -> FloatArray:
     """Commands with the last value held where none is recorded."""
-    held = commands.copy()
-    for column, name in zip(held.T, inputs, strict=True):
+    commands = commands.copy()
+    for column, name in zip(commands.T, inputs, strict=True):
         present = ~np.isnan(column)
         if not present[0]:
             first = float(gridded.time[int(np.argmax(present))]) if present.any() else np.nan
@@ -239,9 +239,8 @@ def _held(commands: FloatArray, inputs: Sequence[str], gridded: GriddedRecording
                 if present.any()
                 else f"{name} is empty throughout; choose a model without this input",
             )
-        latest = np.maximum.accumulate(np.where(present, np.arange(len(column)), 0))
-        column[:] = column[latest]
-    return held
+        column[:] = held(column)
+    return commands
 
 
 def _delayed(commands: FloatArray, samples: int) -> FloatArray:

@@ -99,9 +99,12 @@ def _unpacked_lz4(data: bytes, size: int) -> bytes:
     return bytes(unpacker.decompress(data, max_length=size + 1))
 
 
-def is_damaged(chunk: Chunk, data: bytes) -> bool:
-    """Whether the content does not fit its checksum; a chunk without one is taken as it is."""
-    return bool(chunk.uncompressed_crc) and zlib.crc32(data) != chunk.uncompressed_crc
+def damage_of(chunk: Chunk, data: bytes) -> str:
+    """A sentence if the content does not fit its checksum; a chunk without one is as it is."""
+    if not chunk.uncompressed_crc or zlib.crc32(data) == chunk.uncompressed_crc:
+        return ""
+    start, end = chunk.message_start_time * 1e-9, chunk.message_end_time * 1e-9
+    return f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)"
 
 
 RECORD = struct.Struct("<BQ")  # opcode, length of what follows
@@ -126,6 +129,15 @@ class TopicTable:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def held(self, times_ns: np.ndarray) -> dict[str, np.ndarray]:
+        """Columns of numbers at some times [ns], the last value held; NaN before the first."""
+        latest = np.searchsorted(self.time_ns, times_ns, side="right") - 1
+        return {
+            name: np.where(latest >= 0, column[np.maximum(latest, 0)], np.nan)
+            for name, column in self.columns.items()
+            if column.dtype == float
+        }
 
 
 @dataclass(frozen=True)
@@ -249,15 +261,25 @@ def _read_bytes(path: Path) -> bytes:
     data = recorded_bytes(path, _USUAL_MOST)
     if not data:
         raise RecordingError("the file is empty", where=str(path), remedy="repeat the run")
-    if not data.startswith(MCAP0_MAGIC):
-        if MCAP0_MAGIC.startswith(data):
-            raise RecordingError(_EMPTY_RUN, where=str(path), remedy="repeat the run")
-        raise RecordingError(
-            "this is not an MCAP file",
-            where=str(path),
-            remedy="logs of trms end in .mcap; a CSV becomes one by: trms import FILE.csv",
-        )
+    if not is_mcap(data, path):
+        raise RecordingError(_EMPTY_RUN, where=str(path), remedy="repeat the run")
     return data
+
+
+def is_mcap(data: bytes, path: Path) -> bool:
+    """Whether a file begins as MCAP does; False for one that is cut off before that.
+
+    Raises RecordingError if it begins otherwise.
+    """
+    if data.startswith(MCAP0_MAGIC):
+        return True
+    if MCAP0_MAGIC.startswith(data):
+        return False
+    raise RecordingError(
+        "this is not an MCAP file",
+        where=str(path),
+        remedy="logs of trms end in .mcap; a CSV becomes one by: trms import FILE.csv",
+    )
 
 
 def _walk(data: bytes, content: _Content) -> None:
@@ -303,9 +325,9 @@ def records(data: memoryview) -> Iterator[tuple[int, memoryview, int]]:
 def _open_chunk(chunk: Chunk, content: _Content) -> None:
     data = content_of(chunk, content.room)
     content.room -= len(data)
-    if is_damaged(chunk, data):
-        start, end = chunk.message_start_time * 1e-9, chunk.message_end_time * 1e-9
-        content.problems.append(f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)")
+    damage = damage_of(chunk, data)
+    if damage:
+        content.problems.append(damage)
         return
     for opcode, body, _ in records(memoryview(data)):
         _take(opcode, body, content)

@@ -27,7 +27,8 @@ from trms_cli.recordings.log_reader import (
     RECORD,
     TopicTable,
     content_of,
-    is_damaged,
+    damage_of,
+    is_mcap,
     most_cells,
     records,
     table_of,
@@ -160,14 +161,8 @@ class LogTail:
         """Bytes from the first record that has not been taken; the whole record if it is long."""
         data = self._bytes(max(at_once, 64))
         if self._offset == 0:
-            if not data.startswith(MCAP0_MAGIC):
-                if MCAP0_MAGIC.startswith(data):
-                    return b""  # the run has just created it
-                raise RecordingError(
-                    "this is not an MCAP file",
-                    where=str(self.path),
-                    remedy="logs of trms end in .mcap; a CSV becomes one by: trms import FILE.csv",
-                )
+            if not is_mcap(data, self.path):
+                return b""  # the run has just created it
             self._offset = len(MCAP0_MAGIC)
             data = data[len(MCAP0_MAGIC) :]
         if len(data) >= RECORD.size:
@@ -218,10 +213,9 @@ class LogTail:
 
     def _open_chunk(self, chunk: Chunk) -> None:
         data = content_of(chunk, _LONGEST)
-        if is_damaged(chunk, data):
-            start, end = chunk.message_start_time * 1e-9, chunk.message_end_time * 1e-9
-            words = f"samples from {start:.3f} to {end:.3f} s are damaged (checksum)"
-            self.problems.append(words)
+        damage = damage_of(chunk, data)
+        if damage:
+            self.problems.append(damage)
             return
         for opcode, body, _ in records(memoryview(data)):
             self._take(opcode, body)

@@ -9,7 +9,7 @@ import numpy as np
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import AXIS_OF_REFERENCE, REFERENCE_OF_AXIS, find_channel
-from trms_cli.recordings.log_reader import LoggedRun, TopicTable, read_log
+from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import Recording
 from trms_cli.recordings.run_log import RunLog
@@ -46,7 +46,7 @@ def recording_of(log: LoggedRun) -> Recording:
         table = log.tables.get(topic)
         if table is None or not len(table):
             continue
-        for key, column in _held(table, measurement.time_ns).items():
+        for key, column in table.held(measurement.time_ns).items():
             name = REFERENCE_OF_AXIS.get(key, key) if topic == "/reference" else key
             if find_channel(name) is not None:
                 channels[name], units[name] = column, table.units[key]
@@ -116,19 +116,6 @@ def _own_metadata(run: dict[str, str]) -> dict[str, str]:
 def sha256_of(path: Path) -> str:
     """Return the file's SHA-256 as hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _held(table: TopicTable, times_ns: np.ndarray) -> dict[str, np.ndarray]:
-    """Sample each column at the times, holding the last value."""
-    latest = np.searchsorted(table.time_ns, times_ns, side="right") - 1
-    before = latest < 0
-    held = {}
-    for name, column in table.columns.items():
-        if column.dtype == float:
-            values = column[np.maximum(latest, 0)]
-            values[before] = np.nan
-            held[name] = values
-    return held
 
 
 def _topics(recording: Recording) -> list[Topic]:

@@ -272,6 +272,12 @@ def on_grid(recording: Recording, tolerance: float) -> GriddedRecording:
     )
 
 
+def held(values: np.ndarray) -> np.ndarray:
+    """Values with the last one held where one is missing; the first stays where it is."""
+    latest = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
+    return values[latest]
+
+
 def runs(flags: np.ndarray) -> list[tuple[int, int]]:
     """First index and length of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))

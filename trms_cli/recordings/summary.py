@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.recording import Recording, on_grid, quantum, runs
+from trms_cli.recordings.recording import Recording, held, on_grid, quantum, runs
 
 #: Half width of the running median, samples; more than half of it wrong is no outlier.
 _HALF_WIDTH = 3
@@ -351,7 +351,7 @@ def _delay(
 
     driver, driven = channels[cause], channels[effect]
     if of_rotor:
-        driver = _last_values(driver)
+        driver = held(driver)
         target = smooth(driven, 1)
         others = [driven, driven * np.abs(driven)]
         causes = [driver, driver * np.abs(driver)]
@@ -416,12 +416,6 @@ def _lowest(left: np.ndarray, shifts: np.ndarray) -> float | None:
         return None
     a, b, c = left[i - 1 : i + 2]
     return float(shifts[i] + 0.5 * (a - c) / max(a - 2 * b + c, 1e-300))
-
-
-def _last_values(values: np.ndarray) -> np.ndarray:
-    there = np.isfinite(values)
-    latest = np.maximum.accumulate(np.where(there, np.arange(len(values)), 0))
-    return values[latest]
 
 
 #: A channel with fewer levels is a switched signal: being at its largest is no saturation.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
@@ -41,7 +40,7 @@ def scene_messages(
     """
     times = log.tables[sources.attitudes[""][0]].time_ns[::every]
     rows = {
-        topic: _held(log, topic, times)
+        topic: np.column_stack(list(log.tables[topic].held(times).values())).tolist()
         for topic in {source[0] for source in sources.attitudes.values()} | {"/command"}
         if topic in log.tables and len(log.tables[topic])
     }
@@ -57,16 +56,6 @@ def scene_messages(
         told = (events.columns[name] for name in ("kind", "source", "message"))
         for time_ns, *words in zip(events.time_ns.tolist(), *told, strict=True):
             yield LOG_LINES, time_ns, log_line(time_ns, *(word or "" for word in words))
-
-
-def _held(log: LoggedRun, topic: str, times: Any) -> list[list[float]]:
-    """Rows of a topic as they were at given times (ns); NaN before the first one."""
-    table = log.tables[topic]
-    values = np.column_stack(list(table.columns.values())).astype(float)
-    last = np.searchsorted(table.time_ns, times, side="right") - 1
-    held = np.where((last >= 0)[:, None], values[np.maximum(last, 0)], np.nan)
-    rows: list[list[float]] = held.tolist()
-    return rows
 
 
 def write_with_scene(
