@@ -76,3 +76,14 @@ def recording(
         measurements=np.ascontiguousarray(y[:, kept]),
         noise_sd=sd[kept],
     )
+
+
+def coloured(rng: np.random.Generator, samples: int, time: float) -> np.ndarray:
+    """Noise of variance one that forgets itself over ``time`` [s]."""
+    keep = np.exp(-STEP / time)
+    noise = rng.normal(size=samples) * np.sqrt(1 - keep**2)
+    result = np.empty(samples)
+    result[0] = rng.normal()
+    for i in range(1, samples):
+        result[i] = keep * result[i - 1] + noise[i]
+    return result

@@ -16,7 +16,9 @@ from trms_cli.gap.force.description import all_conditions, change_time, regions,
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.record import ForceRecord
 
-STEP, SAMPLES = 0.02, 6000
+from .recorded import STEP, coloured
+
+SAMPLES = 6000
 INERTIA, DAMPING, STIFFNESS = 0.03, 0.004, 0.015  # kg m², N m s/rad, N m/rad
 
 Law = Callable[[float, float, float, float, float, float], float]
@@ -31,17 +33,6 @@ LAWS: dict[str, Law] = {
     "reaction": lambda t, a, r, p, wv, wh: 3e-7 * wv**2 * np.cos(p),
     "later": lambda t, a, r, p, wv, wh: -0.01 * r * (t > 61),
 }
-
-
-def coloured(rng: np.random.Generator, samples: int, time: float) -> np.ndarray:
-    """Noise of variance one that forgets itself over ``time`` [s]."""
-    keep = np.exp(-STEP / time)
-    noise = rng.normal(size=samples) * np.sqrt(1 - keep**2)
-    result = np.empty(samples)
-    result[0] = rng.normal()
-    for i in range(1, samples):
-        result[i] = keep * result[i - 1] + noise[i]
-    return result
 
 
 def moved(

@@ -16,17 +16,9 @@ from trms_cli.gap.force.description import description
 from trms_cli.gap.force.laws import explained_shares, hysteresis
 from trms_cli.gap.force.record import ForceRecord
 
-STEP, SAMPLES = 0.02, 4000
+from .recorded import STEP, coloured
 
-
-def coloured(rng: np.random.Generator, time: float) -> np.ndarray:
-    keep = np.exp(-STEP / time)
-    noise = rng.normal(size=SAMPLES) * np.sqrt(1 - keep**2)
-    result = np.empty(SAMPLES)
-    result[0] = rng.normal()
-    for i in range(1, SAMPLES):
-        result[i] = keep * result[i - 1] + noise[i]
-    return result
+SAMPLES = 4000
 
 
 def lag(values: np.ndarray, time: float) -> np.ndarray:
@@ -71,7 +63,7 @@ def of(location: str, force: np.ndarray, *, seed: int = 0) -> ForceRecord:
     kernel = np.exp(-0.5 * (np.arange(-15, 16) / 5) ** 2)
     force = np.convolve(force, kernel / kernel.sum(), mode="same")
     sd = 0.3 * float(np.sqrt(np.mean(force**2)))
-    noise = sd * coloured(np.random.default_rng(seed), 0.2)
+    noise = sd * coloured(np.random.default_rng(seed), SAMPLES, 0.2)
     return replace(motion(), location=location, force=force + noise, sd=np.full(SAMPLES, sd))
 
 
@@ -137,7 +129,7 @@ def test_a_cause_in_the_drive_shows_in_the_moment(name, law, measured):
 @pytest.mark.parametrize("time", [0.1, 1.0])
 def test_no_law_explains_a_force_from_outside(location, time):
     for seed in range(2):
-        record = of(location, coloured(np.random.default_rng(seed), time), seed=seed + 10)
+        record = of(location, coloured(np.random.default_rng(seed), SAMPLES, time), seed=seed + 10)
         assert max(explained_shares(record).values()) < 0.3
 
 
@@ -168,7 +160,7 @@ def test_friction_is_described():
 
 
 def test_offset_drift_and_oscillation_are_described():
-    m, noise = motion(), 1e-4 * coloured(np.random.default_rng(3), 0.3)
+    m, noise = motion(), 1e-4 * coloured(np.random.default_rng(3), SAMPLES, 0.3)
     plain = replace(m, force=noise, sd=np.full(SAMPLES, 1e-5))
     assert "constant offset of 0.003 N*m" in told(replace(plain, force=3e-3 + noise))
     assert "drifts by 0.002 N*m per minute" in told(
@@ -180,21 +172,23 @@ def test_offset_drift_and_oscillation_are_described():
 
 
 def test_a_change_is_described():
-    force = coloured(np.random.default_rng(4), 0.3) * (motion().time > 40)
+    force = coloured(np.random.default_rng(4), SAMPLES, 0.3) * (motion().time > 40)
     found = re.search(r"changes for good at t = ([\d.]+) s", told(of("yaw_moment", force)))
     assert found is not None and float(found[1]) == pytest.approx(40, abs=1.5)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_draught_is_described_as_one(seed):
-    text = told(of("yaw_moment", 4e-3 * coloured(np.random.default_rng(seed), 0.5), seed=seed + 5))
+    text = told(
+        of("yaw_moment", 4e-3 * coloured(np.random.default_rng(seed), SAMPLES, 0.5), seed=seed + 5)
+    )
     assert "comes from outside" in text and "No known form" in text
     for absent in ("opposes", "goes with", "offset", "drifts", "changes", "energy lies where"):
         assert absent not in text
 
 
 def test_noise_is_called_noise():
-    record = of("yaw_moment", coloured(np.random.default_rng(0), 0.5))
+    record = of("yaw_moment", coloured(np.random.default_rng(0), SAMPLES, 0.5))
     (sentence,) = description(replace(record, sd=np.full(SAMPLES, record.force.std())))
     assert sentence.startswith("Nothing stands out of the noise at yaw_moment")
 

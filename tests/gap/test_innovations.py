@@ -153,13 +153,22 @@ def windows() -> Windows:
     return Windows(FitProblem(model=model, datasets=(dataset,), window_length=10.0, jobs=1))
 
 
-def test_a_rig_without_a_gap_has_white_innovations_and_no_discrepancy(windows):
+@pytest.fixture(scope="module")
+def discrepancy(windows) -> Discrepancy:
+    """Along the model's own simulation."""
     model = windows.problem.model
     p = model.parameters.values
-    starts = windows.starts(p)
-    trajectory = TrajectoryLinearisation(windows).along(p, starts)
-    discrepancy = Discrepancy(windows, trajectory, equation_channels(model))
-    r = np.where(windows.measured, windows.target - trajectory.y, 0.0)
+    trajectory = TrajectoryLinearisation(windows).along(p, windows.starts(p))
+    return Discrepancy(windows, trajectory, equation_channels(model))
+
+
+def left_over(discrepancy: Discrepancy) -> np.ndarray:
+    windows = discrepancy.windows
+    return np.where(windows.measured, windows.target - discrepancy.trajectory.y, 0.0)
+
+
+def test_a_rig_without_a_gap_has_white_innovations_and_no_discrepancy(discrepancy):
+    r = left_over(discrepancy)
     filter_ = discrepancy.filter(np.full(4, FLOOR))
     z = discrepancy.whitened(filter_, r[..., None])[..., 0]
     assert np.all(np.mean(z**2, axis=(0, 1)) < 1.15)
@@ -167,16 +176,11 @@ def test_a_rig_without_a_gap_has_white_innovations_and_no_discrepancy(windows):
     assert np.all(likely_shares(discrepancy, r, np.full(4, 0.1)) < 0.03)
 
 
-def test_a_force_that_is_missing_is_found_on_its_equation(windows):
-    model = windows.problem.model
-    p = model.parameters.values
-    starts = windows.starts(p)
-    trajectory = TrajectoryLinearisation(windows).along(p, starts)
-    discrepancy = Discrepancy(windows, trajectory, equation_channels(model))
-    r = np.where(windows.measured, windows.target - trajectory.y, 0.0)
+def test_a_force_that_is_missing_is_found_on_its_equation(discrepancy):
+    r = left_over(discrepancy)
     # a sine of 30 percent of what acts on yaw, through the linear system itself
-    system, n = discrepancy.system, trajectory.x.shape[-1]
-    x = np.zeros((len(windows), n + 4))
+    system, n = discrepancy.system, discrepancy.trajectory.x.shape[-1]
+    x = np.zeros((len(discrepancy.windows), n + 4))
     for t in range(r.shape[1]):
         r[:, t] += np.einsum("myn,mn->my", system.h[:, t], x)
         x[:, n:] = 0.0

@@ -42,7 +42,7 @@ def write_run(topics: list[Topic]) -> Callable[..., Path]:
             {"config.yaml": ("application/yaml", CONFIG)},
         )
         for k in range(samples):
-            write_sample(log, k)
+            _write_sample(log, k)
             if k % 100 == 99:
                 log.flush()
         if close:
@@ -54,7 +54,13 @@ def write_run(topics: list[Topic]) -> Callable[..., Path]:
     return write
 
 
-def write_sample(log: RunLog, k: int) -> None:
+@pytest.fixture(scope="session")
+def write_sample() -> Callable[[RunLog, int], None]:
+    """Write a sample of a small run."""
+    return _write_sample
+
+
+def _write_sample(log: RunLog, k: int) -> None:
     """Write sample k on every topic; each value tells topic and sample."""
     t = k * SAMPLE_NS
     log.write("/reference", t, (0.3, -0.5))

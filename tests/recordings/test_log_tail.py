@@ -14,21 +14,6 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import LoggedRun, TopicTable, read_log
 from trms_cli.recordings.log_tail import LogPiece, LogTail
 from trms_cli.recordings.run_log import RunLog
-from trms_cli.recordings.topics import Topic
-
-
-def write_sample(log: RunLog, k: int) -> None:
-    """Numbers, texts, truth values, arrays and what is missing, at 100 Hz."""
-    t = k * 10_000_000
-    log.write("/reference", t, (0.3, -0.5 * k))
-    log.write("/measurement", t, [0.1 * k, float("nan") if k % 2 else 0.0])
-    words = (1e-4, 2e-5, 3e-5, 3, "ok", 1.5, 0.0, 1e-9, False, k == 7, "", "normal", "", 0.0)
-    log.write("/controller", t, words)
-    if k % 10 == 0:
-        horizon = np.arange(4) * 0.1
-        log.write("/prediction", t, [horizon, *(horizon * i for i in range(5))])
-    if k == 5:
-        log.event(t, "note", "person", "pushed the beam")
 
 
 def joined(pieces: list[LogPiece]) -> dict[str, TopicTable]:
@@ -87,7 +72,7 @@ def test_a_finished_log_is_what_the_log_reader_reads(tmp_path, write_run, at_onc
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(steps=st.lists(st.integers(0, 60), min_size=1, max_size=12))
-def test_a_log_that_grows(tmp_path_factory, topics: list[Topic], steps: list[int]) -> None:
+def test_a_log_that_grows(tmp_path_factory, topics, write_sample, steps: list[int]) -> None:
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     log, done, pieces = RunLog(path, topics, {"command": "trms run"}), 0, []
     with LogTail(path) as tail:
@@ -201,7 +186,7 @@ def test_progress_is_told_by_chunk(tmp_path: Path, write_run: Callable[..., Path
 class TestWriter:
     """Whether somebody writes the log."""
 
-    def test_a_run_has_one_until_it_closes(self, tmp_path: Path, topics: list[Topic]) -> None:
+    def test_a_run_has_one_until_it_closes(self, tmp_path, topics, write_sample) -> None:
         log = RunLog(tmp_path / "run.mcap", topics, {})
         with LogTail(log.path) as tail:
             first = tail.has_writer()

@@ -16,12 +16,12 @@ from trms_cli.models.rig_shape import rig_shape
 from trms_cli.recordings.foxglove.messages import SceneEncoder
 from trms_cli.recordings.foxglove.scene_log import SceneLog, Sources, find_sources
 from trms_cli.recordings.foxglove.types import encoded_topics
-from trms_cli.recordings.log_reader import LoggedRun
 from trms_cli.recordings.topics import EncodedTopic, Topic
 
 if TYPE_CHECKING:
     from trms_cli.plants.plant import PlantRun
     from trms_cli.recordings.for_model import RecordedRun
+    from trms_cli.recordings.log_reader import LoggedRun
     from trms_cli.recordings.run_log import RunLog
 
 #: What is said of a log that has no angle.
@@ -43,7 +43,9 @@ class RunScene:
         model: Model,
         plant: PlantRun | RecordedRun,
     ) -> None:
-        self._every = scene_every(config)
+        from trms_cli.composition.plain_values import whole_number
+
+        self._every = whole_number(config["sim"]["scene_every"], "sim.scene_every")
         self._sources: Sources | None = None
         if self._every:
             limits = {
@@ -66,16 +68,6 @@ class RunScene:
             return log
         encoder = encoder_of(rig_shape(self._lengths), self._sources)
         return SceneLog(log, encoder, self._sources, self._every)
-
-
-def scene_every(config: Mapping[str, Any]) -> int:
-    """Samples between two poses.
-
-    Raises ConfigurationError when ``sim.scene_every`` is no whole number.
-    """
-    from trms_cli.composition.plain_values import whole_number
-
-    return whole_number(config["sim"]["scene_every"], "sim.scene_every")
 
 
 def encoder_of(scene: Scene, sources: Sources) -> SceneEncoder:
