@@ -23,7 +23,7 @@ from trms_cli.gap.posterior import calibration, posterior_of
 from trms_cli.gap.problem import GapProblem, Parts, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, Race, run_race
 from trms_cli.gap.separability import EffectTraces, effect_traces
-from trms_cli.gap.summary import summary_fields
+from trms_cli.gap.summary import StageResults, result_of
 from trms_cli.identification.method import Progress, Unwatched
 
 #: Where on the way each stage begins, as a share of the whole.
@@ -124,16 +124,22 @@ def _answered(
     watch.enter("how far")
     sealed = sealed_comparison(problem, parts, race, posterior)
     watch.enter("advice")
-    fields = summary_fields(
-        problem, parts, race, posterior, sealed, place, forces, candidates, left_out
-    )
-    watch.leave()
-    return DiagnosisResult(
-        **fields,
+    stages = StageResults(
+        problem=problem,
+        parts=parts,
+        candidates=candidates,
+        left_out=left_out,
+        race=race,
+        place=place,
+        forces=forces,
         tests=tests,
-        effort=problem.effort,
-        seconds={name: round(value, 3) for name, value in watch.seconds.items()},
+        posterior=posterior,
+        sealed=sealed,
     )
+    result = result_of(stages)
+    watch.leave()
+    seconds = {name: round(value, 3) for name, value in watch.seconds.items()}
+    return replace(result, seconds=seconds)
 
 
 def _traces(

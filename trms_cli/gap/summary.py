@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from trms_cli.gap.diagnosis import (
     Cause,
     Detectable,
     DiagnosedRecording,
+    DiagnosisResult,
     FittedParameter,
+    GapTest,
     LocationShare,
     NextExperiment,
     NotTestable,
@@ -42,34 +45,40 @@ _LEAST_PROBABILITY = 0.002
 _LEAST_SHARE = 0.02
 
 
-def summary_fields(
-    problem: GapProblem,
-    parts: Parts,
-    race: Race,
-    posterior: Posterior,
-    sealed: SealedComparison,
-    place: Location,
-    forces: Mapping[str, ForceRecord],
-    candidates: Mapping[str, CandidateEffect],
-    left_out: Mapping[str, str],
-) -> dict[str, Any]:
-    """Fields by name."""
-    nothing = posterior.verdict in ("no_gap", "parameters_only")
-    where = () if nothing else _where(posterior, place, candidates, race)
-    main = [w.location for w in where[:2] if w.location in forces] or _strongest(place, forces)
+@dataclass(frozen=True, kw_only=True)
+class StageResults:
+    """What the stages of a diagnosis have found."""
+
+    problem: GapProblem
+    parts: Parts
+    candidates: Mapping[str, CandidateEffect]
+    left_out: Mapping[str, str]  #: Why other effects cannot be the cause here
+    race: Race
+    place: Location
+    forces: Mapping[str, ForceRecord]  #: Smoothed missing force of each equation
+    tests: tuple[GapTest, ...]
+    posterior: Posterior
+    sealed: SealedComparison
+
+
+def result_of(stages: StageResults) -> DiagnosisResult:
+    """The diagnosis, without the times that it took."""
+    problem, posterior, refit = stages.problem, stages.posterior, stages.race.refit
+    shrinkage = stages.sealed.shrinkage
+    where: tuple[LocationShare, ...] = ()
     region: list[RegionShare] = []
-    words: list[str] = []
-    if not nothing:
-        for location in main:
-            region += regions(forces[location])
-        words = [w for location in main[:1] for w in description(forces[location])]
-    unseen = _not_testable(race, candidates, left_out)
-    refit = race.refit
-    parameters = _parameters(problem, race, posterior)
-    causes = _causes(posterior, race)
-    experiment = _advice(problem, race, posterior, candidates, unseen)
-    return {
-        "recordings": tuple(
+    words: tuple[str, ...] = ()
+    if posterior.verdict not in ("no_gap", "parameters_only"):
+        where = _where(stages)
+        main = [w.location for w in where[:2] if w.location in stages.forces]
+        for location in main or _strongest(stages):
+            region += regions(stages.forces[location])
+            words = words or description(stages.forces[location])
+    unseen = _not_testable(stages)
+    parameters, causes = _parameters(stages), _causes(stages)
+    shares = zip(refit.metric.discrepancy.channels, refit.metric.shares.tolist(), strict=True)
+    return DiagnosisResult(
+        recordings=tuple(
             DiagnosedRecording(
                 file=d.source,
                 sha256=d.sha256,
@@ -79,48 +88,42 @@ def summary_fields(
             )
             for d in problem.datasets
         ),
-        "model": problem.model_name,
-        "seed": problem.seed,
-        "versions": {},
-        "verdict": posterior.verdict,
-        "where": where,
-        "region": tuple(region),
-        "causes": causes,
-        "confusable": posterior.confusable,
-        "not_testable": unseen,
-        "detectable": _detectable(race, candidates),
-        "parameters": parameters,
-        "gap": sealed.shrinkage.gap,
-        "shrink": sealed.shrinkage.shrink,
-        "next_experiment": experiment,
-        "sentence": sentence(posterior, causes, where, sealed.shrinkage, parameters),
-        "race": _race(posterior, race),
-        "description": tuple(words),
-        "warnings": (*problem.warnings, *_remarks(parts, race)),
-        "worse": sealed.shrinkage.worse,
-        "refit": refit.values,
-        "evidence": {
+        model=problem.model_name,
+        seed=problem.seed,
+        versions={},
+        verdict=posterior.verdict,
+        where=where,
+        region=tuple(region),
+        causes=causes,
+        confusable=posterior.confusable,
+        not_testable=unseen,
+        detectable=_detectable(stages),
+        parameters=parameters,
+        gap=shrinkage.gap,
+        shrink=shrinkage.shrink,
+        next_experiment=_advice(stages, unseen),
+        sentence=sentence(posterior, causes, where, shrinkage, parameters),
+        tests=stages.tests,
+        race=_race(stages),
+        description=words,
+        warnings=(*problem.warnings, *_remarks(stages)),
+        worse=shrinkage.worse,
+        effort=problem.effort,
+        refit=refit.values,
+        evidence={
             **posterior.features.as_json(),
-            "shares": {
-                channel.location: share
-                for channel, share in zip(
-                    refit.metric.discrepancy.channels, refit.metric.shares.tolist(), strict=True
-                )
-                if channel.fixed is None
-            },
+            "shares": {channel.location: s for channel, s in shares if channel.fixed is None},
             "outside": posterior.outside,
         },
-        "traces": report_traces(
-            problem, parts, race, posterior, sealed, forces, [w.location for w in where]
-        ),
-    }
+        traces=_report_traces(stages, [w.location for w in where]),
+    )
 
 
-def _where(
-    posterior: Posterior, place: Location, candidates: Mapping[str, CandidateEffect], race: Race
-) -> tuple[LocationShare, ...]:
+def _where(stages: StageResults) -> tuple[LocationShare, ...]:
     """Each place's share of the gap: by the causes where they are named, else by disturbances."""
-    random = np.random.default_rng(np.random.SeedSequence([race.refit.structure.problem.seed, 1]))
+    place, posterior, candidates = stages.place, stages.posterior, stages.candidates
+    seed = stages.race.refit.structure.problem.seed
+    random = np.random.default_rng(np.random.SeedSequence([seed, 1]))
     m = place.together.size
     whole = _shares(posterior.probabilities, place.share(), candidates)
     drawn = [
@@ -165,20 +168,20 @@ def _shares(
     return shares
 
 
-def _strongest(place: Location, forces: Mapping[str, ForceRecord]) -> list[str]:
-    shares = {k: v for k, v in place.share().items() if k in forces}
+def _strongest(stages: StageResults) -> list[str]:
+    shares = {k: v for k, v in stages.place.share().items() if k in stages.forces}
     return sorted(shares, key=lambda k: -shares[k])[:1]
 
 
-def _causes(posterior: Posterior, race: Race) -> tuple[Cause, ...]:
-    entries = {e.names: e for e in race.entries}
+def _causes(stages: StageResults) -> tuple[Cause, ...]:
+    entries = {e.names: e for e in stages.race.entries}
     causes = [
         Cause(
             effects=effects,
             probability=probability,
             parameters=_sizes(entries[effects]) if effects in entries else {},
         )
-        for effects, probability in posterior.probabilities.items()
+        for effects, probability in stages.posterior.probabilities.items()
         if probability >= _LEAST_PROBABILITY or effects[0] in NO_EFFECT
     ]
     total = sum(cause.probability for cause in causes)
@@ -197,15 +200,13 @@ def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
     }
 
 
-def _parameters(
-    problem: GapProblem, race: Race, posterior: Posterior
-) -> dict[str, FittedParameter]:
-    entry = posterior.corrected or race.refit
+def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
+    entry = stages.posterior.corrected or stages.race.refit
     structure, fit, sd = entry.structure, entry.fit, entry.fit.sd
-    own = set(race.refit.structure.problem.names)
+    own = set(stages.race.refit.structure.problem.names)
     return {
         free.name: FittedParameter(
-            prior=float(problem.model.parameters[free.name].value),
+            prior=float(stages.problem.model.parameters[free.name].value),
             fitted=float(fit.theta[i]),
             sd=float(sd[i]),
             unit=free.unit,
@@ -218,12 +219,13 @@ def _parameters(
     }
 
 
-def _race(posterior: Posterior, race: Race) -> tuple[RaceEntry, ...]:
+def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
     """Everyone, and those without an effect to compare with."""
+    race, features = stages.race, stages.posterior.features
     refit = race.refit
     own = refit.fit.predictive
-    finite = posterior.features.scores[np.isfinite(posterior.features.scores)]
-    most = max(posterior.features.behind, float(np.max(finite, initial=0.0)), 1e-9)
+    finite = features.scores[np.isfinite(features.scores)]
+    most = max(features.behind, float(np.max(finite, initial=0.0)), 1e-9)
 
     def row(
         effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
@@ -269,21 +271,21 @@ def _moved(race: Race, entry: FittedModel) -> float:
     return max(_moves(race, entry).values(), default=0.0)
 
 
-def _detectable(race: Race, candidates: Mapping[str, CandidateEffect]) -> dict[str, Detectable]:
-    sizes = {}
-    for name in dict.fromkeys(race.signatures.names):
-        least = race.signatures.least_size(name)
+def _detectable(stages: StageResults) -> dict[str, Detectable]:
+    signs, sizes = stages.race.signatures, {}
+    for name in dict.fromkeys(signs.names):
+        least = signs.least_size(name)
         if least is not None:
-            sizes[name] = Detectable(minimum_size=least, unit=candidates[name].free[0].unit)
+            unit = stages.candidates[name].free[0].unit
+            sizes[name] = Detectable(minimum_size=least, unit=unit)
     return sizes
 
 
-def _not_testable(
-    race: Race, candidates: Mapping[str, CandidateEffect], left_out: Mapping[str, str]
-) -> tuple[NotTestable, ...]:
-    rows = [NotTestable(effect=name, reason=reason) for name, reason in left_out.items()]
+def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
+    race = stages.race
+    rows = [NotTestable(effect=name, reason=why) for name, why in stages.left_out.items()]
     known = set(race.signatures.names)
-    for name, candidate in candidates.items():
+    for name, candidate in stages.candidates.items():
         if not candidate.simulated:
             continue
         if name not in known:
@@ -293,7 +295,8 @@ def _not_testable(
     return tuple(rows)
 
 
-def _remarks(parts: Parts, race: Race) -> tuple[str, ...]:
+def _remarks(stages: StageResults) -> tuple[str, ...]:
+    parts, race = stages.parts, stages.race
     remarks = list(dict.fromkeys(r for d in (*parts.whole, *parts.fitted) for r in d.remarks))
     proxies = [
         f"{name} had to move {move:.1f} standard deviations of its prior in the refit: "
@@ -304,14 +307,9 @@ def _remarks(parts: Parts, race: Race) -> tuple[str, ...]:
     return (*remarks, *proxies)
 
 
-def _advice(
-    problem: GapProblem,
-    race: Race,
-    posterior: Posterior,
-    candidates: Mapping[str, CandidateEffect],
-    unseen: tuple[NotTestable, ...],
-) -> NextExperiment | None:
+def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperiment | None:
     """What to record next: what parts those that are not told apart, else what shows the unseen."""
+    race, posterior, candidates = stages.race, stages.posterior, stages.candidates
     best = posterior.best
     apart: list[str] = []
     values: dict[str, float] = {}
@@ -325,7 +323,7 @@ def _advice(
         return advise(
             refit=race.refit,
             candidates=candidates,
-            model_name=problem.model_name,
+            model_name=stages.problem.model_name,
             apart=apart,
             untested=[row.effect for row in unseen if row.effect in candidates],
             values=values,
@@ -453,20 +451,13 @@ _POINTS = 1500
 _SHOWN = 10.0
 
 
-def report_traces(
-    problem: GapProblem,
-    parts: Parts,
-    race: Race,
-    posterior: Posterior,
-    sealed: SealedComparison,
-    forces: Mapping[str, ForceRecord],
-    locations: Sequence[str],
-) -> Traces:
+def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
     """Missing forces with what explains them, and free runs before and after."""
+    forces, corrected = stages.forces, stages.posterior.corrected
     shown = [name for name in locations if name in forces] or list(forces)[:1]
     explained: dict[str, FloatArray] = {}
-    if posterior.corrected is not None:
-        left = smoothed_forces(race.refit, posterior.corrected)
+    if corrected is not None:
+        left = smoothed_forces(stages.race.refit, corrected)
         explained = {name: forces[name].force - left[name].force for name in shown}
     first = forces[shown[0]] if shown else None
     rows = slice(None, None, 1 if first is None else max(1, len(first.time) // _POINTS))
@@ -474,7 +465,7 @@ def report_traces(
     for name in shown:
         force[name] = forces[name].force[rows]
         force[f"{name}.sd"] = forces[name].sd[rows]
-    time, runs = _runs(parts, sealed)
+    time, runs = _runs(stages.parts, stages.sealed)
     return Traces(
         force_time=np.zeros(0) if first is None else first.time[rows],
         force=force,
