@@ -65,7 +65,7 @@ def applicable_candidates(
             locations(effect, with_effect),
             tuple(_free(name, i, p) for i, p in enumerate(effect.parameters())),
             variants(effect.parameters()),
-            _is_stochastic(effect),
+            type(effect).noise_sd is not Effect.noise_sd,
         )
     return applicable, left_out
 
@@ -184,10 +184,6 @@ def _free(effect: str, index: int, parameter: Parameter) -> FreeParameter:
         lower=lower,
         upper=upper,
     )
-
-
-def _is_stochastic(effect: Effect) -> bool:
-    return type(effect).noise_sd is not Effect.noise_sd
 
 
 def _touched(model: ExtendedModel) -> tuple[str, ...]:

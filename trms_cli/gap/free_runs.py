@@ -303,9 +303,9 @@ def measure_shrinkage(
             figures = {name: e[channel][horizon].rms for name, e in errors.items()}
             gap.setdefault(channel, {})[key] = Gap(**figures, floor=floor, unit=units[channel])
             squares = np.stack([reference.squared, after[channel][horizon].squared])
-            pooled.setdefault(key, []).append((squares / floor**2, reference.block))
-            shrunk = _shrink(squares / floor**2, reference.block, problem.seed)
-            shrink.setdefault(channel, {})[key] = shrunk
+            own = (squares / floor**2, reference.block)
+            pooled.setdefault(key, []).append(own)
+            shrink.setdefault(channel, {})[key] = _pooled([own], problem.seed)
     shrink[ALL] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
     told = repr(_TOLD_AT)
     worse = tuple(
@@ -316,13 +316,11 @@ def measure_shrinkage(
     return Shrinkage(gap, shrink, worse)
 
 
-def _shrink(squares: FloatArray, block: IntArray, seed: int) -> Shrink:
-    """Of one channel; squares (2, m) before and after, in floors squared."""
-    return _pooled([(squares, block)], seed)
-
-
 def _pooled(parts: Sequence[tuple[FloatArray, IntArray]], seed: int) -> Shrink:
-    """Of channels together, each in units of its floor, blocks resampled in all at once."""
+    """Of channels together, blocks resampled in all at once.
+
+    ``parts``: of each its squares (2, m) before and after, in floors squared, and their blocks.
+    """
     blocks = np.unique(np.concatenate([block for _, block in parts]))
     sums = np.zeros((len(parts), len(blocks), 2))
     counts = np.zeros((len(parts), len(blocks)))

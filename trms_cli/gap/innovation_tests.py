@@ -46,7 +46,8 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     commands = structure.windows.commands
     observed = _statistics(z, measured, commands, structure.windows.sample_time)
     drawn: dict[tuple[str, int], list[float]] = {key: [] for key in observed}
-    quanta = _quanta(structure)
+    target = structure.windows.target
+    quanta = np.array([quantum_of(target[..., i]) for i in range(target.shape[2])])
     for drawn_residual in _drawn(metric, quanta, draws, random):
         white = np.where(
             measured, np.clip(metric.whitened(drawn_residual[..., None])[..., 0], -6, 6), 0.0
@@ -96,12 +97,6 @@ def _drawn(
     rounded = np.where(quanta[:, None] > 0, coarse * np.round(y / coarse), y)
     for k in range(draws):
         yield rounded[..., k] - trajectory.y
-
-
-def _quanta(structure: ModelStructure) -> FloatArray:
-    """Step of each sensor, 0 where it has none, (n_y,)."""
-    target = structure.windows.target
-    return np.array([quantum_of(target[..., i]) for i in range(target.shape[2])])
 
 
 def _statistics(

@@ -382,11 +382,10 @@ def advise(
     if question is None:
         return None
     now = question.worth(present)
+    load = any(word in s.name for s in question.candidates for word in _OF_LOAD)
     found = [
         (question.worth(recording), experiment)
-        for experiment, recording in predicted_recordings(
-            refit, shares, model_name, load=_needs_load(question)
-        )
+        for experiment, recording in predicted_recordings(refit, shares, model_name, load=load)
     ]
     if not found:
         return None
@@ -425,10 +424,6 @@ def _question(
     return _Question(
         tuple(chosen), False, (), {name: rows for name, rows in hidden.items() if rows}
     )
-
-
-def _needs_load(question: _Question) -> bool:
-    return any(word in s.name for s in question.candidates for word in _OF_LOAD)
 
 
 def _repeated(

@@ -158,15 +158,19 @@ def run_race(
     joint: list[FittedModel] = []
     best = finals[0] if finals else None
     while best is not None and len(best.names) < effort.deepest:
-        partners = _partners(best, traces, candidates, effort.pairs)
+        # effects whose traces point at what the best leaves over
+        signs = projected(best, traces)
+        others = {n: s for n, s in candidates.items() if n not in best.names}
+        listed = short_list((signs,), others, effort.pairs)
+        partners = [name for name in listed if signs.best(name)[0] > _ENTRANCE]
 
-        def pair(name: str, base: FittedModel = best) -> FittedModel:
+        def pair(name: str, base: FittedModel = best, signs: Signatures = signs) -> FittedModel:
             effects = (*base.structure.effects, candidates[name])
             structure = refit.structure.with_effects(*effects)
             return once(
                 "joint " + "+".join((*base.names, name)),
                 structure,
-                lambda: _paired(base, candidates[name], traces, structure),
+                lambda: _paired(base, candidates[name], signs, structure),
             )
 
         made = _each(pair, partners, jobs, watch, 0.75, 0.95, "beside " + "+".join(best.names))
@@ -230,26 +234,10 @@ def _promising_sizes(
     return sizes
 
 
-def _partners(
-    best: FittedModel,
-    traces: EffectTraces,
-    candidates: Mapping[str, CandidateEffect],
-    count: int,
-) -> list[str]:
-    """Effects whose traces point at what the best leaves over."""
-    signs = projected(best, traces)
-    others = {n: s for n, s in candidates.items() if n not in best.names}
-    listed = short_list((signs,), others, count)
-    return [name for name in listed if signs.best(name)[0] > _ENTRANCE]
-
-
 def _paired(
-    best: FittedModel,
-    partner: CandidateEffect,
-    traces: EffectTraces,
-    structure: ModelStructure,
+    best: FittedModel, partner: CandidateEffect, signs: Signatures, structure: ModelStructure
 ) -> FittedModel:
-    sizes = _promising_sizes(partner, projected(best, traces), 0.2)
+    sizes = _promising_sizes(partner, signs, 0.2)
     theta = structure.theta({**best.values, **sizes})
     starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
     fitted = structure.fit(

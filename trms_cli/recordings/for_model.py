@@ -139,6 +139,8 @@ class Selection:
         commands = np.column_stack(
             [gridded.channels[s.name] * self.input_scale.get(s.name, 1.0) for s in inputs]
         )
+        # some samples later, until which the first one acts
+        acting = np.maximum(np.arange(len(commands)) - self.command_delay, 0)
         references = {
             angle: gridded.channels[name]
             for angle, name in REFERENCE_OF_AXIS.items()
@@ -149,7 +151,7 @@ class Selection:
             gridded.time,
             inputs,
             outputs,
-            _delayed(_held(commands, names(inputs), gridded), self.command_delay),
+            _held(commands, names(inputs), gridded)[acting],
             np.column_stack([gridded.channels[name] for name in channels]),
             references,
             self.sensors.declared_noise(channels),
@@ -241,12 +243,6 @@ def _held(commands: FloatArray, inputs: Sequence[str], gridded: GriddedRecording
             )
         column[:] = held(column)
     return commands
-
-
-def _delayed(commands: FloatArray, samples: int) -> FloatArray:
-    """Commands some samples later; the first one acts until then."""
-    latest = np.maximum(np.arange(len(commands)) - samples, 0)
-    return commands[latest]
 
 
 def _happenings(

@@ -208,7 +208,8 @@ class RunLog:
             end = {"end": _now(), "outcome": outcome, "last_time_s": f"{self._last_time_ns / 1e9}"}
             self._writer.add_metadata(RUN_METADATA, {**self._run, **end})
             if score is not None:
-                self._writer.add_metadata(SCORE_METADATA, _as_json_texts(score))
+                texts = {str(key): _encode(value).decode() for key, value in score.items()}
+                self._writer.add_metadata(SCORE_METADATA, texts)
             self._writer.finish()
             self._flush_stream()
             self._closed = True
@@ -358,7 +359,3 @@ class _DeferredInterrupt:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
-
-
-def _as_json_texts(values: Mapping[str, Any]) -> dict[str, str]:
-    return {str(key): _encode(value).decode() for key, value in values.items()}

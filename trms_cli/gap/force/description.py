@@ -278,15 +278,19 @@ def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
             f"Nothing stands out of the noise at {place}: {rms:.2g} {unit} RMS, "
             f"of which noise alone explains {noise:.2g}.",
         )
-    fine = record.thinned(_RATE)
+    fine, changed = record.thinned(_RATE), change_time(record)
     told = [
         f"A missing contribution at {place} of {rms:.2g} {unit} RMS (noise {noise:.2g} {unit}).",
         _offset(fine),
         _band(record),
         _direction(fine),
         _trend(fine),
-        _change(record),
-        *_where(record),
+        "" if changed is None else f"It changes for good at t = {changed:g} s.",
+        *(
+            f"{region.share:.0%} of its energy lies where: {region.condition}."
+            for region in regions(record)
+            if " t = " not in region.condition
+        ),
         _origin(record, seed),
         _closest_form(record),
     ]
@@ -370,16 +374,6 @@ def _trend(record: ForceRecord) -> str:
         change = slope * minutes * 60 / float(strength.mean())
         return f"Its strength changes by {change:+.0%} over the recording (t = {t:.1f})."
     return ""
-
-
-def _change(record: ForceRecord) -> str:
-    when = change_time(record)
-    return "" if when is None else f"It changes for good at t = {when:g} s."
-
-
-def _where(record: ForceRecord) -> list[str]:
-    found = [region for region in regions(record) if " t = " not in region.condition]
-    return [f"{region.share:.0%} of its energy lies where: {region.condition}." for region in found]
 
 
 def _origin(record: ForceRecord, seed: int) -> str:

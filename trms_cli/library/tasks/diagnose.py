@@ -416,12 +416,14 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         progress.note(line)
     try:
         with progress:
-            diagnosis = _completed(diagnose(request.problem, progress), request)
+            diagnosis = diagnose(request.problem, progress)
     except KeyboardInterrupt:
         how = f"{program()} diagnose resume={shlex.quote(str(folder))}"
         if progress.exit_code == EXIT_TERMINATED:
             raise Interrupted(folder, how, EXIT_TERMINATED) from None
         raise Interrupted(folder, how) from None
+    warnings = dict.fromkeys((*request.problem.warnings, *diagnosis.warnings))
+    diagnosis = replace(diagnosis, versions=versions(), warnings=tuple(warnings))
     files = {"figures": folder / DOCUMENT_NAME}
     write_document(document_of(diagnosis), files["figures"])
     files["model"] = write_models(request, origin, diagnosis, folder)
@@ -437,14 +439,6 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     progress.finish(f"verdict {diagnosis.verdict}: {diagnosis.sentence}")
     spent = {"time": wording.seconds(perf_counter() - begin)}
     return Done(folder, replace(result, measures=(), facts=spent, files=files))
-
-
-def _completed(diagnosis: DiagnosisResult, request: DiagnosisRequest) -> DiagnosisResult:
-    """With the versions, and the warnings of the admission."""
-    warnings = dict.fromkeys((*request.problem.warnings, *diagnosis.warnings))
-    return replace(
-        diagnosis, versions=dict(diagnosis.versions) or versions(), warnings=tuple(warnings)
-    )
 
 
 def _words(composition: Composition, request: DiagnosisRequest) -> str:
