@@ -394,8 +394,8 @@ def test_the_models_own_value_is_not_drawn_on_the_frame_of_a_map():
         path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
         over, against = np.linspace(*span, 3), np.array([0.3, 0.5])
         growth = np.array([[-0.1, 0.0, 0.1], [-0.1, 0.0, 0.2]])
-        mapped = StabilityMap(over, against, growth, np.empty((0, 2)))
-        (chart,) = map_section(path, "alpha_v", mapped, []).blocks
+        mapped = StabilityMap("alpha_v", over, against, growth, np.empty((0, 2)))
+        (chart,) = map_section(path, mapped).blocks
         return [mark for mark in chart.panels[0].marks if isinstance(mark, Line)]
 
     own = Newtonian().parameters["k_g"].value

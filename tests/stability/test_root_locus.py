@@ -153,17 +153,17 @@ def test_the_size_of_an_effect_can_be_varied():
 def test_the_map_has_the_boundary_of_the_loci():
     path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
     found = stability_map(path, "alpha_v", RANGE, (0.3, 0.5), (7, 5), silent)
-    assert found.growth.shape == (5, 7)
+    assert found.largest_growth_1_s.shape == (5, 7)
     row = np.flatnonzero(np.isclose(found.boundary[:, 1], 0.4))
     assert found.boundary[row, 0] == pytest.approx([0.1481], abs=2e-4)
-    assert np.all(np.diff(found.growth, axis=1) > 0)  # more k_g, less stable
+    assert np.all(np.diff(found.largest_growth_1_s, axis=1) > 0)  # more k_g, less stable
 
 
 def test_the_map_has_holes_where_there_is_no_operating_point():
     path = OperatingPath(FeedbackManual(), {"alpha_v": -0.5}, "K_gy")
     found = stability_map(path, "alpha_v", (0.01, 0.05), (-0.4, 0.2), (3, 5), silent)
-    assert np.isfinite(found.growth[0]).all()
-    assert np.isnan(found.growth[-1]).all()
+    assert np.isfinite(found.largest_growth_1_s[0]).all()
+    assert np.isnan(found.largest_growth_1_s[-1]).all()
 
 
 def test_a_locus_over_a_command_ends_at_the_fold_and_so_does_its_map():

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from trms_cli.core.findings import Block, Column, Findings, Section, Table, json_data, table
+from trms_cli.core.findings import Column, Findings, Section, Table, json_data, table
 from trms_cli.models.model import Model, by_name
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.linear import EigenMode, Modes, Side, Switch, modes_of
@@ -70,36 +70,41 @@ class Local:
         }
         switches = linear.switches(point.x, point.u)
         tell(f"over {over}")
-        value, words = _value_of(path, point), point.words(model)
-        locus = locus_of(
-            path, sweep_eigenvalues(path, *path.range(self.range), self.points, (value,))
-        )
-        return Findings(
-            "Local stability",
-            (*_lead(model, words, sides, switches), *_lead_range(locus)),
-            (
-                Section(
-                    f"At {words}",
-                    _text_here(model, sides["mean"], switches),
-                    _blocks_here(model, sides, switches, words),
-                ),
-                _range_section(locus, value),
-            ),
-            json_data(_results(locus, point, sides, switches)),
-            _warnings(sides["mean"], switches),
-        )
+        value = point.value(model, over) if path.kind != "parameter" else path.began
+        sweep = sweep_eigenvalues(path, *path.range(self.range), self.points, (value,))
+        result = LocalResult(locus_of(path, sweep), point, sides, switches)
+        sections = _point_section(result), _range_section(result.locus, value)
+        lead = *_lead(result), *_lead_range(result.locus)
+        data = json_data(_results(result))
+        return Findings("Local stability", lead, sections, data, _warnings(result))
 
 
-def _lead(
-    model: Model, words: str, sides: Mapping[Side, Modes], switches: tuple[Switch, ...]
-) -> list[str]:
-    modes = sides["mean"]
+@dataclass(frozen=True)
+class LocalResult:
+    """The modes at an operating point, and over the range."""
+
+    locus: Locus
+    point: OperatingPoint
+    sides: Mapping[Side, Modes]  #: With the mean of the slopes on a switch, and those of each side
+    switches: tuple[Switch, ...]
+
+    @property
+    def model(self) -> Model:
+        return self.locus.path.model
+
+    @property
+    def modes(self) -> Modes:
+        return self.sides["mean"]
+
+
+def _lead(result: LocalResult) -> list[str]:
+    modes, sides = result.modes, result.sides
     verdict = {
         "stable": "small motions die out",
         "marginal": "small motions neither grow nor all die out",
         "unstable": "small motions grow",
     }[modes.verdict]
-    sentences = [f"{modes.verdict.capitalize()}, {verdict}, at {words}."]
+    sentences = [f"{modes.verdict.capitalize()}, {verdict}, at {result.point.words(result.model)}."]
     finite = (m for m in modes.modes if math.isfinite(m.eigenvalue.real))
     critical = max(finite, key=lambda m: m.eigenvalue.real)
     sentences.append(f"Closest to growing is {_described(critical)}.")
@@ -107,7 +112,7 @@ def _lead(
     for mode in sorted(swing, key=lambda m: m.damping_ratio or 0.0)[:2]:
         if not mode.name.startswith("past"):
             sentences.append(f"Besides, {_described(mode)}.")
-    if switches and sides["upper"].verdict != sides["lower"].verdict:
+    if result.switches and sides["upper"].verdict != sides["lower"].verdict:
         sentences.append(
             f"On a switch, it is {sides['upper'].verdict} on the upper side and "
             f"{sides['lower'].verdict} on the lower."
@@ -153,7 +158,9 @@ def _lead_range(locus: Locus) -> list[str]:
     return [f"Over {span}, modes cross the imaginary axis at {'; '.join(sentences)}."]
 
 
-def _text_here(model: Model, modes: Modes, switches: tuple[Switch, ...]) -> list[str]:
+def _point_section(result: LocalResult) -> Section:
+    model, modes, switches = result.model, result.modes, result.switches
+    words = result.point.words(model)
     sentences = [
         "Modes are named after the states that take part in them (participation factors w_i v_i, "
         "which do not depend on units). Natural frequency ω_n = |λ|, damping ratio ζ = −Re λ/|λ|, "
@@ -179,21 +186,13 @@ def _text_here(model: Model, modes: Modes, switches: tuple[Switch, ...]) -> list
             "The table of modes is for the mean of both slopes, which small oscillations across "
             "the switch see (their first harmonic); those of either side are given beside it."
         )
-    return sentences
-
-
-def _blocks_here(
-    model: Model, sides: Mapping[Side, Modes], switches: tuple[Switch, ...], words: str
-) -> list[Block]:
-    modes = sides["mean"]
     blocks: list[Block] = [
         mode_table(modes, f"Modes at {words}."),
         participation_table(model, modes),
+        *([_sides_table(result.sides)] if switches else []),
+        points_alone("local_modes", modes, f"Eigenvalues at {words}."),
     ]
-    if switches:
-        blocks.append(_sides_table(sides))
-    blocks.append(points_alone("local_modes", modes, f"Eigenvalues at {words}."))
-    return blocks
+    return Section(f"At {words}", sentences, blocks)
 
 
 def _sides_table(sides: Mapping[Side, Modes]) -> Table:
@@ -231,25 +230,16 @@ def _range_section(locus: Locus, value: float) -> Section:
     )
 
 
-def _value_of(path: OperatingPath, point: OperatingPoint) -> float:
-    """Where the request stands on the line."""
-    if path.kind == "parameter":
-        return float(path.model.parameters[path.over].value)
-    return point.value(path.model, path.over)
-
-
-def _results(
-    locus: Locus, point: OperatingPoint, sides: Mapping[Side, Modes], switches: tuple[Switch, ...]
-) -> dict[str, Any]:
-    model = locus.path.model
-    matrices = locus.path.linear.matrices(point.x, point.u)
+def _results(result: LocalResult) -> dict[str, Any]:
+    model, point, modes = result.model, result.point, result.modes
+    matrices = result.locus.path.linear.matrices(point.x, point.u)
     return {
         "at": {
             "x": by_name(model.states, point.x),
             "u": by_name(model.inputs, point.u),
-            "verdict": sides["mean"].verdict,
-            "modes": [mode_data(model, mode) for mode in sides["mean"].modes],
-            "forgotten": sides["mean"].forgotten,
+            "verdict": modes.verdict,
+            "modes": [mode_data(model, mode) for mode in modes.modes],
+            "forgotten": modes.forgotten,
             "A": matrices.a,
             "B": matrices.b,
             "sample_time_s": model.sample_time,
@@ -261,26 +251,26 @@ def _results(
                 "upper": s.upper,
                 "lower": s.lower,
             }
-            for s in switches
+            for s in result.switches
         ],
         "sides": {
-            side: [mode_data(model, mode) for mode in sides[side].modes]
+            side: [mode_data(model, mode) for mode in result.sides[side].modes]
             for side in ("upper", "lower")
-            if switches
+            if result.switches
         },
-        "range": locus_data(locus),
-        "crossings": crossing_data(locus),
+        "range": locus_data(result.locus),
+        "crossings": crossing_data(result.locus),
     }
 
 
-def _warnings(modes: Modes, switches: tuple[Switch, ...]) -> list[str]:
+def _warnings(result: LocalResult) -> list[str]:
     sentences = []
-    if switches:
+    if result.switches:
         sentences.append(
             "On a switch the eigenvalues of either side do not by themselves decide about motions "
             "that cross it; that of the mean is what a small, nearly harmonic swing sees."
         )
-    if modes.verdict == "marginal":
+    if result.modes.verdict == "marginal":
         sentences.append(
             "An eigenvalue on the imaginary axis decides nothing: what the equations do beyond "
             "first order does."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
@@ -66,13 +66,16 @@ _EXACT = 1e-10
 class StabilityMap:
     """The largest growth rate over two numbers."""
 
-    over: FloatArray  #: (n,), (m,) arrays
-    against: FloatArray  #: (n,), (m,) arrays
+    against: str  #: The second number
+    over_values: FloatArray  #: (n,) array
+    against_values: FloatArray  #: (m,) array
     #: (m, n) array; largest Re λ of what is not at rest on the imaginary axis throughout, 1/s; NaN
     #: where there is no operating point within the rig's limits
-    growth: FloatArray
+    largest_growth_1_s: FloatArray
     #: (k, 2) array; points (over, against) where it is zero, each located along ``over``
     boundary: FloatArray
+    #: Crossings along the second number, at some values of the first
+    along_against: Sequence[dict[str, Any]] = ()
 
 
 def stability_map(
@@ -105,8 +108,9 @@ def stability_map(
             begin = row.balance.advance(held, following, begin) or _anywhere(row, float(over[0]))
         held = following
         if begin is not None:
-            _fill(row, over, begin, growth[i], float(level), boundary)
-    return StabilityMap(over, levels, growth, np.array(boundary).reshape(-1, 2))
+            growth[i], zeros = _row(row, over, begin)
+            boundary += [(zero, float(level)) for zero in zeros]
+    return StabilityMap(against, over, levels, growth, np.array(boundary).reshape(-1, 2))
 
 
 def _anywhere(path: OperatingPath, value: float) -> OperatingPoint | None:
@@ -116,15 +120,11 @@ def _anywhere(path: OperatingPath, value: float) -> OperatingPoint | None:
         return None
 
 
-def _fill(
-    path: OperatingPath,
-    over: FloatArray,
-    begin: OperatingPoint,
-    row: FloatArray,
-    level: float,
-    boundary: list[tuple[float, float]],
-) -> None:
-    """One row of the map, and its boundary points."""
+def _row(
+    path: OperatingPath, over: FloatArray, begin: OperatingPoint
+) -> tuple[FloatArray, list[float]]:
+    """One row of the map, and where it is zero."""
+    row, zeros = np.full(len(over), np.nan), []
     point: OperatingPoint | None = begin
     last = path.held(float(over[0]))
     for k, value in enumerate(over):
@@ -132,7 +132,7 @@ def _fill(
         before = point
         point = path.balance.advance(last, held, before) if before is not None else None
         if point is None:
-            return
+            break
         if path.balance.within_limits(point):
             row[k] = _growth(path, float(value), point)
         if k and row[k - 1] * row[k] < 0 and before is not None:
@@ -146,8 +146,9 @@ def _fill(
                 cell = float(over[k] - over[k - 1])
                 root = brentq(rate, over[k - 1], value, xtol=_EXACT * abs(cell))
                 if abs(rate(root)) < 1e-6:
-                    boundary.append((float(root), level))
+                    zeros.append(float(root))
         last = held
+    return row, zeros
 
 
 def _growth(path: OperatingPath, value: float, point: OperatingPoint) -> float:
@@ -189,11 +190,10 @@ def boundary_along(
     return boundaries
 
 
-def map_section(
-    path: OperatingPath, against: str, mapped: StabilityMap, at_ends: list[dict[str, Any]]
-) -> Section:
+def map_section(path: OperatingPath, mapped: StabilityMap) -> Section:
     """The map, and where stability ends along the second number."""
-    grid, growth = (mapped.over, mapped.against), mapped.growth
+    against, growth = mapped.against, mapped.largest_growth_1_s
+    grid = mapped.over_values, mapped.against_values
     nowhere, finite = ~np.isfinite(growth), growth[np.isfinite(growth)]
     unit_2 = unit_of(path.model, against)
     marks: list[Mark] = []
@@ -230,7 +230,7 @@ def map_section(
         5.0,
     )
     ends = table(
-        (c | {"over": end["over"]} for end in at_ends for c in end["crossings"]),
+        (c | {"over": end["over"]} for end in mapped.along_against for c in end["crossings"]),
         [
             Column(path.head, lambda c: rounded(c["over"], 5)),
             Column("mode", "mode"),
@@ -296,7 +296,7 @@ class RootLocus:
             mode_sensitivity(path, c.place, c.track, locus.name(c)) for c in locus.crossings
         ] or _nearest(locus)
         sections = [_locus_section(locus), _why_section(locus, reasons)]
-        mapped, at_ends = None, []
+        mapped = None
         if against is not None:
             usual = self.over is None and self.against in (None, _USUAL_AGAINST)
             asked = self.against_range or (_USUAL_AGAINST_RANGE if usual else None)
@@ -305,15 +305,18 @@ class RootLocus:
             size = (self.map_points, 2 * self.map_points + 1)
             mapped = stability_map(path, against, (low, high), span_2, size, tell)
             ends = (float(locus.sweep.values[0]), float(locus.sweep.values[-1]))
-            at_ends = boundary_along(path, against, ends, span_2, tell)
-            sections.append(map_section(path, against, mapped, at_ends))
-        return Findings(
-            "Root locus",
-            _lead(locus, reasons, sides, str(against), at_ends),
-            sections,
-            json_data(_results(locus, reasons, sides, against, mapped, at_ends)),
-            _warnings(locus, sides),
-        )
+            along = boundary_along(path, against, ends, span_2, tell)
+            mapped = replace(mapped, along_against=along)
+            sections.append(map_section(path, mapped))
+        results = {
+            "held": {name: v for name, v in path.at.items() if name != path.over},
+            "locus": locus_data(locus),
+            "crossings": crossing_data(locus),
+            "crossings_by_side": sides,
+            "why": [sensitivity_data(path, reason) for reason in reasons],
+        } | ({} if mapped is None else {"map": mapped})
+        lead = _lead(locus, reasons, sides, mapped)
+        return Findings("Root locus", lead, sections, json_data(results), _warnings(locus, sides))
 
     def _asked(
         self, model: Model
@@ -413,40 +416,11 @@ def _why_section(locus: Locus, reasons: list[ModeSensitivity]) -> Section:
     return Section("Why", text, blocks)
 
 
-def _results(
-    locus: Locus,
-    reasons: list[ModeSensitivity],
-    sides: Mapping[str, list[float]],
-    against: str | None,
-    mapped: StabilityMap | None,
-    at_ends: list[dict[str, Any]],
-) -> dict[str, Any]:
-    path = locus.path
-    results: dict[str, Any] = {
-        "held": {name: v for name, v in path.at.items() if name != path.over},
-        "locus": locus_data(locus),
-        "crossings": crossing_data(locus),
-        "crossings_by_side": sides,
-        "why": [sensitivity_data(path, reason) for reason in reasons],
-    }
-    if mapped is not None:
-        results["map"] = {
-            "against": against,
-            "over_values": mapped.over,
-            "against_values": mapped.against,
-            "largest_growth_1_s": mapped.growth,
-            "boundary": mapped.boundary,
-            "along_against": at_ends,
-        }
-    return results
-
-
 def _lead(
     locus: Locus,
     reasons: list[ModeSensitivity],
     sides: Mapping[str, list[float]],
-    against: str,
-    at_ends: list[dict[str, Any]],
+    mapped: StabilityMap | None,
 ) -> list[str]:
     path, values = locus.path, locus.sweep.values
     unit = f" {path.unit}" if path.unit else ""
@@ -469,7 +443,10 @@ def _lead(
             listed = ", ".join(f"{v:.4g}" for v in crossed)
             sentences.append(f"With the slopes of the {side} side of the switch: {listed}{unit}.")
     sentences += sensitivity_words(path, reasons[0]) if reasons else [_still_words(path)]
-    for end in at_ends:
+    if mapped is None:
+        return sentences
+    against = mapped.against
+    for end in mapped.along_against:
         over = amount_words(path.model, path.over, end["over"], 4)
         if not end["crossings"]:
             low, high = end["against_range"]
