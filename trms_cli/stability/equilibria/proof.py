@@ -528,10 +528,7 @@ class Prover:
         return [Proof(given[k], tuple(own), roots.open_ended) for k, own in enumerate(proofs)]
 
     def counts(self, lower: npt.ArrayLike, upper: npt.ArrayLike) -> list[int | None]:
-        """How many equilibria there are for every input between bounds, (m, n_v) each.
-
-        None where that could not be told.
-        """
+        """How many equilibria each input between bounds, (m, n_v), has; None: it was not told."""
         given = Interval.of(lower, upper)
         roots = self._solve(given, _SHARE_OVER_RANGES, whole=False)
         numbers = np.bincount(roots.owner, minlength=len(given.lower)).tolist()

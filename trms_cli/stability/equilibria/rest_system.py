@@ -419,10 +419,7 @@ def _run(program: ca.Function, symbols: ca.SX, instead: dict[int, ca.SX]) -> lis
 
 
 def without_factors(row: ca.SX, variables: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
-    """A row without cosines and constants as factors, without its divisor; and what they were.
-
-    ``row``: scalar. ``variables``: (m, 1); symbols that are no parameters.
-    """
+    """A row without cosines, factors of parameters alone and its divisor; and what they were."""
     taken: list[ca.SX] = []
     while True:
         if row.is_op(ca.OP_NEG):

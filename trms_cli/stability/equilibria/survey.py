@@ -283,10 +283,7 @@ def bounds_of(
 
 
 def _require_yaw(system: RestSystem, box: Interval, where: str) -> None:
-    """Nothing upright in the box where an equation of rest then holds for whatever else.
-
-    Raises ModelError.
-    """
+    """ModelError if with the beam upright, in the box, an equation holds for whatever else."""
     model = system.model
     pitch = model.axes["pitch"].angle if "pitch" in model.axes else ""
     if pitch not in names(system.unknowns):
@@ -340,10 +337,7 @@ class EquilibriumMap:
 
 
 def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap | None:
-    """From the stable points over one input, by steps of the other; None for other structures.
-
-    ``along``: over the first input, with the second given.
-    """
+    """From the stable points along the first input, by steps of the second; None where not so."""
     over = along.setting.over
     if along.system.free or along.system.released or along.setting.held:
         return None
@@ -505,11 +499,7 @@ def _taken(model: Model, x: FloatArray, u: FloatArray, axis: str, moment: float)
 def friction_bands(
     model: Model, x: FloatArray, u: FloatArray, reached: FloatArray
 ) -> list[FrictionBand]:
-    """The bands of all axes around an equilibrium, one axis at a time.
-
-    ``x``: (n_x,); the equilibrium. ``u``, ``reached``: (n_u,); its commands, and what of them
-    reaches the motors.
-    """
+    """The bands of all axes around an equilibrium; ``reached`` is what of u reaches the motors."""
     bands: list[FrictionBand] = []
     for axis, place in model.axes.items():
         torque = breakaway(model, x, reached, axis)

@@ -71,11 +71,7 @@ class Scales:
 
 
 def scales_of(model: Model, matrices: Matrices, angle_noise: float, other_noise: float) -> Scales:
-    """The usual sizes of a model, by its matrices where inputs act.
-
-    Noise is that of an angle's reading (rad), and of any other one in its unit (rad/s of a
-    tachometer).
-    """
+    """The usual sizes of a model; noise of an angle's reading (rad), and of any other (rad/s)."""
     limit = np.array([model.input_limits[signal.name] for signal in model.inputs])
     limit = np.where(np.isfinite(limit), limit, 1.0)
     a = matrices.a if matrices.sample_time is None else matrices.a - np.eye(len(matrices.a))
@@ -385,10 +381,7 @@ def input_gains(
 def sensor_sets(
     model: Model, given: Sequence[Sequence[str]] | None, where: str = "study.sensors"
 ) -> tuple[tuple[str, ...], ...]:
-    """The sets asked for, or the usual ones.
-
-    The usual ones are everything, the angles with each tachometer, the angles alone, and each
-    sensor alone.
+    """The sets asked for; else all, the angles with each tachometer, the angles, and each alone.
 
     Raises ConfigurationError for a name that the model does not measure, and for an empty set.
     """

@@ -321,10 +321,7 @@ def share_table(path: OperatingPath, why: ModeSensitivity) -> Table:
 def share_chart(
     name: str, path: OperatingPath, sweep: EigenvalueSweep, track: int, mode: str
 ) -> Chart | None:
-    """d Re λ/dp of one mode over the range, and the parts of the largest entries.
-
-    None where nothing moves it.
-    """
+    """d Re λ/dp of one mode over the range, and of its largest entries; None: nothing moves it."""
     derivatives = [sensitivity(path, place, track) for place in sweep.places]
     if not any(moves(one) for one in derivatives):
         return None

@@ -94,10 +94,7 @@ def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str)
 
 
 def in_order(given: tuple[float, float], where: str) -> tuple[float, float]:
-    """A range as given.
-
-    Raises ConfigurationError for one that is empty or reversed.
-    """
+    """A range as given; ConfigurationError for one that is empty or reversed."""
     low, high = given
     if low == high:
         raise ConfigurationError(
@@ -190,10 +187,7 @@ class OperatingPath:
         )
 
     def moved(self, name: str, value: float) -> OperatingPath:
-        """The same with another angle, command or parameter held at a value.
-
-        Raises ConfigurationError for an angle where commands are held, and the reverse.
-        """
+        """The same with another number held; ConfigurationError: an angle for commands, or so."""
         kind = _kind(self.model, name)
         other = copy.copy(self)
         if kind == "parameter" or (kind == "angle") == self._base.by_angle:
@@ -243,10 +237,7 @@ class OperatingPath:
         return TrimCondition(one.by_angle, one.values - zero.values, one.p - zero.p)
 
     def first(self, low: float, high: float) -> LocusPoint:
-        """The place where a sweep begins: where the request stands, or the end next to it.
-
-        Raises TrmsError where there is none.
-        """
+        """Where a sweep begins: where the request stands, or the end next to it; or TrmsError."""
         begin = self._begin()
         value = min(max(self.began, low), high)
         point = self.balance.advance(self.held(self.began), self.held(value), begin)
@@ -352,10 +343,7 @@ class OperatingPath:
 def sweep_eigenvalues(
     path: OperatingPath, low: float, high: float, points: int, also: tuple[float, ...] = ()
 ) -> EigenvalueSweep:
-    """Go through a range, by way of further values where they lie within.
-
-    Raises TrmsError where there is no operating point to begin at.
-    """
+    """Go through a range, and further values within; TrmsError where there is nowhere to begin."""
     begin = path.first(low, high)
     grid = np.linspace(low, high, points)
     grid = np.unique(np.concatenate([grid, [value for value in also if low < value < high]]))

@@ -194,10 +194,7 @@ class Analyser:
     def measure(
         self, model: Model, loop: LoopParts, point: OperatingPoint, tell: Tell
     ) -> FrequencyResponse | NoResponse:
-        """The response around an operating point.
-
-        Raises NoLoopError.
-        """
+        """The response around an operating point. Raises NoLoopError."""
         step = loop.control_period
         probe = multisine(step, self.lowest, self.ratio)
         other = multisine(step, self.lowest, self.ratio, seed=1)
@@ -381,10 +378,7 @@ _OF_THE_RIG, _OF_THE_CONTROLLER = 10, 2
 
 
 def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
-    """The operating point asked for; :data:`DEFAULT` where nothing is.
-
-    Raises TrmsError.
-    """
+    """The operating point asked for; :data:`DEFAULT` where nothing is. Raises TrmsError."""
     model = subject.model
     at = at or {name: value for name, value in DEFAULT.items() if name in model.controlled}
     if model.sample_time is None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from trms_cli.core.findings import Column, Findings, Section, Table, json_data, table
+from trms_cli.core.findings import Block, Column, Findings, Section, Table, json_data, table
 from trms_cli.models.model import Model, by_name
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.linear import EigenMode, Modes, Side, Switch, modes_of

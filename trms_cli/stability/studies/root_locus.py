@@ -86,11 +86,7 @@ def stability_map(
     size: tuple[int, int],
     tell: Tell,
 ) -> StabilityMap:
-    """Evaluate a grid, row by row along the operating points.
-
-    ``path`` goes over the first number; the second is a controlled state, an input or a parameter;
-    ``size`` is how many values of each.
-    """
+    """Evaluate a grid of some size, row by row along the operating points of the path."""
     over = np.linspace(*over_range, size[0])
     levels = np.linspace(*against_range, size[1])
     growth = np.full((len(levels), len(over)), np.nan)

@@ -420,10 +420,7 @@ def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> lis
 
 
 def _left(tried: TrialRun, trial: ToleranceTrial) -> float:
-    """Mean error plus swing of the last third, rad, of the worse angle: what is judged.
-
-    That at which a run is ended for one that was.
-    """
+    """Mean error plus swing of the last third, rad, of the worse angle; of a lost run the bound."""
     if tried.run.ended:
         return trial.lost
     verdict = tried.verdict
