@@ -29,7 +29,7 @@ import numpy as np
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.core.process_cache import kept
-from trms_cli.models.model import Model, Signal
+from trms_cli.models.model import FloatArray, Model, Signal
 
 #: A first-order lag settles to the last bit within 40 time constants; none is that slow.
 _MOST_STEPS_TO_SETTLE = 100_000
@@ -363,3 +363,18 @@ def _rodas3(f: Derivative, x: ca.SX, h: float) -> ca.SX:
     stage_3 = solve(f(x + 2.0 * stage_1) + (stage_1 - stage_2) / h)
     stage_4 = solve(f(x + 2.0 * stage_1 + stage_3) + (stage_1 - stage_2 - 8.0 / 3.0 * stage_3) / h)
     return x + 2.0 * stage_1 + stage_3 + stage_4
+
+
+def noise_of_states(model: Model, parameters: FloatArray, step: float) -> FloatArray:
+    """Standard deviations of what noise adds to each state in a step (s), shape (n_x,).
+
+    ``parameters``: (n_p,) array; values of the model's parameters, SI. ``step``: s.
+    """
+    added = BufferedFunction(kept(_noise_function, model, step), compile=False)
+    return added.evaluate(parameters)[0].copy()
+
+
+def _noise_function(model: Model, step: float) -> ca.Function:
+    """``p`` → standard deviations, (n_x, 1)."""
+    _, _, p, _ = model.symbols()
+    return ca.Function("added", [p], [ca.densify(model.noise_sd(p, step))])

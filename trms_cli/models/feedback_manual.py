@@ -29,12 +29,13 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.errors import ModelError
+from trms_cli.models.beam_rig import INPUTS, BeamRig
 from trms_cli.models.dry_friction import resisted
-from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
+from trms_cli.models.model import FloatArray, Signal
 from trms_cli.models.parameters import parameter_file
 
 
-class FeedbackManual(Model):
+class FeedbackManual(BeamRig):
     """The maker's model, 7 states.
 
     Parameters
@@ -81,50 +82,26 @@ class FeedbackManual(Model):
             Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
             Signal("reaction", "V", "lagged momentum of the main rotor in its reaction on yaw"),
         )
-        self.inputs = (
-            Signal("u_v", "V", "command of the main rotor"),
-            Signal("u_h", "V", "command of the tail rotor"),
-        )
+        self.inputs = tuple(INPUTS.values())
         self.outputs = (self.states[5], self.states[2])
-        self.disturbances = (
-            Signal("pitch_moment", "N*m", "torque on pitch"),
-            Signal("yaw_moment", "N*m", "torque on yaw"),
-        )
-        limits = {"u_v": 2.5, "u_h": 2.5, "alpha_v": np.inf, "alpha_h": np.inf} | content.limits
-        self.controlled = ("alpha_v", "alpha_h")
-        self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
-        self.stops = {name: limits[name] for name in self.controlled}
-        self.axes = {
-            "pitch": RigAxis("alpha_v", "pitch_moment"),
-            "yaw": RigAxis("alpha_h", "yaw_moment"),
-        }
-        self.rotors = {"main": "u_v", "tail": "u_h"}
+        self._frame(content, input_limit=2.5)
+        self.disturbances = self.disturbances[:2]  # its rotors take none
 
     def rest(self) -> FloatArray:
         x = np.zeros(self.n_x)
         x[self.state_index("alpha_v")] = -self.parameters["psi_0"].value
         return x
 
-    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        return self._equations(x, u, p, w)[0]
-
-    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        return ca.vertcat(x[5], x[2])
-
-    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
-        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
-
     def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
         if not self.dry_friction:
             return x
-        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        c = self.named(p)
         for axis, torque in (("pitch", c["B_2psi"]), ("yaw", c["B_2phi"])):
             x = resisted(self, (x, u, p, w), axis, torque, duration)
         return x
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """All rows, and the quantities met on the way."""
-        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        c = self.named(p)
         tau_h, rate_h, tau_v, rate_v, alpha_v, lagged = x[0], x[1], x[3], x[4], x[5], x[6]
         psi = alpha_v + c["psi_0"]
         main = c["a_1"] * tau_v * ca.fabs(tau_v) + c["b_1"] * tau_v

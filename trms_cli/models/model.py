@@ -200,6 +200,10 @@ class Model(ABC):
         upper = np.array([self.input_limits[signal.name] for signal in self.inputs])
         return -upper, upper
 
+    def named(self, p: ca.SX) -> dict[str, ca.SX]:
+        """The parameters (n_p, 1) by name."""
+        return {name: p[i] for i, name in enumerate(self.parameters.names)}
+
     def without_effects(self) -> Model:
         """The model beneath all effects: itself, where it has none."""
         return self

@@ -25,14 +25,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
+from trms_cli.models.beam_rig import INPUTS, BeamRig
 from trms_cli.models.dry_friction import resisted
-from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import parameter_file
 
 
-class QuanserAero(Model):
+class QuanserAero(BeamRig):
     """Quanser Aero with free pitch and yaw.
 
     Parameters
@@ -68,33 +68,10 @@ class QuanserAero(Model):
             Signal("S_v", "rad/s", "pitch rate"),
             Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
         )
-        self.inputs = (
-            Signal("u_v", "V", "command of the main rotor"),
-            Signal("u_h", "V", "command of the tail rotor"),
-        )
+        self.inputs = tuple(INPUTS.values())
         measured = ("alpha_v", "alpha_h", *(("omega_v", "omega_h") if rotor_speeds else ()))
         self.outputs = tuple(self.states[self.state_index(name)] for name in measured)
-        self.disturbances = (
-            Signal("pitch_moment", "N*m", "torque on pitch"),
-            Signal("yaw_moment", "N*m", "torque on yaw"),
-            Signal("main_motor", "N*m", "torque on the main rotor"),
-            Signal("tail_motor", "N*m", "torque on the tail rotor"),
-        )
-        limits = {"u_v": 24.0, "u_h": 24.0, "alpha_v": np.inf, "alpha_h": np.inf} | content.limits
-        self.controlled = ("alpha_v", "alpha_h")
-        self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
-        self.stops = {name: limits[name] for name in self.controlled}
-        self.axes = {
-            "pitch": RigAxis("alpha_v", "pitch_moment"),
-            "yaw": RigAxis("alpha_h", "yaw_moment"),
-        }
-        self.rotors = {"main": "u_v", "tail": "u_h"}
-
-    def rest(self) -> FloatArray:
-        return np.zeros(self.n_x)
-
-    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        return self._equations(x, u, p, w)[0]
+        self._frame(content, input_limit=24.0)
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         lag = p[self.parameters.names.index("tau_y")]
@@ -107,7 +84,7 @@ class QuanserAero(Model):
         Rigid friction is the limit v_s → 0. It has no slope at rest: a filter that is linearised
         there could not learn from a measurement that a torque has set the axis in motion.
         """
-        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        c = self.named(p)
         inertia = self.quantities(x, u, p)
         for axis, size in (("pitch", c["F_1"]), ("yaw", c["F_2"])):
             # An axis below v_s keeps 1/(1 + r) of the rate that it would have without friction.
@@ -116,9 +93,6 @@ class QuanserAero(Model):
             held = resisted(self, (x, u, p, w), axis, rigid + size, duration)
             x = x + r / (1 + r) * (held - x)
         return x
-
-    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
-        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
 
     def input_path(
         self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
@@ -131,8 +105,7 @@ class QuanserAero(Model):
         return ca.fmin(ca.fmax(u, lower), upper)
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """All rows, and the quantities met on the way."""
-        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        c = self.named(p)
         omega_h, rate_h, omega_v, rate_v, alpha_v = x[0], x[1], x[3], x[4], x[5]
         drive = self._within_limits(u)
         square_v, square_h = omega_v * ca.fabs(omega_v), omega_h * ca.fabs(omega_h)

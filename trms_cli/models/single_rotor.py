@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from typing import Literal
 
 import casadi as ca
-import numpy as np
 
 from trms_cli.core.errors import ModelError
+from trms_cli.models.beam_rig import DISTURBANCES, INPUTS, STATES
 from trms_cli.models.interface_circuit import interface_of
-from trms_cli.models.model import FloatArray, Model, Signal
+from trms_cli.models.model import Model, Signal
 from trms_cli.models.motor import Motor
 from trms_cli.models.parameters import ParameterSet, parameter_file
-from trms_cli.models.twin_rotor import DISTURBANCES, INPUTS, STATES, Currents
+from trms_cli.models.twin_rotor import Currents
 
 _AXIS_OF_ROTOR = {"main": "v", "tail": "h"}
 
@@ -93,11 +93,8 @@ class SingleRotor(Model):
         self.rotors = {rotor: name}
         self.stiff = currents == "dynamic"
 
-    def rest(self) -> FloatArray:
-        return np.zeros(self.n_x)
-
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        c, omega = self._named(p), x[-1]
+        c, omega = self.named(p), x[-1]
         volt = self._circuit.voltage(u[0], c)
         if self.n_x == 1:
             current = self._motor.steady_current(volt, omega, c)
@@ -108,11 +105,11 @@ class SingleRotor(Model):
         )
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        thrust = self._motor.thrust(x[-1], self._named(p))
+        thrust = self._motor.thrust(x[-1], self.named(p))
         return ca.vertcat(x[-1], thrust) if len(self.outputs) > 1 else x[-1]
 
     def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
-        c, rotor = self._named(p), next(iter(self.rotors))
+        c, rotor = self.named(p), next(iter(self.rotors))
         volt = self._circuit.voltage(u[0], c)
         current = x[0] if self.n_x == 2 else self._motor.steady_current(volt, x[-1], c)
         return {
@@ -120,6 +117,3 @@ class SingleRotor(Model):
             f"drag_torque_{rotor}": self._motor.drag(x[-1], c),
             f"current_{rotor}": current,
         }
-
-    def _named(self, p: ca.SX) -> dict[str, ca.SX]:
-        return {name: p[i] for i, name in enumerate(self.parameters.names)}

@@ -37,7 +37,8 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.errors import ModelError
-from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
+from trms_cli.models.beam_rig import STATES, BeamRig
+from trms_cli.models.model import FloatArray, Signal
 from trms_cli.models.parameters import ParameterSet, parameter_file
 from trms_cli.models.static_curve import RisingSpline, read_static_curve, rising_spline
 
@@ -132,7 +133,7 @@ def rotor_of(axis: str, table: str | None, where: str) -> Rotor:
     return MeasuredRotor(holding, thrusting)
 
 
-class Tras(Model):
+class Tras(BeamRig):
     """Two rotor aerodynamical system.
 
     Parameters
@@ -172,37 +173,15 @@ class Tras(Model):
         ).replaced(parameters or {})
 
         self.name = "tras"
-        self.states = (
-            Signal("omega_h", "rad/s", "speed of the tail rotor"),
-            Signal("S_h", "rad/s", "yaw angular momentum over inertia"),
-            Signal("alpha_h", "rad", "yaw angle"),
-            Signal("omega_v", "rad/s", "speed of the main rotor"),
-            Signal("S_v", "rad/s", "pitch angular momentum over inertia"),
-            Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
-        )
+        order = ("omega_h", "S_h", "alpha_h", "omega_v", "S_v", "alpha_v")
+        self.states = tuple(STATES[name] for name in order)
         self.inputs = (
             Signal("u_v", "1", "command of the main rotor, 1: full"),
             Signal("u_h", "1", "command of the tail rotor, 1: full"),
         )
-        self.outputs = tuple(
-            self.states[self.state_index(name)]
-            for name in ("alpha_v", "alpha_h", "omega_v", "omega_h")
-        )
-        self.disturbances = (
-            Signal("pitch_moment", "N*m", "torque on pitch"),
-            Signal("yaw_moment", "N*m", "torque on yaw"),
-            Signal("main_motor", "N*m", "torque on the main rotor"),
-            Signal("tail_motor", "N*m", "torque on the tail rotor"),
-        )
-        limits = {"u_v": 1.0, "u_h": 1.0, "alpha_v": np.inf, "alpha_h": np.inf} | content.limits
-        self.controlled = ("alpha_v", "alpha_h")
-        self.input_limits = {name: limits[name] for name in ("u_v", "u_h")}
-        self.stops = {name: limits[name] for name in self.controlled}
-        self.axes = {
-            "pitch": RigAxis("alpha_v", "pitch_moment"),
-            "yaw": RigAxis("alpha_h", "yaw_moment"),
-        }
-        self.rotors = {"main": "u_v", "tail": "u_h"}
+        measured = ("alpha_v", "alpha_h", "omega_v", "omega_h")
+        self.outputs = tuple(STATES[name] for name in measured)
+        self._frame(content, input_limit=1.0)
 
     def rest(self) -> FloatArray:
         x = np.zeros(self.n_x)
@@ -210,18 +189,8 @@ class Tras(Model):
         x[self.state_index("alpha_v")] = -np.arctan2(gravity["gBA"], gravity["gC"])
         return x
 
-    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        return self._equations(x, u, p, w)[0]
-
-    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        return ca.vertcat(*(x[self.state_index(signal.name)] for signal in self.outputs))
-
-    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
-        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
-
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """All rows, and the quantities met on the way."""
-        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        c = self.named(p)
         omega_h, rate_h, omega_v, rate_v, alpha_v = x[0], x[1], x[3], x[4], x[5]
         u_v, u_h = u[0], u[1]
         pitch_moment, yaw_moment, main_motor, tail_motor = w[0], w[1], w[2], w[3]

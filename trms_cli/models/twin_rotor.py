@@ -1,8 +1,7 @@
-"""What every model of the TRMS has in common: signals, axes, motors and thrusts.
+"""What the models of the TRMS have in common: signals, motors and thrusts.
 
-How the beam moves under the thrusts is what the models differ in
-(:mod:`trms_cli.models.newtonian`, :mod:`trms_cli.models.lagrangian`). ``_h`` is yaw and the tail
-rotor, ``_v`` pitch and the main rotor.
+How the beam moves under the thrusts is what they differ in (:mod:`trms_cli.models.newtonian`,
+:mod:`trms_cli.models.lagrangian`).
 """
 
 from __future__ import annotations
@@ -10,44 +9,22 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
 from trms_cli.core.errors import ModelError
+from trms_cli.models.beam_rig import INPUTS, STATES, BeamRig
 from trms_cli.models.interface_circuit import InterfaceCircuit, interface_of
-from trms_cli.models.model import FloatArray, Model, RigAxis, Signal, names
+from trms_cli.models.model import FloatArray, names
 from trms_cli.models.motor import Motor
 from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
 
 Freedom = Literal["both", "vertical", "horizontal"]
 Currents = Literal["quasi_static", "dynamic"]
 
-STATES = {
-    "i_h": Signal("i_h", "A", "armature current of the tail motor"),
-    "omega_h": Signal("omega_h", "rad/s", "speed of the tail rotor"),
-    "S_h": Signal("S_h", "rad/s", "yaw angular momentum over inertia"),
-    "alpha_h": Signal("alpha_h", "rad", "yaw angle"),
-    "i_v": Signal("i_v", "A", "armature current of the main motor"),
-    "omega_v": Signal("omega_v", "rad/s", "speed of the main rotor"),
-    "S_v": Signal("S_v", "rad/s", "pitch angular momentum over inertia"),
-    "alpha_v": Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
-}
-INPUTS = {
-    "u_v": Signal("u_v", "V", "command of the main rotor"),
-    "u_h": Signal("u_h", "V", "command of the tail rotor"),
-}
-DISTURBANCES = {
-    "pitch_moment": Signal("pitch_moment", "N*m", "torque on pitch"),
-    "yaw_moment": Signal("yaw_moment", "N*m", "torque on yaw"),
-    "main_motor": Signal("main_motor", "N*m", "torque on the main rotor"),
-    "tail_motor": Signal("tail_motor", "N*m", "torque on the tail rotor"),
-}
-_OF_AXIS = {
-    "horizontal": (("i_h", "omega_h", "S_h", "alpha_h"), ("yaw_moment", "tail_motor")),
-    "vertical": (("i_v", "omega_v", "S_v", "alpha_v"), ("pitch_moment", "main_motor")),
-}
+_MOVING = {"both": ("pitch", "yaw"), "vertical": ("pitch",), "horizontal": ("yaw",)}
 
 
 @dataclass(frozen=True)
@@ -82,7 +59,7 @@ class BeamMotion:
     gravity: ca.SX  #: Moment of gravity on pitch, N m
 
 
-class TwinRotor(Model):
+class TwinRotor(BeamRig):
     """A TRMS with the beam's equations left open.
 
     Parameters
@@ -126,16 +103,11 @@ class TwinRotor(Model):
         tail_voltage_limit: float | None = None,
     ) -> None:
         content = parameter_file(parameter_set)
-        moves = [axis for axis in _OF_AXIS if freedom in ("both", axis)]
-        states = [name for axis in moves for name in _OF_AXIS[axis][0]]
+        self._frame(content, 2.5, _MOVING[freedom])
+        ends = tuple(angle[-2:] for angle in self.controlled)
+        states = [name for name in STATES if name.endswith(ends)]
         if currents == "quasi_static":
             states = [name for name in states if not name.startswith("i_")]
-        disturbances = [name for axis in moves for name in _OF_AXIS[axis][1]]
-        limits = {"u_v": 2.5, "u_h": 2.5, "alpha_v": np.inf, "alpha_h": np.inf} | content.limits
-
-        def of_axes(vertical: Any, horizontal: Any) -> tuple[Any, ...]:
-            return (vertical,) * ("vertical" in moves) + (horizontal,) * ("horizontal" in moves)
-
         self.name = self.OPTION
         self._circuits: dict[str, InterfaceCircuit] = {
             "v": interface_of("v", main_interface, main_voltage_limit, "model.main_"),
@@ -143,20 +115,9 @@ class TwinRotor(Model):
         }
         self.parameters = _used(content, self._circuits, self.UNUSED).replaced(parameters or {})
         self.states = tuple(STATES[name] for name in states)
-        self.inputs = of_axes(INPUTS["u_v"], INPUTS["u_h"])
+        self.inputs = tuple(INPUTS[name] for name in self.rotors.values())
         measured = ("alpha_v", "alpha_h", "omega_v", "omega_h")
         self.outputs = tuple(STATES[name] for name in measured if name in states)
-        self.disturbances = tuple(DISTURBANCES[n] for n in DISTURBANCES if n in disturbances)
-        self.controlled = of_axes("alpha_v", "alpha_h")
-        self.input_limits = {name: limits[name] for name in of_axes("u_v", "u_h")}
-        self.stops = {name: limits[name] for name in of_axes("alpha_v", "alpha_h")}
-        self.axes = dict(
-            of_axes(
-                ("pitch", RigAxis("alpha_v", "pitch_moment")),
-                ("yaw", RigAxis("alpha_h", "yaw_moment")),
-            )
-        )
-        self.rotors = dict(of_axes(("main", "u_v"), ("tail", "u_h")))
         self.stiff = currents == "dynamic"
 
     @abstractmethod
@@ -173,18 +134,8 @@ class TwinRotor(Model):
             x[self.state_index("alpha_v")] = self.pitch_at_rest()
         return x
 
-    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        return self._equations(x, u, p, w)[0]
-
-    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        return ca.vertcat(*(x[self.state_index(name)] for name in names(self.outputs)))
-
-    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
-        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
-
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """All rows for the axes that move, and the quantities met on the way."""
-        c = {name: p[i] for i, name in enumerate(self.parameters.names)}
+        c = self.named(p)
         state = {name: x[i] for i, name in enumerate(self.state_names)}
         command = {name: u[i] for i, name in enumerate(names(self.inputs))}
         torque = {name: w[i] for i, name in enumerate(names(self.disturbances))}

@@ -29,11 +29,10 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discrete import copied_states, root_of
-from trms_cli.models.discretisation import DiscreteModel, discretise
+from trms_cli.models.discretisation import DiscreteModel, discretise, noise_of_states
 from trms_cli.models.model import Model, names
 from trms_cli.models.rest import resting_state
 from trms_cli.models.state_kinds import kinds_of_disturbances, kinds_of_states
-from trms_cli.models.state_noise import noise_of_states
 from trms_cli.observers.observer import ObserverSetup
 
 #: Longest explicit integration step over which the rig's dynamics are smooth, s.

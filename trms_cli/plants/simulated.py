@@ -27,12 +27,12 @@ from trms_cli.core.process_cache import kept
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
 from trms_cli.effects.extended_model import extended
-from trms_cli.models.discrete import SteppedModel, copied_states, root_of
-from trms_cli.models.discretisation import discretise
+from trms_cli.models.discrete import copied_states, root_of
+from trms_cli.models.discretisation import discretise, noise_of_states
+from trms_cli.models.driven import DrivenModel
 from trms_cli.models.model import FloatArray, Model, Signal, names
 from trms_cli.models.parameters import Parameter, ParameterSet
 from trms_cli.models.rest import rest_equations
-from trms_cli.models.state_noise import noise_of_states
 from trms_cli.plants.disturbance import ScheduledDisturbance
 from trms_cli.plants.faults.fault import Fault, FaultRun, FaultSetup
 from trms_cli.plants.plant import PlantSetup
@@ -74,7 +74,7 @@ def with_stops(model: Model) -> dict[str, Effect]:
     }
 
 
-class StoppedSteps(SteppedModel):
+class StoppedSteps(DrivenModel):
     """A model that only steps, its angles within the stops.
 
     ``base``: with a ``sample_time``.
@@ -82,11 +82,7 @@ class StoppedSteps(SteppedModel):
 
     def __init__(self, base: Model) -> None:
         assert base.sample_time is not None
-        self.base, self.name, self.sample_time = base, base.name, base.sample_time
-        self.states, self.inputs, self.outputs = base.states, base.inputs, base.outputs
-        self.disturbances, self.parameters = base.disturbances, base.parameters
-        self.controlled, self.input_limits = base.controlled, base.input_limits
-        self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
+        super().__init__(base, ())
         copies = copied_states(base)
         #: Rows of an angle and of what is remembered of it, by the angle's range.
         self._held = [
@@ -105,40 +101,6 @@ class StoppedSteps(SteppedModel):
             for row in rows:
                 after[row] = ca.if_else(ca.fabs(free[angle]) >= limit, stop, free[row])
         return after
-
-    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        return self.base.measurement(x, u, p)
-
-    def rest(self) -> FloatArray:
-        return self.base.rest()
-
-    def memory(self, step: float) -> tuple[Signal, ...]:
-        return self.base.memory(step)
-
-    def input_path(
-        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
-    ) -> tuple[ca.SX, ca.SX]:
-        return self.base.input_path(memory, u, p, window, step)
-
-    def sensor_memory(self, step: float) -> tuple[Signal, ...]:
-        return self.base.sensor_memory(step)
-
-    def sensor_path(
-        self,
-        memory: ca.SX,
-        before: ca.SX,
-        after: ca.SX,
-        u: ca.SX,
-        p: ca.SX,
-        window: tuple[float, float],
-        step: float,
-    ) -> ca.SX:
-        return self.base.sensor_path(memory, before, after, u, p, window, step)
-
-    def reading(
-        self, memory: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX, step: float, since: float = 1.0
-    ) -> ca.SX:
-        return self.base.reading(memory, x, u, p, step, since)
 
 
 @dataclass(frozen=True, kw_only=True)

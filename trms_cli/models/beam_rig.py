@@ -1,0 +1,73 @@
+"""What every model of a beam that pitches and yaws under two rotors has in common.
+
+``_h`` is yaw and the tail rotor, ``_v`` pitch and the main rotor.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.models.model import Model, RigAxis, Signal, names
+from trms_cli.models.parameters import ParameterFile
+
+STATES = {
+    "i_h": Signal("i_h", "A", "armature current of the tail motor"),
+    "omega_h": Signal("omega_h", "rad/s", "speed of the tail rotor"),
+    "S_h": Signal("S_h", "rad/s", "yaw angular momentum over inertia"),
+    "alpha_h": Signal("alpha_h", "rad", "yaw angle"),
+    "i_v": Signal("i_v", "A", "armature current of the main motor"),
+    "omega_v": Signal("omega_v", "rad/s", "speed of the main rotor"),
+    "S_v": Signal("S_v", "rad/s", "pitch angular momentum over inertia"),
+    "alpha_v": Signal("alpha_v", "rad", "pitch angle, 0 with the beam level"),
+}
+INPUTS = {
+    "u_v": Signal("u_v", "V", "command of the main rotor"),
+    "u_h": Signal("u_h", "V", "command of the tail rotor"),
+}
+DISTURBANCES = {
+    "pitch_moment": Signal("pitch_moment", "N*m", "torque on pitch"),
+    "yaw_moment": Signal("yaw_moment", "N*m", "torque on yaw"),
+    "main_motor": Signal("main_motor", "N*m", "torque on the main rotor"),
+    "tail_motor": Signal("tail_motor", "N*m", "torque on the tail rotor"),
+}
+_AXES = {
+    "pitch": RigAxis("alpha_v", "pitch_moment"),
+    "yaw": RigAxis("alpha_h", "yaw_moment"),
+}
+_ROTORS = {"pitch": ("main", "u_v"), "yaw": ("tail", "u_h")}
+
+
+class BeamRig(Model):
+    """A model whose equations are all in :meth:`_equations`."""
+
+    def _frame(
+        self, content: ParameterFile, input_limit: float, moving: Sequence[str] = ("pitch", "yaw")
+    ) -> None:
+        """Axes that move, their rotors and torques, what is controlled, limits and stops."""
+        self.axes = {name: _AXES[name] for name in moving}
+        self.rotors = dict(_ROTORS[name] for name in moving)
+        self.controlled = tuple(axis.angle for axis in self.axes.values())
+        limits = dict.fromkeys(self.rotors.values(), input_limit)
+        limits |= dict.fromkeys(self.controlled, np.inf) | content.limits
+        self.input_limits = {name: limits[name] for name in self.rotors.values()}
+        self.stops = {name: limits[name] for name in self.controlled}
+        moments = (axis.moment for axis in self.axes.values())
+        motors = (f"{rotor}_motor" for rotor in self.rotors)
+        self.disturbances = tuple(DISTURBANCES[name] for name in (*moments, *motors))
+
+    @abstractmethod
+    def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """The derivative of the states, and the quantities met on the way."""
+
+    def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+        return self._equations(x, u, p, w)[0]
+
+    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        return ca.vertcat(*(x[self.state_index(name)] for name in names(self.outputs)))
+
+    def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
+        return self._equations(x, u, p, ca.SX.zeros(self.n_w))[1]
