@@ -94,16 +94,12 @@ def rest_system(
     own = [model.states[i] for i in equations.unknowns]
     residual = equations.residual(s, arriving(model, u, p), p, w)
     for name, value in held.items():
-        row = names(own).index(name)
-        residual = ca.substitute(residual, s[row], ca.SX(value))
+        residual = ca.substitute(residual, s[names(own).index(name)], ca.SX(value))
     # What an effect remembers (a cable's z) stays too: it is free, not the angle that it acts on.
     angles = {axis.angle for axis in model.axes.values()} | set(model.controlled)
     lasting = [i for i, s_i in enumerate(own) if s_i.name in angles or "." in s_i.name]
     reduced, nonzero = _reduced(model, residual, s, (u, p, w), lasting, torques_too)
     resting = model.rest()[list(equations.unknowns)]
-    for row, signal in enumerate(own):
-        if signal.name in held:
-            resting[row] = held[signal.name]
 
     rows = ca.vertcat(*reduced.rows) if reduced.rows else ca.SX.zeros(0)
     columns = [i for i in reduced.kept if own[i].name not in held]
@@ -112,47 +108,46 @@ def rest_system(
     pattern = _pattern(rows, symbols)
     worth = [_worth(signal.name, model, varied) for signal in candidates]
     matched = _matched(pattern, worth)
-    if len(matched) < rows.numel():
-        _refuse(model, varied, held, rows.numel() - len(matched))
+    missing = rows.numel() - len(matched)
+    if missing:
+        fixed = ", ".join([*varied, *held])
+        raise ModelError(
+            f"rest of model {model.name!r} asks for {missing} more "
+            f"{'input' if missing == 1 else 'inputs'} than may follow from the others"
+            + (f" with {fixed} given" if fixed else ""),
+            where="study.at" if held else "model",
+            remedy="hold fewer angles" if held else "vary fewer inputs",
+        )
     chosen = [matched[row] for row in range(rows.numel())]
     z = ca.SX.sym("z", len(chosen))
     v = ca.SX.sym("v", model.n_u + model.n_w)
     free = [i for k, i in enumerate(columns) if k not in chosen]
 
     # What is unknown becomes z, the inputs that stay given v, what is free rests where it rests.
-    old = [s[i] for i in free] + [s[i] for i, signal in enumerate(own) if signal.name in held]
-    new = [ca.SX(float(resting[i])) for i in free]
-    new += [ca.SX(float(held[signal.name])) for signal in own if signal.name in held]
-    for k, column in enumerate(chosen):
-        old.append(symbols[column])
-        new.append(z[k])
-    taken = {candidates[column].name for column in chosen}
-    for i, signal in enumerate(model.inputs):
-        if signal.name not in taken:
-            old.append(u[i])
-            new.append(v[i])
-    old += [w[i] for i in range(model.n_w)]
-    new += [v[model.n_u + i] for i in range(model.n_w)]
-    everything = ca.vertcat(rows, reduced.state, u, *nonzero)
-    everything = ca.cse(ca.substitute(everything, ca.vertcat(*old), ca.vertcat(*new)))
+    inputs, unknowns = names(model.inputs), tuple(candidates[column] for column in chosen)
+    released = tuple(signal.name for signal in unknowns if signal.name in inputs)
+    placed = [(s[i], float(resting[i])) for i in free]
+    placed += [(s[names(own).index(name)], float(value)) for name, value in held.items()]
+    placed += [(symbols[column], z[k]) for k, column in enumerate(chosen)]
+    placed += [(u[i], v[i]) for i, name in enumerate(inputs) if name not in released]
+    placed += [(w[i], v[model.n_u + i]) for i in range(model.n_w)]
+    old, new = (ca.vertcat(*side) for side in zip(*placed, strict=True))
+    everything = ca.cse(ca.substitute(ca.vertcat(rows, reduced.state, u, *nonzero), old, new))
     ends = np.cumsum([0, len(chosen), len(own), model.n_u, len(nonzero)]).tolist()
     g, state, commands, factors = ca.vertsplit(everything, ends)
     reached = arriving(model, commands, p)
     whole = equations.state(state, reached)
-    released = tuple(
-        candidates[c].name for c in chosen if candidates[c].name in names(model.inputs)
-    )
     return RestSystem(
         model=model,
-        unknowns=tuple(candidates[column] for column in chosen),
+        unknowns=unknowns,
         given=(*model.inputs, *model.disturbances),
         blocks=_blocks(_pattern(g, z)),
         free=tuple(own[i].name for i in free),
         released=released,
         idle=tuple(
-            signal.name
-            for i, signal in enumerate(model.inputs)
-            if signal.name not in released and not ca.depends_on(ca.vertcat(g, state), v[i])
+            name
+            for i, name in enumerate(inputs)
+            if name not in released and not ca.depends_on(ca.vertcat(g, state), v[i])
         ),
         held=held,
         residual=ca.Function("rest", [z, v, p], [g]),
@@ -181,17 +176,15 @@ def _reduced(
         nonzero.append(ca.det(mobility))
         reduced = replace(reduced, rows=balances)
     if not torques_too:
-        none = ca.SX.zeros(w.numel())
+        whole = residual if mobility is None else ca.vertcat(*reduced.rows, reduced.state)
+        quiet = ca.cse(ca.substitute(whole, w, ca.SX.zeros(w.numel())))
         if mobility is None:
-            quiet = ca.cse(ca.substitute(residual, w, none))
             rows, nonzero = _stripped(ca.vertsplit(quiet), variables)
             reduced = reduce(ca.vertcat(*rows), s, u, p, values, lasting)
         else:
-            whole = ca.cse(ca.substitute(ca.vertcat(*reduced.rows, reduced.state), w, none))
             count = len(reduced.rows)
-            reduced = replace(
-                reduced, rows=ca.vertsplit(whole[:count]) if count else [], state=whole[count:]
-            )
+            rows = ca.vertsplit(quiet[:count]) if count else []
+            reduced = replace(reduced, rows=rows, state=quiet[count:])
     rows, factors = _stripped(reduced.rows, variables)
     return replace(reduced, rows=rows), [*nonzero, *factors]
 
@@ -244,17 +237,6 @@ def _blocks(pattern: npt.NDArray[np.bool_]) -> tuple[EquationBlock, ...]:
                 ordered.append(EquationBlock(own, own))
                 break
     return tuple(ordered)
-
-
-def _refuse(model: Model, varied: Collection[str], held: Mapping[str, float], missing: int) -> None:
-    fixed = ", ".join([*varied, *held])
-    raise ModelError(
-        f"rest of model {model.name!r} asks for {missing} more "
-        f"{'input' if missing == 1 else 'inputs'} than may follow from the others"
-        + (f" with {fixed} given" if fixed else ""),
-        where="study.at" if held else "model",
-        remedy="hold fewer angles" if held else "vary fewer inputs",
-    )
 
 
 @dataclass(frozen=True)
@@ -428,18 +410,11 @@ def without_factors(row: ca.SX, variables: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
             taken.append(row.dep(1))
             row = row.dep(0)
         elif row.is_op(ca.OP_MUL):
-            first, second = row.dep(0), row.dep(1)
-            if _is_factor(first, variables):
-                taken.append(first)
-                row = second
-            elif _is_factor(second, variables):
-                taken.append(second)
-                row = first
-            else:
+            both = row.dep(0), row.dep(1)
+            own = [f.is_op(ca.OP_COS) or not ca.depends_on(f, variables) for f in both]
+            if not any(own):
                 return row, taken
+            taken.append(both[own.index(True)])
+            row = both[1 - own.index(True)]
         else:
             return row, taken
-
-
-def _is_factor(expression: ca.SX, variables: ca.SX) -> bool:
-    return expression.is_op(ca.OP_COS) or not ca.depends_on(expression, variables)
