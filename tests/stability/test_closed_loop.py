@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loop_cases import MODEL, POINT, loop_of
 
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.rotor_reaction import RotorReaction
-from trms_cli.models.newtonian import Newtonian
-from trms_cli.models.operating_point import operating_point
-from trms_cli.observers.full_state import FullState
 from trms_cli.stability.closed_loop import Enough, run_loop
-from trms_cli.stability.subject import LoopParts
 
-MODEL = Newtonian()
-LOOP = LoopParts(MODEL, Lqr(), FullState(), 0.02, {"controller": "lqr", "observer": "full_state"})
-POINT = operating_point(MODEL, {"alpha_v": 0.0, "alpha_h": 0.3})
+LOOP = loop_of(Lqr())
 PITCH = MODEL.state_index("alpha_v")
 
 
@@ -24,6 +19,7 @@ def test_at_its_point_the_loop_rests():
     run = run_loop(MODEL, LOOP, POINT, 2.0)
     assert run.time.shape == (100,) and run.x.shape == (100, 6) and run.u.shape == (100, 2)
     assert np.abs(run.x - POINT.x).max() < 1e-6 and not run.ended and not run.failures
+    assert run.statuses == {"ok": 100}
 
 
 def test_from_beside_it_comes_back():
@@ -45,10 +41,8 @@ def test_what_reaches_the_motors_may_differ_from_the_command():
 
 
 def test_the_rig_may_have_what_the_controller_does_not_know():
-    effect = RotorReaction(rotor="main", drag=3e-7, inertia=1e-4)
-    rig = extended(MODEL, {"reaction": effect})
-    known = run_loop(MODEL, LOOP, POINT, 20.0)
-    other = run_loop(rig, LOOP, POINT, 20.0)
+    rig = extended(MODEL, {"reaction": RotorReaction(rotor="main", drag=3e-7, inertia=1e-4)})
+    known, other = (run_loop(model, LOOP, POINT, 20.0) for model in (MODEL, rig))
     assert np.abs(other.x - known.x).max() > 0.01
 
 
@@ -67,7 +61,3 @@ def test_a_run_may_end_at_a_state_or_when_its_path_has_enough():
     assert by_path.ended == "seen" and by_path.x.shape == (20, 6) and by_path.u.shape == (20, 2)
     at_once = run_loop(MODEL, LOOP, POINT, 2.0, until=lambda x: "here")
     assert at_once.ended == "here" and at_once.x.shape == (0, 6) and at_once.u.shape == (0, 2)
-
-
-def test_how_the_solves_ended_is_counted():
-    assert run_loop(MODEL, LOOP, POINT, 2.0).statuses == {"ok": 100}

@@ -37,6 +37,9 @@ def test_the_equations_are_those_of_what_moves():
     assert effect_names(model) == ("drag", "dry")
     whole = Subject(MODEL, "newtonian").require_equations("a study", command_path=True)
     assert whole is MODEL
+    # Nothing is made anew without need.
+    moving = extended(Newtonian(), {"drag": EFFECTS["drag"]})
+    assert Subject(moving, "newtonian").require_equations("a study") is moving
 
 
 def test_values_that_were_changed_later_stay():
@@ -48,11 +51,6 @@ def test_values_that_were_changed_later_stay():
     assert found["k_g"] == 0.05 and found["drag.drag"] == 1e-7
 
 
-def test_nothing_is_made_anew_without_need():
-    model = extended(Newtonian(), {"drag": EFFECTS["drag"]})
-    assert Subject(model, "newtonian").require_equations("a study") is model
-
-
 def test_a_loop_keeps_its_delays_and_sensors():
     loop = LoopParts(Newtonian(), None, None, 0.02, {"controller": "lqr"})  # type: ignore[arg-type]
     subject = Subject(MODEL, "newtonian", loop)
@@ -60,9 +58,6 @@ def test_a_loop_keeps_its_delays_and_sensors():
     assert subject.require_loop("a study") is loop
     with pytest.raises(ConfigurationError, match="about the model alone"):
         subject.require_no_loop("a study")
-
-
-def test_no_loop():
     with pytest.raises(ConfigurationError, match="no controller is chosen"):
         Subject(MODEL, "newtonian").require_loop("a study")
     Subject(MODEL, "newtonian").require_no_loop("a study")
