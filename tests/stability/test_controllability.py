@@ -17,19 +17,17 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import TrimSolver
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.stability.local.access import (
+    Access,
     controllability_gramian,
-    controllable,
     hankel_values,
     observability_gramian,
-    observable,
     scales_of,
     sensor_sets,
     set_words,
     stationary_gramian,
-    torque_estimates,
     volts_to_move,
 )
-from trms_cli.stability.local.linear import Linear, modes_of
+from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.controllability import Controllability
 
 U_V, U_H = 0, 1
@@ -44,20 +42,19 @@ class Case:
         self.model = model
         self.matrices = Linear(model).matrices(point.x, point.u)
         self.scales = scales_of(model, self.matrices, 0.00044, 1.6)
-        self.modes = {mode.name: mode for mode in modes_of(model, self.matrices).modes}
+        self.access = Access(model, self.matrices, self.scales)
+        self.modes = {mode.name: mode for mode in self.access.modes}
         self.outputs = [signal.name for signal in model.outputs]
 
     def by_inputs(self, mode, inputs):
-        return controllable(self.matrices, self.scales, self.modes[mode], inputs, 2.0)
+        return self.access.by_inputs(self.modes[mode], inputs, 2.0)
 
     def by_sensors(self, mode, sensors):
         rows = [self.outputs.index(name) for name in sensors]
-        return observable(self.matrices, self.scales, self.modes[mode], rows)
+        return self.access.by_sensors(self.modes[mode], rows)
 
     def torques(self, sensors, duration=2.0):
-        rows = [self.outputs.index(name) for name in sensors]
-        names = tuple(signal.name for signal in self.model.disturbances)
-        return torque_estimates(self.matrices, self.scales, rows, names, (duration,), 0.01)
+        return self.access.torques(sensors, (duration,), 0.01)
 
 
 @pytest.mark.parametrize("at", [{}, {"alpha_v": 0.0}], ids=["rest", "hover"])

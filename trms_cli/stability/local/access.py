@@ -38,6 +38,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -62,12 +63,6 @@ class Scales:
     x: FloatArray  #: (n_x,) array
     u: FloatArray  #: (n_u,) array; limits
     y: FloatArray  #: (n_y,) array; standard deviation of one reading of each output
-
-    def of(self, m: Matrices) -> Matrices:
-        """A linear model in these sizes; torques stay in their unit."""
-        x = self.x[:, None]
-        b, c = m.b * self.u[None, :] / x, m.c * self.x[None, :] / self.y[:, None]
-        return Matrices(m.a * self.x[None, :] / x, b, m.e / x, c, m.sample_time)
 
 
 def scales_of(model: Model, matrices: Matrices, angle_noise: float, other_noise: float) -> Scales:
@@ -198,35 +193,6 @@ class PbhResult:
     strength: float
 
 
-def controllable(
-    matrices: Matrices, scales: Scales, mode: EigenMode, inputs: list[int], duration: float
-) -> PbhResult:
-    """How well some inputs move a mode."""
-    scaled = scales.of(matrices)
-    b = scaled.b[:, inputs]
-    # w in scaled states, its own motion of size one.
-    left, _ = _eigenvectors(mode, scales)
-    # ∫₀ᵀ e^{Re λ t} dt: what a command in step with the mode adds up to; per sample of a step.
-    rate, step = mode.eigenvalue.real, matrices.sample_time
-    total = duration if abs(rate) * duration < 1e-9 else float(np.expm1(rate * duration) / rate)
-    pumped = float(np.abs(left @ b).sum()) * (total if step is None else total / step)
-    return _graded(mode, scaled.a, b, step, pumped, WEAK_REACH)
-
-
-def observable(
-    matrices: Matrices, scales: Scales, mode: EigenMode, outputs: list[int]
-) -> PbhResult:
-    """How well some sensors see a mode."""
-    scaled = scales.of(matrices)
-    c = scaled.c[outputs]
-    _, right = _eigenvectors(mode, scales)
-    reading = float(np.abs(c @ right).max(initial=0.0))
-    # Rows of size one: a margin is to tell structure, not the quality of the sensor.
-    size = np.abs(c).max(axis=1, keepdims=True, initial=0.0)
-    rows = c / np.where(size > 0, size, 1.0)
-    return _graded(mode, scaled.a.T, rows.T, matrices.sample_time, reading, WEAK_SIGHT)
-
-
 def _graded(
     mode: EigenMode,
     a: FloatArray,
@@ -247,14 +213,6 @@ def _graded(
     return PbhResult("weak" if strength < weak else "yes", margin, strength)
 
 
-def _eigenvectors(mode: EigenMode, scales: Scales) -> tuple[ComplexArray, ComplexArray]:
-    """Left and right in scaled states, the largest entry of the right one of size one."""
-    right = mode.right / scales.x
-    left = mode.left * scales.x
-    size = float(np.abs(right).max())
-    return left * size, right / size
-
-
 @dataclass(frozen=True)
 class Gramians:
     """Gramians at a point, states and inputs scaled (a full command is 1, a motion is 1)."""
@@ -268,43 +226,6 @@ class Gramians:
     lyapunov_residual: float | None
 
 
-def gramians(matrices: Matrices, scales: Scales, duration: float) -> Gramians:
-    """The scaled Gramians of all inputs and all sensors."""
-    scaled, step = scales.of(matrices), matrices.sample_time
-    a, b, c = scaled.a, scaled.b, scaled.c
-    forever, seen = stationary_gramian(a, b, step), stationary_gramian(a.T, c.T, step)
-    hankel, residual = None, None
-    if forever is not None and seen is not None:
-        hankel = hankel_values(forever, seen)
-        drive = b @ b.T
-        balance = (
-            a @ forever + forever @ a.T + drive
-            if step is None
-            else a @ forever @ a.T - forever + drive / step
-        )
-        residual = float(np.abs(balance).max() / np.abs(drive).max())
-    return Gramians(
-        controllability_gramian(a, b, duration, step),
-        observability_gramian(a, c, duration, step),
-        forever,
-        seen,
-        hankel,
-        residual,
-    )
-
-
-def volts_table(model: Model, matrices: Matrices, scales: Scales, duration: float) -> FloatArray:
-    """Least rms command of each input alone that moves each state by its size, (n_x, n_u)."""
-    volts = np.empty((model.n_x, model.n_u))
-    a = scales.of(matrices).a
-    for j in range(model.n_u):
-        b = matrices.b[:, [j]] / scales.x[:, None]
-        gramian = controllability_gramian(a, b, duration, matrices.sample_time)
-        for i in range(model.n_x):
-            volts[i, j] = volts_to_move(gramian, np.eye(model.n_x)[i], 1.0, duration)
-    return volts
-
-
 @dataclass(frozen=True)
 class ModeAccess:
     """What acts on a mode and sees it."""
@@ -314,29 +235,125 @@ class ModeAccess:
     by_sensors: tuple[PbhResult, ...]  #: Each set
 
 
-def mode_access(
-    model: Model,
-    matrices: Matrices,
-    scales: Scales,
-    sets: tuple[tuple[str, ...], ...],
-    duration: float,
-) -> tuple[ModeAccess, ...]:
-    """The PBH test of each mode, by each input and each set of sensors."""
-    known = list(names(model.outputs))
-    inputs = [[j] for j in range(model.n_u)]
-    if model.n_u > 1:
-        inputs.append(list(range(model.n_u)))
-    return tuple(
-        ModeAccess(
-            mode,
-            tuple(controllable(matrices, scales, mode, chosen, duration) for chosen in inputs),
-            tuple(
-                observable(matrices, scales, mode, [known.index(name) for name in one])
-                for one in sets
-            ),
+@dataclass(frozen=True)
+class Access:
+    """What inputs move and sensors see of one linear model, in sizes that make it comparable."""
+
+    model: Model
+    matrices: Matrices
+    scales: Scales
+
+    @cached_property
+    def scaled(self) -> Matrices:
+        """The linear model in the sizes; torques stay in their unit."""
+        m, x = self.matrices, self.scales.x[:, None]
+        b = m.b * self.scales.u[None, :] / x
+        c = m.c * self.scales.x[None, :] / self.scales.y[:, None]
+        return Matrices(m.a * self.scales.x[None, :] / x, b, m.e / x, c, m.sample_time)
+
+    @cached_property
+    def modes(self) -> tuple[EigenMode, ...]:
+        """Of the linear model."""
+        return modes_of(self.model, self.matrices).modes
+
+    def by_inputs(self, mode: EigenMode, inputs: list[int], duration: float) -> PbhResult:
+        """How well some inputs move a mode."""
+        b = self.scaled.b[:, inputs]
+        # w in scaled states, its own motion of size one.
+        left, _ = self._eigenvectors(mode)
+        # ∫₀ᵀ e^{Re λ t} dt: what a command in step with the mode adds up to; per sample of a step.
+        rate, step = mode.eigenvalue.real, self.matrices.sample_time
+        total = duration if abs(rate) * duration < 1e-9 else float(np.expm1(rate * duration) / rate)
+        pumped = float(np.abs(left @ b).sum()) * (total if step is None else total / step)
+        return _graded(mode, self.scaled.a, b, step, pumped, WEAK_REACH)
+
+    def by_sensors(self, mode: EigenMode, outputs: list[int]) -> PbhResult:
+        """How well some sensors see a mode."""
+        c = self.scaled.c[outputs]
+        _, right = self._eigenvectors(mode)
+        reading = float(np.abs(c @ right).max(initial=0.0))
+        # Rows of size one: a margin is to tell structure, not the quality of the sensor.
+        size = np.abs(c).max(axis=1, keepdims=True, initial=0.0)
+        rows = c / np.where(size > 0, size, 1.0)
+        return _graded(
+            mode, self.scaled.a.T, rows.T, self.matrices.sample_time, reading, WEAK_SIGHT
         )
-        for mode in modes_of(model, matrices).modes
-    )
+
+    def _eigenvectors(self, mode: EigenMode) -> tuple[ComplexArray, ComplexArray]:
+        """Left and right in scaled states, the largest entry of the right one of size one."""
+        right, left = mode.right / self.scales.x, mode.left * self.scales.x
+        size = float(np.abs(right).max())
+        return left * size, right / size
+
+    def of_modes(
+        self, sets: tuple[tuple[str, ...], ...], duration: float
+    ) -> tuple[ModeAccess, ...]:
+        """The PBH test of each mode, by each input and each set of sensors."""
+        n_u, known = self.model.n_u, names(self.model.outputs)
+        inputs = [*([j] for j in range(n_u)), *([list(range(n_u))] if n_u > 1 else [])]
+        outputs = [[known.index(name) for name in one] for one in sets]
+        return tuple(
+            ModeAccess(
+                mode,
+                tuple(self.by_inputs(mode, chosen, duration) for chosen in inputs),
+                tuple(self.by_sensors(mode, chosen) for chosen in outputs),
+            )
+            for mode in self.modes
+        )
+
+    def volts(self, duration: float) -> FloatArray:
+        """Least rms command of each input alone that moves each state by its size, (n_x, n_u)."""
+        n, step = self.model.n_x, self.matrices.sample_time
+        volts = np.empty((n, self.model.n_u))
+        for j in range(self.model.n_u):
+            b = self.matrices.b[:, [j]] / self.scales.x[:, None]
+            gramian = controllability_gramian(self.scaled.a, b, duration, step)
+            volts[:, j] = [volts_to_move(gramian, row, 1.0, duration) for row in np.eye(n)]
+        return volts
+
+    def gramians(self, duration: float) -> Gramians:
+        """The scaled Gramians of all inputs and all sensors."""
+        a, b, c, step = self.scaled.a, self.scaled.b, self.scaled.c, self.matrices.sample_time
+        forever, seen = stationary_gramian(a, b, step), stationary_gramian(a.T, c.T, step)
+        hankel, residual = None, None
+        if forever is not None and seen is not None:
+            hankel, drive = hankel_values(forever, seen), b @ b.T
+            balance = (
+                a @ forever + forever @ a.T + drive
+                if step is None
+                else a @ forever @ a.T - forever + drive / step
+            )
+            residual = float(np.abs(balance).max() / np.abs(drive).max())
+        reach = controllability_gramian(a, b, duration, step)
+        sight = observability_gramian(a, c, duration, step)
+        return Gramians(reach, sight, forever, seen, hankel, residual)
+
+    def torques(
+        self, sensors: Sequence[str], durations: Sequence[float], reading_time: float
+    ) -> TorqueEstimates:
+        """Which constant torques some sensors tell.
+
+        Errors are after each of the durations (s) of readings ``reading_time`` (s) apart; a model
+        that steps is read at each step.
+        """
+        known = names(self.model.outputs)
+        a, e, step = self.scaled.a, self.scaled.e, self.matrices.sample_time
+        c = self.scaled.c[[known.index(name) for name in sensors]]
+        steady = a if step is None else a - np.eye(len(a))
+        basis = _seen_basis(steady, c)
+        own_a, own_c, own_e = basis.T @ steady @ basis, c @ basis, basis.T @ e
+        sizes = np.abs(own_e).max(axis=0, initial=0.0)
+        acts = sizes > _RANK * np.abs(e).max(axis=0, initial=0.0)
+        alone = {}
+        for j, name in enumerate(names(self.model.disturbances)):
+            seen = bool(acts[j]) and _rank(own_a, own_e[:, [j]], own_c) == len(own_a) + 1
+            error, *others = (
+                _error(a, e[:, [j]], c, duration, step, reading_time) if seen else None
+                for duration in durations
+            )
+            alone[name] = TorqueEstimate(seen, error, tuple(others))
+        together = _rank(own_a, own_e[:, acts], own_c) - len(own_a) if acts.any() else 0
+        return TorqueEstimates(together, alone)
 
 
 @dataclass(frozen=True)
@@ -361,7 +378,7 @@ def input_gains(
     per_volt, margin = np.zeros(shape), np.full(shape, np.nan)
     for k, place in enumerate(sweep.places):
         matrices = path.linear.matrices(place.point.x, place.point.u, path.side, place.held.p)
-        modes = modes_of(model, matrices).modes
+        access = Access(model, matrices, scales)
         for j in range(model.n_u):
             gramian = controllability_gramian(
                 matrices.a, matrices.b[:, [j]], duration, matrices.sample_time
@@ -371,10 +388,10 @@ def input_gains(
                 per_volt[k, i, j] = MOTION / volts
                 axis = axis_of.get(model.controlled[i], "")
                 # The mode that the state takes part in most, of its axis's own if there are any.
-                own = [mode for mode in modes if axis and mode.name.startswith(axis)] or modes
-                if own:
-                    mode = max(own, key=lambda mode: float(mode.participation[row]))
-                    margin[k, i, j] = controllable(matrices, scales, mode, [j], duration).margin
+                own = [mode for mode in access.modes if axis and mode.name.startswith(axis)]
+                if access.modes:
+                    mode = max(own or access.modes, key=lambda mode: float(mode.participation[row]))
+                    margin[k, i, j] = access.by_inputs(mode, [j], duration).margin
     return InputGains(per_volt, margin)
 
 
@@ -442,38 +459,6 @@ class TorqueEstimates:
 
     together: int  #: How many of them can be told at once
     alone: dict[str, TorqueEstimate]  #: By disturbance
-
-
-def torque_estimates(
-    matrices: Matrices,
-    scales: Scales,
-    outputs: list[int],
-    names: tuple[str, ...],
-    durations: tuple[float, ...],
-    reading_time: float,
-) -> TorqueEstimates:
-    """Which constant torques some sensors, by their positions, tell.
-
-    Torques by their names are columns of ``matrices.e``; errors are after each of the durations (s)
-    of readings ``reading_time`` (s) apart; a model that steps is read at each step.
-    """
-    scaled, step = scales.of(matrices), matrices.sample_time
-    a, e, c = scaled.a, scaled.e, scaled.c[outputs]
-    steady = a if step is None else a - np.eye(len(a))
-    basis = _seen_basis(steady, c)
-    own_a, own_c, own_e = basis.T @ steady @ basis, c @ basis, basis.T @ e
-    sizes = np.abs(own_e).max(axis=0, initial=0.0)
-    acts = sizes > _RANK * np.abs(e).max(axis=0, initial=0.0)
-    alone = {}
-    for j, name in enumerate(names):
-        seen = bool(acts[j]) and _rank(own_a, own_e[:, [j]], own_c) == len(own_a) + 1
-        error, *others = (
-            _error(a, e[:, [j]], c, duration, step, reading_time) if seen else None
-            for duration in durations
-        )
-        alone[name] = TorqueEstimate(seen, error, tuple(others))
-    together = _rank(own_a, own_e[:, acts], own_c) - len(own_a) if acts.any() else 0
-    return TorqueEstimates(together, alone)
 
 
 def _error(

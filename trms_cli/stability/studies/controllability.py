@@ -28,20 +28,17 @@ from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.access import (
     MOTION,
+    Access,
     Gramians,
     InputGains,
     ModeAccess,
     PbhResult,
     Scales,
     TorqueEstimates,
-    gramians,
     input_gains,
-    mode_access,
     scales_of,
     sensor_sets,
     set_words,
-    torque_estimates,
-    volts_table,
 )
 from trms_cli.stability.local.linear import STILL, Side
 from trms_cli.stability.local.sensitivity import state_words
@@ -124,14 +121,8 @@ class Controllability:
         scales = scales_of(model, matrices, self.angle_noise, self.speed_noise)
         tell("modes and Gramians")
         times = tuple(share * self.duration for share in _TIMES)
-        known, torques = names(model.outputs), names(model.disturbances)
-        durations, read = (self.duration, *times), self.sample_time
-        estimates = {
-            one: torque_estimates(
-                matrices, scales, [known.index(name) for name in one], torques, durations, read
-            )
-            for one in sets
-        }
+        access, durations = Access(model, matrices, scales), (self.duration, *times)
+        estimates = {one: access.torques(one, durations, self.sample_time) for one in sets}
         tell(f"over {over}")
         # Where a rotor may stand still, where an input is lost in a single point.
         span, standstill = self.range, [0.0]
@@ -146,9 +137,9 @@ class Controllability:
                 duration=self.duration,
                 reading_time=self.sample_time,
                 sets=sets,
-                access=mode_access(model, matrices, scales, sets, self.duration),
-                volts=volts_table(model, matrices, scales, self.duration),
-                gramians=gramians(matrices, scales, self.duration),
+                access=access.of_modes(sets, self.duration),
+                volts=access.volts(self.duration),
+                gramians=access.gramians(self.duration),
                 torques=estimates,
                 times=times,
                 path=path,
