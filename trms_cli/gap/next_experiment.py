@@ -23,6 +23,7 @@ from trms_cli.gap.fitting import CandidateFit, FittedModel, Metric, ModelStructu
 from trms_cli.gap.separability import Signatures, effect_traces, projected
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.excitation.band import band_of, linearised
+from trms_cli.identification.excitation.design import lead_in
 from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import MultisineExcitation
@@ -232,7 +233,7 @@ def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Op
             shape = excitation.shape(plan).values
         except TrmsError:
             continue
-        head = _lead_in(centre, sample_time)
+        head = lead_in(centre, round(LEAD_IN / sample_time))
 
         def commands(
             amplitude: FloatArray,
@@ -295,13 +296,6 @@ def _typed(command: str, model_name: str, keys: Sequence[str], sample_time: floa
     if abs(sample_time - 0.02) > 1e-9:
         words.append(f"{step}={sample_time:.9g}")
     return " ".join(shlex.quote(word) for word in words)
-
-
-def _lead_in(centre: FloatArray, sample_time: float) -> FloatArray:
-    """As ``trms excite`` leads to an operating point: half the time rising, then waiting."""
-    count = round(LEAD_IN / sample_time)
-    share = np.clip(np.arange(count) / max(0.5 * count, 1.0), 0.0, 1.0)
-    return np.outer((1 - np.cos(np.pi * share)) / 2, centre)
 
 
 def _rounded(amplitude: FloatArray) -> FloatArray:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
-from tests.fuzz.targets.log import seeds as _logs
+from tests.fuzz.targets.log import seeds
 
-
-def seeds(folder: Path) -> Iterator[bytes]:
-    """As for whole logs."""
-    yield from _logs(folder)
+__all__ = ["read", "seeds"]
 
 
 def read(data: bytes, folder: Path) -> None:

@@ -288,7 +288,7 @@ def design(
     plan = Plan(samples, request.sample_time, lowest, highest, model.n_u, request.seed)
     progress("signals")
     shape = excitation.shape(plan)
-    head = _lead_in(centre, request)
+    head = lead_in(centre, round(request.lead_in / request.sample_time))
     trial = Trial(model, request.sample_time, bounds, len(head))
     room = request.share * upper - np.abs(centre)
     if np.any(room < LEAST_SHARE * upper):
@@ -415,9 +415,8 @@ def _operating_point(
     return np.array(target.u), np.array(target.x)
 
 
-def _lead_in(centre: FloatArray, request: ExcitationRequest) -> FloatArray:
-    """From rest to the operating point, smoothly, and some time there."""
-    count = round(request.lead_in / request.sample_time)
+def lead_in(centre: FloatArray, count: int) -> FloatArray:
+    """From rest to the operating point, smoothly, and some time there: (count, n_u)."""
     share = np.clip(np.arange(count) / max(_RISE * count, 1.0), 0.0, 1.0)
     return np.outer((1 - np.cos(np.pi * share)) / 2, centre)
 
