@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -141,19 +142,17 @@ def expected_errors(
     parts: Sequence[Span],
     *,
     seed: int = 0,
-    horizons: Sequence[float] = HORIZONS,
-    stride: float = 0.5,
-    block: float = 10.0,
     rollout: Rollout | None = None,
     jobs: int = 1,
+    **options: Any,
 ) -> dict[str, dict[float, HorizonErrors]]:
     """Errors that a right model would have: the model against its own simulation.
 
     The floor of :func:`free_run_errors` at longer horizons, where the noise on the start has
     grown through the model: the recordings' measurements are replaced by a simulation of the
-    model on their commands with the declared white noise. Arguments as there.
+    model on their commands with the declared white noise.
 
-    ``seed``: of the noise.
+    ``seed``: of the noise. ``options``: as there.
     """
     rollout = rollout or Rollout(model, datasets[0].sample_time, jobs=jobs)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0xF100]))
@@ -164,16 +163,7 @@ def expected_errors(
         noisy = y + dataset.noise_sd * random.standard_normal(y.shape)
         noisy[np.isnan(dataset.measurements)] = np.nan
         made.append(replace(dataset, measurements=noisy))
-    return free_run_errors(
-        model,
-        made,
-        parts,
-        horizons=horizons,
-        stride=stride,
-        block=block,
-        rollout=rollout,
-        jobs=jobs,
-    )
+    return free_run_errors(model, made, parts, rollout=rollout, **options)
 
 
 def _firsts(
@@ -268,29 +258,19 @@ def measure_shrinkage(
 
     ``rollouts``: of the refitted and of the corrected model's structure, where they are at hand.
     """
-    options = {"block": parts.block, "jobs": problem.jobs}
+    options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
     plain, richer = rollouts
 
     def runs(model: Model, rollout: Rollout | None) -> Errors:
-        return free_run_errors(
-            model,
-            parts.whole,
-            parts.sealed,
-            rollout=rollout,
-            **options,  # type: ignore[arg-type]
-        )
+        return free_run_errors(model, parts.whole, parts.sealed, rollout=rollout, **options)
 
     before = after = runs(refit, plain)
     if corrected is not refit:
         after = runs(corrected, richer)
     errors = {"raw": runs(raw, plain), "refit": before, "corrected": after}
+    of_corrected = plain if corrected is refit else richer
     right = expected_errors(
-        corrected,
-        parts.whole,
-        parts.sealed,
-        seed=problem.seed,
-        rollout=plain if corrected is refit else richer,
-        **options,  # type: ignore[arg-type]
+        corrected, parts.whole, parts.sealed, seed=problem.seed, rollout=of_corrected, **options
     )
     units = {s.name: s.unit for d in parts.whole for s in d.outputs}
     gap: dict[str, dict[str, Gap]] = {}

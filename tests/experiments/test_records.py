@@ -1,19 +1,23 @@
-"""The study on the Quanser Aero: it finds a rig that is known, and runs without the record."""
+"""The studies of recordings that may be absent: they skip without, and find a rig that is known."""
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.aero.__main__ import main
 from experiments.aero.study import fitted, parts_of, problem_of, read_study, recording
+from experiments.tras_fit import study as tras
+from trms_cli.identification.problem import Prior, free_parameters
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.quanser_aero import QuanserAero
 
 
-def test_skips_where_there_is_no_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("study", ["aero", "tras_fit"])
+def test_skips_where_there_is_no_record(study, tmp_path, capsys) -> None:
+    main = importlib.import_module(f"experiments.{study}.__main__").main
     assert main([str(tmp_path)]) == 0
     assert "skipped" in capsys.readouterr().err
 
@@ -65,3 +69,13 @@ def test_it_finds_what_made_a_recording(rig: tuple[Path, QuanserAero]) -> None:
         true = truth.parameters[name].value
         assert abs(found.result.values[name] - true) < 3 * sd[name], name
     assert sd["J_r"] < 0.1 * truth.parameters["J_r"].value
+
+
+@pytest.mark.parametrize("name", ["rotors", "commands"])
+def test_its_free_parameters_exist(name: str) -> None:
+    settings = tras.read_study()
+    fit = {**settings["fits"][name], "curves": False}
+    model = tras.model_of(Path(), settings, fit)
+    priors = {key: Prior(relative_sd=share) for key, share in fit["priors"].items()}
+    free = free_parameters(model.parameters, fit["free"], priors=priors)
+    assert len(free) == len(fit["free"])
