@@ -17,6 +17,7 @@ from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import compiler
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.cable_hysteresis import CableHysteresis
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.newtonian import Newtonian
@@ -161,6 +162,10 @@ def test_without_a_terminal_constraint(folder):
         pytest.param(Newtonian(freedom="horizontal"), id="horizontal", marks=pytest.mark.slow),
         pytest.param(
             extended(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)}), id="delay"
+        ),
+        pytest.param(
+            extended(Newtonian(), {"h": CableHysteresis(axis="yaw", torque=0.005, width=0.15)}),
+            id="path_memory",
         ),
     ],
 )

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import ModelError
+from trms_cli.effects.cable_hysteresis import CableHysteresis
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
@@ -173,3 +174,25 @@ def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone()
             assert target.projected
     is_steady(BOTH, target, np.zeros(4))
     assert not target.projected
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_a_path_memory_stays_and_the_inputs_hold_the_reference(warm: bool) -> None:
+    model = extended(BOTH, {"h": CableHysteresis(axis="yaw", torque=0.005, width=0.15)})
+    solver, reference = SteadyState(model), np.array([0.2, 0.3])
+    guess = solver.solve(np.array([0.1, -0.4])) if warm else None
+    tail = {}
+    for memory in (-1.0, 0.0, 0.7):
+        target = solver.solve(reference, None, guess, np.array([memory]))
+        is_steady(model, target, np.zeros(model.n_w))
+        assert target.exact
+        assert target.x[model.path_memory[0]] == pytest.approx(memory, abs=1e-6)
+        # The cable's torque −T z is what a constant torque of that size is.
+        torque = np.zeros(model.n_w)
+        torque[[signal.name for signal in BOTH.disturbances].index(BOTH.axes["yaw"].moment)] = (
+            -0.005 * memory
+        )
+        np.testing.assert_allclose(target.u, SOLVER.solve(reference, torque).u, atol=1e-6)
+        tail[memory] = target.u[1]
+    assert tail[-1.0] < tail[0.0] < tail[0.7]
+    assert solver.solve(reference).x[model.path_memory[0]] == 0.0

@@ -254,15 +254,18 @@ static void mpc_shift_plan(mpc_ctx *c) {
 
 /* The steady state of a reference under the present torques; the last one if there is none. */
 static void mpc_find_target(mpc_ctx *c, const double *goal) {
-    double given[MPC_N_R + MPC_N_W];
+    double given[MPC_N_R + MPC_N_W + MPC_N_MEMORY];
+    const int n_given = MPC_N_R + MPC_N_W + MPC_N_MEMORY;
     mpc_target found;
     int i;
     memset(&found, 0, sizeof found);
     for (i = 0; i < MPC_N_R; i++) given[i] = goal[i];
     for (i = 0; i < MPC_N_W; i++) given[MPC_N_R + i] = c->w[i];
+    for (i = 0; i < MPC_N_MEMORY; i++)
+        given[MPC_N_R + MPC_N_W + i] = c->full[mpc_memory_row[i]];
     if (c->has_target && c->solved_for_valid) {
-        for (i = 0; i < MPC_N_R + MPC_N_W && given[i] == c->solved_for[i]; i++) continue;
-        if (i == MPC_N_R + MPC_N_W) return;
+        for (i = 0; i < n_given && given[i] == c->solved_for[i]; i++) continue;
+        if (i == n_given) return;
     }
     mpc_ss_solve(c, goal, c->w, c->has_target ? &c->target : NULL, &found);
     c->target_is_held = found.converged || !c->has_target;

@@ -63,6 +63,7 @@ typedef struct {
     double z[2 * MPC_N_S + MPC_N_U], z_next[2 * MPC_N_S + MPC_N_U];
     double r[MPC_N_R], w[MPC_ROOM(MPC_N_W)], active[MPC_N_U], bound[MPC_N_U], curved;
     double report[2 + MPC_N_U], x[MPC_N_X];
+    double rest[MPC_N_S];                    /* the model at rest, its memories as they are */
 } mpc_steady;
 
 /* Everything that lasts from step to step comes first; the rest is scratch. */
@@ -74,7 +75,7 @@ typedef struct {
     double full[MPC_N_FULL];                 /* state, then what is remembered of past commands */
     double last_u[MPC_N_U];
     mpc_target target;
-    double solved_for[MPC_N_R + MPC_N_W];
+    double solved_for[MPC_N_R + MPC_N_W + MPC_N_MEMORY];
     double last_reference[MPC_N_R], moves[MPC_N_R][6]; /* what forecasts are made of */
     int n_moves[MPC_N_R], reference_seen;
     int sense[MPC_N_Z + MPC_ROWS];           /* active sets of the last QPs: without */

@@ -94,6 +94,7 @@ def sizes_of(state: Any, preview: int) -> dict[str, tuple[int, str]]:
         "FORECAST": (_forecast(state), "periods that an unknown reference is carried on for"),
         "N_FULL": (state.discrete.n_x, "states, and what is remembered of past commands"),
         "N_S": (steady, "unknowns of a steady state"),
+        "N_MEMORY": (len(model.path_memory), "states that remember a path and rest at any value"),
         "N_BLOCKS": (horizon.n_blocks, "blocks of constant inputs"),
         "N_Z": (n_z, "unknowns: N_U inputs in each block"),
         "N_WEIGHTED": (len(horizon.weighted), "states with a weight"),
@@ -130,6 +131,8 @@ def tables(state: Any) -> str:
         "mpc_goal_limit": goals,
         "mpc_steady_rows": steady.unknowns,
         "mpc_steady_controlled": steady.controlled,
+        "mpc_memory_row": model.path_memory,
+        "mpc_memory_unknown": [steady.unknowns.index(row) for row in model.path_memory],
     }
     whole = [whole_table(name, values) for name, values in rows.items()]
     rates = np.isfinite(_largest_moves(state))

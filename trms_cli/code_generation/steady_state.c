@@ -115,6 +115,8 @@ static int mpc_ss_from(mpc_ctx *c, const mpc_target *guess, const double *asked,
         s->z[i] = guess->x[mpc_steady_rows[i]];
         s->z[SS_N + i] = guess->multiplier[i];
     }
+    for (i = 0; i < MPC_N_MEMORY; i++)
+        s->z[mpc_memory_unknown[i]] = s->rest[mpc_memory_unknown[i]];
     for (i = 0; i < MPC_N_U; i++) {
         s->z[MPC_N_S + i] = guess->u[i];
         active[i] = guess->active[i];
@@ -154,7 +156,7 @@ static void mpc_ss_start(mpc_ctx *c, int at_reference, int signs) {
     mpc_steady *s = &c->steady;
     int i, digits[MPC_N_U];
     for (i = 0; i < MPC_N_S; i++) {
-        s->z[i] = mpc_steady_rest[i];
+        s->z[i] = s->rest[i];
         s->z[SS_N + i] = 0.0;
     }
     if (at_reference)
@@ -198,7 +200,7 @@ static void mpc_ss_from_afar(mpc_ctx *c, const double *asked, mpc_target *target
     }
     if (found) return;
     for (i = 0; i < MPC_N_S; i++) {
-        s->z[i] = mpc_steady_rest[i];
+        s->z[i] = s->rest[i];
         s->z[SS_N + i] = 0.0;
     }
     for (i = 0; i < MPC_N_U; i++) {
@@ -237,6 +239,9 @@ static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
         s->r[i] = asked[i] < -stop ? -stop : asked[i] > stop ? stop : asked[i];
     }
     for (i = 0; i < MPC_N_W; i++) s->w[i] = w[i];
+    for (i = 0; i < MPC_N_S; i++) s->rest[i] = mpc_steady_rest[i];
+    for (i = 0; i < MPC_N_MEMORY; i++)
+        s->rest[mpc_memory_unknown[i]] = c->full[mpc_memory_row[i]];
     if (guess != NULL && mpc_ss_from(c, guess, asked, target)) {
         /* The closest point found from nearby may be closest in its neighbourhood only, and what
          * kept the reference out of reach may have gone. */

@@ -147,6 +147,10 @@ class NewtonMpcState:
         sizes = typical_sizes(self.discrete)
         weights = _tracking(model, config.state_weights, sizes)
         self.steady_state = SteadyState(model, _positive(weights))
+        self._memory = list(model.path_memory)
+        # The plan may end at any value of what remembers the path: none of it is missed.
+        terminal_sizes = sizes.copy()
+        terminal_sizes[self._memory] = np.inf
 
         def engine(*, region: bool) -> NewtonStep:
             horizon = Horizon(
@@ -157,7 +161,7 @@ class NewtonMpcState:
                 TerminalPrice(config.terminal_linear, config.terminal_quadratic, region)
                 if config.terminal != "none"
                 else None,
-                sizes,
+                terminal_sizes,
             )
             return NewtonStep(horizon, config.qp, largest_moves)
 
@@ -256,10 +260,11 @@ class NewtonMpcState:
 
     def _target_for(self, reference: FloatArray) -> Target:
         """The steady state of a reference (n_r,) under the present disturbance."""
-        given = (*reference.tolist(), *self._disturbance.tolist())
+        memory = self._full[self._memory]
+        given = (*reference.tolist(), *self._disturbance.tolist(), *memory.tolist())
         if self.target is not None and given == self._solved_for:
             return self.target
-        found = self.steady_state.solve(reference, self._disturbance, self.target)
+        found = self.steady_state.solve(reference, self._disturbance, self.target, memory)
         # A disturbance that no input can hold has no steady state: the last one goes on.
         self.target_is_held = found.converged or self.target is None
         self._solved_for = given if found.converged else ()

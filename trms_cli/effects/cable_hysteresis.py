@@ -46,7 +46,8 @@ class CableHysteresis(Effect):
         )
 
     def states(self) -> tuple[Signal, ...]:
-        return (Signal("memory", "1", "share of the hysteresis torque, −1 to 1"),)
+        share = "share of the hysteresis torque, −1 to 1"
+        return (Signal("memory", "1", share, path_memory=True),)
 
     def derivative(self, at: EffectContext) -> ca.SX:
         rate, z = at.rate(self.axis), at.own[0]

@@ -154,7 +154,11 @@ class Effect(ABC):
         return ()
 
     def states(self) -> tuple[Signal, ...]:
-        """Further continuous states."""
+        """Further continuous states.
+
+        One that rests at any value, since only motion changes it (a hysteresis), says so by
+        ``path_memory=True``: a controller then leaves it where it is.
+        """
         return ()
 
     def derivative(self, at: EffectContext) -> ca.SX:

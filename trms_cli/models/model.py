@@ -34,6 +34,8 @@ class Signal:
     name: str  #: unique within its kind
     unit: str  #: SI, "1" for a normalised command
     description: str = ""  #: what it is, without the unit
+    #: whether, as a state, it remembers a path: it rests at any value, and only motion changes it
+    path_memory: bool = False
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,11 @@ class Model(ABC):
 
     def state_index(self, name: str) -> int:
         return index_of(self.states, name, f"a state of model {self.name!r}")
+
+    @property
+    def path_memory(self) -> tuple[int, ...]:
+        """Positions of the states that remember a path: a steady state leaves them open."""
+        return tuple(i for i, state in enumerate(self.states) if state.path_memory)
 
     def input_bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the inputs, each (n_u,)."""

@@ -19,13 +19,17 @@ Two degeneracies of the rig are met by a proximal term that is far below every p
   of a fixed number of times.
 - A row without any slope (a state that integrates nothing, a command inside a dead zone) leaves
   its unknown where it is.
+
+A state that remembers the path of another (the hysteresis of a cable) rests at any value: a
+reference has a steady state for each. It stays where the search begins, and the inputs hold the
+reference against it.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -47,6 +51,8 @@ _SLOPE_TOLERANCE = 1e-12  # rad²/V
 _BESIDE = 0.05  # rad between two references that share their closest reachable point
 #: On the diagonal of the Newton system, far below every physical scale.
 _PROXIMAL = 1e-12
+#: The same of a state that remembers a path, far above every other: the inputs move, not it.
+_MEMORY_PROXIMAL = 1.0
 
 
 @dataclass(frozen=True)
@@ -124,12 +130,14 @@ class SteadyState:
         q[:] = self.weights
         reach[:] = self._upper
         self._rest = model.rest()[self.unknowns]
+        self._memory = [self.unknowns.index(i) for i in model.path_memory]
 
     def solve(
         self,
         reference: FloatArray,
         disturbance: FloatArray | None = None,
         guess: Target | None = None,
+        path_memory: FloatArray | None = None,
     ) -> Target:
         """The steady state for a reference.
 
@@ -141,6 +149,9 @@ class SteadyState:
             Constant torques on the model's equations, N m.
         guess : Target, optional
             Where to start: the last sample's target leaves two or three iterations.
+        path_memory : (n_m,) array, optional
+            Values of the states ``model.path_memory``, in their units; by default the guess's, or
+            those of ``model.rest()``.
 
         Returns
         -------
@@ -151,6 +162,8 @@ class SteadyState:
         for i, value in enumerate(asked):
             self._r[i] = min(max(value, -self._stops[i]), self._stops[i])
         self._w[:] = 0.0 if disturbance is None else disturbance
+        if self._memory:
+            guess = self._remembering(path_memory, guess)
         if guess is not None:
             bounds_met = self._from(guess)
             if bounds_met is not None:
@@ -163,6 +176,18 @@ class SteadyState:
                 if _beside(guess, asked):
                     return self._within_reach(asked) or target
         return self._from_afar(asked)
+
+    def _remembering(self, values: FloatArray | None, guess: Target | None) -> Target | None:
+        """Where the search begins, with the values of the states that remember a path."""
+        rows = list(self.model.path_memory)
+        if values is None:
+            values = (self.model.rest() if guess is None else guess.x)[rows]
+        self._rest[self._memory] = values
+        if guess is None:
+            return None
+        x = guess.x.copy()
+        x[rows] = values
+        return replace(guess, x=x)
 
     def _within_reach(self, asked: list[float]) -> Target | None:
         """The reference itself where it can be held with no input at its bound."""
@@ -338,7 +363,9 @@ def newton_step(model: Model, equations: RestEquations) -> ca.Function:
 
     free = ca.diag(1 - active)
     # Rows: stationarity in s, stationarity (or the bound) in u, the dynamics.
-    in_s = weigh @ select + _PROXIMAL * ca.SX.eye(n_s) + curvature[:n_s, :n_s]
+    proximal = np.full(n_s, _PROXIMAL)
+    proximal[[equations.unknowns.index(i) for i in model.path_memory]] = _MEMORY_PROXIMAL
+    in_s = weigh @ select + ca.diag(ca.SX(proximal)) + curvature[:n_s, :n_s]
     in_u = _PROXIMAL * free + ca.diag(active) + free @ curvature[n_s:, n_s:]
     system = ca.blockcat(
         [
