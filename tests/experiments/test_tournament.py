@@ -167,6 +167,7 @@ class TestRunning:
             "# kills its process\n_target_: deadly_lab.Deadly\nsample_time: null  # s\n"
         )
         words = ("--config-dir", str(package / "configs"))
+        monkeypatch.setenv("TRMS_ALLOW", "deadly_lab")
         deadly = a_run("deadly", every=(*a_run().every, *words))
         runs = [deadly, *(a_run(ref=ref) for ref in ("square", "sine", "sawtooth", "step"))]
         monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(package), os.getcwd()]))

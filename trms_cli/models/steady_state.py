@@ -51,8 +51,6 @@ _SLOPE_TOLERANCE = 1e-12  # rad²/V
 _BESIDE = 0.05  # rad between two references that share their closest reachable point
 #: On the diagonal of the Newton system, far below every physical scale.
 _PROXIMAL = 1e-12
-#: The same of a state that remembers a path, far above every other: the inputs move, not it.
-_MEMORY_PROXIMAL = 1.0
 
 
 @dataclass(frozen=True)
@@ -363,9 +361,7 @@ def newton_step(model: Model, equations: RestEquations) -> ca.Function:
 
     free = ca.diag(1 - active)
     # Rows: stationarity in s, stationarity (or the bound) in u, the dynamics.
-    proximal = np.full(n_s, _PROXIMAL)
-    proximal[[equations.unknowns.index(i) for i in model.path_memory]] = _MEMORY_PROXIMAL
-    in_s = weigh @ select + ca.diag(ca.SX(proximal)) + curvature[:n_s, :n_s]
+    in_s = weigh @ select + _PROXIMAL * ca.SX.eye(n_s) + curvature[:n_s, :n_s]
     in_u = _PROXIMAL * free + ca.diag(active) + free @ curvature[n_s:, n_s:]
     system = ca.blockcat(
         [
@@ -374,6 +370,10 @@ def newton_step(model: Model, equations: RestEquations) -> ca.Function:
             [f_s, f_u, -_PROXIMAL * ca.SX.eye(n_s)],
         ]
     )
+    for i in model.path_memory:  # it does not move: the inputs do
+        row = equations.unknowns.index(i)
+        system[row, :] = 0
+        system[row, row] = 1
     right = ca.vertcat(-weigh @ (s[rows] - r), active * (bound - u), -f)
     solution = _solved(system, right)
     ds, du, following = solution[:n_s], solution[n_s:n], solution[n:]
