@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import yaml
+from scipy.integrate import solve_ivp
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
@@ -143,6 +144,21 @@ def _rich_input(samples: int, step: float = 0.02, seed: int = 1) -> np.ndarray:
     return np.column_stack([u_v, u_h]).clip(-2.5, 2.5)
 
 
+def _exactly(slope, start, samples, event=None):
+    """Another code's solution of y' = slope(t, y) at each sample, (samples + 1, n).
+
+    With ``event``, a function of (t, y): the time and the state at which it is zero instead.
+    """
+    seconds = samples * 0.02
+    if event is not None:
+        event.terminal = True
+    times = None if event is not None else np.arange(samples + 1) * 0.02
+    found = solve_ivp(
+        slope, (0, seconds), start, t_eval=times, events=event, rtol=1e-10, atol=1e-12
+    )
+    return found.y.T if event is None else (found.t_events[0][0], found.y[:, -1])
+
+
 def _right_hand_side(model):
     """``f(x, u, w)`` in NumPy."""
     at = model.symbols()
@@ -162,6 +178,7 @@ def rig() -> SimpleNamespace:
         simulate=_simulate,
         readings=_readings,
         rich_input=_rich_input,
+        exactly=_exactly,
         right_hand_side=_right_hand_side,
         turntable=Turntable,
         newtonian=Newtonian,

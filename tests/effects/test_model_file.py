@@ -94,41 +94,26 @@ def test_a_fitted_file_keeps_its_standard_deviations_and_scientific_numbers(writ
     assert model.parameters["k_fvp"].value == 1.7e-5
 
 
+def of_effect(name="yaw_coulomb_friction", **sizes):
+    return {"effects": {name: sizes}}
+
+
+TORQUE = "effects.yaw_coulomb_friction.torque"
 MISTAKES = [
     ({"model": "newtonain"}, "model", "newtonian"),
     ({"model": "from_file"}, "model", "newtonian"),
-    ({"effects": {"yaw_columb_friction": {}}}, "effects.yaw_columb_friction", "yaw_coulomb"),
+    (of_effect("yaw_columb_friction"), "effects.yaw_columb_friction", "yaw_coulomb"),
+    (of_effect(toque=1.0), "effects.yaw_coulomb_friction.toque", "torque"),
+    (of_effect(torque=-1.0), TORQUE, ">= 0"),
+    (of_effect(torque="much"), TORQUE, "number"),
+    (of_effect(axis="pitch", torque=float("nan")), TORQUE, ""),
+    (of_effect("mine", _target_="no.such.Class"), "effects.mine._target_", "allow no"),
     (
-        {"effects": {"yaw_coulomb_friction": {"toque": 1.0}}},
-        "effects.yaw_coulomb_friction.toque",
-        "torque",
-    ),
-    (
-        {"effects": {"yaw_coulomb_friction": {"torque": -1.0}}},
-        "effects.yaw_coulomb_friction.torque",
-        ">= 0",
-    ),
-    (
-        {"effects": {"yaw_coulomb_friction": {"torque": "much"}}},
-        "effects.yaw_coulomb_friction.torque",
-        "number",
-    ),
-    (
-        {"effects": {"yaw_coulomb_friction": {"axis": "pitch", "torque": float("nan")}}},
-        "effects.yaw_coulomb_friction.torque",
-        "",
-    ),
-    ({"effects": {"mine": {"_target_": "no.such.Class"}}}, "effects.mine._target_", "allow no"),
-    (
-        {"effects": {"mine": {"_target_": "trms_cli.models.newtonian.Newtonian"}}},
+        of_effect("mine", _target_="trms_cli.models.newtonian.Newtonian"),
         "effects.mine._target_",
         "",
     ),
-    (
-        {"model": "newtonian_vertical", "effects": {"yaw_coulomb_friction": {}}},
-        "effects",
-        "pitch",
-    ),
+    ({"model": "newtonian_vertical"} | of_effect(), "effects", "pitch"),
     ({"limits": {"u_x": 1.0}}, "limits.u_x", "u_v"),
     ({"limits": {"u_v": -1.0}}, "limits.u_v", "positive"),
 ]

@@ -1,4 +1,4 @@
-"""Bouc–Wen hysteresis: the loop, its area, its bounds."""
+"""The cable: stiffness by frequency, hardening and free angle; hysteresis by Bouc and Wen."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,38 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
 from trms_cli.effects.cable_hysteresis import CableHysteresis
+from trms_cli.effects.cable_stiffness import CableStiffness
+
+
+def test_a_linear_cable_swings_about_its_free_angle(rig):
+    cable = {"cable": CableStiffness(axis="yaw", stiffness=0.02, neutral=0.2)}
+    model = rig.extended(rig.turntable(inertia=0.05), cable)
+    t = np.arange(501) * 0.02
+    x = rig.simulate(model, np.zeros((500, 2)))
+    frequency = np.sqrt(0.02 / 0.05)
+    np.testing.assert_allclose(x[:, 2], 0.2 * (1 - np.cos(frequency * t)), atol=1e-9)
+
+
+def test_a_hardening_cable_equals_another_integration(rig):
+    cable = {"cable": CableStiffness(axis="yaw", stiffness=0.005, cubic=0.03, neutral=-0.1)}
+    model = rig.extended(rig.turntable(inertia=0.05), cable)
+    expected = rig.exactly(
+        lambda t, y: [y[1], -(0.005 * (y[0] + 0.1) + 0.03 * (y[0] + 0.1) ** 3) / 0.05], [1, 0], 500
+    )
+    x = rig.simulate(model, np.zeros((500, 2)), start=[0, 0, 1.0, 0])
+    np.testing.assert_allclose(x[:, 2:], expected, atol=1e-8)
+
+
+def test_it_adds_to_the_stiffness_that_the_model_has(rig):
+    base = rig.newtonian(freedom="horizontal")
+    model = rig.extended(base, {"cable": CableStiffness(axis="yaw", stiffness=0.01)})
+    p = base.parameters
+    f, added = rig.right_hand_side(base), rig.right_hand_side(model)
+    x = np.array([0.0, 0.0, 0.5])
+    spin = base.state_index("S_h")
+    ratio = added(x, [0], [0, 0])[spin] / f(x, [0], [0, 0])[spin]
+    np.testing.assert_allclose(ratio, (p["k_chp"].value + 0.01) / p["k_chp"].value)
+
 
 TORQUE, WIDTH = 0.008, 0.1
 
