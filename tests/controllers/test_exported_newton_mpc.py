@@ -98,7 +98,7 @@ def test_one_iteration(one, reference):
 
 @pytest.mark.parametrize("reference", [squares, sines, levels, beyond])
 def test_iterated_to_convergence(converged, reference):
-    found = compare(*converged, reference, 150, estimated=wandering)
+    found = compare(*converged, reference, 100, estimated=wandering)
     assert found.worst <= EQUAL
     assert Status.OK in found.statuses()
     for command, said in zip(found.python, found.exported, strict=True):
@@ -112,7 +112,7 @@ def test_a_torque_on_the_rig_that_the_observer_tells(converged):
     def push(time):
         return (0.02 if 3 < time < 9 else 0.0, 0.01 if time > 6 else 0.0, 0.0, 0.0)
 
-    found = compare(*converged, squares, 150, torque=push, estimated=lambda k: push(k * PERIOD))
+    found = compare(*converged, squares, 100, torque=push, estimated=lambda k: push(k * PERIOD))
     assert found.worst <= EQUAL
 
 

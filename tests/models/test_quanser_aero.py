@@ -7,19 +7,16 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
-from trms_cli.composition.composer import compose
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.input_delay import InputDelay
-from trms_cli.library.tasks.experiment import experiment_of
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.recordings.log_reader import read_log
-from trms_cli.simulation.closed_loop import Loop
-from trms_cli.simulation.history import History
 
+from ..simulation.looping import composed, looped
 from .simulate import rates, slopes, travel
 
 FREE = {"d_1": 0.0, "d_2": 0.0}
@@ -190,11 +187,7 @@ def test_what_is_measured_can_be_the_angles_alone():
 def test_a_controller_tracks_with_it(chosen):
     settings = ["sim.duration=12", *chosen, "ref=constant"]
     settings += ["ref.alpha_v.offset=0.3", "ref.alpha_h.offset=0.5"]
-    experiment = experiment_of(compose(settings).config)
-    names = {signal.name: signal.unit for signal in experiment.model.states}
-    loop = Loop.start(experiment, lambda plant: History({"/plant/state": names}, None))
-    loop.run()
-    state = loop.history.columns("/plant/state")
+    state = looped(composed(*settings)).history.columns("/plant/state")
     assert state["alpha_v"][-50:] == pytest.approx(0.3, abs=0.02)
     assert state["alpha_h"][-50:] == pytest.approx(0.5, abs=0.02)
 

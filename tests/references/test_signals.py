@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.references.chirp import Chirp
 from trms_cli.references.constant import Constant
+from trms_cli.references.multilevel import Multilevel
 from trms_cli.references.multisine import Multisine
 from trms_cli.references.prbs import Prbs
 from trms_cli.references.ramp import Ramp
@@ -34,6 +35,9 @@ SIGNALS: dict[str, ReferenceSignal] = {
         amplitude=0.3, frequency=0.1, lowest=0.1, highest=2.0, offset=0.2, start=2.0
     ),
     "prbs": Prbs(amplitude=0.3, hold=0.3, bits=5, offset=0.2, start=2.0),
+    "multilevel": Multilevel(
+        amplitude=0.3, shortest=0.05, longest=0.4, seed=4, offset=0.2, start=2.0
+    ),
     "chirp": Chirp(
         amplitude=0.3, frequency=0.1, final_frequency=2.0, duration=5.0, offset=0.2, start=2.0
     ),
@@ -45,6 +49,7 @@ SIGNALS: dict[str, ReferenceSignal] = {
 }
 every_signal = pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
 TIMES = np.arange(0, 20, 0.01)
+LONG = np.arange(0, 400, 0.01)
 
 
 @every_signal
@@ -195,6 +200,30 @@ def test_pieces_count_their_own_time_or_that_of_the_run() -> None:
     )
 
 
+def test_holding_times_of_a_multilevel_lie_between_the_shortest_and_the_longest():
+    values = Multilevel(amplitude=1.0, shortest=0.5, longest=2.0).sample(LONG)
+    holds = np.diff(np.flatnonzero(np.diff(values) != 0)) * 0.01
+    assert holds.min() >= 0.49 and holds.max() <= 2.01
+    assert np.mean(holds) == pytest.approx(1.25, abs=0.1)
+
+
+@pytest.mark.parametrize("levels", [2, 5, 9])
+def test_all_levels_of_a_multilevel_occur_at_equal_distances(levels):
+    values = Multilevel(amplitude=0.4, shortest=0.1, longest=0.1, levels=levels, offset=0.1).sample(
+        LONG
+    )
+    expected = 0.1 + np.linspace(-0.4, 0.4, levels)
+    np.testing.assert_allclose(np.unique(values.round(12)), expected, atol=1e-12)
+
+
+def test_any_value_of_a_multilevel_is_drawn_evenly_and_seeds_differ():
+    a = Multilevel(amplitude=1.0, shortest=0.01, longest=0.01, seed=1).sample(LONG)
+    b = Multilevel(amplitude=1.0, shortest=0.01, longest=0.01, seed=2).sample(LONG)
+    assert np.abs(a).max() <= 1.0
+    assert np.std(a) == pytest.approx(3**-0.5, rel=0.02)
+    assert abs(np.corrcoef(a, b)[0, 1]) < 0.02
+
+
 def test_mistakes_are_named() -> None:
     with pytest.raises(ConfigurationError, match="no multiple"):
         Multisine(amplitude=1.0, frequency=1.0, lowest=0.2, highest=0.7)
@@ -210,3 +239,5 @@ def test_mistakes_are_named() -> None:
         Schedule(pieces=[])
     with pytest.raises(ConfigurationError, match="Piece"):
         Schedule(pieces=[{"start": 0}])  # type: ignore[list-item]
+    with pytest.raises(ConfigurationError, match="below the shortest"):
+        Multilevel(amplitude=1.0, shortest=2.0, longest=1.0)

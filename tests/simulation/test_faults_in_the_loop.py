@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.composition.composer import compose
 from trms_cli.core.resources import config_folder
-from trms_cli.library.tasks import experiment as run_assembly
 from trms_cli.library.tasks.run_score import score_of
 from trms_cli.scoring.score import Series
-from trms_cli.simulation.closed_loop import Loop
-from trms_cli.simulation.history import History
+
+from .looping import composed, looped
 
 FAULTS = sorted(path.stem for path in Path(config_folder(), "fault").glob("*.yaml"))
 CONTROLLERS = ("newton_mpc", "lqr", "pid")
@@ -30,16 +28,10 @@ class Ran:
     """A run in memory: its score, its commands, where it ended."""
 
     def __init__(self, *overrides: str) -> None:
-        composition = compose([*overrides, f"sim.duration={DURATION}", "sim.prediction_every=0"])
-        experiment = run_assembly.experiment_of(composition.config)
-
-        def keep(plant: Any) -> History:
-            topics = run_assembly.topics_of(experiment, plant)
-            return History({t.name: {f.name: f.unit for f in t.fields} for t in topics}, None)
-
         with np.errstate(all="ignore"):
-            self.loop = Loop.start(experiment, keep)
-            self.loop.run()
+            self.loop = looped(
+                composed(*overrides, f"sim.duration={DURATION}", "sim.prediction_every=0")
+            )
         self.score: dict[str, Any] = score_of(self.loop, Path("x"), complete=True)
         history = self.loop.history
         self.commands = np.column_stack(list(history.columns("/command").values()))
