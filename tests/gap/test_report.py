@@ -297,22 +297,8 @@ def test_the_case_names_an_effect_of_the_library() -> None:
 
 
 CONTRACT = {
-    "schema",
-    "recordings",
-    "model",
-    "seed",
-    "versions",
-    "verdict",
-    "where",
-    "region",
-    "causes",
-    "confusable",
-    "not_testable",
-    "detectable",
-    "parameters",
-    "gap",
-    "shrink",
-    "next_experiment",
+    *("schema", "recordings", "model", "seed", "versions", "verdict", "where", "region", "causes"),
+    *("confusable", "not_testable", "detectable", "parameters", "gap", "shrink", "next_experiment"),
 }
 
 

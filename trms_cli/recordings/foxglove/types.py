@@ -44,12 +44,8 @@ class Vector3(Struct):
     z: float
 
 
-class Point3(Struct):
+class Point3(Vector3):
     """In metres."""
-
-    x: float
-    y: float
-    z: float
 
 
 class Quaternion(Struct):
