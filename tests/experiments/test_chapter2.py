@@ -10,28 +10,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from experiments.chapter2.__main__ import EXPECTED, PAGE
+from experiments.chapter2.__main__ import PAGE
 from experiments.chapter2.agreement import study_agreement
 from experiments.chapter2.axes import ANGLES, one_axis, pair_of_commands, two_axes
 from experiments.chapter2.bench_tests import study_bench_tests
 from experiments.chapter2.bridge import TERMS, Bridge
 from experiments.chapter2.rotors import study_rotor
 from experiments.chapter2.simulation import difference
-from experiments.chapter2.study import read_study, signal
+from experiments.chapter2.study import signal
 from experiments.page_tables import write_tables
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
-
-
-@pytest.fixture(scope="module")
-def study():
-    return read_study()
-
-
-@pytest.fixture(scope="module")
-def expected():
-    return json.loads(EXPECTED.read_text(encoding="utf-8"))
 
 
 def rates(model, x, u) -> np.ndarray:

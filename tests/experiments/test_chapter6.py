@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import itertools
-import json
 import re
 
 import numpy as np
 import pytest
 
-from experiments.chapter6.__main__ import EXPECTED, PAGE
+from experiments.chapter6.__main__ import PAGE
 from experiments.chapter6.decrease import study_decrease
 from experiments.chapter6.domain import study_box, study_slice
 from experiments.chapter6.iterations import square_wave
 from experiments.chapter6.results import compute, differences, figures_of
 from experiments.chapter6.rig import MODEL, Loop, state_at
 from experiments.chapter6.study import Mode, Tolerance, read_study
-
-
-@pytest.fixture(scope="module")
-def expected():
-    return json.loads(EXPECTED.read_text(encoding="utf-8"))
 
 
 class TestStudy:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
 import pytest
 
-from experiments.chapter7.__main__ import EXPECTED, FIGURES, PAGE, rounded
+from experiments.chapter7.__main__ import FIGURES, PAGE, rounded
 from experiments.chapter7.comparison import deviations
 from experiments.chapter7.observers.comparison import cells_of, ratio_of
 from experiments.chapter7.observers.records import STATES, Outcome, run_job
@@ -16,18 +15,8 @@ from experiments.chapter7.observers.study import Job
 from experiments.chapter7.observers.study import jobs_of as observer_jobs
 from experiments.chapter7.observers.study import read_study as read_observer_study
 from experiments.chapter7.runs import run_job as run_case
-from experiments.chapter7.study import jobs_of, read_study
+from experiments.chapter7.study import jobs_of
 from trms_cli.composition.composer import compose
-
-
-@pytest.fixture(scope="module")
-def study():
-    return read_study()
-
-
-@pytest.fixture(scope="module")
-def expected():
-    return json.loads(EXPECTED.read_text(encoding="utf-8"))
 
 
 class TestStudy:

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
 import pytest
 
-from experiments.chapter8.__main__ import EXPECTED, PAGE
+from experiments.chapter8.__main__ import PAGE
 from experiments.chapter8.coverage import study_coverage, study_standstill
 from experiments.chapter8.laws import Bench, study_laws
 from experiments.chapter8.runs import cases, run_case
-from experiments.chapter8.study import read_study
-
-
-@pytest.fixture(scope="module")
-def study():
-    return read_study()
-
-
-@pytest.fixture(scope="module")
-def expected():
-    return json.loads(EXPECTED.read_text(encoding="utf-8"))
 
 
 class TestStudy:
