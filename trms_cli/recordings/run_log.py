@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Literal, Self
 
 import msgspec
@@ -218,21 +218,15 @@ class RunLog:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None:
             self.close("completed")
             return
         try:
-            self.close("interrupted" if issubclass(kind, KeyboardInterrupt) else "failed")
+            self.close("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
         except RecordingError as second:
             # The run's own failure matters more; it is already on its way up.
-            if error is not None:
-                error.add_note(str(second))
+            error.add_note(str(second))
 
     def _create(self) -> AppendStream:
         try:

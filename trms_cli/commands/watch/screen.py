@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from time import monotonic
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Protocol, Self
 
 from rich.console import Console, Group
@@ -171,12 +171,7 @@ class Keyboard:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._restore()
         if self._handler is not None:
             signal.signal(signal.SIGTERM, self._handler)
