@@ -639,10 +639,8 @@ def _located(
 
     def place_at(value: float) -> LocusPoint | None:
         place = path.following(before, value)
-        if place is None:
-            return None
         # The far end settles which of two modes that meet in between is which.
-        if abs(value - after.value) < abs(value - before.value):
+        if place is not None and abs(value - after.value) < abs(value - before.value):
             place = replace(place, spectrum=match_spectra(after.spectrum, place.spectrum)[0])
         return place
 
@@ -658,8 +656,7 @@ def _located(
         value = brentq(growth, before.value, after.value, xtol=_EXACT * span)
     except (ValueError, RuntimeError):
         return None
-    place = place_at(value)
-    if place is None:
+    if (place := place_at(value)) is None:
         return None
     rate = rate_of(place.spectrum.values[track], T)
     frequency = rate.imag if abs(rate.imag) > STILL else 0.0

@@ -148,8 +148,6 @@ class FrequencyResponse:
     #: (n_r,) array; mean of the controlled angles in the last period, less the operating point's,
     #: rad
     rest: FloatArray
-    #: (n_r,) array; largest excursion of the controlled angles from that mean, rad
-    swing: FloatArray
     statuses: Mapping[str, int]  #: Control samples by how their computation ended
     limited: int  #: Control samples at a limit of the command
     #: Rotors' speeds that were zero or changed their sign: their thrust has no slope there
@@ -235,7 +233,6 @@ class Analyser:
             beside=max(probe.beside(a.commands) for a in answers),
             nonlinearity=float(np.linalg.norm(answer - predicted) / np.linalg.norm(answer)),
             rest=check.rest,
-            swing=np.max([a.swing for a in answers], axis=0),
             statuses=dict(sum((Counter(a.run.statuses) for a in answers), Counter())),
             limited=sum(a.limited for a in answers),
             reversed=tuple(sorted({name for a in answers for name in a.reversed})),
@@ -292,7 +289,6 @@ class _Answer:
     commands: FloatArray
     drift: float
     rest: FloatArray
-    swing: FloatArray
     limited: int
     reversed: tuple[str, ...]
     gone: str
@@ -311,7 +307,6 @@ def _experiment(
     samples = min(len(angles), len(commands) * adder.ratio or len(angles))
     last = angles[-samples:]
     rest = last.mean(axis=0)
-    swing = np.abs(last - rest).max(axis=0)
     lower, upper = model.input_bounds()
     limited = int(np.any((run.u <= lower) | (run.u >= upper), axis=1)[:: adder.ratio].sum())
     first = angles[samples : 2 * samples]
@@ -320,20 +315,20 @@ def _experiment(
     leaves = bool(run.ended) or grows or away > _FAR
     gone = ""
     if run.ended or adder.drift > NOT_PERIODIC:
-        furthest = int(np.argmax(np.abs(last).max(axis=0)))
-        name, seconds = model.controlled[furthest], run.time[-1] if run.time.size else 0.0
-        gone = f"{name} is up to {away:.2g} rad away after {seconds:.0f} s"
+        name = model.controlled[int(np.argmax(np.abs(last).max(axis=0)))]
+        after = f"after {run.time[-1] if run.time.size else 0.0:.0f} s"
+        gone = f"{name} is up to {away:.2g} rad away {after}"
         if run.ended:
             gone += f", where the run ends: {run.ended}"
         elif not leaves:
             gone = (
-                f"{name} stays within {away:.2g} rad, but after {seconds:.0f} s the answer to the "
-                f"test signal still changes by {100 * adder.drift:.0f} % from period to period"
+                f"{name} stays within {away:.2g} rad, but {after} the answer to the test signal "
+                f"still changes by {100 * adder.drift:.0f} % from period to period"
             )
     turned = tuple(
         name for name in _speeds(model) if np.ptp(np.sign(run.x[:, model.state_index(name)])) > 0
     )
-    return _Answer(run, commands, adder.drift, rest, swing, limited, turned, gone, leaves)
+    return _Answer(run, commands, adder.drift, rest, limited, turned, gone, leaves)
 
 
 def _speeds(model: Model) -> list[str]:
@@ -431,8 +426,10 @@ def measured(
 
 def _require_band(lowest: float, subject: Subject, loop: LoopParts, point: OperatingPoint) -> None:
     """Refuse a sampling that is slower than the rig, and a lowest line too close to its end."""
-    step = loop.control_period
-    swing = _fastest_swing(loop.model, point)
+    step, swing = loop.control_period, 0.0
+    if loop.model.sample_time is None:
+        A, _ = VectorField(loop.model).linearised(point.x[: loop.model.n_x], point.u)
+        swing = float(np.abs(np.linalg.eigvals(A).imag).max())
     periods = (
         ("sim.sample_time", "the loop", loop.sample_time, _OF_THE_RIG),
         ("controller.sample_time", "the controller", step, _OF_THE_CONTROLLER),
@@ -453,11 +450,3 @@ def _require_band(lowest: float, subject: Subject, loop: LoopParts, point: Opera
             where="lowest",
             remedy=f"study.lowest of at most {math.pi / step / _FEWEST:.2g} rad/s",
         )
-
-
-def _fastest_swing(model: Model, point: OperatingPoint) -> float:
-    """Largest frequency of the rig's own swings, rad/s; 0 without one, or without equations."""
-    if model.sample_time is not None:
-        return 0.0
-    A, _ = VectorField(model).linearised(point.x[: model.n_x], point.u)
-    return float(np.abs(np.linalg.eigvals(A).imag).max())

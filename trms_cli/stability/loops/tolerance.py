@@ -204,18 +204,16 @@ class Bounds:
         if beside.any():
             # with a command at its limit for good, nothing pushes on towards the point
             spent = bool(np.all(np.abs(commands[-third:]) >= _LIMIT, axis=0).any())
-            resting = beside & (spent | ~_creeps(errors[-2 * third :]))
+            # A mean error creeps that shrinks from each quarter to the next.
+            quarters = np.array_split(errors[-2 * third :], 4)
+            means = np.array([np.abs(part.mean(axis=0)) for part in quarters])
+            creeps = np.all(means[1:] < _STILL * means[:-1], axis=0)
+            resting = beside & (spent | ~creeps)
             kind: Kind = "rests beside" if resting.any() else "still creeping"
             shown = resting if resting.any() else beside
             return RunVerdict(kind, rest, swing, int(np.argmax(np.where(shown, away, -1.0))))
         settled = bool(np.all((away <= self.rest) & (swing <= self.swing)))
         return RunVerdict("settles" if settled else "dies out", rest, swing, worst)
-
-
-def _creeps(errors: FloatArray) -> BoolArray:
-    """Which of (n, m) mean errors shrink from each quarter to the next, (m,)."""
-    means = np.array([np.abs(part.mean(axis=0)) for part in np.array_split(errors, 4)])
-    return np.asarray(np.all(means[1:] < _STILL * means[:-1], axis=0))
 
 
 def _swings_on(values: FloatArray, bound: float) -> BoolArray:
@@ -351,9 +349,7 @@ def limits_of(
     margins: MarginResult | None,
 ) -> ImpairmentLimits:
     """Both limits of one impairment; runs are shared between the two searches."""
-    runs: dict[float, TrialRun] = {
-        impairment.none: TrialRun(impairment.none, nothing.run, nothing.verdict)
-    }
+    runs = {impairment.none: replace(nothing, size=impairment.none)}
 
     def attempt(size: float) -> TrialRun:
         if size not in runs:
@@ -451,6 +447,4 @@ def _at_limits(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     applied = limits.calm.above.run.applied
     lower, upper = trial.subject.model.input_bounds()
     share = float(np.mean(np.any((applied <= lower) | (applied >= upper), axis=1)))
-    if share < 0.01:
-        return ""
-    return f" (commands at a limit {100 * share:.0f} % of the time)"
+    return f" (commands at a limit {100 * share:.0f} % of the time)" if share >= 0.01 else ""
