@@ -135,9 +135,7 @@ class Landmark:
 
 
 def landmarks(
-    equations: CurveEquations,
-    curve: SolutionCurve,
-    points: Sequence[EquilibriumPoint],
+    equations: CurveEquations, curve: SolutionCurve, points: Sequence[EquilibriumPoint]
 ) -> list[Landmark]:
     """The special points of a curve, in order along it."""
     folds = _folds(equations, curve)
@@ -257,10 +255,7 @@ def _with_folds(
 
 
 def _change(
-    equations: CurveEquations,
-    before: FloatArray,
-    after: FloatArray,
-    first: EquilibriumPoint,
+    equations: CurveEquations, before: FloatArray, after: FloatArray, first: EquilibriumPoint
 ) -> Landmark:
     """Where the number of growing motions changes between two points, by bisection."""
     chord = (after - before) / equations.scale

@@ -195,10 +195,7 @@ def _within(equations: CurveEquations, y: FloatArray, z: Interval) -> bool:
 
 
 def _check(
-    equations: CurveEquations,
-    curves: Sequence[SolutionCurve],
-    value: float,
-    proof: Proof,
+    equations: CurveEquations, curves: Sequence[SolutionCurve], value: float, proof: Proof
 ) -> ProofCheck:
     known = [y for curve in curves for y in equations.crossings_of(curve, value)]
     ordered: list[FloatArray] = []
@@ -309,18 +306,15 @@ def _require_yaw(system: RestSystem, box: Interval, where: str) -> None:
 
 def usual_bounds(model: Model, name: str) -> tuple[float, float]:
     """Bounds of an unknown that nothing is asked of."""
-    if name in names(model.inputs):
-        limit = model.input_limits[name]
-        return -limit, limit
     pitch = model.axes["pitch"].angle if "pitch" in model.axes else ""
-    stop = model.stops.get(name, math.inf)
-    if name == pitch:
+    stop, half = model.stops.get(name, math.inf), math.inf
+    if name in names(model.inputs):
+        half = model.input_limits[name]
+    elif name == pitch:
         half = max(stop, UPRIGHT) if math.isfinite(stop) else UPRIGHT
-        return -half, half
-    if any(axis.angle == name for axis in model.axes.values()):
+    elif any(axis.angle == name for axis in model.axes.values()):
         half = stop if math.isfinite(stop) else math.pi
-        return -half, half
-    return -math.inf, math.inf
+    return -half, half
 
 
 _MAP_POINTS = 41

@@ -71,14 +71,55 @@ class Enclosure:
 
         Arguments are one an input, (n_boxes, size), or (size,) for one that all boxes share.
         """
-        count = max((len(a.lower) for a in arguments if a.lower.ndim == 2), default=1)
-        sizes = [(count, *self.function.size_out(i)) for i in range(self.function.n_out())]
-        results = [Interval(np.zeros(size), np.zeros(size)) for size in sizes]
-        _run(self._program, arguments, results, self._rows, count)
+        results = self._evaluated(arguments)
         return [
             Interval(r.lower[:, :, 0], r.upper[:, :, 0]) if r.lower.shape[2] == 1 else r
             for r in results
         ]
+
+    def _evaluated(self, arguments: Sequence[Interval]) -> list[Interval]:
+        """Bounds of all outputs, (n_boxes, rows, columns)."""
+        count = max((len(a.lower) for a in arguments if a.lower.ndim == 2), default=1)
+        sizes = [(count, *self.function.size_out(i)) for i in range(self.function.n_out())]
+        results = [Interval(np.zeros(size), np.zeros(size)) for size in sizes]
+        work: dict[int, Interval] = {}
+        # Which condition a register holds, and whether negated; which half of a switch.
+        conditions: dict[int, tuple[int, bool] | None] = {}
+        branches: dict[int, _Branch | None] = {}
+        for number, (operation, outputs, inputs, constant) in enumerate(self._program):
+            if operation == ca.OP_OUTPUT:
+                row, column = self._rows[outputs[0]][outputs[1]]
+                target, value = results[outputs[0]], work[inputs[0]]
+                target.lower[:, row, column] = value.lower
+                target.upper[:, row, column] = value.upper
+                continue
+            condition: tuple[int, bool] | None = None
+            branch: _Branch | None = None
+            if operation == ca.OP_CONST:
+                value = Interval.point(np.array([constant]))  # shared by all boxes, as p may be
+            elif operation == ca.OP_INPUT:
+                given = arguments[inputs[0]][..., inputs[1]]
+                value = Interval(np.atleast_1d(given.lower), np.atleast_1d(given.upper))
+            elif operation in _COMPARISONS:
+                value = _COMPARISONS[operation](work[inputs[0]], work[inputs[1]])
+                condition = (number, True)
+            elif operation == ca.OP_NOT:
+                a = work[inputs[0]]
+                value = Interval(1.0 - a.upper, 1.0 - a.lower)
+                if (negated := conditions.get(inputs[0])) is not None:
+                    condition = (negated[0], not negated[1])
+            elif operation == ca.OP_IF_ELSE_ZERO:
+                value, branch = _half(work[inputs[0]], work[inputs[1]], conditions.get(inputs[0]))
+            elif operation == ca.OP_ADD and (hull := _other_half(branches, inputs)) is not None:
+                # The sum where the switch is decided; both bounds hold everywhere.
+                value = (work[inputs[0]] + work[inputs[1]]).intersection(hull)
+            elif operation in _UNARY:
+                value = _UNARY[operation](work[inputs[0]])
+            else:
+                value = _BINARY[operation](work[inputs[0]], work[inputs[1]])
+            work[outputs[0]] = value
+            conditions[outputs[0]], branches[outputs[0]] = condition, branch
+        return results
 
     def mean_value(self, box: Interval, *others: Interval) -> Interval:
         """Bounds (n_boxes, rows) of the first output, by the mean value form in the first input.
@@ -105,62 +146,6 @@ class Enclosure:
         return natural.intersection(total)
 
 
-def _run(
-    program: list[tuple[int, list[int], list[int], float]],
-    arguments: Sequence[Interval],
-    results: list[Interval],
-    rows: list[list[tuple[int, int]]],
-    count: int,
-) -> None:
-    work: dict[int, Interval] = {}
-    # Which condition a register holds, and whether negated; which half of a switch.
-    conditions: dict[int, tuple[int, bool]] = {}
-    branches: dict[int, _Branch] = {}
-    for number, (operation, outputs, inputs, constant) in enumerate(program):
-        if operation == ca.OP_OUTPUT:
-            row, column = rows[outputs[0]][outputs[1]]
-            target, value = results[outputs[0]], work[inputs[0]]
-            target.lower[:, row, column] = value.lower
-            target.upper[:, row, column] = value.upper
-            continue
-        into = outputs[0]
-        condition: tuple[int, bool] | None = None
-        branch: _Branch | None = None
-        if operation == ca.OP_CONST:
-            value = Interval.point(np.array([constant]))  # shared by all boxes, as p may be
-        elif operation == ca.OP_INPUT:
-            given = arguments[inputs[0]]
-            value = Interval(
-                np.atleast_1d(given.lower[..., inputs[1]]),
-                np.atleast_1d(given.upper[..., inputs[1]]),
-            )
-        elif operation in _COMPARISONS:
-            value = _COMPARISONS[operation](work[inputs[0]], work[inputs[1]])
-            condition = (number, True)
-        elif operation == ca.OP_NOT:
-            a = work[inputs[0]]
-            value = Interval(1.0 - a.upper, 1.0 - a.lower)
-            if inputs[0] in conditions:
-                which, holds = conditions[inputs[0]]
-                condition = (which, not holds)
-        elif operation == ca.OP_IF_ELSE_ZERO:
-            value, branch = _half(work[inputs[0]], work[inputs[1]], conditions.get(inputs[0]))
-        elif operation == ca.OP_ADD and (hull := _other_half(branches, inputs)) is not None:
-            # The sum where the switch is decided; both bounds hold everywhere.
-            value = (work[inputs[0]] + work[inputs[1]]).intersection(hull)
-        elif operation in _UNARY:
-            value = _UNARY[operation](work[inputs[0]])
-        else:
-            value = _BINARY[operation](work[inputs[0]], work[inputs[1]])
-        work[into] = value
-        conditions.pop(into, None)
-        branches.pop(into, None)
-        if condition is not None:
-            conditions[into] = condition
-        if branch is not None:
-            branches[into] = branch
-
-
 def _half(
     truth: Interval, value: Interval, condition: tuple[int, bool] | None
 ) -> tuple[Interval, _Branch | None]:
@@ -175,7 +160,7 @@ def _half(
     return half, None if condition is None else _Branch(*condition, value)
 
 
-def _other_half(branches: dict[int, _Branch], inputs: list[int]) -> Interval | None:
+def _other_half(branches: dict[int, _Branch | None], inputs: list[int]) -> Interval | None:
     """The hull of both branches of a switch, where its halves are what is added."""
     first, second = branches.get(inputs[0]), branches.get(inputs[1])
     if first is None or second is None:
@@ -194,17 +179,19 @@ def _compare(
     return truth
 
 
+def _same(a: Interval, b: Interval) -> np.ndarray:
+    return (a.lower == a.upper) & (b.lower == b.upper) & (a.lower == b.lower)
+
+
+def _apart(a: Interval, b: Interval) -> np.ndarray:
+    return ~a.meets(b)
+
+
 _COMPARISONS = {
     ca.OP_LT: _compare(lambda a, b: a.upper < b.lower, lambda a, b: a.lower >= b.upper),
     ca.OP_LE: _compare(lambda a, b: a.upper <= b.lower, lambda a, b: a.lower > b.upper),
-    ca.OP_EQ: _compare(
-        lambda a, b: (a.lower == a.upper) & (b.lower == b.upper) & (a.lower == b.lower),
-        lambda a, b: ~a.meets(b),
-    ),
-    ca.OP_NE: _compare(
-        lambda a, b: ~a.meets(b),
-        lambda a, b: (a.lower == a.upper) & (b.lower == b.upper) & (a.lower == b.lower),
-    ),
+    ca.OP_EQ: _compare(_same, _apart),
+    ca.OP_NE: _compare(_apart, _same),
 }
 
 

@@ -194,12 +194,7 @@ class PbhResult:
 
 
 def _graded(
-    mode: EigenMode,
-    a: FloatArray,
-    b: FloatArray,
-    step: float | None,
-    strength: float,
-    weak: float,
+    mode: EigenMode, a: FloatArray, b: FloatArray, step: float | None, strength: float, weak: float
 ) -> PbhResult:
     """By the smallest singular value of [λI − A, B], and by the strength."""
     value = mode.eigenvalue if step is None else complex(np.exp(mode.eigenvalue * step))

@@ -226,30 +226,26 @@ def parts_of(model: Model) -> tuple[RigPart, ...]:
     """The part of each state."""
     axis_of = {axis.angle: name for name, axis in model.axes.items()}
     of_suffix = {angle.rpartition("_")[2]: name for angle, name in axis_of.items()}
-    inputs = names(model.inputs)
-    return tuple(_part(name, axis_of, of_suffix, inputs) for name in model.state_names)
 
+    def part(name: str) -> RigPart:
+        if "." in name:
+            return RigPart(name.rpartition(".")[0].replace("_", " "))
+        if _LAG.search(name):
+            name = _LAG.sub("", name)
+            return RigPart(name if name in names(model.inputs) else part(name).name, "past")
+        if name in axis_of:
+            return RigPart(axis_of[name], "angle")
+        symbol, _, suffix = name.rpartition("_")
+        rotor = _ROTOR_OF.get(suffix)
+        if symbol == "S" and suffix in of_suffix:
+            return RigPart(of_suffix[suffix], "rate")
+        if symbol in ("omega", "tau") and rotor is not None:
+            return RigPart(f"{rotor} rotor")
+        if symbol == "i" and rotor is not None:
+            return RigPart(f"armature current of the {rotor} motor")
+        return RigPart(name.replace("_", " "))
 
-def _part(
-    name: str, axis_of: dict[str, str], of_suffix: dict[str, str], inputs: tuple[str, ...]
-) -> RigPart:
-    if "." in name:
-        return RigPart(name.rpartition(".")[0].replace("_", " "))
-    if _LAG.search(name):
-        name = _LAG.sub("", name)
-        now = RigPart(name) if name in inputs else _part(name, axis_of, of_suffix, inputs)
-        return RigPart(now.name, "past")
-    if name in axis_of:
-        return RigPart(axis_of[name], "angle")
-    symbol, _, suffix = name.rpartition("_")
-    rotor = _ROTOR_OF.get(suffix)
-    if symbol == "S" and suffix in of_suffix:
-        return RigPart(of_suffix[suffix], "rate")
-    if symbol in ("omega", "tau") and rotor is not None:
-        return RigPart(f"{rotor} rotor")
-    if symbol == "i" and rotor is not None:
-        return RigPart(f"armature current of the {rotor} motor")
-    return RigPart(name.replace("_", " "))
+    return tuple(part(name) for name in model.state_names)
 
 
 def shares_of_parts(parts: tuple[RigPart, ...], participation: FloatArray) -> dict[str, float]:

@@ -28,19 +28,13 @@ from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel
 from trms_cli.core.findings import Column, Table, rounded, table
 from trms_cli.core.wording import listing
 from trms_cli.models.model import Model
-from trms_cli.stability.local.linear import RigPart, parts_of, rate_of
-from trms_cli.stability.local.sweep import (
-    EigenvalueSweep,
-    LocusPoint,
-    OperatingPath,
-    amount_words,
-)
+from trms_cli.stability.local.linear import parts_of, rate_of
+from trms_cli.stability.local.sweep import EigenvalueSweep, LocusPoint, OperatingPath, amount_words
 
 
 def entry_words(model: Model, i: int, j: int) -> str:
     """``pitch moment per yaw rate`` for the entry (Ṡ_v, S_h)."""
-    parts, states = parts_of(model), model.state_names
-    return f"{_equation(parts[i], states[i])} per {state_words(model, j)}"
+    return f"{_words_of(model, i)[1]} per {state_words(model, j)}"
 
 
 def entry_symbol(model: Model, i: int, j: int) -> str:
@@ -52,24 +46,19 @@ def entry_symbol(model: Model, i: int, j: int) -> str:
 
 def state_words(model: Model, j: int) -> str:
     """``yaw rate`` for S_h: what a state stands for."""
-    part, name = parts_of(model)[j], model.state_names[j]
-    if part.role in ("angle", "rate"):
-        return f"{part.name} {part.role}"
-    if part.name.endswith("rotor"):
-        return f"speed of the {part.name}"
-    if part.name.startswith("armature"):
-        return part.name
-    return name
+    return _words_of(model, j)[0]
 
 
-def _equation(part: RigPart, name: str) -> str:
+def _words_of(model: Model, k: int) -> tuple[str, str]:
+    """What a state stands for, and what its equation is of."""
+    part, name = parts_of(model)[k], model.state_names[k]
     if part.role == "rate":
-        return f"{part.name} moment"
+        return f"{part.name} rate", f"{part.name} moment"
     if part.role == "angle":
-        return f"{part.name} rate"
+        return f"{part.name} angle", f"{part.name} rate"
     if part.name.endswith("rotor"):
-        return f"torque on the {part.name}"
-    return f"rate of {name}"
+        return f"speed of the {part.name}", f"torque on the {part.name}"
+    return part.name if part.name.startswith("armature") else name, f"rate of {name}"
 
 
 #: 1/s: nearer to a pole of its own, an edge has no gain to speak of.

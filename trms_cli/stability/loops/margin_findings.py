@@ -475,7 +475,10 @@ def _nyquist(margins: MarginResult, condition: str) -> Chart:
     for i, (loop, colour) in enumerate(zip(margins.loops, _COLOURS, strict=False)):
         curve = margins.single[:, i]
         real, imaginary = _window(loop)
-        shown = _within(curve, real, imaginary)
+        # The curve inside the window, broken (NaN) where it is outside.
+        inside = (curve.real >= real[0]) & (curve.real <= real[1])
+        inside &= (curve.imag >= imaginary[0]) & (curve.imag <= imaginary[1])
+        shown = np.where(inside, curve, complex(np.nan, np.nan))
         gaps = np.flatnonzero(np.isnan(shown.real))
         cut = int(gaps[-1]) + 1 if gaps.size else 0
         low, high = shown[:cut], shown[cut:]
@@ -500,7 +503,7 @@ def _nyquist(margins: MarginResult, condition: str) -> Chart:
         for limit, label, marker in limits:
             if limit is None:
                 continue
-            at = _at_frequency(margins.omega, curve, limit.omega)
+            at = complex(np.interp(limit.omega, margins.omega, curve))
             if real[0] <= at.real <= real[1] and abs(at.imag) <= imaginary[1]:
                 marks.append(Points([at.real], [at.imag], label, marker, "ink", size=5))
         marks.append(Points([-1.0], [0.0], "−1", "cross", "alarm", size=9))
@@ -531,20 +534,6 @@ def _window(loop: LoopMargins) -> tuple[tuple[float, float], tuple[float, float]
     real = (max(_MOST_LEFT, min(_LEAST_LEFT, 1.1 * left)), _REACH)
     half = (real[1] - real[0]) / 2
     return real, (-half, half)
-
-
-def _within(
-    curve: ComplexArray, real: tuple[float, float], imaginary: tuple[float, float]
-) -> ComplexArray:
-    """The curve inside a window, broken (NaN) where it is outside."""
-    inside = (curve.real >= real[0]) & (curve.real <= real[1])
-    inside &= (curve.imag >= imaginary[0]) & (curve.imag <= imaginary[1])
-    return np.asarray(np.where(inside, curve, complex(np.nan, np.nan)))
-
-
-def _at_frequency(omega: FloatArray, curve: ComplexArray, wanted: float) -> complex:
-    """A curve's value at a frequency between two of its own."""
-    return complex(np.interp(wanted, omega, curve.real), np.interp(wanted, omega, curve.imag))
 
 
 def _disk(loop: LoopMargins, real: tuple[float, float], imaginary: tuple[float, float]) -> Region:

@@ -50,11 +50,7 @@ from trms_cli.stability.local.sweep import (
     unit_of,
     usual_line,
 )
-from trms_cli.stability.local.tables import (
-    crossing_data,
-    locus_data,
-    locus_section,
-)
+from trms_cli.stability.local.tables import crossing_data, locus_data, locus_section
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
