@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from experiments.chapter4.fitting import CaseOutcome, Fitted
-from trms_cli.library.tasks.identify import as_json
+from trms_cli.core.findings import json_data
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "chapter4.md", ROOT / "docs" / "figures" / "chapter4"
@@ -62,7 +62,7 @@ def print_tables(found: Findings) -> None:
 def write_out(found: Findings, folder: Path) -> None:
     """Tables as JSON and figures into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = as_json(document(found))
+    content = json_data(document(found))
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
     (folder / "chapter4.json").write_text(text + "\n", encoding="utf-8")
     draw(found, folder)

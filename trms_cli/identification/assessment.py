@@ -7,14 +7,12 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.free_runs import WindowRuns, window_runs
 from trms_cli.identification.method import FitResult
 from trms_cli.identification.problem import FitProblem, with_values
 from trms_cli.models.model import Model
-
-FloatArray = npt.NDArray[np.float64]
 
 #: What a method's details say of the parameters, and what the document says elsewhere.
 _TOLD, _ELSEWHERE = ("identifiability", "outputs", "profiles"), ("on_bounds",)
@@ -71,9 +69,9 @@ def _at_point(problem: FitProblem, result: FitResult, told: dict[str, Any]) -> A
 
     every = np.ones(len(result.values), dtype=bool)
     fit = fit_from(Windows(problem), result.theta, MapSettings(), held=every)
-    if fit.information is None:
+    covariance = fit.covariance
+    if fit.information is None or covariance is None:
         return Assessment(result, told)
-    covariance = fit.information.covariance(problem.on_bounds(result.theta) != 0)
     judged_so = identifiability(fit.information, problem.names, covariance)
     return Assessment(
         replace(result, covariance=covariance), told | {"identifiability": asdict(judged_so)}
@@ -83,10 +81,7 @@ def _at_point(problem: FitProblem, result: FitResult, told: dict[str, Any]) -> A
 def judge(problem: FitProblem, assessment: Assessment, fitted: Model | None = None) -> None:
     """Simulate what was fitted and what was held out, with the old model and the new.
 
-    Parameters
-    ----------
-    fitted : Model or None
-        The model that a network was trained to; None: the problem's with the fitted values.
+    ``fitted``: the model that a network was trained to; None: the problem's with the fitted values.
     """
     after = fitted or with_values(problem.model, assessment.result.values)
     parts = {"fit": problem.datasets, "held_out": problem.validation}

@@ -101,19 +101,11 @@ class Dataset:
         )
 
     def windows(self, length: float, stride: float | None = None) -> tuple[IntArray, IntArray]:
-        """First sample and number of samples of windows of equal length.
+        """First sample and number of samples of windows of equal length, each (m,).
 
-        Parameters
-        ----------
-        length : float
-            s; the whole recording where it is shorter.
-        stride : float or None
-            s between the starts of two windows; None: ``length``. A rest at the end that is
-            at least half a window long is taken as a shorter window if windows do not overlap.
-
-        Returns
-        -------
-        first, count : (m,) arrays
+        ``length``: s; the whole recording where it is shorter. ``stride``: s between the starts of
+        two windows; None: ``length``. A rest at the end that is at least half a window long is
+        taken as a shorter window if windows do not overlap.
         """
         samples = min(len(self), max(2, round(length / self.sample_time)))
         hop = samples if stride is None else max(1, round(stride / self.sample_time))

@@ -64,14 +64,8 @@ def simulated_windows(
 ) -> FloatArray:
     """Outputs of the model over windows, (m, samples, n_y), in the order of the recording's.
 
-    Parameters
-    ----------
-    first : (m,) array of int
-        First sample of each window.
-    starts : (m, rollout.n_x) array
-        States there, with memory.
-    p : (n_p,) array or None
-        All parameters; None: the model's.
+    ``first``: (m,) array; first sample of each window. ``starts``: (m, rollout.n_x) array; states
+    there, with memory. ``p``: (n_p,) array; all parameters; None: the model's.
     """
     columns = output_columns(rollout.model, dataset)
     with np.errstate(all="ignore"):
@@ -90,26 +84,13 @@ def fitted_starts(
     search: StartSearch = _CAREFUL,
     p: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit the states at the beginnings of stretches.
+    """Fit the states at the beginnings of stretches, all of ``samples``.
 
-    Parameters
-    ----------
-    first : (m,) array of int
-        First sample of each stretch.
-    samples : int
-        Length of all of them.
-    guess : (m, rollout.n_x) array
-        States around which the starts are sought, with memory, which stays.
-    prior_sd : (n_x,) array or None
-        Standard deviation of the model's states around the guess; None: as wide as what the
-        default observer believes before the first measurement.
-    p : (n_p,) array or None
-        All parameters; None: the model's.
-
-    Returns
-    -------
-    starts, ends : (m, rollout.n_x) arrays
-        States at the first sample, and one sample after the last; with memory.
+    ``first``: (m,) array; first sample of each stretch. ``guess``: (m, rollout.n_x) array; states
+    around which the starts are sought, with memory, which stays. ``prior_sd``: (n_x,) array; of the
+    model's states around the guess; None: as wide as what the default observer believes before the
+    first measurement. ``p``: (n_p,) array; all parameters; None: the model's. Returns starts and
+    ends, (m, rollout.n_x) arrays: states at the first sample, and one sample after the last.
     """
     model, n = rollout.model, rollout.model.n_x
     columns, count = output_columns(model, dataset), np.full(len(first), samples)
@@ -202,23 +183,15 @@ class WindowRuns:
     @property
     def errors(self) -> FloatArray:
         """Measured minus simulated, (n, n_y)."""
-        errors: FloatArray = self.dataset.measurements - self.simulated
-        return errors
+        return np.asarray(self.dataset.measurements - self.simulated)
 
 
 def window_runs(
     model: Model, datasets: Sequence[Dataset], length: float, *, jobs: int = 1
 ) -> list[WindowRuns]:
-    """Free runs over windows end to end.
+    """Free runs over windows of ``length`` s end to end, of the model with the values to be judged.
 
-    Parameters
-    ----------
-    model : Model
-        With the values to be judged.
-    datasets : sequence of Dataset
-        A recording that is too short for any window is left out.
-    length : float
-        s.
+    A recording that is too short for any window is left out.
     """
     runs = []
     rollouts: dict[float, Rollout] = {}

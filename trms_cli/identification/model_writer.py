@@ -51,20 +51,9 @@ def model_document(
 ) -> dict[str, Any]:
     """The content of a model file.
 
-    Parameters
-    ----------
-    name : str
-        Of the rig.
-    model : Model
-        With its effects.
-    values : dict of str to float
-        Fitted ones; the others keep the model's.
-    deviations : dict of str to float or None
-        Standard deviations of the fitted ones, absolute.
-    free : iterable of FreeParameter
-        What was known of them before.
-    source : str
-        What was fitted to what.
+    ``name``: of the rig. ``model``: with its effects. ``values``: fitted ones; the others keep the
+    model's. ``deviations``: standard deviations of the fitted ones, absolute. ``free``: what was
+    known of them before. ``source``: what was fitted to what.
     """
     before = {parameter.name: parameter for parameter in free}
     beneath, effects = _layers(model)

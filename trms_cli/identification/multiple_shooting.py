@@ -79,7 +79,7 @@ class MultipleShooting:
             outcome=FitOutcome.INTERRUPTED if watcher.stopped else best.outcome,
             cost=best.point.cost,
             values=dict(zip(problem.names, best.point.theta.tolist(), strict=True)),
-            covariance=_covariance(best, problem),
+            covariance=best.covariance,
             history=watcher.history,
             evaluations=watcher.evaluations,
             seconds=time.perf_counter() - begun,
@@ -177,12 +177,6 @@ def _standings(fits: list[MapFit]) -> FloatArray:
     return standings
 
 
-def _covariance(fit: MapFit, problem: FitProblem) -> FloatArray | None:
-    if fit.information is None:
-        return None
-    return fit.information.covariance(problem.on_bounds(fit.point.theta) != 0)
-
-
 def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str, Any]:
     """What the result says beside its values, as JSON has it."""
     judge, standings = best.objective, _standings(fits)
@@ -200,10 +194,9 @@ def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str,
         ],
         "starts_agree": all(s is not None and s < _AGREEMENT for s in behind),
     }
-    if best.information is None:
+    covariance = best.covariance
+    if best.information is None or covariance is None:
         return details
-    covariance = _covariance(best, problem)
-    assert covariance is not None
     judged = identifiability(best.information, problem.names, covariance)
     at = problem.on_bounds(best.point.theta)
     weights, declared = judge.weights, judge.windows.declared
@@ -236,9 +229,9 @@ def _profiled(asked: tuple[str, ...], problem: FitProblem) -> tuple[str, ...]:
 
 
 def _profiles(best: MapFit, wanted: tuple[str, ...], watcher: _Watcher) -> Mapping[str, Any]:
-    assert best.information is not None
+    covariance = best.covariance
+    assert best.information is not None and covariance is not None
     problem = best.objective.windows.problem
-    covariance = best.information.covariance(problem.on_bounds(best.point.theta) != 0)
     curvature = np.linalg.pinv(
         best.information.of_data + np.diag(best.information.prior), rcond=1e-13, hermitian=True
     )

@@ -44,12 +44,7 @@ from trms_cli.identification.problem import FitProblem
 
 
 class SimulationCost:
-    """The cost as a function of the free parameters; several threads may call it at once.
-
-    Parameters
-    ----------
-    problem : FitProblem
-    """
+    """The cost as a function of the free parameters; several threads may call it at once."""
 
     def __init__(self, problem: FitProblem) -> None:
         self._problem = problem
@@ -135,17 +130,9 @@ class _State(msgspec.Struct):
 class Journal:
     """The generations of a search.
 
-    Parameters
-    ----------
-    about : mapping
-        All that the points and their costs depend on, as plain data.
-    saved : mapping or None
-        The :attr:`state` of an earlier search that is to go on; None begins.
-
-    Raises
-    ------
-    ConfigurationError
-        If the earlier search was another one.
+    ``about``: all that the points and their costs depend on, as plain data. ``saved``: the
+    :attr:`state` of an earlier search that is to go on; None begins. Raises ConfigurationError if
+    the earlier search was another one.
     """
 
     def __init__(
@@ -256,18 +243,11 @@ def evolve(
     journal: Journal | None = None,
     watch: Watch | None = None,
 ) -> SearchResult:
-    """Run a search to its end.
+    """Run a search in ``dimension`` n to its end.
 
-    Parameters
-    ----------
-    evaluate : callable
-        Points (m, n) to costs (m,).
-    evaluations : int
-        Budget: no generation is begun once as many points were simulated.
-    dimension : int
-        n.
-    journal : Journal or None
-        Generations that stand there are not simulated again; the others are added.
+    ``evaluate``: points (m, n) to costs (m,). ``evaluations``: budget; no generation is begun once
+    as many points were simulated. ``journal``: generations that stand there are not simulated
+    again; the others are added.
     """
     journal = journal or Journal()
     found = SearchResult(np.full(dimension, 0.5))
@@ -327,16 +307,8 @@ def on_threads(
 class Box:
     """The unit box, and what its points mean.
 
-    Parameters
-    ----------
-    problem : FitProblem
-    spread : float
-        Half the width of the box in prior standard deviations; bounds cut it.
-
-    Raises
-    ------
-    ConfigurationError
-        If no parameter is free.
+    ``spread``: half the width of the box in prior standard deviations; bounds cut it. Raises
+    ConfigurationError if no parameter is free.
     """
 
     def __init__(self, problem: FitProblem, spread: float) -> None:

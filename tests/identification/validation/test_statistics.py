@@ -17,6 +17,7 @@ from trms_cli.identification.validation.characteristics import (
     segments_of,
     spectrum,
 )
+from trms_cli.identification.validation.findings import worst_quarter
 from trms_cli.identification.validation.metrics import (
     BlockSums,
     fit_percent,
@@ -28,7 +29,6 @@ from trms_cli.identification.validation.metrics import (
     vaf_percent,
 )
 from trms_cli.identification.validation.residual_tests import benjamini_hochberg, holm, whitened
-from trms_cli.identification.validation.verdict import worst_quarter
 
 p_values = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12)
 

@@ -13,6 +13,12 @@ from known_rig import QUANTUM, SAMPLE_TIME, model, recording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.document import document_of
+from trms_cli.identification.validation.findings import (
+    lead_of,
+    quantity_words,
+    remarks_on,
+    remarks_on_comparison,
+)
 from trms_cli.identification.validation.options import (
     TestOptions,
     ValidationOptions,
@@ -24,12 +30,6 @@ from trms_cli.identification.validation.validate import (
     calibrated,
     matched_tail,
     validate_all,
-)
-from trms_cli.identification.validation.verdict import (
-    lead_of,
-    quantity_words,
-    remarks_on,
-    remarks_on_comparison,
 )
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.driven import DrivenModel
@@ -221,7 +221,7 @@ class TestWords:
 
     def test_say_what_is_not(self, wrong):
         document = document_of([wrong])
-        text = " ".join(remark.text for remark in remarks_on(document))
+        text = " ".join(remark.value for remark in remarks_on(document))
         assert "main command" in text
         assert "residual tests find something" in lead_of(document)[1]
 
@@ -230,7 +230,7 @@ class TestWords:
         assert document["ranking"][0]["model"] == "right"
         assert document["comparison"][0]["differ"]
         assert lead_of(document)[0].startswith("right foretells best")
-        assert "more than chance" in remarks_on_comparison(document)[0].text
+        assert "more than chance" in remarks_on_comparison(document)[0].value
         assert set(document["models"]) == {"right", "wrong"}
 
     def test_a_model_against_itself_is_alike(self, right):

@@ -7,7 +7,7 @@ windows are simulated side by side, so that each step is one matrix product for 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -52,16 +52,24 @@ class TrainingObjective(Protocol):
         ...
 
 
+def _accumulated(
+    parts: Iterable[tuple[FloatArray, FloatArray]], size: int, n_residuals: int
+) -> NormalEquations:
+    """Normal equations from residuals (k, n_out) and slopes (k, n_out, P), part by part."""
+    curvature, slope, squares = np.zeros((size, size)), np.zeros(size), 0.0
+    for residuals, jacobian in parts:
+        flat = jacobian.reshape(-1, size)
+        curvature += flat.T @ flat
+        slope += flat.T @ residuals.ravel()
+        squares += float(np.vdot(residuals, residuals))
+    loss = squares / n_residuals
+    return NormalEquations(loss if np.isfinite(loss) else np.inf, curvature, slope)
+
+
 class OneStepError:
     """Residuals ``N(z) − target`` over all samples and outputs.
 
-    Parameters
-    ----------
-    network : TrainableNetwork
-    z : (n, n_z) array
-        Normalised regressors.
-    targets : (n, n_out) array
-        Normalised targets.
+    ``z``: (n, n_z) array; normalised regressors. ``targets``: (n, n_out) array; normalised.
     """
 
     def __init__(self, network: TrainableNetwork, z: FloatArray, targets: FloatArray) -> None:
@@ -92,45 +100,26 @@ class OneStepError:
         return loss, slope
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
-        size = self.network.n_parameters
-        curvature, slope, squares = np.zeros((size, size)), np.zeros(size), 0.0
-        stride = max(1, _CHUNK // (size * self.network.n_outputs))
+        return _accumulated(self._linearised(theta), theta.size, self.n_residuals)
+
+    def _linearised(self, theta: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Residuals (k, n_out) and their slopes (k, n_out, P) of parts of the samples."""
+        stride = max(1, _CHUNK // (theta.size * self.network.n_outputs))
         for first in range(0, len(self.z), stride):
             part = slice(first, first + stride)
             values, jacobian, _ = self.network.slopes(theta, self.z[part])
-            flat = jacobian.reshape(-1, size)
-            residuals = (values - self.targets[part]).ravel()
-            curvature += flat.T @ flat
-            slope += flat.T @ residuals
-            squares += float(residuals @ residuals)
-        return NormalEquations(squares / self.n_residuals, curvature, slope)
+            yield values - self.targets[part], jacobian
 
 
 class MultiStepError:
     """Residuals ``(ŷ − y) / level_sd`` of all windows, steps and outputs.
 
-    Parameters
-    ----------
-    network : TrainableNetwork
-    structure : NarxStructure
-    scaling : Scaling
-    recordings : sequence of Samples
-        What is compared with; missing samples count nothing.
-    steps : int
-        Length of a window.
-    starts : sequence of Samples or None
-        Where the samples before a window come from: smoothed ones, for instance. None: the
-        recordings.
-    stride : int or None
-        Samples between the starts of two windows; None: ``steps``.
-    every : int
-        Only each such step of a window counts: simulation errors of neighbouring samples tell
-        nearly the same, and most of the time goes into their products.
-
-    Raises
-    ------
-    RecordingError
-        If no window has all its samples before the start.
+    ``recordings``: what is compared with; missing samples count nothing. ``steps``: length of a
+    window. ``starts``: where the samples before a window come from: smoothed ones, for instance;
+    None: the recordings. ``stride``: samples between the starts of two windows; None: ``steps``.
+    ``every``: only each such step of a window counts: simulation errors of neighbouring samples
+    tell nearly the same, and most of the time goes into their products. Raises RecordingError if no
+    window has all its samples before the start.
     """
 
     def __init__(
@@ -211,15 +200,7 @@ class MultiStepError:
         return loss, result
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
-        size = self.network.n_parameters
-        curvature, slope, squares = np.zeros((size, size)), np.zeros(size), 0.0
-        for residuals, jacobian in self._linearised(theta):
-            flat = jacobian.reshape(-1, size)
-            curvature += flat.T @ flat
-            slope += flat.T @ residuals.ravel()
-            squares += float(np.vdot(residuals, residuals))
-        loss = squares / self.n_residuals
-        return NormalEquations(loss if np.isfinite(loss) else np.inf, curvature, slope)
+        return _accumulated(self._linearised(theta), theta.size, self.n_residuals)
 
     def _linearised(self, theta: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Residuals (m, n_y) and their slopes (m, n_y, P) of each step that counts."""

@@ -202,20 +202,12 @@ def selected(
 ) -> list[int]:
     """Columns chosen by orthogonal least squares, in the order of what they explain.
 
-    Parameters
-    ----------
-    candidates : (n, n_c) array
-        Outputs of the candidates.
-    targets : (n, n_out) array
-    fixed : (n, k) array
-        Columns that are in the model anyway: a constant, the linear part.
-    units : int
-        Columns to choose; fewer where the rest explains nothing.
-
-    Notes
-    -----
     The error reduction ratio of a column q, orthogonal to the chosen ones, is the share of the
     targets' sum of squares that it explains, ``Σ_o (qᵀt_o)² / qᵀq``.
+
+    ``candidates``: (n, n_c) array; outputs of the candidates. ``targets``: (n, n_out) array.
+    ``fixed``: (n, k) array; columns that are in the model anyway: a constant, the linear part.
+    ``units``: columns to choose; fewer where the rest explains nothing.
     """
     basis, _ = np.linalg.qr(fixed)
     q = candidates - basis @ (basis.T @ candidates)

@@ -188,19 +188,11 @@ def predicted(structure: NarxStructure, network: Network, samples: Samples) -> F
 def free_run(
     structure: NarxStructure, network: Network, past: FloatArray, inputs: FloatArray
 ) -> FloatArray:
-    """Simulate windows side by side on the network's own outputs.
+    """Simulate windows side by side on the network's own outputs, (K, m, n_y).
 
-    Parameters
-    ----------
-    past : (L, m, n_y) array
-        The ``structure.longest_lag`` samples before each of m windows.
-    inputs : (L + K, m, n_u) array
-        Commands of the same samples and of the windows.
-
-    Returns
-    -------
-    (K, m, n_y) array
-        Not finite after a divergence.
+    ``past``: (L, m, n_y) array; the ``structure.longest_lag`` samples before each of m windows.
+    ``inputs``: (L + K, m, n_u) array; commands of the same samples and of the windows. The result
+    is not finite after a divergence.
     """
     first = structure.longest_lag
     levels = np.empty((len(inputs), *past.shape[1:]))

@@ -24,22 +24,15 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.identification.greybox.objective import MapObjective, reduced
 
 
 def autocovariance(z: FloatArray, measured: BoolArray, lags: int) -> FloatArray:
-    """Tapered autocovariance of each channel's residuals, shape (n_y, lags + 1).
+    """Tapered autocovariance of each channel's whitened residuals, shape (n_y, lags + 1).
 
-    Parameters
-    ----------
-    z : (m, c, n_y) array
-        Whitened residuals, 0 where nothing was measured.
-    measured : (m, c, n_y) array of bool
-    lags : int
-        The longest, in samples.
+    ``z``: (m, c, n_y) array; 0 where nothing was measured. ``lags``: the longest, in samples.
     """
     size = 2 ** int(np.ceil(np.log2(z.shape[1] + lags + 1)))
     spectrum = np.fft.rfft(z, size, axis=1)
@@ -105,10 +98,9 @@ class Information:
     @property
     def of_data(self) -> FloatArray:
         """Curvature of the data's part of the cost, (n_f, n_f), scaled."""
-        total: FloatArray = np.einsum("c,cfg->fg", self.trust, self.curvature)
-        return total
+        return np.asarray(np.einsum("c,cfg->fg", self.trust, self.curvature))
 
-    def covariance(self, held: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+    def covariance(self, held: BoolArray | None = None) -> FloatArray:
         """Covariance of the estimate about the truth, (n_f, n_f), in the parameters' units.
 
         ``H⁻¹ (Σ trust² M + P) H⁻¹`` with ``H = Σ trust F + P``: the sandwich of misspecified

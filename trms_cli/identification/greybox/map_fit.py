@@ -23,9 +23,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.identification.greybox.information import Information, information
 from trms_cli.identification.greybox.objective import (
     MapObjective,
@@ -71,19 +70,11 @@ def minimise(
 ) -> SearchEnd:
     """Lower the cost until no step promises more than the tolerance.
 
-    Parameters
-    ----------
-    point : Point
-        Where to begin; its cost is not read.
-    bounds : (lower, upper)
-        Each (n_f,); equal where a parameter is held.
-    iterations : int
-        At most so many steps, bad ones included.
-    tolerance : float
-        In the cost's unit. A change of 0.5 is one standard deviation of one parameter, so that
-        a thousandth lies far below what any data can tell.
-    watch : callable
-        Told the iteration and the best point; False ends the search.
+    ``point``: where to begin; its cost is not read. ``bounds``: each (n_f,); equal where a
+    parameter is held. ``iterations``: at most so many steps, bad ones included. ``tolerance``: in
+    the cost's unit; a change of 0.5 is one standard deviation of one parameter, so that a
+    thousandth lies far below what any data can tell. ``watch``: told the iteration and the best
+    point; False ends the search.
     """
     theta = np.clip(point.theta, *bounds)
     cost, quadratic, _ = objective.parabola(theta, point.starts)
@@ -189,24 +180,26 @@ class MapFit(NamedTuple):
     information: Information | None  #: None where nothing could be simulated
     iterations: int
 
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Of the estimate, (n_f, n_f); parameters on a bound have none."""
+        if self.information is None:
+            return None
+        problem = self.objective.windows.problem
+        return self.information.covariance(problem.on_bounds(self.point.theta) != 0)
+
 
 def fit_from(
     windows: Windows,
     theta: FloatArray,
     settings: MapSettings,
     *,
-    held: npt.NDArray[np.bool_] | None = None,
+    held: BoolArray | None = None,
     watch: Callable[[int, Point], bool] = lambda k, point: True,
 ) -> MapFit:
-    """Fit from one point.
+    """Fit from parameters ``theta`` (n_f,); those that are ``held`` stay where they are.
 
-    Parameters
-    ----------
-    theta : (n_f,) array
-    held : (n_f,) array of bool or None
-        Parameters that stay where they are.
-    watch : callable
-        Told the number of steps so far and the best point; False ends the fit.
+    ``watch``: told the number of steps so far and the best point; False ends the fit.
     """
     problem = windows.problem
     bounds = problem.bounds
@@ -320,7 +313,6 @@ _MOST_STEPS = 24
 class Profile:
     """The cost along one parameter."""
 
-    name: str
     values: FloatArray  #: (k,) array; ascending, in the parameter's unit
     #: (k,) array; cost above the optimum's; negative where the fit had not found the best
     rise: FloatArray
@@ -340,19 +332,9 @@ def profile(
 ) -> Profile:
     """Follow the cost to both sides of an optimum, each fit beginning at the one before.
 
-    Parameters
-    ----------
-    objective : Objective
-        With the weights of the fit.
-    name : str
-        A free parameter.
-    sd : float
-        Its standard deviation; steps are half of it.
-    factor : float
-        The rise is multiplied by it before it is compared: how much larger the curvature of the
-        cost would be if the residuals' correlation were in it.
-    watch : callable
-        As of :func:`minimise`.
+    ``objective``: with the weights of the fit. ``sd``: of the free parameter ``name``; steps are
+    half of it. ``factor``: the rise is multiplied by it before it is compared: how much larger the
+    curvature of the cost would be if the residuals' correlation were in it.
     """
     problem = objective.windows.problem
     column = problem.names.index(name)
@@ -393,7 +375,7 @@ def profile(
                 stride *= 1.5
         ends.append(end)
     order = np.argsort(values)
-    return Profile(name, np.array(values)[order], np.array(rises)[order], (ends[0], ends[1]))
+    return Profile(np.array(values)[order], np.array(rises)[order], (ends[0], ends[1]))
 
 
 def _root_share(before: float, after: float) -> float:

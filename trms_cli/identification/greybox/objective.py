@@ -30,7 +30,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.identification.greybox.windows import Residuals, Windows
@@ -48,13 +47,11 @@ class ResidualWeights:
     @property
     def trust(self) -> FloatArray:
         """Factor of each output's squared whitened residuals, shape (n_y,)."""
-        trust: FloatArray = self.share / self.samples
-        return trust
+        return np.asarray(self.share / self.samples)
 
     def whitened(self, r: FloatArray) -> FloatArray:
         """Residuals (m, c, n_y) over their standard deviation."""
-        whitened: FloatArray = r / self.sd[:, None]
-        return whitened
+        return np.asarray(r / self.sd[:, None])
 
     def cost(self, r: FloatArray) -> float:
         """The data's part of the cost, from residuals (m, c, n_y) that are not whitened."""
@@ -109,7 +106,7 @@ _ENTRIES_AT_ONCE = 8000
 class Joint(NamedTuple):
     """Rows that join the end of each window to the start of the next, scaled and weighted."""
 
-    follows: npt.NDArray[np.bool_]  #: (m,) array of bool; whether window j continues window j − 1
+    follows: BoolArray  #: (m,) array of bool; whether window j continues window j − 1
     #: (m, n, n + n_f) array; slopes of row block j in the start of window j − 1 and the parameters
     from_before: FloatArray
     weight: FloatArray  #: (n,) array; minus the slope in the start of window j

@@ -55,13 +55,8 @@ def spreads(model: Model) -> FloatArray:
 class StartEstimator:
     """Estimates the starts of windows of one recording, for any parameters.
 
-    Parameters
-    ----------
-    rollout : Rollout
-        Of the model, at the recording's sample time.
-    dataset : Dataset
-    first : (m,) array
-        First samples of the windows, ascending.
+    ``rollout``: of the model, at the recording's sample time. ``first``: (m,) array; first samples
+    of the windows, ascending.
     """
 
     def __init__(self, rollout: Rollout, dataset: Dataset, first: IntArray) -> None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.starts import StartEstimator, Starts, spreads
 from trms_cli.identification.problem import FitProblem
 from trms_cli.models.model import names
@@ -36,47 +34,17 @@ class Residuals(NamedTuple):
 
 
 class Windows:
-    """The windows of recordings with one sample time.
+    """The windows of a problem's recordings, which have one sample time.
 
-    Parameters
-    ----------
-    problem : FitProblem
-    datasets : sequence of Dataset or None
-        None: those that are to be fitted.
-    length : float or None
-        s, instead of the problem's.
-    with_parameters : bool
-        Whether slopes in the free parameters are wanted; without them only those in the starts
-        are computed, which is what a search without gradients needs.
-    rollout : Rollout or None
-        Of the problem's model, free parameters and sample time, made before; None: make it.
-
-    Attributes
-    ----------
-    rollout : Rollout
-    measured : (m, c, n_y) array of bool
-        Where there is something to compare.
-    declared : (m, n_y) array
-        Standard deviation of each output's noise in each window, as declared.
-    share : float
-        Weight of a squared residual: below 1 where windows overlap.
-    follows : (m,) array of bool
-        Whether a window begins where the one before it ends.
-    spread : (n_x,) array
-        Standard deviation of the prior of the starts.
+    ``with_parameters``: whether slopes in the free parameters are wanted; without them only those
+    in the starts are computed, which is what a search without gradients needs. ``rollout``: of the
+    problem's model, free parameters and sample time, made before; None: make it.
     """
 
     def __init__(
-        self,
-        problem: FitProblem,
-        datasets: tuple[Dataset, ...] | None = None,
-        *,
-        length: float | None = None,
-        with_parameters: bool = True,
-        rollout: Rollout | None = None,
+        self, problem: FitProblem, *, with_parameters: bool = True, rollout: Rollout | None = None
     ) -> None:
-        self.problem = problem
-        self.datasets = problem.datasets if datasets is None else datasets
+        self.problem, self.datasets = problem, problem.datasets
         self._check_sample_times()
         model = problem.model
         self.sample_time = self.datasets[0].sample_time
@@ -84,10 +52,10 @@ class Windows:
         self.rollout = rollout or Rollout(
             model, self.sample_time, free=free, substeps=problem.substeps, jobs=problem.jobs
         )
-        length = problem.window_length if length is None else length
-        stride = problem.window_stride
+        length, stride = problem.window_length, problem.window_stride
         if stride is not None:
             stride = min(stride, length)
+        #: Weight of a squared residual: below 1 where windows overlap
         self.share = 1.0 if stride is None else stride / length
         self._commands = np.vstack([d.commands for d in self.datasets])
         firsts, counts, self._of_dataset, offset = [], [], [], 0
@@ -98,21 +66,24 @@ class Windows:
             counts.append(count)
             offset += len(first)
         lengths = np.cumsum([0, *(len(d) for d in self.datasets)])
-        self.local_first = np.concatenate(firsts)
         self.first = np.concatenate([f + o for f, o in zip(firsts, lengths, strict=False)])
         self.count = np.concatenate(counts)
+        #: (m,) array of bool; whether a window begins where the one before it ends
         self.follows = np.concatenate(
             [[False], self.first[1:] == self.first[:-1] + self.count[:-1]]
         )
         for _, _, rows in self._of_dataset:
             self.follows[rows.start] = False
-        self.spread = spreads(model)
+        self.spread = spreads(model)  #: (n_x,) array; of the prior of the starts
         self._estimators = [
             StartEstimator(self.rollout, dataset, first) for dataset, first, _ in self._of_dataset
         ]
-        self._index = np.arange(int(self.count.max()))[None] < self.count[:, None]
-        self.declared, self._target = self._measurements()
-        self.measured = np.isfinite(self._target)
+        #: (m, c) array of bool; which samples belong to a window
+        self.inside: BoolArray = np.arange(int(self.count.max()))[None] < self.count[:, None]
+        #: Standard deviation of each output's noise as declared, (m, n_y), and what was measured,
+        #: (m, c, n_y), NaN where there is nothing to compare
+        self.declared, self.target = self._measurements()
+        self.measured = np.isfinite(self.target)
         if not self.measured.any():
             raise ConfigurationError(
                 "the recordings hold no measured sample", where="real", remedy="look at the files"
@@ -143,31 +114,12 @@ class Windows:
     @property
     def commands(self) -> FloatArray:
         """Commands of all windows, (m, c, n_u), the last repeated past a window's end."""
-        k = np.minimum(np.arange(self._index.shape[1]), self.count[:, None] - 1)
+        k = np.minimum(np.arange(self.inside.shape[1]), self.count[:, None] - 1)
         commands: FloatArray = self._commands[self.first[:, None] + k]
         return commands
 
-    @property
-    def inside(self) -> npt.NDArray[np.bool_]:
-        """Which samples belong to a window, (m, c)."""
-        return self._index
-
-    @property
-    def target(self) -> FloatArray:
-        """What was measured, (m, c, n_y), NaN where there is nothing."""
-        return self._target
-
     def residuals(self, p: FloatArray, starts: FloatArray, *, slopes: bool = False) -> Residuals:
-        """Simulate.
-
-        Parameters
-        ----------
-        p : (n_p,) array
-            All parameters.
-        starts : (m, n_x) array
-        slopes : bool
-            Whether the slopes are wanted.
-        """
+        """Simulate with all parameters ``p`` (n_p,) from ``starts`` (m, n_x)."""
         x, memory_slopes = self._with_memory(p, starts)
         if not slopes:
             y, ends = self.rollout.outputs(self._commands, self.first, self.count, x, p)
@@ -175,16 +127,16 @@ class Windows:
         y, ends, dy, dends = self.rollout.sensitivities(
             self._commands, self.first, self.count, x, p
         )
-        j = np.zeros((*self._index.shape, *dy.shape[1:]))
-        j[self._index] = dy
+        j = np.zeros((*self.inside.shape, *dy.shape[1:]))
+        j[self.inside] = dy
         dends = dends[:, : self.n_x]
         j, dends = self._in_model_states(j, dends, memory_slopes)
         return Residuals(self._compared(y), j, ends[:, : self.n_x], dends)
 
     def _compared(self, y: FloatArray) -> FloatArray:
-        r = np.zeros(self._target.shape)
-        r[self._index] = y
-        return np.where(self.measured, r - self._target, 0.0)
+        r = np.zeros(self.target.shape)
+        r[self.inside] = y
+        return np.where(self.measured, r - self.target, 0.0)
 
     def _in_model_states(
         self, j: FloatArray, dends: FloatArray, memory_slopes: FloatArray | None
@@ -218,7 +170,7 @@ class Windows:
         """Declared noise (m, n_y) and measured outputs (m, c, n_y), NaN where there is none."""
         outputs = names(self.problem.model.outputs)
         sd = np.ones((len(self), len(outputs)))
-        target = np.full((*self._index.shape, len(outputs)), np.nan)
+        target = np.full((*self.inside.shape, len(outputs)), np.nan)
         for dataset, first, rows in self._of_dataset:
             columns = [outputs.index(name) for name in names(dataset.outputs)]
             sd[rows, columns] = np.maximum(dataset.noise_sd, _LEAST_SD)

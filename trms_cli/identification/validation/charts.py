@@ -29,9 +29,8 @@ from trms_cli.identification.validation.characteristics import (
     spectrum,
 )
 from trms_cli.identification.validation.metrics import rms, rms_interval
-from trms_cli.identification.validation.residual_tests import ResidualTest
+from trms_cli.identification.validation.residual_tests import ResidualTest, p_words
 from trms_cli.identification.validation.validate import ModelValidation, joined
-from trms_cli.identification.validation.verdict import p_words
 from trms_cli.models.model import names
 
 _WIDTH = 9.2

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.findings import json_data
 from trms_cli.identification.validation.characteristics import (
     Characteristics,
     characteristics_of,
 )
 from trms_cli.identification.validation.metrics import (
     BlockSums,
-    BootstrapInterval,
     fit_percent,
     largest,
     mean_log_ratio,
@@ -64,9 +64,12 @@ def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
         "seed": first.options.seed,
     }
     if len(validations) == 1:
-        return _plain({**document, **model_document(first)})
-    document["models"] = {v.name: model_document(v) for v in validations}
-    return _plain({**document, **comparison_document(validations)})
+        document |= model_document(first)
+    else:
+        document["models"] = {v.name: model_document(v) for v in validations}
+        document |= comparison_document(validations)
+    plain: dict[str, Any] = json_data(document)
+    return plain
 
 
 def _signal(found: Characteristics) -> dict[str, Any]:
@@ -90,12 +93,12 @@ def model_document(validation: ModelValidation) -> dict[str, Any]:
         "vaf_percent": {name: rows[longest]["vaf_percent"] for name, rows in table.items()},
         "by_horizon": table,
         "one_step": {name: _one_step(validation, name) for name in channels},
-        "free_run": {name: _free_run(validation, name) for name in channels},
+        "free_run": {n: _figures(*validation.free_run_errors(n)) for n in channels},
         "noise_sd": {name: validation.noise_sd(name) for name in channels},
         "predictor": validation.one_steps[0].predictor,
         "process_noise_factors": dict(validation.one_steps[0].noise_factors),
         "residual_tests": _tests(validation),
-        "regions": _regions(validation),
+        "regions": {"horizon_s": validation.region_horizon, "tables": validation.regions},
     }
     if len(validation.datasets) > 1:
         document["error_by_recording"] = {
@@ -121,7 +124,7 @@ def _horizons(validation: ModelValidation, channel: str) -> dict[str, dict[str, 
         interval = rms_interval(validation.sums(channel, horizon), validation.options.seed)
         rows[_key(horizon)] = {
             "rms": rms(errors),
-            "ci95": [interval.lower, interval.upper],
+            "ci95": interval.ends,
             "at_end": rms(errors[:, -1]),
             "max": largest(errors),
             "fit_percent": fit_percent(errors, measured),
@@ -145,10 +148,7 @@ def _one_step(validation: ModelValidation, channel: str) -> dict[str, Any]:
         unchanged.append(np.where(np.isnan(error), np.nan, change))
     error, y = np.concatenate(errors), np.concatenate(measured)
     return {
-        "rms": rms(error),
-        "max": largest(error),
-        "fit_percent": fit_percent(error, y),
-        "vaf_percent": vaf_percent(error, y),
+        **_figures(error, y),
         "unchanged_rms": rms(np.concatenate(unchanged)),
         # 1 for a predictor that believes the right amount
         "normalised_square": rms(np.concatenate(shares)) ** 2,
@@ -156,8 +156,7 @@ def _one_step(validation: ModelValidation, channel: str) -> dict[str, Any]:
     }
 
 
-def _free_run(validation: ModelValidation, channel: str) -> dict[str, Any]:
-    errors, measured = validation.free_run_errors(channel)
+def _figures(errors: FloatArray, measured: FloatArray) -> dict[str, float]:
     return {
         "rms": rms(errors),
         "max": largest(errors),
@@ -199,23 +198,6 @@ def _largest(correlations: Any) -> float:
     return float(present[np.argmax(np.abs(present))]) if present.size else np.nan
 
 
-def _regions(validation: ModelValidation) -> dict[str, Any]:
-    return {
-        "horizon_s": validation.region_horizon,
-        "tables": [
-            {
-                "channel": table.channel,
-                "variable": table.variable,
-                "edges": table.edges.tolist(),
-                "rms": table.rms.tolist(),
-                "time_share": table.time_share.tolist(),
-                "error_share": table.error_share.tolist(),
-            }
-            for table in validation.regions
-        ],
-    }
-
-
 def comparison_document(validations: Sequence[ModelValidation]) -> dict[str, Any]:
     """Ranking of models and their paired differences.
 
@@ -234,14 +216,14 @@ def comparison_document(validations: Sequence[ModelValidation]) -> dict[str, Any
             {
                 "models": [one, other],
                 "ratio": overall.value,
-                "ci95": [overall.lower, overall.upper],
+                "ci95": overall.ends,
                 "differ": bool(overall.upper < 1.0 or overall.lower > 1.0),
                 "by_channel": _ratios(sums[one], sums[other], seed),
             }
         )
     return {
         "ranking": [
-            {"model": name, "relative_error": scores[name].value, "ci95": _ends(scores[name])}
+            {"model": name, "relative_error": scores[name].value, "ci95": scores[name].ends}
             for name in order
         ],
         "comparison": pairs,
@@ -274,27 +256,10 @@ def _ratios(
         interval = ratio_interval(one[channel, horizon], other[channel, horizon], seed)
         found.setdefault(channel, {})[_key(horizon)] = {
             "ratio": interval.value,
-            "ci95": _ends(interval),
+            "ci95": interval.ends,
         }
     return found
 
 
-def _ends(interval: BootstrapInterval) -> list[float]:
-    return [interval.lower, interval.upper]
-
-
 def _key(horizon: float) -> str:
     return repr(float(horizon))
-
-
-def _plain(node: Any) -> Any:
-    """Plain numbers; what is not finite is None."""
-    if isinstance(node, Mapping):
-        return {str(key): _plain(value) for key, value in node.items()}
-    if isinstance(node, (list, tuple)):
-        return [_plain(value) for value in node]
-    if isinstance(node, (float, np.floating)):
-        return float(node) if math.isfinite(node) else None
-    if isinstance(node, np.integer):
-        return int(node)
-    return bool(node) if isinstance(node, np.bool_) else node

@@ -1,8 +1,12 @@
-"""What a validation has to tell: which model, its errors, where they lie, what the tests see."""
+"""What a validation has to tell: which model, its errors, where they lie, what the tests see.
+
+The sentences, each with a judgement, are made from the document's figures alone, so that what is
+said and what is written agree.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from trms_cli.core import wording
@@ -23,16 +27,8 @@ from trms_cli.core.invocation import command_line
 from trms_cli.identification.admission import Issue
 from trms_cli.identification.validation import charts
 from trms_cli.identification.validation.characteristics import characteristics_of
+from trms_cli.identification.validation.residual_tests import p_words
 from trms_cli.identification.validation.validate import ModelValidation
-from trms_cli.identification.validation.verdict import (
-    SMALL,
-    Remark,
-    lead_of,
-    p_words,
-    remarks_on,
-    remarks_on_comparison,
-    word,
-)
 
 _START_WORDS = {
     "estimated": "estimated by the filter from all samples before the window",
@@ -40,6 +36,26 @@ _START_WORDS = {
     "fitted": "fitted to the window itself, which flatters the model",
 }
 Document = Mapping[str, Any]
+_WORDS = {
+    **wording.SIGNALS,
+    "omega_v": "main rotor speed",
+    "omega_h": "tail rotor speed",
+    "u_v": "main command",
+    "u_h": "tail command",
+}
+#: An error up to this many times the declared noise is the noise's.
+_AT_THE_NOISE = 1.5
+#: Error over that of predicting no change: below the first it is good, below the second better
+#: than nothing.
+_GOOD, _USEFUL = 0.3, 0.9
+#: A quarter of the time with this much of the squared error is worth a sentence.
+_CONCENTRATED = 0.5
+#: Models whose errors differ by less than this share are alike for all purposes.
+_SMALL = 0.02
+#: Most sentences on failed tests.
+_MOST_TESTS = 6
+#: Kinds of tests that a right model fails too where its outputs are quantised.
+_WHITENESS = ("auto", "ljung_box", "other")
 
 
 def findings(document: Document, validations: Sequence[ModelValidation] = ()) -> Findings:
@@ -56,7 +72,7 @@ def findings(document: Document, validations: Sequence[ModelValidation] = ()) ->
     sections = [_comparison(document)] if len(models) > 1 else []
     for name, of in models.items():
         heading = "What is good and what is not" if len(models) == 1 else f"{name} in sentences"
-        items = Remarks(_judged(remarks_on(of)), on_screen=len(models) == 1)
+        items = Remarks(remarks_on(of), on_screen=len(models) == 1)
         sections.append(Section(heading, (), [items], folded=len(models) > 1))
     sections += [_errors(models, validations), _errors_in_full(models)]
     sections += _regions(validations)
@@ -88,10 +104,6 @@ def in_short(document: Document) -> str:
         for channel, row in rows.items()
     ]
     return f"RMS over {float(last):g} s {', '.join(parts)}"
-
-
-def _judged(remarks: Sequence[Remark]) -> list[Judged]:
-    return [Judged(remark.text, remark.judgement) for remark in remarks]
 
 
 def _measures(document: Document, models: Mapping[str, Document]) -> list[Measure]:
@@ -143,7 +155,7 @@ def _comparison(document: Document) -> Section:
     ]
     blocks: list[Block] = [
         table(document["ranking"], columns, heads=2),
-        Remarks(_judged(remarks_on_comparison(document))),
+        Remarks(remarks_on_comparison(document)),
     ]
     rows: list[list[Cell]] = []
     for pair in document["comparison"]:
@@ -157,7 +169,7 @@ def _comparison(document: Document) -> Section:
                 ["models", "channel", *(f"{float(h):g} s" for h in horizons)],
                 rows,
                 "RMS of the first over RMS of the second, with 95 % intervals; coloured where "
-                f"they differ by more than chance and more than {100 * SMALL:g} %.",
+                f"they differ by more than chance and more than {100 * _SMALL:g} %.",
                 heads=2,
                 on_screen=False,
             )
@@ -176,7 +188,7 @@ def _comparison(document: Document) -> Section:
 def _ratio(figures: Document) -> Judged:
     low, high = figures["ci95"]
     mark: Judgement = ""
-    if low is not None and abs(figures["ratio"] - 1.0) >= SMALL:
+    if low is not None and abs(figures["ratio"] - 1.0) >= _SMALL:
         mark = "good" if high < 1 else "bad" if low > 1 else ""
     text = wording.number(figures["ratio"])
     if low is not None:
@@ -383,3 +395,277 @@ def _method(document: Document, models: Mapping[str, Document]) -> Section:
 def _between(ends: Sequence[float | None]) -> str:
     low, high = ends
     return wording.MISSING if low is None or high is None else wording.interval(low, high)
+
+
+def word(name: str) -> str:
+    """A signal in words."""
+    return _WORDS.get(name, name)
+
+
+def quantity_words(value: float | None, unit: str) -> str:
+    """A figure with its unit, small angles in mrad."""
+    if value is None:
+        return "–"
+    if unit.startswith("rad") and unit != "rad/s" and abs(value) < 0.1:
+        return f"{_digits(1e3 * value)} m{unit}"
+    return _digits(value) if unit == "1" else f"{_digits(value)} {unit}"
+
+
+def _digits(value: float) -> str:
+    if value == 0 or 1e-3 <= abs(value) < 1e4:
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return f"{value:.1e}"
+
+
+def lead_of(document: Document) -> list[str]:
+    """The sentences on top."""
+    return _lead_of_several(document) if "models" in document else _lead_of_one(document)
+
+
+def _lead_of_one(document: Document) -> list[str]:
+    horizon = _last(document)
+    groups: dict[str, list[str]] = {"noise": [], "good": [], "useful": [], "bad": []}
+    for channel, rows in document["by_horizon"].items():
+        groups[_grade(document, channel, rows[horizon])].append(
+            f"{word(channel)} to {quantity_words(rows[horizon]['rms'], document['units'][channel])}"
+        )
+    parts = [
+        f"{beginning} {wording.listing(groups[key])}"
+        for key, beginning in (
+            ("noise", "foretells down to the sensor's noise:"),
+            ("good", "foretells well:"),
+            ("useful", "foretells roughly:"),
+            ("bad", "is no better than predicting no change in:"),
+        )
+        if groups[key]
+    ]
+    first = f"Left alone for {float(horizon):g} s, {document['model']} {'; '.join(parts)} (RMS)."
+    tests = document["residual_tests"]
+    if tests["failed"]:
+        channels = list(dict.fromkeys(word(test["channel"]) for test in _failed(document)))
+        second = (
+            f"One step ahead, {tests['failed']} of {tests['count']} residual tests find something "
+            f"that the model leaves unexplained, first in {wording.listing(channels[:3])}."
+        )
+    else:
+        second = (
+            f"One step ahead, none of {tests['count']} residual tests finds anything that the "
+            "model leaves unexplained."
+        )
+    return [first, second]
+
+
+def _lead_of_several(document: Document) -> list[str]:
+    ranking = document["ranking"]
+    best = ranking[0]
+    if best["relative_error"] is None:
+        return ["None of the models can be ranked: no error is finite, or nothing moves."]
+    wanted = [best["model"], ranking[1]["model"]]
+    against = next((pair for pair in document["comparison"] if pair["models"] == wanted), None)
+    sentences = []
+    lasting = document["models"][best["model"]]
+    horizon = _last(lasting)
+    errors = [
+        f"{word(c)} {quantity_words(rows[horizon]['rms'], lasting['units'][c])}"
+        for c, rows in lasting["by_horizon"].items()
+    ]
+    if against is not None and against["ratio"] is not None:
+        ratio = f"{against['ratio']:.3g}"
+        if against["ci95"][0] is not None:
+            ratio += f" (95 % interval {against['ci95'][0]:.3g} to {against['ci95'][1]:.3g})"
+        if against["differ"] and abs(against["ratio"] - 1.0) < _SMALL:
+            sentences.append(
+                f"{best['model']} and {ranking[1]['model']} foretell alike: the errors of the "
+                f"first are {ratio} times those of the second, on average over channels and "
+                "horizons."
+            )
+        elif against["differ"]:
+            sentences.append(
+                f"{best['model']} foretells best: its errors are {ratio} times those of "
+                f"{ranking[1]['model']}, on average over channels and horizons."
+            )
+        else:
+            sentences.append(
+                f"{best['model']} has the smallest errors, but these recordings do not tell it "
+                f"from {ranking[1]['model']}: its errors are {ratio} times the other's."
+            )
+    sentences.append(
+        f"Left alone for {float(horizon):g} s it errs by {wording.listing(errors)} (RMS)."
+    )
+    return sentences
+
+
+def remarks_on(document: Document) -> list[Judged]:
+    """One model's figures in sentences: errors, tests, regions."""
+    return [
+        *_on_errors(document),
+        *_on_belief(document),
+        *_on_tests(document),
+        *_on_regions(document),
+    ]
+
+
+def _on_errors(document: Document) -> Iterator[Judged]:
+    for channel, rows in document["by_horizon"].items():
+        unit = document["units"][channel]
+        chosen = list(rows)[-2:]
+        errors = wording.listing(
+            [f"{quantity_words(rows[h]['rms'], unit)} over {float(h):g} s" for h in chosen]
+        )
+        naive = wording.listing([quantity_words(rows[h]["unchanged_rms"], unit) for h in chosen])
+        grades = [_grade(document, channel, rows[h]) for h in chosen]
+        judgement: Judgement = "doubtful"
+        if "bad" in grades:
+            judgement = "bad"
+        elif "useful" not in grades:
+            judgement = "good"
+        text = f"**{word(channel)}**: {errors}; predicting no change errs by {naive}"
+        fit = rows[chosen[-1]]["fit_percent"]
+        if fit is not None:
+            text += f"; fit {fit:.0f} %".replace("-", "−")
+        if set(grades) == {"noise"}:
+            noise = quantity_words(document["noise_sd"][channel], unit)
+            text += f". That is the sensor's noise ({noise})"
+        yield Judged(text + ".", judgement)
+
+
+def _on_belief(document: Document) -> Iterator[Judged]:
+    off = {
+        channel: figures["normalised_square"]
+        for channel, figures in document["one_step"].items()
+        if figures["normalised_square"] is not None and not 0.4 < figures["normalised_square"] < 2.0
+    }
+    if off:
+        parts = wording.listing([f"{word(c)} {value:.2g}" for c, value in off.items()])
+        yield Judged(
+            f"The one-step errors are not as wide as the declared noise and the filter expect "
+            f"(mean square over expected: {parts}; 1 is right): `data.noise_sd` may be wrong.",
+            "doubtful",
+        )
+
+
+def _on_tests(document: Document) -> Iterator[Judged]:
+    tests = document["residual_tests"]
+    level = f"{100 * tests['level']:g} %"
+    if not tests["count"] or all(test["p"] is None for test in tests["tests"]):
+        yield Judged("No residual test could be made: too few samples.", "doubtful")
+        return
+    if not tests["failed"]:
+        yield Judged(
+            f"None of {tests['count']} residual tests fails (a false alarm in any: {level}).",
+            "good",
+        )
+        return
+    failed = _failed(document)
+    coloured = [test for test in failed if test["name"] in _WHITENESS]
+    if coloured:
+        channels = wording.listing(list(dict.fromkeys(word(test["channel"]) for test in coloured)))
+        largest = max(abs(test["largest_correlation"] or 0.0) for test in coloured)
+        text = (
+            f"The one-step errors of {channels} are correlated in time (up to {largest:.2f}): a "
+            "missing lag or state, or the noise model."
+        )
+        if tests["calibration"] == "asymptotic":
+            text += (
+                " A quantised angle does that to a right model too: `tests.calibration=simulated` "
+                "tells the two apart."
+            )
+        yield Judged(text, "doubtful" if len(coloured) == len(failed) else "bad")
+    groups: dict[tuple[str, str], list[Document]] = {}
+    for test in failed:
+        if test["name"] not in _WHITENESS:
+            groups.setdefault((test["channel"], test["meaning"]), []).append(test)
+    for (channel, meaning), found in list(groups.items())[:_MOST_TESTS]:
+        inputs = [" × ".join(word(name) for name in test["inputs"]) for test in found]
+        of = f" ({wording.listing(inputs)})" if any(inputs) else ""
+        size = ""
+        if found[0]["name"] != "mean":
+            largest = max(abs(test["largest_correlation"] or 0.0) for test in found)
+            size = f" correlation up to {largest:.2f},"
+        p = p_words(found[0]["p_holm"])
+        yield Judged(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
+    rest = sum(len(found) for found in list(groups.values())[_MOST_TESTS:])
+    if rest:
+        yield Judged(f"{rest} more tests fail: see the table.", "bad")
+
+
+def _on_regions(document: Document) -> Iterator[Judged]:
+    """Per channel, the quarter of the time with most of the error, if it is much."""
+    horizon = document["regions"]["horizon_s"]
+    for channel, rows in document["by_horizon"].items():
+        row = rows.get(repr(float(horizon)))
+        if row is None or _grade(document, channel, row) == "noise":
+            continue
+        found = [
+            (share, low, high, time, table["variable"])
+            for table in document["regions"]["tables"]
+            if table["channel"] == channel
+            for low, high, time, share in [worst_quarter(table)]
+        ]
+        if not found:
+            continue
+        share, low, high, time, variable = max(found)
+        if share >= max(_CONCENTRATED, 1.5 * time):
+            unit = document["units"].get(variable, "")
+            yield Judged(
+                f"{100 * share:.0f} % of the squared error of {word(channel)} over {horizon:g} s "
+                f"lies where {word(variable)} is between {_digits(low)} and {_digits(high)} {unit}"
+                f"{' ' if unit else ''}({100 * time:.0f} % of the time).",
+                "doubtful",
+            )
+
+
+def worst_quarter(table: Document) -> tuple[float, float, float, float]:
+    """From, to, share of time, share of error of the worst neighbouring quarter of the bins.
+
+    ``table``: a region table of the document: edges, time_share, error_share.
+    """
+    error, time, edges = table["error_share"], table["time_share"], table["edges"]
+    width = max(1, len(error) // 4)
+    i = max(
+        range(len(error) - width + 1),
+        key=lambda k: sum(error[k : k + width]) / sum(time[k : k + width]),
+    )
+    return edges[i], edges[i + width], sum(time[i : i + width]), sum(error[i : i + width])
+
+
+def remarks_on_comparison(document: Document) -> list[Judged]:
+    """Pairs of models in sentences."""
+    remarks = []
+    for pair in document["comparison"]:
+        one, other = pair["models"]
+        if pair["ratio"] is None:
+            continue
+        ratio = f"{pair['ratio']:.3g}"
+        if pair["ci95"][0] is not None:
+            ratio += f" ({pair['ci95'][0]:.3g} to {pair['ci95'][1]:.3g})"
+        text = f"{one} errs {ratio} times as much as {other}"
+        if not pair["differ"]:
+            remarks.append(Judged(f"{text}: these recordings do not tell.", "doubtful"))
+        elif abs(pair["ratio"] - 1.0) < _SMALL:
+            remarks.append(Judged(f"{text}: more than chance, and next to nothing.", "doubtful"))
+        else:
+            remarks.append(Judged(f"{text}: more than chance.", "good"))
+    return remarks
+
+
+def _grade(document: Document, channel: str, row: Document) -> str:
+    error, naive = row["rms"], row["unchanged_rms"]
+    if error is None:
+        return "bad"
+    if error <= _AT_THE_NOISE * document["noise_sd"][channel]:
+        return "noise"
+    if not naive or error > _USEFUL * naive:
+        return "bad"
+    return "good" if error <= _GOOD * naive else "useful"
+
+
+def _failed(document: Document) -> list[Document]:
+    """The tests that fail, worst first."""
+    failed = [test for test in document["residual_tests"]["tests"] if test["failed"]]
+    return sorted(failed, key=lambda test: test["p"])
+
+
+def _last(document: Document) -> str:
+    rows = next(iter(document["by_horizon"].values()))
+    return list(rows)[-1]

@@ -100,6 +100,11 @@ class BootstrapInterval:
     lower: float  #: 2.5 % of the draws lie below
     upper: float  #: 2.5 % of the draws lie above
 
+    @property
+    def ends(self) -> list[float]:
+        """Of the interval."""
+        return [self.lower, self.upper]
+
 
 def block_sums(
     recordings: Sequence[WindowErrors], channel: str, block: int, errors: str = "errors"

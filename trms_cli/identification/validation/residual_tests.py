@@ -477,3 +477,10 @@ def _centred(values: FloatArray) -> FloatArray:
 def _moves(values: FloatArray) -> bool:
     present = values[~np.isnan(values)]
     return bool(present.size and np.ptp(present) > 0)
+
+
+def p_words(p: float | None) -> str:
+    """A p-value over the whole family, in words."""
+    if p is None:
+        return "no p-value"
+    return "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"

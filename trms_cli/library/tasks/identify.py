@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -10,13 +9,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import model_of_choice
 from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_OK, SimulationError
-from trms_cli.core.findings import NextCommand
+from trms_cli.core.findings import NextCommand, json_data
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.versions import versions
 from trms_cli.identification import assessment
@@ -217,26 +214,8 @@ def document_of(
         },
         "details": dict(result.details),
     }
-    plain = as_json(content)
-    assert isinstance(plain, dict)
+    plain: dict[str, Any] = json_data(content)
     return plain
-
-
-def as_json(value: Any) -> Any:
-    """Arrays as lists, numbers that are not finite as null."""
-    if isinstance(value, Mapping):
-        return {str(key): as_json(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return as_json(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [as_json(item) for item in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def _recording(dataset: Dataset, part: str) -> dict[str, Any]:

@@ -125,20 +125,18 @@ class _Recorder:
         start: FloatArray,
         stopping: Stopping,
         validation: TrainingObjective | None,
+        watcher: Watcher | None,
         *,
-        early: bool,
         regularised: bool,
     ) -> None:
+        early = validation is not None and stopping.patience > 0 and not regularised
         self.history = TrainingHistory()
         self.outcome = TrainingOutcome.NO_PROGRESS
         self.kept, self.best, self.best_epoch = start.copy(), np.inf, 0
         self._stopping, self._validation = stopping, validation
         self._early, self._regularised = early, regularised
-        self._watcher: Watcher | None = None
-        self._spent, self._resumed = 0.0, process_time()
-
-    def watched_by(self, watcher: Watcher | None) -> None:
         self._watcher = watcher
+        self._spent, self._resumed = 0.0, process_time()
 
     def __call__(
         self, theta: FloatArray, loss: float, slope: float, effective: float | None = None
@@ -196,25 +194,12 @@ def train(
 ) -> Training:
     """Train from a start until the algorithm or the stopping rule ends it.
 
-    Parameters
-    ----------
-    validation : Objective or None
-        The same error on data that is not fitted. With ``stopping.patience`` above 0 the
-        weights of its minimum are kept, unless the algorithm regularises itself.
-    watcher : callable or None
-        Told after each epoch; a KeyboardInterrupt from it, or from the keyboard, ends the
-        training and keeps the best weights so far.
-
-    Raises
-    ------
-    ConfigurationError
-        If the loss is not finite at the start.
+    ``validation``: the same error on data that is not fitted; with ``stopping.patience`` above 0
+    the weights of its minimum are kept, unless the algorithm regularises itself. ``watcher``: a
+    KeyboardInterrupt from it, or from the keyboard, ends the training and keeps the best weights so
+    far. Raises ConfigurationError if the loss is not finite at the start.
     """
-    early = validation is not None and stopping.patience > 0 and not algorithm.regularised
-    recorder = _Recorder(
-        start, stopping, validation, early=early, regularised=algorithm.regularised
-    )
-    recorder.watched_by(watcher)
+    recorder = _Recorder(start, stopping, validation, watcher, regularised=algorithm.regularised)
     loss, slope = objective.gradient(start)
     if not np.isfinite(loss):
         raise ConfigurationError(
