@@ -30,9 +30,8 @@ from trms_cli.core.wording import unit as written_unit
 from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.equilibria.curves import EquilibriumPoint, Kind, Landmark
-from trms_cli.stability.equilibria.proof import EnclosedEquilibrium, RangePiece
+from trms_cli.stability.equilibria.proof import RangePiece
 from trms_cli.stability.equilibria.survey import EquilibriumMap, FrictionBand, NamedPoint, Survey
-from trms_cli.stability.intervals.interval import Interval
 
 #: Landmarks that the answer names.
 _FIRST = ("fold", "kink", "oscillation", "exchange", "crossing")
@@ -94,11 +93,11 @@ def _survey_data(survey: Survey) -> dict[str, Any]:
         "held": survey.setting.held,
         "released": survey.system.released,
         "free": survey.system.free,
-        "box": _bounds(survey.system.unknowns, survey.box),
+        "box": _columns(survey.system.unknowns, survey.box.lower, survey.box.upper),
         "curves": [
             {
-                "states": _columns(model.states, [p.x for p in one.points]),
-                "inputs": _columns(model.inputs, [p.u for p in one.points]),
+                "states": _columns(model.states, *(p.x for p in one.points)),
+                "inputs": _columns(model.inputs, *(p.u for p in one.points)),
                 "growing": [p.unstable for p in one.points],
                 "verdict": [p.verdict for p in one.points],
                 "rightmost": [float(p.eigenvalues[0].real) for p in one.points],
@@ -123,7 +122,15 @@ def _survey_data(survey: Survey) -> dict[str, Any]:
                 "complete": check.proof.complete,
                 "count": check.proof.count,
                 "agrees_with_curves": check.agree,
-                "equilibria": [_enclosed_data(model, one) for one in check.proof.enclosed],
+                "equilibria": [
+                    {
+                        "unique": one.unique,
+                        "exists": one.exists,
+                        "states": _columns(model.states, one.x.lower, one.x.upper),
+                        "inputs": _columns(model.inputs, one.u.lower, one.u.upper),
+                    }
+                    for one in check.proof.enclosed
+                ],
             }
             for check in survey.checks
         ],
@@ -151,21 +158,9 @@ def _states(model: Model, at: OperatingPoint) -> dict[str, Any]:
     return {"states": by_name(model.states, at.x), "inputs": by_name(model.inputs, at.u)}
 
 
-def _columns(signals: Sequence[Signal], rows: Sequence[np.ndarray]) -> dict[str, Any]:
+def _columns(signals: Sequence[Signal], *rows: FloatArray) -> dict[str, Any]:
+    """The numbers of each signal, by its name."""
     return dict(zip(names(signals), np.array(rows).reshape(-1, len(signals)).T, strict=True))
-
-
-def _bounds(signals: Sequence[Signal], box: Interval) -> dict[str, Any]:
-    return dict(zip(names(signals), np.stack([box.lower, box.upper], axis=1), strict=True))
-
-
-def _enclosed_data(model: Model, one: EnclosedEquilibrium) -> dict[str, Any]:
-    return {
-        "unique": one.unique,
-        "exists": one.exists,
-        "states": _bounds(model.states, one.x),
-        "inputs": _bounds(model.inputs, one.u),
-    }
 
 
 def _proved_share(pieces: Sequence[RangePiece]) -> float | None:
@@ -208,6 +203,12 @@ def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
     return [Column(titled(symbol(name), _signal(model, name).unit), cell(name)) for name in shown]
 
 
+def _outcomes(model: Model) -> list[str]:
+    """What commands come to: controlled angles and rotors' speeds."""
+    speeds = (name for name in model.state_names if name.startswith("omega"))
+    return list(dict.fromkeys([*model.controlled, *speeds]))
+
+
 def _symbols(signals: Sequence[str]) -> str:
     return ", ".join(symbol(name) for name in signals)
 
@@ -229,10 +230,9 @@ def _lead(result: EquilibriaResult) -> list[str]:
 
 def _named_words(model: Model, point: NamedPoint) -> str:
     """A named point with the figures that matter."""
-    shown = [*model.controlled, *(n for n in model.state_names if n.startswith("omega"))]
     commands, states = (
         ", ".join(_written(model, name, point.value(model, name)) for name in group)
-        for group in (names(model.inputs), dict.fromkeys(shown))
+        for group in (names(model.inputs), _outcomes(model))
     )
     return f"{point.name.capitalize()}: {commands}: {states} ({_stability(point).value})"
 
@@ -378,8 +378,7 @@ def _stability(point: EquilibriumPoint) -> Judged:
 def _map_sections(result: EquilibriaResult) -> list[Section]:
     if result.map is None:
         return []
-    first, second = (one.setting.over for one in result.surveys)
-    chart = _map_chart(result.model, result.map, first, second)
+    chart = _map_chart(result, result.map)
     text = "Each point is the stable equilibrium that a step of the command leads to from its "
     text += "neighbour; it is searched for, not proved to be the only one."
     return [Section("Over both inputs", [text], [chart])] if chart.panels else []
@@ -389,13 +388,8 @@ def _special_section(result: EquilibriaResult) -> Section:
     model, named = result.model, result.named
     blocks: list[Table | Chart] = []
     if named:
-        speeds = (n for n in model.state_names if n.startswith("omega"))
-        shown = list(dict.fromkeys([*names(model.inputs), *model.controlled, *speeds]))
-        columns = [
-            Column("", "name"),
-            *_value_columns(model, shown),
-            Column("stability", _stability),
-        ]
+        values = _value_columns(model, [*names(model.inputs), *_outcomes(model)])
+        columns = [Column("", "name"), *values, Column("stability", _stability)]
         blocks.append(table(named, columns, "Equilibria with a name."))
     blocks += [one for one in (_landmark_table(result), _quantity_table(result)) if one]
     return Section("Special points", (), blocks)
@@ -537,8 +531,7 @@ def _along(survey: Survey, name: str) -> FloatArray:
 def _shown_signals(survey: Survey) -> list[Signal]:
     """What is drawn over an input: angles that change with it, speeds, released inputs."""
     model = survey.model
-    speeds = (s.name for s in model.states if s.name.startswith("omega"))
-    wanted = dict.fromkeys([*model.controlled, *speeds, *survey.system.released])
+    wanted = dict.fromkeys([*_outcomes(model), *survey.system.released])
     return [_signal(model, name) for name in wanted if np.ptp(_along(survey, name)) > _VARIES]
 
 
@@ -646,8 +639,9 @@ def _rises(survey: Survey, name: str, u: float, y: float, tall: float) -> bool:
     return rising
 
 
-def _map_chart(model: Model, over_both: EquilibriumMap, first: str, second: str) -> Chart:
+def _map_chart(result: EquilibriaResult, over_both: EquilibriumMap) -> Chart:
     """Where the rig rests over both inputs."""
+    first, second = (_axis(result.model, one.setting.over) for one in result.surveys)
     steps = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
     panels = []
     for name, values in over_both.angles.items():
@@ -662,11 +656,10 @@ def _map_chart(model: Model, over_both: EquilibriumMap, first: str, second: str)
         grid = over_both.first, over_both.second
         region = Region(*grid, np.isfinite(values), "stable rest")
         lines = Contour(*grid, values, levels, numbers=True)
-        axes = _axis(model, first), _axis(model, second)
-        panels.append(Panel(*axes, [region, lines], f"{symbol(name)} [rad]"))
+        panels.append(Panel(first, second, [region, lines], f"{symbol(name)} [rad]"))
     return Chart(
         "equilibria_map",
         panels,
-        f"Angles at which {model.name} rests over both inputs, where a stable equilibrium lies "
-        "in the box.",
+        f"Angles at which {result.model.name} rests over both inputs, where a stable equilibrium "
+        "lies in the box.",
     )
