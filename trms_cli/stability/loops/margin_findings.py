@@ -66,39 +66,31 @@ def no_response_findings(
 ) -> Findings:
     """The answer for a loop that has no margins."""
     model, run = subject.model, response.run
-    rows = [model.state_index(name) for name in model.controlled]
     where = condition_of(subject, loop, point)
     turned = "" if response.leaves else _warning_of_reversed(response.reversed)
     marks: list[Mark] = [Line(y=0.0)]
-    for i, name, colour in zip(rows, model.controlled, _COLOURS, strict=False):
-        marks.append(Curve(run.time, run.x[:, i] - point.x[i], name, colour))
+    for name, colour in zip(model.controlled, _COLOURS, strict=False):
+        away = run.x[:, model.state_index(name)] - point.value(model, name)
+        marks.append(Curve(run.time, away, name, colour))
     departure = Chart(
         "margins_departure",
         [Panel(Axis("time", "s"), Axis("distance from the point", "rad"), marks)],
         f"The loop does not hold: {where}.",
         width=6.5,
     )
+    why = "No margins can be read here"
+    if response.leaves:
+        why = "The loop does not hold this point, and margins do not exist"
+    method = (
+        "The run begins at rest at the point; a small test signal is added to a command. A stable "
+        "loop answers it periodically, and this one does not: it is unstable here, swings by "
+        "itself (study=hunting and study=limit_cycles look for that), or settles slower than the "
+        "study waits (study.periods)."
+    )
     return Findings(
         TITLE,
-        [
-            f"The loop does not hold this point, and margins do not exist: {response.words}."
-            if response.leaves
-            else f"No margins can be read here: {response.words}.",
-            f"Studied was {where}.",
-            *gliding_words(response.held),
-        ],
-        [
-            Section(
-                "What the loop did",
-                [
-                    "The run begins at rest at the point; a small test signal is added to a "
-                    "command. A stable loop answers it periodically, and this one does not: it is "
-                    "unstable here, swings by itself (study=hunting and study=limit_cycles look "
-                    "for that), or settles slower than the study waits (study.periods)."
-                ],
-                [departure],
-            )
-        ],
+        [f"{why}: {response.words}.", f"Studied was {where}.", *gliding_words(response.held)],
+        [Section("What the loop did", [method], [departure])],
         {"holds": False, "what_it_did": response.words, "statuses": dict(run.statuses)},
         [words for words in (warning_of_statuses(run.statuses), turned) if words],
     )
@@ -112,27 +104,19 @@ def margin_findings(
     if margins.response.held:
         where += ", without its dry friction"
     tables = [_single_table(margins), *([_together_table(margins)] * (len(margins.loops) > 1))]
+    method = (
+        "Each loop is opened at its command, the others stay closed. The loop was measured while "
+        "it was closed, so it is stable as it is; a margin is the first change at which its "
+        "Nyquist curve runs through −1. A margin of the delay holds for a linear loop; "
+        "study=tolerance compares it with the simulated one."
+    )
     sections = [
-        Section(
-            "Margins",
-            [
-                "Each loop is opened at its command, the others stay closed. The loop was "
-                "measured while it was closed, so it is stable as it is; a margin is the first "
-                "change at which its Nyquist curve runs through −1. A margin of the delay holds "
-                "for a linear loop; study=tolerance compares it with the simulated one."
-            ],
-            tables,
-        ),
+        Section("Margins", [method], tables),
         Section("Figures", [], [draw(margins, where) for draw in (_bode, _nyquist, _sensitivity)]),
         Section("How it was measured", [_method(margins)], [_quality_table(margins)]),
     ]
-    return Findings(
-        TITLE,
-        _lead(margins, where),
-        sections,
-        json_data(_results(margins)),
-        _warnings(margins, subject),
-    )
+    data, warnings = json_data(_results(margins)), _warnings(margins, subject)
+    return Findings(TITLE, _lead(margins, where), sections, data, warnings)
 
 
 def _lead(margins: MarginResult, where: str) -> list[str]:

@@ -146,39 +146,28 @@ def _findings(
     charts = [_overview(limits, trial, where)]
     if any(result.back.above for result in limits):
         charts.append(_responses(limits, trial, where))
+    verdicts = (
+        f"A loop comes back if, in the last third of {trial.duration:g} s, it rests within "
+        f"{bounds.rest:g} rad of the point and swings by at most {bounds.swing:g} rad (its "
+        f"commands by {100 * bounds.chatter:g} % of half their range), or the swing shrinks to "
+        "80 % of the third before and the error to half. It is still creeping if the error shrinks "
+        "too slowly for that, and rests beside the point if it does not shrink, or a command stays "
+        "at its limit. It stays calm if nothing swings on, wherever it rests. Each limit lies "
+        "between a size that is stood and one that is not."
+    )
+    linear = [
+        "The linear loop becomes unstable at the margins that were measured around the point; a "
+        "swing that goes on in the simulation is compared with that. The gain error of the "
+        "simulation is of the whole command, so that the controller has to give another one to "
+        "hold the point; that of the linear loop is of changes only.",
+        *gliding_words(margins.response.held),
+    ]
     return Findings(
         "What a loop tolerates",
+        [f"{where}: started beside the point ({start}).", *map(_sentence, limits)],
         [
-            f"{where}: started beside the point ({start}).",
-            *(_sentence(result) for result in limits),
-        ],
-        [
-            Section(
-                "Tolerated",
-                [
-                    f"A loop comes back if, in the last third of {trial.duration:g} s, it rests "
-                    f"within {bounds.rest:g} rad of the point and swings by at most "
-                    f"{bounds.swing:g} rad (its commands by {100 * bounds.chatter:g} % of half "
-                    "their range), or the swing shrinks to 80 % of the third before and the error "
-                    "to half. It is still creeping if the error shrinks too slowly for that, and "
-                    "rests beside the point if it does not shrink, or a command stays at its "
-                    "limit. It stays calm if nothing swings on, wherever it rests. Each limit lies "
-                    "between a size that is stood and one that is not."
-                ],
-                [_table(limits)],
-            ),
-            Section(
-                "Against the linear margins",
-                [
-                    "The linear loop becomes unstable at the margins that were measured around the "
-                    "point; a swing that goes on in the simulation is compared with that. The "
-                    "gain error of the simulation is of the whole command, so that the "
-                    "controller has to give another one to hold the point; that of the linear "
-                    "loop is of changes only.",
-                    *gliding_words(margins.response.held),
-                ],
-                [_comparison(limits, why)],
-            ),
+            Section("Tolerated", [verdicts], [_table(limits)]),
+            Section("Against the linear margins", linear, [_comparison(limits, why)]),
             Section("Figures", [], charts),
         ],
         _results(limits, why, trial, margins),
@@ -196,26 +185,21 @@ def _sentence(result: ImpairmentLimits) -> str:
     to = "down to" if impairment.shown(2.0) < impairment.shown(1.0) else "up to"
     if above is None:
         return f"{name}: stood {to} {_amount(impairment, result.back.below.size)}, the most tried."
-    stood = result.back.below.size
-    words = (
-        f"stood {to} {_amount(impairment, stood)}"
-        if stood != impairment.none
-        else "none of the sizes tried is stood"
-    )
+    stood, words = result.back.below.size, "none of the sizes tried is stood"
+    if stood != impairment.none:
+        words = f"stood {to} {_amount(impairment, stood)}"
     verdict = above.verdict.kind
     does = "is still creeping" if verdict == "still creeping" else verdict
     sentence = f"{name}: {words}; at {_amount(impairment, above.size)} the loop {does}"
     if above.verdict.calm:
-        calm = result.calm
+        beside, swings = verdict == "rests beside", result.calm.above
         sentence += (
-            " the point"
-            if verdict == "rests beside"
-            else f" towards the point after {above.run.time[-1]:.0f} s"
+            " the point" if beside else (f" towards the point after {above.run.time[-1]:.0f} s")
         )
         sentence += (
-            f", and swings from {_amount(impairment, calm.above.size)} on"
-            if calm.above is not None
-            else ", but does not swing at any size tried"
+            ", but does not swing at any size tried"
+            if swings is None
+            else (f", and swings from {_amount(impairment, swings.size)} on")
         )
     if result.back.again:
         again = ", ".join(_amount(impairment, size) for size in result.back.again)
