@@ -18,9 +18,8 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.tras import Tras
-from trms_cli.stability.equilibria.findings import band_words
 from trms_cli.stability.equilibria.survey import FrictionBand
-from trms_cli.stability.studies.equilibria import Equilibria
+from trms_cli.stability.studies.equilibria import Equilibria, band_words
 from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import LoopParts, Subject
 

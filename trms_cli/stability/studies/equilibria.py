@@ -3,22 +3,43 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Annotated
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.chart import (
+    Axis,
+    Chart,
+    Colour,
+    Contour,
+    Curve,
+    Line,
+    Mark,
+    Marker,
+    Note,
+    Panel,
+    Points,
+    Region,
+)
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.findings import Findings
+from trms_cli.core.findings import Column, Findings, Judged, Section, Table, Value, json_data, table
 from trms_cli.core.plugins import nearest
-from trms_cli.core.wording import symbol
-from trms_cli.models.model import Model, names
-from trms_cli.stability.equilibria.findings import EquilibriaResult, findings_of
+from trms_cli.core.wording import symbol, titled
+from trms_cli.core.wording import unit as written_unit
+from trms_cli.models.model import Model, Signal, by_name, names
+from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.stability.equilibria.curves import EquilibriumPoint, Kind, Landmark
+from trms_cli.stability.equilibria.proof import RangePiece
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import (
+    EquilibriumMap,
+    FrictionBand,
     NamedPoint,
+    Survey,
     SurveySetting,
     equilibrium_map,
     named_points,
@@ -77,8 +98,7 @@ class Equilibria:
         if self.map and model.n_u == 2 and len(surveys) == 2:
             tell("the map over both inputs")
             stable_map = equilibrium_map(model, surveys[0], surveys[1].setting.over)
-        result = EquilibriaResult(model, surveys, named, stable_map, missing)
-        findings = findings_of(result, subject.left_out_of_equations())
+        result = EquilibriaResult(model, surveys, named, stable_map)
         held_outside = [
             f"over {symbol(one.setting.over)} the beam is held at {symbol(name)} = {value:g} rad, "
             f"outside the box: another angle by study.at.{name}=…"
@@ -86,7 +106,22 @@ class Equilibria:
             for name, value in one.setting.held.items()
             if name in self.box and not self.box[name][0] <= value <= self.box[name][1]
         ]
-        return replace(findings, warnings=[*findings.warnings, *held_outside])
+        warnings = _warnings(result, subject.left_out_of_equations())
+        data = {
+            "surveys": [_survey_data(one) for one in surveys],
+            "named": [_named_data(model, point) for point in named],
+        }
+        return Findings(
+            "Equilibria",
+            _lead(result),
+            [
+                *(_section(one, named) for one in surveys),
+                *_map_sections(result),
+                _special_section(result),
+            ],
+            json_data(data),
+            [*missing, *warnings, *held_outside],
+        )
 
     def _named(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
         """The named points; rest and hover only within the box, and why one is missing."""
@@ -162,3 +197,614 @@ class Equilibria:
                     remedy=f"hold it between {least:.4g} and {most:.4g} rad",
                 )
         return setting_of(model, over, (float(low), float(high)), self.at)
+
+
+#: Landmarks that the answer names.
+_FIRST = ("fold", "kink", "oscillation", "exchange", "crossing")
+_MOST_PIECES = 7
+#: Every so many points of a curve are asked whether they lie on a switch.
+_SWITCH_STRIDE = 5
+_QUANTITIES = {
+    "thrust_main": "thrust of the main rotor [N]",
+    "thrust_tail": "thrust of the tail rotor [N]",
+    "current_main": "current of the main motor [A]",
+    "current_tail": "current of the tail motor [A]",
+    "drag_torque_main": "drag torque of the main rotor [N m]",
+    "drag_torque_tail": "drag torque of the tail rotor [N m]",
+    "gravity_moment": "moment of gravity on pitch [N m]",
+    "inertia_pitch": "inertia of pitch [kg m²]",
+    "inertia_yaw": "inertia of yaw [kg m²]",
+}
+#: Axis or rotor that a quantity belongs to, by a part of its name.
+_PARTS = {"main": "main", "tail": "tail", "gravity": "pitch", "pitch": "pitch", "yaw": "yaw"}
+
+
+@dataclass(frozen=True)
+class EquilibriaResult:
+    """All equilibria of a model."""
+
+    model: Model
+    surveys: Sequence[Survey]
+    named: Sequence[NamedPoint]
+    map: EquilibriumMap | None  #: Over both inputs
+
+
+def _survey_data(survey: Survey) -> dict[str, Any]:
+    model = survey.model
+    return {
+        "over": survey.setting.over,
+        "range": survey.setting.bounds,
+        "inputs": survey.setting.inputs,
+        "held": survey.setting.held,
+        "released": survey.system.released,
+        "free": survey.system.free,
+        "box": _columns(survey.system.unknowns, survey.box.lower, survey.box.upper),
+        "curves": [
+            {
+                "states": _columns(model.states, *(p.x for p in one.points)),
+                "inputs": _columns(model.inputs, *(p.u for p in one.points)),
+                "growing": [p.unstable for p in one.points],
+                "verdict": [p.verdict for p in one.points],
+                "rightmost": [float(p.eigenvalues[0].real) for p in one.points],
+                "ends": one.curve.ends,
+            }
+            for one in survey.curves
+        ],
+        "landmarks": [
+            {
+                "kind": one.kind,
+                "angle": one.name or None,
+                "input": float(one.y[-1]),
+                "frequency": one.frequency,
+                "growing": one.at.unstable,
+                **_states(model, one.at),
+            }
+            for one in survey.landmarks
+        ],
+        "proofs": [
+            {
+                "input": check.input,
+                "complete": check.proof.complete,
+                "count": check.proof.count,
+                "agrees_with_curves": check.agree,
+                "equilibria": [
+                    {
+                        "unique": one.unique,
+                        "exists": one.exists,
+                        "states": _columns(model.states, one.x.lower, one.x.upper),
+                        "inputs": _columns(model.inputs, one.u.lower, one.u.upper),
+                    }
+                    for one in check.proof.enclosed
+                ],
+            }
+            for check in survey.checks
+        ],
+        "range_proof": survey.pieces,
+        "range_proved": _proved_share(survey.pieces),
+    }
+
+
+def _named_data(model: Model, point: NamedPoint) -> dict[str, Any]:
+    return {
+        "name": point.name,
+        **_states(model, point),
+        "eigenvalues": point.eigenvalues,
+        "growing": point.unstable,
+        "verdict": point.verdict,
+        "quantities": point.quantities,
+        "friction": [
+            {name: value for name, value in vars(band).items() if name != "angle"}
+            for band in point.bands
+        ],
+    }
+
+
+def _states(model: Model, at: OperatingPoint) -> dict[str, Any]:
+    return {"states": by_name(model.states, at.x), "inputs": by_name(model.inputs, at.u)}
+
+
+def _columns(signals: Sequence[Signal], *rows: FloatArray) -> dict[str, Any]:
+    """The numbers of each signal, by its name."""
+    return dict(zip(names(signals), np.array(rows).reshape(-1, len(signals)).T, strict=True))
+
+
+def _proved_share(pieces: Sequence[RangePiece]) -> float | None:
+    """Share of a range in which the number is proved."""
+    if not pieces:
+        return None
+    whole = pieces[-1].upper - pieces[0].lower
+    return sum(piece.upper - piece.lower for piece in pieces if piece.count is not None) / whole
+
+
+def _number(value: float, digits: int = 4) -> str:
+    """A few digits; what is rounding is zero."""
+    return f"{0.0 if abs(value) < 1e-9 else value:.{digits}g}"
+
+
+def _with_unit(value: float, unit: str, digits: int = 4) -> str:
+    return f"{_number(value, digits)} {unit}".removesuffix(" 1").rstrip()
+
+
+def _rounded(value: float) -> float:
+    """Five digits, for a cell; what is rounding is zero."""
+    return 0.0 if abs(value) < 1e-9 else float(f"{value:.5g}")
+
+
+def _signal(model: Model, name: str) -> Signal:
+    return next(s for s in (*model.states, *model.inputs) if s.name == name)
+
+
+def _written(model: Model, name: str, value: float, digits: int = 4) -> str:
+    """``α_v = 0.1 rad``."""
+    return f"{symbol(name)} = {_with_unit(value, _signal(model, name).unit, digits)}"
+
+
+def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
+    """Columns of states and commands, of operating points."""
+
+    def cell(name: str) -> Callable[[OperatingPoint], Value]:
+        return lambda point: _rounded(point.value(model, name))
+
+    return [Column(titled(symbol(name), _signal(model, name).unit), cell(name)) for name in shown]
+
+
+def _outcomes(model: Model) -> list[str]:
+    """What commands come to: controlled angles and rotors' speeds."""
+    speeds = (name for name in model.state_names if name.startswith("omega"))
+    return list(dict.fromkeys([*model.controlled, *speeds]))
+
+
+def _symbols(signals: Sequence[str]) -> str:
+    return ", ".join(symbol(name) for name in signals)
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:] + "."
+
+
+def _lead(result: EquilibriaResult) -> list[str]:
+    model = result.model
+    lead = [_named_words(model, point) + "." for point in result.named]
+    for one in result.surveys:
+        marks = [_landmark_words(one, mark) for mark in one.landmarks if mark.kind in _FIRST]
+        lead += [_sentence(words) for words in dict.fromkeys(marks)]
+        lead.append(_proof_words(one))
+    bands = [(point.name, band) for point in result.named for band in point.bands]
+    return [*lead, *(_sentence(f"{name}: {band_words(model, band)}") for name, band in bands)]
+
+
+def _named_words(model: Model, point: NamedPoint) -> str:
+    """A named point with the figures that matter."""
+    commands, states = (
+        ", ".join(_written(model, name, point.value(model, name)) for name in group)
+        for group in (names(model.inputs), _outcomes(model))
+    )
+    return f"{point.name.capitalize()}: {commands}: {states} ({_stability(point).value})"
+
+
+def _landmark_words(survey: Survey, one: Landmark) -> str:
+    """One special point, in words."""
+    model = survey.model
+    at = _written(model, survey.setting.over, float(one.y[-1]), 6)
+    angles = [name for name in model.controlled if name not in survey.system.free]
+    place = ", ".join(_written(model, name, one.at.value(model, name)) for name in angles)
+    frequency = _number(one.frequency or 0.0, 3)
+    what = {
+        "fold": "two equilibria meet and end in a fold at",
+        "kink": "two equilibria meet and end at a kink near",
+        "oscillation": f"an oscillation of {frequency} Hz begins or ends to grow at",
+        "exchange": "stability changes at",
+    }.get(one.kind, "another curve may cross at")
+    return f"{what} {at}, {place}"
+
+
+def _proof_words(survey: Survey) -> str:
+    """What is proved, in one or two sentences."""
+    over, checks = survey.setting.over, survey.checks
+    unit = _signal(survey.model, over).unit
+    complete = sum(check.proof.complete for check in checks)
+    low, high = survey.setting.bounds
+    words = (
+        f"Proved by intervals at {complete} of {len(checks)} values of {symbol(over)} from "
+        f"{_number(low)} to {_with_unit(high, unit)}: the number of equilibria in the box"
+    )
+    words += ", each of them on a curve." if all(check.agree for check in checks) else "."
+    share = _proved_share(survey.pieces)
+    if share is not None:
+        # Never rounded up to all.
+        part = "all" if share == 1.0 else f"{math.floor(share * 1e4) / 100:g} %"
+        pieces = "; ".join(_piece_words(survey.pieces, unit))
+        words += f" Between them too, for {part} of the range: {pieces}."
+    return words
+
+
+def _piece_words(pieces: Sequence[RangePiece], unit: str) -> list[str]:
+    """Ranges with one number; a sliver left untold between two of the same number divides none.
+
+    Ends are rounded inwards, so that nothing is said of what is not proved.
+    """
+    joined: list[RangePiece] = []
+    most = 2e-3 * (pieces[-1].upper - pieces[0].lower)
+    for piece in (p for p in pieces if p.count is not None):
+        near = bool(joined) and piece.lower - joined[-1].upper <= most
+        if near and joined[-1].count == piece.count:
+            joined[-1] = RangePiece(joined[-1].lower, piece.upper, piece.count)
+        else:
+            joined.append(piece)
+    words = [
+        f"{p.count or 'none'} from {math.ceil(p.lower * 1e4) / 1e4} to "
+        f"{_with_unit(math.floor(p.upper * 1e4) / 1e4, unit, 6)}"
+        for p in joined
+    ]
+    return words if len(words) <= _MOST_PIECES else [*words[:_MOST_PIECES], "…"]
+
+
+def band_words(model: Model, band: FrictionBand) -> str:
+    """What friction holds."""
+    held = f"dry friction of {_number(band.torque)} N m holds {symbol(band.angle)} anywhere"
+    if band.lower is not None and band.upper is not None:
+        return f"{held} from {_number(band.lower)} to {_number(band.upper)} rad"
+    if band.command is not None:
+        name, low, high = band.command
+        top = _with_unit(high, _signal(model, name).unit)
+        return f"{held}, for {symbol(name)} from {_number(low)} to {top}"
+    return held
+
+
+def _section(one: Survey, named: Sequence[NamedPoint]) -> Section:
+    bounds = [
+        f"{symbol(signal.name)} "
+        + (
+            f"{low:.4g} to {high:.4g} {signal.unit}"
+            if math.isfinite(low) and math.isfinite(high)
+            else "without bounds"
+        )
+        for signal, low, high in zip(
+            one.system.unknowns, one.box.lower.tolist(), one.box.upper.tolist(), strict=True
+        )
+    ]
+    over, structure = symbol(one.setting.over), []
+    if one.system.free:
+        free = f"{_symbols(one.system.free)} is determined by nothing"
+        structure.append(_sentence(f"{free}: any value rests; zero is taken"))
+    if one.system.released and not one.setting.held:
+        asked = f"Rest asks for one value of {_symbols(one.system.released)} at each {over}"
+        structure.append(f"{asked}: it is solved for.")
+    text = [
+        f"The box: {', '.join(bounds)}; all other states follow from these. An angle beyond its "
+        "stop is reached by no rig.",
+        *structure,
+        *(
+            f"A curve runs from {a} to {b}."
+            for a, b in dict.fromkeys(c.curve.ends for c in one.curves)
+        ),
+    ]
+    shown = _shown_signals(one)
+    charts = [_curves_chart(one, shown, named)] if one.curves and shown else []
+    return Section(f"Over {over}", text, [*charts, _point_table(one, shown)])
+
+
+def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
+    """Equilibria at the inputs of the proofs."""
+    model, over = survey.model, survey.setting.over
+    columns = _value_columns(model, names(shown))
+    rows: list[list[Value | Judged]] = []
+    for check in survey.checks:
+        complete = check.proof.complete
+        proof = Judged("proved", "good") if complete else Judged("undecided", "doubtful")
+        if not check.agree:
+            proof = Judged("curves differ", "bad")
+        at = _rounded(check.input)
+        values = table(check.points, columns).rows
+        if not check.points:
+            rows.append([at, *[None] * len(shown), "none in the box", None, proof])
+        for point, cells in zip(check.points, values, strict=True):
+            rightmost = _rounded(float(point.eigenvalues[0].real))
+            rows.append([at, *cells, _stability(point), rightmost, proof])
+    heads = [titled(symbol(over), _signal(model, over).unit), *(c.head for c in columns)]
+    return Table(
+        [*heads, "stability", "rightmost [1/s]", "number"],
+        rows,
+        "All equilibria in the box at each input. `rightmost` is the largest real part of the "
+        "eigenvalues; `number` tells whether it is proved that there are no others.",
+        on_screen=False,
+    )
+
+
+def _stability(point: EquilibriumPoint) -> Judged:
+    """In a word or two."""
+    if point.unstable:
+        return Judged(f"{point.unstable} growing", "bad")
+    if point.verdict == "unstable":
+        return Judged("grows with t", "bad")
+    return Judged(point.verdict, "good" if point.verdict == "stable" else "doubtful")
+
+
+def _map_sections(result: EquilibriaResult) -> list[Section]:
+    if result.map is None:
+        return []
+    chart = _map_chart(result, result.map)
+    text = "Each point is the stable equilibrium that a step of the command leads to from its "
+    text += "neighbour; it is searched for, not proved to be the only one."
+    return [Section("Over both inputs", [text], [chart])] if chart.panels else []
+
+
+def _special_section(result: EquilibriaResult) -> Section:
+    model, named = result.model, result.named
+    blocks: list[Table | Chart] = []
+    if named:
+        values = _value_columns(model, [*names(model.inputs), *_outcomes(model)])
+        columns = [Column("", "name"), *values, Column("stability", _stability)]
+        blocks.append(table(named, columns, "Equilibria with a name."))
+    blocks += [one for one in (_landmark_table(result), _quantity_table(result)) if one]
+    return Section("Special points", (), blocks)
+
+
+def _landmark_table(result: EquilibriaResult) -> Table | None:
+    """Folds, changes of stability and levels of all curves."""
+    model = result.model
+    rows = [
+        [
+            f"{symbol(one.name)} = 0" if one.kind == "level" else MARKS[one.kind][0],
+            _written(model, survey.setting.over, float(one.y[-1]), 7),
+            *(
+                None if name in survey.system.free else _rounded(one.at.value(model, name))
+                for name in model.controlled
+            ),
+            None if one.frequency is None else _rounded(one.frequency),
+        ]
+        for survey in result.surveys
+        for one in survey.landmarks
+        if one.kind != "zero"
+    ]
+    if not rows:
+        return None
+    heads = [titled(symbol(name), _signal(model, name).unit) for name in model.controlled]
+    return Table(["", "where", *heads, "frequency [Hz]"], rows, "Special points of the curves.")
+
+
+def _quantity_table(result: EquilibriaResult) -> Table | None:
+    """Physical quantities at the named points."""
+    model, points = result.model, result.named
+    locked = [part for part, whole in _PARTS.items() if whole not in (*model.axes, *model.rotors)]
+    known = [
+        name
+        for name in _QUANTITIES
+        if any(name in point.quantities for point in points)
+        and not any(part in name for part in locked)
+    ]
+    if not known:
+        return None
+    rows: list[list[Value]] = [
+        [_QUANTITIES[name], *(_rounded(point.quantities.get(name, math.nan)) for point in points)]
+        for name in known
+    ]
+    return Table(["", *(point.name for point in points)], rows, "Physical quantities there.")
+
+
+def _warnings(result: EquilibriaResult, left_out: Sequence[str]) -> list[str]:
+    words = []
+    for one in result.surveys:
+        over = symbol(one.setting.over)
+        differ = [f"{check.input:.4g}" for check in one.checks if not check.agree]
+        if differ:
+            words.append(
+                f"over {over} the curves and the proof DISAGREE at {', '.join(differ)}: neither is "
+                "to be trusted there"
+            )
+        if one.late:
+            words.append(
+                f"over {over} {one.late} curves were found by the proof and not by the search"
+            )
+        if any(check.proof.open_ended for check in one.checks):
+            words.append(f"over {over} equilibria with a state beyond 1e6 are not excluded")
+        words += [*_switch_words(one), *_undecided_words(one)]
+        ends = [end for curve in one.curves for end in curve.curve.ends if end.startswith("where")]
+        words += [f"a curve over {over} ends {end}" for end in ends]
+    rotor = [name for name in left_out if "friction" in name and "rotor" in name]
+    if rotor:
+        words.append(
+            f"{', '.join(rotor)} acts as impulses and is no part of these equilibria: a turning "
+            "rotor rests at a lower speed with it"
+        )
+    return words
+
+
+def _switch_words(survey: Survey) -> list[str]:
+    """That a curve lies on a switch, and which slopes then count."""
+    names = survey.model.state_names
+    for one in survey.curves:
+        on_curve = zip(one.points, one.curve.y, strict=True)
+        for point, y in list(on_curve)[::_SWITCH_STRIDE]:
+            switches = survey.system.linear.switches(point.x, survey.equations.point(y)[2])
+            places = [f"{symbol(names[s.state])} = {_number(point.x[s.state])}" for s in switches]
+            if places:
+                return [
+                    f"over {symbol(survey.setting.over)} equilibria lie on a switch "
+                    f"({', '.join(places)}), on whose sides the slopes differ: stability is told "
+                    "for the mean of both, which small swings across it see; either side: "
+                    "study=local"
+                ]
+    return []
+
+
+def _undecided_words(survey: Survey) -> list[str]:
+    """Where a proof could not decide."""
+    words = []
+    for check in survey.checks:
+        proof = check.proof
+        if proof.complete:
+            continue
+        places = "; ".join(
+            ", ".join(
+                f"{symbol(signal.name)} {_number(float(one.z.lower[k]))} to "
+                f"{_with_unit(float(one.z.upper[k]), signal.unit)}"
+                for k, signal in enumerate(survey.system.unknowns)
+            )
+            + (" (at least one is there)" if one.exists else "")
+            for one in proof.undecided[:2]
+        )
+        more = len(proof.undecided) - 2
+        words.append(
+            f"at {_written(survey.model, survey.setting.over, check.input)} the number is "
+            f"not proved: {len(proof.proved)} found, undecided: {places}"
+            + (f" and {more} places more" if more > 0 else "")
+            + f"; the curves have {len(check.points) or 'none'} there"
+        )
+    return words
+
+
+#: Name, marker and colour of what is special on a curve.
+MARKS: dict[Kind, tuple[str, Marker, Colour]] = {
+    "fold": ("fold", "star", "ink"),
+    "kink": ("fold at a kink", "star", "grey"),
+    "oscillation": ("oscillation begins", "triangle", "purple"),
+    "exchange": ("stability changes", "square", "purple"),
+    "crossing": ("curves cross", "cross", "ink"),
+}
+_VARIES = 1e-6
+#: Where a name stands beside its point, as shares of the panel: to the right, beneath, above.
+_ASIDE, _BELOW, _ABOVE = 0.025, 0.065, 0.03
+
+
+def _along(survey: Survey, name: str) -> FloatArray:
+    """A state or command along all curves."""
+    values = [one.values(survey.model, name) for one in survey.curves]
+    return np.concatenate(values or [np.zeros(1)])
+
+
+def _shown_signals(survey: Survey) -> list[Signal]:
+    """What is drawn over an input: angles that change with it, speeds, released inputs."""
+    model = survey.model
+    wanted = dict.fromkeys([*_outcomes(model), *survey.system.released])
+    return [_signal(model, name) for name in wanted if np.ptp(_along(survey, name)) > _VARIES]
+
+
+def _axis(model: Model, name: str, limits: tuple[float, float] | None = None) -> Axis:
+    return Axis(symbol(name), written_unit(_signal(model, name).unit), limits)
+
+
+def _curves_chart(survey: Survey, shown: Sequence[Signal], named: Sequence[NamedPoint]) -> Chart:
+    """Equilibria over one input."""
+    model, over = survey.model, survey.setting.over
+    given = [f"{symbol(name)} = {value:g}" for name, value in survey.setting.given.items()]
+    if survey.system.released:
+        given.append(f"{_symbols(survey.system.released)} as rest asks for")
+    condition = f" ({', '.join(given)})" if given else ""
+    across = _axis(model, over, survey.setting.bounds)
+    panels = [
+        Panel(across, _axis(model, one.name), _marks(survey, one.name, named, legend=k == 0))
+        for k, one in enumerate(shown)
+    ]
+    return Chart(
+        f"equilibria_{over}",
+        panels,
+        f"All equilibria of {model.name} over {symbol(over)}{condition}: "
+        "solid where small motions die out, dashed where they grow; dots are proved, and proved to "
+        "be all.",
+        columns=2 if len(panels) != 3 else 3,
+    )
+
+
+def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool) -> list[Mark]:
+    model, over = survey.model, survey.setting.over
+    marks: list[Mark] = []
+    reached = _along(survey, name)
+    stop = model.stops.get(name, math.inf)
+    if math.isfinite(stop):
+        marks += [
+            Line(y=side * stop, label="stop" if legend else "")
+            for side in (-1, 1)
+            if np.any(side * reached >= 0.8 * stop)
+        ]
+    for one in survey.curves:
+        u, y = one.values(model, over), one.values(model, name)
+        growing = np.array([point.verdict == "unstable" for point in one.points])
+        # What neither grows nor dies out (a free yaw) is the same all along a curve.
+        idle = all(point.verdict == "marginal" for point in one.points if point.unstable == 0)
+        # One point beyond, so that the parts touch.
+        wide = growing | np.r_[growing[1:], False]
+        calm, unstable = ("marginal" if idle else "stable", "unstable") if legend else ("", "")
+        if not growing.all():
+            marks.append(Curve(u, np.where(growing, np.nan, y), calm, "blue", "solid", 1.8))
+        if wide.any():
+            still = np.where(wide, y, np.nan)
+            marks.append(Curve(u, still, unstable, "vermilion", "dashed", 1.8))
+    proved = [
+        (check.input, point.value(model, name))
+        for check in survey.checks
+        if check.agree and check.proof.complete
+        for point in check.points
+    ]
+    if proved:
+        at, where = [u for u, _ in proved], [y for _, y in proved]
+        marks.append(Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
+    unit = written_unit(_signal(model, over).unit)
+    for kind, (label, marker, colour) in MARKS.items():
+        special = [one for one in survey.landmarks if one.kind == kind]
+        if special:
+            at = [float(one.y[-1]) for one in special]
+            where = [one.at.value(model, name) for one in special]
+            labels = [f"{value:.4g} {unit}" for value in at] if legend and marker == "star" else ()
+            marks.append(Points(at, where, label if legend else "", marker, colour, labels, 7.0))
+    given = survey.setting.given.items()
+    here = [
+        point
+        for point in named
+        if all(abs(point.value(model, other) - value) < 1e-6 for other, value in given)
+    ]
+    if here:
+        at = [point.value(model, over) for point in here]
+        where = [point.value(model, name) for point in here]
+        marks.append(Points(at, where, "", "square", "green", size=6.0))
+        low, high = survey.setting.bounds
+        aside, tall = _ASIDE * (high - low), float(np.ptp(reached)) or 1.0
+        for point, place, height in zip(here, at, where, strict=True):
+            # On the side that the curve does not turn to.
+            away = -_BELOW if _rises(survey, name, place, height, tall) else _ABOVE
+            marks.append(Note(place + aside, height + away * tall, point.name))
+    return marks
+
+
+def _rises(survey: Survey, name: str, u: float, y: float, tall: float) -> bool:
+    """Whether the curve next to a place rises with the input."""
+    low, high = survey.setting.bounds
+    best, rising = math.inf, True
+    for one in survey.curves:
+        if len(one.points) < 2:
+            continue
+        inputs = one.values(survey.model, survey.setting.over)
+        values = one.values(survey.model, name)
+        away = np.hypot((inputs - u) / (high - low), (values - y) / tall)
+        k = int(np.argmin(away))
+        before, after = max(k - 1, 0), min(k + 1, len(values) - 1)
+        if away[k] < best:
+            turn = (inputs[after] - inputs[before]) * (values[after] - values[before])
+            best, rising = float(away[k]), bool(turn >= 0.0)
+    return rising
+
+
+def _map_chart(result: EquilibriaResult, over_both: EquilibriumMap) -> Chart:
+    """Where the rig rests over both inputs."""
+    first, second = (_axis(result.model, one.setting.over) for one in result.surveys)
+    steps = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
+    panels = []
+    for name, values in over_both.angles.items():
+        finite = values[np.isfinite(values)]
+        if not finite.size or np.ptp(finite) < _VARIES:
+            continue
+        low, high = float(finite.min()), float(finite.max())
+        step = next(size for size in steps if (high - low) / size <= 12)
+        levels = [
+            round(k * step, 9) for k in range(math.ceil(low / step), math.floor(high / step) + 1)
+        ]
+        grid = over_both.first, over_both.second
+        region = Region(*grid, np.isfinite(values), "stable rest")
+        lines = Contour(*grid, values, levels, numbers=True)
+        panels.append(Panel(first, second, [region, lines], f"{symbol(name)} [rad]"))
+    return Chart(
+        "equilibria_map",
+        panels,
+        f"Angles at which {result.model.name} rests over both inputs, where a stable equilibrium "
+        "lies in the box.",
+    )

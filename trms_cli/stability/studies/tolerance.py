@@ -15,12 +15,6 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, table
 from trms_cli.core.plugins import nearest
 from trms_cli.stability.loops.frequency_response import Analyser, NoResponse, measured, point_of
-from trms_cli.stability.loops.margin_findings import (
-    condition_of,
-    gliding_words,
-    no_response_findings,
-    warning_of_statuses,
-)
 from trms_cli.stability.loops.margins import MarginResult
 from trms_cli.stability.loops.tolerance import (
     Bounds,
@@ -34,6 +28,12 @@ from trms_cli.stability.loops.tolerance import (
     explanation,
     impairments_of,
     limits_of,
+)
+from trms_cli.stability.studies.margins import (
+    condition_of,
+    gliding_words,
+    no_response_findings,
+    warning_of_statuses,
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
