@@ -10,21 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core import chart as draw
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.chart import (
-    Axis,
-    Chart,
-    Colour,
-    Contour,
-    Curve,
-    Line,
-    Mark,
-    Marker,
-    Note,
-    Panel,
-    Points,
-    Region,
-)
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.findings import Column, Findings, Judged, Section, Table, Value, json_data, table
 from trms_cli.core.plugins import nearest
@@ -531,7 +518,7 @@ def _map_sections(result: EquilibriaResult) -> list[Section]:
 
 def _special_section(result: EquilibriaResult) -> Section:
     model, named = result.model, result.named
-    blocks: list[Table | Chart] = []
+    blocks: list[Table | draw.Chart] = []
     if named:
         values = _value_columns(model, [*names(model.inputs), *_outcomes(model)])
         columns = [Column("", "name"), *values, Column("stability", _stability)]
@@ -655,7 +642,7 @@ def _undecided_words(survey: Survey) -> list[str]:
 
 
 #: Name, marker and colour of what is special on a curve.
-MARKS: dict[Kind, tuple[str, Marker, Colour]] = {
+MARKS: dict[Kind, tuple[str, draw.Marker, draw.Colour]] = {
     "fold": ("fold", "star", "ink"),
     "kink": ("fold at a kink", "star", "grey"),
     "oscillation": ("oscillation begins", "triangle", "purple"),
@@ -680,11 +667,13 @@ def _shown_signals(survey: Survey) -> list[Signal]:
     return [_signal(model, name) for name in wanted if np.ptp(_along(survey, name)) > _VARIES]
 
 
-def _axis(model: Model, name: str, limits: tuple[float, float] | None = None) -> Axis:
-    return Axis(symbol(name), written_unit(_signal(model, name).unit), limits)
+def _axis(model: Model, name: str, limits: tuple[float, float] | None = None) -> draw.Axis:
+    return draw.Axis(symbol(name), written_unit(_signal(model, name).unit), limits)
 
 
-def _curves_chart(survey: Survey, shown: Sequence[Signal], named: Sequence[NamedPoint]) -> Chart:
+def _curves_chart(
+    survey: Survey, shown: Sequence[Signal], named: Sequence[NamedPoint]
+) -> draw.Chart:
     """Equilibria over one input."""
     model, over = survey.model, survey.setting.over
     given = [f"{symbol(name)} = {value:g}" for name, value in survey.setting.given.items()]
@@ -693,10 +682,10 @@ def _curves_chart(survey: Survey, shown: Sequence[Signal], named: Sequence[Named
     condition = f" ({', '.join(given)})" if given else ""
     across = _axis(model, over, survey.setting.bounds)
     panels = [
-        Panel(across, _axis(model, one.name), _marks(survey, one.name, named, legend=k == 0))
+        draw.Panel(across, _axis(model, one.name), _marks(survey, one.name, named, legend=k == 0))
         for k, one in enumerate(shown)
     ]
-    return Chart(
+    return draw.Chart(
         f"equilibria_{over}",
         panels,
         f"All equilibria of {model.name} over {symbol(over)}{condition}: "
@@ -706,14 +695,14 @@ def _curves_chart(survey: Survey, shown: Sequence[Signal], named: Sequence[Named
     )
 
 
-def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool) -> list[Mark]:
+def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool) -> list[draw.Mark]:
     model, over = survey.model, survey.setting.over
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     reached = _along(survey, name)
     stop = model.stops.get(name, math.inf)
     if math.isfinite(stop):
         marks += [
-            Line(y=side * stop, label="stop" if legend else "")
+            draw.Line(y=side * stop, label="stop" if legend else "")
             for side in (-1, 1)
             if np.any(side * reached >= 0.8 * stop)
         ]
@@ -726,10 +715,10 @@ def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool)
         wide = growing | np.r_[growing[1:], False]
         calm, unstable = ("marginal" if idle else "stable", "unstable") if legend else ("", "")
         if not growing.all():
-            marks.append(Curve(u, np.where(growing, np.nan, y), calm, "blue", "solid", 1.8))
+            marks.append(draw.Curve(u, np.where(growing, np.nan, y), calm, "blue", "solid", 1.8))
         if wide.any():
             still = np.where(wide, y, np.nan)
-            marks.append(Curve(u, still, unstable, "vermilion", "dashed", 1.8))
+            marks.append(draw.Curve(u, still, unstable, "vermilion", "dashed", 1.8))
     proved = [
         (check.input, point.value(model, name))
         for check in survey.checks
@@ -738,7 +727,7 @@ def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool)
     ]
     if proved:
         at, where = [u for u, _ in proved], [y for _, y in proved]
-        marks.append(Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
+        marks.append(draw.Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
     unit = written_unit(_signal(model, over).unit)
     for kind, (label, marker, colour) in MARKS.items():
         special = [one for one in survey.landmarks if one.kind == kind]
@@ -746,7 +735,9 @@ def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool)
             at = [float(one.y[-1]) for one in special]
             where = [one.at.value(model, name) for one in special]
             labels = [f"{value:.4g} {unit}" for value in at] if legend and marker == "star" else ()
-            marks.append(Points(at, where, label if legend else "", marker, colour, labels, 7.0))
+            marks.append(
+                draw.Points(at, where, label if legend else "", marker, colour, labels, 7.0)
+            )
     given = survey.setting.given.items()
     here = [
         point
@@ -756,13 +747,13 @@ def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool)
     if here:
         at = [point.value(model, over) for point in here]
         where = [point.value(model, name) for point in here]
-        marks.append(Points(at, where, "", "square", "green", size=6.0))
+        marks.append(draw.Points(at, where, "", "square", "green", size=6.0))
         low, high = survey.setting.bounds
         aside, tall = _ASIDE * (high - low), float(np.ptp(reached)) or 1.0
         for point, place, height in zip(here, at, where, strict=True):
             # On the side that the curve does not turn to.
             away = -_BELOW if _rises(survey, name, place, height, tall) else _ABOVE
-            marks.append(Note(place + aside, height + away * tall, point.name))
+            marks.append(draw.Note(place + aside, height + away * tall, point.name))
     return marks
 
 
@@ -784,7 +775,7 @@ def _rises(survey: Survey, name: str, u: float, y: float, tall: float) -> bool:
     return rising
 
 
-def _map_chart(result: EquilibriaResult, over_both: EquilibriumMap) -> Chart:
+def _map_chart(result: EquilibriaResult, over_both: EquilibriumMap) -> draw.Chart:
     """Where the rig rests over both inputs."""
     first, second = (_axis(result.model, one.setting.over) for one in result.surveys)
     steps = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -799,10 +790,10 @@ def _map_chart(result: EquilibriaResult, over_both: EquilibriumMap) -> Chart:
             round(k * step, 9) for k in range(math.ceil(low / step), math.floor(high / step) + 1)
         ]
         grid = over_both.first, over_both.second
-        region = Region(*grid, np.isfinite(values), "stable rest")
-        lines = Contour(*grid, values, levels, numbers=True)
-        panels.append(Panel(first, second, [region, lines], f"{symbol(name)} [rad]"))
-    return Chart(
+        region = draw.Region(*grid, np.isfinite(values), "stable rest")
+        lines = draw.Contour(*grid, values, levels, numbers=True)
+        panels.append(draw.Panel(first, second, [region, lines], f"{symbol(name)} [rad]"))
+    return draw.Chart(
         "equilibria_map",
         panels,
         f"Angles at which {result.model.name} rests over both inputs, where a stable equilibrium "
