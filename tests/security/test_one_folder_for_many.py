@@ -15,16 +15,21 @@ import pytest
 from trms_cli.core.held_folder import hold, let_go
 
 _MANY = 8
-#: Waits for the file `go`, then claims; tells what came of it.
-_CLAIM = """
+#: What each begins with: a call that tells that it is ready, and waits for the file `go`.
+_BEGIN = """
 import sys, time
 from pathlib import Path
+def begin():
+    Path(f"ready-{sys.argv[2]}").touch()
+    while not Path("go").exists():
+        pass
+"""
+#: Claims a folder; tells what came of it.
+_CLAIM = """
 from trms_cli.runs.run_folder import new_folder
 from trms_cli.core.errors import TrmsError
 out = None if sys.argv[1] == "dated" else sys.argv[1]
-Path(f"ready-{sys.argv[2]}").touch()
-while not Path("go").exists():
-    pass
+begin()
 try:
     folder = new_folder(out, "run")
 except TrmsError as error:
@@ -41,7 +46,7 @@ def _raced(program: str, cwd: Path, *arguments: str) -> list[str]:
     """What each of many processes says that begin at the same moment."""
     racers = [
         subprocess.Popen(
-            [sys.executable, "-c", program, *arguments, str(number)],
+            [sys.executable, "-c", _BEGIN + program, *arguments, str(number)],
             cwd=cwd,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -113,12 +118,8 @@ def test_no_descriptor_is_kept_of_folders_that_are_written(tmp_path: Path) -> No
 
 
 _WRITE = """
-import sys, time
-from pathlib import Path
 from trms_cli.core.whole_file import replace_whole
-Path(f"ready-{sys.argv[2]}").touch()
-while not Path("go").exists():
-    pass
+begin()
 for _ in range(100):
     replace_whole(Path(sys.argv[1]), sys.argv[2].encode() * 100_000)
 """
@@ -132,13 +133,9 @@ def test_a_file_that_many_write_is_always_one_of_theirs(tmp_path: Path) -> None:
 
 
 _LINK = """
-import sys
-from pathlib import Path
 from trms_cli.core.errors import TrmsError
 from trms_cli.recordings.output_file import whole_file
-Path(f"ready-{sys.argv[2]}").touch()
-while not Path("go").exists():
-    pass
+begin()
 try:
     with whole_file(Path(sys.argv[1])) as temporary:
         temporary.write_text(sys.argv[2])
@@ -156,16 +153,12 @@ def test_of_many_exports_to_one_file_one_writes_it(tmp_path: Path) -> None:
 
 
 _CACHE = """
-import sys
-from pathlib import Path
 import casadi as ca
 import numpy as np
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.result_cache import cached_result
 x = ca.MX.sym("x")
-Path(f"ready-{sys.argv[2]}").touch()
-while not Path("go").exists():
-    pass
+begin()
 function = BufferedFunction(ca.Function("raced", [x], [ca.sin(x) + 1]))
 kept = cached_result(sys.argv[1], [1], dict[str, float], lambda: {"value": 0.5})
 print(float(function.evaluate(0.5)[0][0]), kept["value"])
