@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.topics import CONFIG_ATTACHMENT, RUN_METADATA, SCORE_METADATA
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # opcode, length of what follows
@@ -25,7 +26,6 @@ _HEADER, _FOOTER, _ATTACHMENT, _METADATA = 0x01, 0x02, 0x09, 0x0C  # https://mca
 _LONGEST = 16 * 2**20  # bytes
 #: Buffer: a chunk's index is read in one go, and little is read twice after a step over a chunk.
 _BUFFER = 8192
-_RUN, _SCORE, _CONFIG = "trms.run", "trms.score", "config.yaml"
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,12 @@ def read_log_head(path: Path | str) -> LogHead:
     except OSError as error:
         reason = error.strerror or error
         raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
-    score = words.metadata.get(_SCORE)
+    score = words.metadata.get(SCORE_METADATA)
     return LogHead(
         path=path,
         finished=words.finished,
-        of_trms=_RUN in words.metadata or words.library.startswith("trms"),
-        run=words.metadata.get(_RUN, {}),
+        of_trms=RUN_METADATA in words.metadata or words.library.startswith("trms"),
+        run=words.metadata.get(RUN_METADATA, {}),
         score=None if score is None else {key: _json(text) for key, text in score.items()},
         config=words.config.decode(errors="replace"),
     )
@@ -113,7 +113,7 @@ def _take(opcode: int, body: bytes, words: _Words, path: Path) -> None:
             words.metadata[metadata.name] = metadata.metadata
         else:
             attachment = Attachment.read(stream)
-            if attachment.name == _CONFIG:
+            if attachment.name == CONFIG_ATTACHMENT:
                 words.config = attachment.data
     except Exception as error:  # damage shows as any error of the decoders
         raise RecordingError(f"a record of it is damaged ({error})", where=str(path)) from error

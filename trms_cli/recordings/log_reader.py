@@ -27,8 +27,13 @@ from mcap.writer import MCAP0_MAGIC
 
 from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, not_as_written, recorded_bytes
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA, RUN_SCHEMA, SCORE_METADATA
-from trms_cli.recordings.topics import VIEWER_SCHEMAS
+from trms_cli.recordings.run_log import RUN_SCHEMA
+from trms_cli.recordings.topics import (
+    CONFIG_ATTACHMENT,
+    RUN_METADATA,
+    SCORE_METADATA,
+    VIEWER_SCHEMAS,
+)
 
 #: Messages of one log that are kept, and what one chunk unpacks to, however small the file is.
 USUAL_MOST = 256 * MEBIBYTE

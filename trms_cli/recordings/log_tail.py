@@ -33,8 +33,7 @@ from trms_cli.recordings.log_reader import (
     records,
     table_of,
 )
-from trms_cli.recordings.run_log import CONFIG_ATTACHMENT, RUN_METADATA
-from trms_cli.recordings.topics import VIEWER_SCHEMAS
+from trms_cli.recordings.topics import CONFIG_ATTACHMENT, RUN_METADATA, VIEWER_SCHEMAS
 
 #: Read in one look: some 30 s of a run at 50 Hz, decoded in a few milliseconds.
 _AT_ONCE = 2**20  # bytes

@@ -247,13 +247,8 @@ def _recording(path: Path, variables: dict[str, Any]) -> Recording:
         raise RecordingError("'units' is not a struct", where=str(path), remedy="units.t = 's'")
     known = [name for name in variables if name == "t" or find_channel(name) is not None]
     require_channels(known, str(path))
-    time, _ = to_si(
-        _vector(path, "t", variables["t"]),
-        str(units.get("t", "s")),
-        ("s",),
-        where=str(path),
-        name="t",
-    )
+    times, unit = _vector(path, "t", variables["t"]), str(units.get("t", "s"))
+    time, _ = to_si(times, unit, ("s",), where=str(path), name="t")
     _check_time(path, time)
     channels, si_units = _channels(path, variables, units, len(time), known)
     require_values(channels, str(path))

@@ -28,7 +28,13 @@ from trms_cli import __version__
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.chunk_writer import ChunkWriter
 from trms_cli.recordings.output_file import NO_ROOM, explain_os_error
-from trms_cli.recordings.topics import EVENT_TOPIC, EncodedTopic, Topic
+from trms_cli.recordings.topics import (
+    EVENT_TOPIC,
+    RUN_METADATA,
+    SCORE_METADATA,
+    EncodedTopic,
+    Topic,
+)
 
 
 class AppendStream:
@@ -75,12 +81,8 @@ class AppendStream:
 
 Outcome = Literal["completed", "interrupted", "failed"]
 
-RUN_METADATA = "trms.run"
-SCORE_METADATA = "trms.score"
 RUN_SCHEMA = "trms.run/1"
 LIBRARY = f"trms {__version__}"
-CONFIG_ATTACHMENT = "config.yaml"
-PARAMETERS_ATTACHMENT = "parameters.yaml"
 
 #: A loop that never flushes still does not fill the memory.
 _MAX_BUFFERED_ROWS = 100_000

@@ -13,6 +13,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+#: Records of a log that tell of its run and of its score, and what is attached to it.
+RUN_METADATA, SCORE_METADATA = "trms.run", "trms.score"
+CONFIG_ATTACHMENT, PARAMETERS_ATTACHMENT = "config.yaml", "parameters.yaml"
 #: How the names of a viewer's schemas begin; their messages hold no samples, and readers pass them.
 VIEWER_SCHEMAS = "foxglove."
 

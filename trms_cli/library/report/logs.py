@@ -60,7 +60,7 @@ def read_run(path: Path, *, name: str = "") -> ReportedRun:
         facts=_facts(log, texts, path),
         command=texts.get("command", "")[:_MOST_TEXT],
         repeat=f"trms run --from {shlex.quote(str(path))}" if log.config else "",
-        config=log.attachments.get("config.yaml", b"").decode(errors="replace"),
+        config=log.config,
     )
 
 

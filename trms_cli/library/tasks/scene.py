@@ -16,7 +16,7 @@ from trms_cli.models.rig_shape import rig_shape
 from trms_cli.recordings.foxglove.messages import SceneEncoder
 from trms_cli.recordings.foxglove.scene_log import SceneLog, Sources, find_sources
 from trms_cli.recordings.foxglove.types import encoded_topics
-from trms_cli.recordings.topics import EncodedTopic, Topic
+from trms_cli.recordings.topics import PARAMETERS_ATTACHMENT, EncodedTopic, Topic
 
 if TYPE_CHECKING:
     from trms_cli.plants.plant import PlantRun
@@ -75,9 +75,6 @@ def encoder_of(scene: Scene, sources: Sources) -> SceneEncoder:
     return SceneEncoder(scene, sources.ghosts, scene.assumed)
 
 
-_PARAMETERS = "parameters.yaml"
-
-
 @dataclass(frozen=True)
 class SceneOfLog:
     """What is needed to show a log."""
@@ -115,12 +112,14 @@ def _lengths(log: LoggedRun) -> dict[str, float]:
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        told = yaml.load(log.attachments.get(_PARAMETERS, b"").decode(), Loader=loader) or {}
+        told = (
+            yaml.load(log.attachments.get(PARAMETERS_ATTACHMENT, b"").decode(), Loader=loader) or {}
+        )
         chosen = told.get("plant") or told.get("model") or {}
         return {name: float(parameter["value"]) for name, parameter in chosen.items()}
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise RecordingError(
-            f"its {_PARAMETERS} is not as trms writes it ({error})", where=str(log.path)
+            f"its {PARAMETERS_ATTACHMENT} is not as trms writes it ({error})", where=str(log.path)
         ) from error
 
 
