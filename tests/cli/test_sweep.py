@@ -208,7 +208,10 @@ class TestAWholeSweep:
         assert best == min(status["objective"] for status in statuses(folder).values())
 
 
-LONG = ["controller=pid", "observer=full_state", "sim.duration=16"]
+PID = ["controller=pid", "observer=full_state"]
+LONG = [*PID, "sim.duration=16"]
+#: Longer than a worker takes to look whether the sweep is to stop: it is interrupted, not ended.
+LONGER = [*PID, "sim.duration=120"]
 
 
 def test_a_killed_worker_costs_one_attempt(started, tmp_path, begun):
@@ -236,7 +239,8 @@ def test_a_killed_worker_costs_one_attempt(started, tmp_path, begun):
 )
 def test_resumed_after_its_driver_has_gone(started, trms, tmp_path, begun, how):
     sweep = tmp_path / "s"
-    process = started("run", "-m", *LONG, "seed=range(5)", "launcher.workers=2", "out=s")
+    words = LONG if how == signal.SIGKILL else LONGER
+    process = started("run", "-m", *words, "seed=range(5)", "launcher.workers=2", "out=s")
     wait_for(lambda: states(sweep)["done"] >= 2 and running(sweep))
     process.send_signal(how)
     _, err = process.communicate(timeout=60)
