@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from trms_cli.core import wording
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.core.findings import (
     Block,
-    Cell,
     Column,
     Findings,
     Judged,
@@ -21,7 +20,6 @@ from trms_cli.core.findings import (
     NextCommand,
     Remarks,
     Section,
-    Table,
     table,
 )
 from trms_cli.identification.assessment import Assessment
@@ -92,14 +90,11 @@ def judged_part(document: Mapping[str, Any]) -> str:
 
 def _lead(document: Mapping[str, Any]) -> Iterator[str]:
     part = judged_part(document)
-    errors = document["errors"][part]
     words = []
-    for name, after in (errors["after"] or {}).items():
-        before = (errors["before"] or {}).get(name, {}).get("rmse")
-        unit, scale = wording.small_unit(after["unit"])
-        was = "" if before is None else f" (before: {wording.number(scale * before)})"
-        rmse = wording.quantity(_scaled(after["rmse"], scale), unit)
-        words.append(f"{wording.signal(name)} to **{rmse}**{was}")
+    for error in _errors(document, part):
+        was = "" if error.before is None else f" (before: {wording.number(error.before)})"
+        rmse = wording.quantity(error.rmse, error.unit)
+        words.append(f"{wording.signal(error.output)} to **{rmse}**{was}")
     data = "data that it has not seen" if part == "held_out" else "the data that it was fitted to"
     length = document["windows"]["length_s"]
     if words:
@@ -111,31 +106,39 @@ def _lead(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _measures(document: Mapping[str, Any]) -> Iterator[Measure]:
-    part = judged_part(document)
+    for error in _errors(document, judged_part(document)):
+        was = "" if error.before is None else f"; before: {wording.number(error.before)}"
+        head = f"RMSE {wording.signal(error.output)}"
+        yield Measure(head, error.rmse, error.unit, error.change, PARTS[error.part] + was)
+
+
+class _Error(NamedTuple):
+    """Errors of an output over a part of the recordings, in the unit that they are shown in."""
+
+    output: str
+    part: str
+    unit: str
+    before: float | None  #: RMSE before the fit
+    rmse: float | None  #: As fitted, as all that follows
+    largest: float | None
+    fit: float | None  #: %
+
+    @property
+    def change(self) -> Judgement:
+        if self.before is None or self.rmse is None or not self.before > 0:
+            return ""
+        change = self.rmse / self.before - 1
+        return "" if abs(change) <= _NO_CHANGE else "good" if change < 0 else "bad"
+
+
+def _errors(document: Mapping[str, Any], part: str) -> Iterator[_Error]:
     errors = document["errors"][part]
     for name, after in (errors["after"] or {}).items():
-        before = (errors["before"] or {}).get(name, {}).get("rmse")
         unit, scale = wording.small_unit(after["unit"])
-        was = "" if before is None else f"; before: {wording.number(scale * before)}"
-        note = PARTS[part] + was
-        yield Measure(
-            f"RMSE {wording.signal(name)}",
-            _scaled(after["rmse"], scale),
-            unit,
-            _change(before, after["rmse"]),
-            note,
-        )
-
-
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else scale * value
-
-
-def _change(before: float | None, after: float | None) -> Judgement:
-    if before is None or after is None or not before > 0:
-        return ""
-    change = after / before - 1
-    return "" if abs(change) <= _NO_CHANGE else "good" if change < 0 else "bad"
+        before = (errors["before"] or {}).get(name, {}).get("rmse")
+        figures = (before, after["rmse"], after["max_abs_error"])
+        was, rmse, largest = (None if value is None else scale * value for value in figures)
+        yield _Error(name, part, unit, was, rmse, largest, after["fit_percent"])
 
 
 def _facts(document: Mapping[str, Any]) -> dict[str, str]:
@@ -151,25 +154,16 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> Section:
-    errors = document["errors"]
-    rows: list[list[Cell]] = []
-    for part, words in PARTS.items():
-        before = errors[part]["before"] or {}
-        for name, after in (errors[part]["after"] or {}).items():
-            was = before.get(name, {}).get("rmse")
-            unit, scale = wording.small_unit(after["unit"])
-            rows.append(
-                [
-                    wording.titled(wording.signal(name), unit),
-                    words,
-                    _scaled(was, scale),
-                    Judged(_scaled(after["rmse"], scale), _change(was, after["rmse"])),
-                    _scaled(after["max_abs_error"], scale),
-                    after["fit_percent"],
-                ]
-            )
-    heads = ["output", "recording", "RMSE before", "RMSE fitted", "largest error", "fit [%]"]
-    blocks: list[Block] = [Table(heads, rows, "Free runs of the model.", heads=2)]
+    columns = [
+        Column("output", lambda error: wording.titled(wording.signal(error.output), error.unit)),
+        Column("recording", lambda error: PARTS[error.part]),
+        Column("RMSE before", "before"),
+        Column("RMSE fitted", lambda error: Judged(error.rmse, error.change)),
+        Column("largest error", "largest"),
+        Column("fit [%]", "fit"),
+    ]
+    errors = [error for part in PARTS for error in _errors(document, part)]
+    blocks: list[Block] = [table(errors, columns, "Free runs of the model.", heads=2)]
     chart = None if assessment is None else free_run_chart(assessment)
     blocks += [chart] if chart is not None else []
     return Section(
@@ -322,20 +316,14 @@ def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
     spread = any(p["sd"] is not None for p in parameters.values())
     if document["outcome"] != "converged" and spread:
         yield "the search had not settled: the ± do not tell how far it still had to go"
-    worse = _worse(document["errors"]["held_out"])
-    if worse:
-        listed = wording.listing([wording.signal(name) for name in worse])
-        yield f"worse than before on what was held out: {listed}; ask what the model lacks"
-
-
-def _worse(errors: Mapping[str, Any]) -> list[str]:
-    return [
-        name
-        for name, after in (errors["after"] or {}).items()
-        if (was := (errors["before"] or {}).get(name, {}).get("rmse"))
-        and after["rmse"] is not None
-        and after["rmse"] > _WORSE * was
+    worse = [
+        wording.signal(error.output)
+        for error in _errors(document, "held_out")
+        if error.before and error.rmse is not None and error.rmse > _WORSE * error.before
     ]
+    if worse:
+        listed = wording.listing(worse)
+        yield f"worse than before on what was held out: {listed}; ask what the model lacks"
 
 
 def _moved(parameter: Mapping[str, Any]) -> float:

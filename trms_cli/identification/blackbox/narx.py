@@ -12,14 +12,14 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.blackbox.network_fit import (
-    NetworkData,
     Regressors,
     Stage,
     fit_result,
     interrupted,
-    prepared_problem,
+    prepared,
     training_watcher,
 )
 from trms_cli.identification.blackbox.trainable import Mlp
@@ -28,7 +28,6 @@ from trms_cli.identification.blackbox.training.training import (
     Stopping,
     Training,
     TrainingAlgorithm,
-    Watcher,
     train,
 )
 from trms_cli.identification.method import FitResult, Progress
@@ -37,25 +36,8 @@ from trms_cli.identification.problem import FitProblem
 Units = Annotated[int, Meta(ge=1, le=1000)]
 
 
-def one_step_training(
-    data: NetworkData,
-    network: Mlp,
-    training: TrainingAlgorithm,
-    stopping: Stopping,
-    seed: int,
-    watcher: Watcher | None = None,
-    every: int = 1,
-) -> Training:
-    """Train a perceptron on one-step errors from random weights."""
-    generator = np.random.default_rng(np.random.SeedSequence([seed, 0x4E415258]))
-    return train(
-        training,
-        data.one_step(network, every=every),
-        network.start(generator),
-        stopping,
-        validation=data.one_step(network, "validation") if data.validation else None,
-        watcher=watcher,
-    )
+def _random_start(network: Mlp, seed: int) -> FloatArray:
+    return network.start(np.random.default_rng(np.random.SeedSequence([seed, 0x4E415258])))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,19 +59,16 @@ class NarxFit:
 
         Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
-        check_training(self.training)
-        data = prepared_problem(self.regressors, problem)
-        network = Mlp(
-            data.structure.n_regressors, len(data.structure.outputs), self.hidden, self.direct
-        )
+        data = prepared(self.regressors, problem, self.training)
+        structure = data.structure
+        network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
         kept: Training | None = None
         for start in range(self.starts):
             name = "one step" if self.starts == 1 else f"start {start + 1} of {self.starts}"
             share = 1.0 / self.starts
             watcher = training_watcher(progress, start * share, share, self.stopping, name)
-            found = one_step_training(
-                data, network, self.training, self.stopping, problem.seed + start, watcher
-            )
+            theta = _random_start(network, problem.seed + start)
+            found = data.train_one_step(network, self.training, theta, self.stopping, watcher)
             if kept is None or _merit(found) < _merit(kept):
                 kept = found
             if interrupted([Stage(name, found)]):
@@ -126,19 +105,19 @@ class NnoeFit:
 
         Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
-        check_training(self.training)
         if not self.horizons:
             raise ConfigurationError(
                 "no horizon is given", where="method.horizons", remedy="for instance [0.5, 2.0]"
             )
-        data = prepared_problem(self.regressors, problem)
+        data = prepared(self.regressors, problem, self.training)
         structure = data.structure
         network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
         share = 1.0 / (1 + len(self.horizons))
         first = Stopping(epochs=self.first_epochs, patience=0)
         watcher = training_watcher(progress, 0.0, share, first, "one step")
-        found = one_step_training(
-            data, network, LevenbergMarquardt(), first, problem.seed, watcher, self.every
+        theta = _random_start(network, problem.seed)
+        found = data.train_one_step(
+            network, LevenbergMarquardt(), theta, first, watcher, self.every
         )
         stages = [Stage("one step", found)]
         for number, horizon in enumerate(self.horizons, start=1):
@@ -160,19 +139,6 @@ class NnoeFit:
             )
             stages.append(Stage(name, found))
         return fit_result("nnoe", problem, data, network, stages)
-
-
-def check_training(training: object) -> None:
-    """Refuse what is no training algorithm.
-
-    Raises ConfigurationError if it cannot minimise.
-    """
-    if not callable(getattr(training, "minimise", None)):
-        raise ConfigurationError(
-            f"{type(training).__name__} is no training algorithm",
-            where="method.training",
-            remedy="choose one of `trms list training`: training@method.training=lm",
-        )
 
 
 def _merit(training: Training) -> float:

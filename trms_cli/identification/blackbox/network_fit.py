@@ -23,7 +23,13 @@ from trms_cli.identification.blackbox.regressors import (
     simulated,
 )
 from trms_cli.identification.blackbox.trainable import TrainableNetwork
-from trms_cli.identification.blackbox.training.training import Stopping, Training, Watcher
+from trms_cli.identification.blackbox.training.training import (
+    Stopping,
+    Training,
+    TrainingAlgorithm,
+    Watcher,
+    train,
+)
 from trms_cli.identification.blackbox.training.training import TrainingOutcome as Ending
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
@@ -105,6 +111,25 @@ class NetworkData:
         z, targets = self.normalised(getattr(self, f"{part}_smooth"))
         return OneStepError(network, z[::every], targets[::every])
 
+    def train_one_step(
+        self,
+        network: TrainableNetwork,
+        algorithm: TrainingAlgorithm,
+        start: FloatArray,
+        stopping: Stopping,
+        watcher: Watcher | None = None,
+        every: int = 1,
+    ) -> Training:
+        """Train on the one-step errors from starting weights, watched by those held out."""
+        return train(
+            algorithm,
+            self.one_step(network, every=every),
+            start,
+            stopping,
+            validation=self.one_step(network, "validation") if self.validation else None,
+            watcher=watcher,
+        )
+
     def simulation(
         self,
         network: TrainableNetwork,
@@ -139,13 +164,21 @@ class NetworkData:
 
 
 def prepared(
-    regressors: Regressors, fitted: Sequence[Dataset], validation: Sequence[Dataset]
+    regressors: Regressors, problem: FitProblem, training: TrainingAlgorithm
 ) -> NetworkData:
     """Bring recordings to the form that networks are fitted to.
 
     Raises RecordingError for sample times without a whole ratio, missing channels, inputs or
-    outputs that never move, too few samples.
+    outputs that never move, too few samples; ConfigurationError for a training that cannot
+    minimise.
     """
+    if not callable(getattr(training, "minimise", None)):
+        raise ConfigurationError(
+            f"{type(training).__name__} is no training algorithm",
+            where="method.training",
+            remedy="choose one of `trms list training`: training@method.training=lm",
+        )
+    fitted, validation = problem.datasets, problem.validation
     first = fitted[0]
     structure = regressors.structure(first.outputs, first.inputs, first.sample_time)
 
@@ -159,11 +192,6 @@ def prepared(
         smooth_validation = taken(validation, regressors.smoothing)
     scale = scaling(structure, smooth)
     return NetworkData(structure, scale, raw, raw_validation, smooth, smooth_validation)
-
-
-def prepared_problem(regressors: Regressors, problem: FitProblem) -> NetworkData:
-    """:func:`prepared` for the recordings of a fit."""
-    return prepared(regressors, problem.datasets, problem.validation)
 
 
 _OUTCOMES = {

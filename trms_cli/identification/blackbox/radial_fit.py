@@ -35,13 +35,12 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.identification.blackbox.narx import check_training
 from trms_cli.identification.blackbox.network_fit import (
     NetworkData,
     Regressors,
     Stage,
     fit_result,
-    prepared_problem,
+    prepared,
     training_watcher,
 )
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
@@ -51,7 +50,6 @@ from trms_cli.identification.blackbox.training.training import (
     Stopping,
     TrainingAlgorithm,
     TrainingOutcome,
-    train,
 )
 from trms_cli.identification.method import FitResult, Progress
 from trms_cli.identification.problem import FitProblem
@@ -285,21 +283,14 @@ class RadialFit:
 
         Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
-        check_training(self.training)
-        data = prepared_problem(self.regressors, problem)
+        data = prepared(self.regressors, problem, self.training)
         begin = process_time()
         network, theta = self.placed(data, problem.seed)
         placing = process_time() - begin
         stopping = self.stopping if self.tune else Stopping(epochs=1)
         algorithm: TrainingAlgorithm = self.training if self.tune else _AsPlaced()
-        training = train(
-            algorithm,
-            data.one_step(network),
-            theta,
-            stopping,
-            validation=data.one_step(network, "validation") if data.validation else None,
-            watcher=training_watcher(progress, 0.0, 1.0, stopping, "one step"),
-        )
+        watcher = training_watcher(progress, 0.0, 1.0, stopping, "one step")
+        training = data.train_one_step(network, algorithm, theta, stopping, watcher)
         if not self.tune:
             training = replace(training, outcome=TrainingOutcome.GOAL)
         return fit_result(self.kind, problem, data, network, [Stage("one step", training, placing)])

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from trms_cli.identification.excitation.excitation import (
-    Plan,
-    Shape,
-    check_band,
-    crest_factor,
-    of_unit_peak,
-)
+from trms_cli.identification.excitation.excitation import Plan, Shape, check_band, shape_of
 from trms_cli.references.chirp import Chirp
 
 
@@ -25,19 +17,16 @@ class ChirpExcitation:
     def shape(self, plan: Plan) -> Shape:
         """The signals; see :class:`Excitation`."""
         check_band(plan)
-        columns = []
+        signals = []
         for i in range(plan.inputs):
             up = self.upwards == (i % 2 == 0)
-            ends = (plan.lowest, plan.highest) if up else (plan.highest, plan.lowest)
-            columns.append(
-                Chirp(
-                    amplitude=1.0,
-                    frequency=ends[0],
-                    final_frequency=ends[1],
-                    duration=plan.duration,
-                    sweep="logarithmic",
-                ).sample(plan.time)
+            first, last = (plan.lowest, plan.highest) if up else (plan.highest, plan.lowest)
+            chirp = Chirp(
+                amplitude=1.0,
+                frequency=first,
+                final_frequency=last,
+                duration=plan.duration,
+                sweep="logarithmic",
             )
-        values = np.column_stack(columns)
-        about = {"crest_factor": [crest_factor(column) for column in values.T]}
-        return Shape(of_unit_peak(values), about)
+            signals.append(chirp.sample(plan.time))
+        return shape_of(signals)

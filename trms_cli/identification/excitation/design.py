@@ -68,15 +68,8 @@ LEAST_SHARE = 0.01
 class Trial:
     """Plays commands to a simulated rig and tells whether it stays within its bounds.
 
-    Parameters
-    ----------
-    model : Model
-    sample_time : float
-        s.
-    bounds : dict of str to float
-        Largest sizes of angles from the sample ``first`` on, rad.
-    first : int
-        Before it only the stops count: the rig may come from beyond the bounds.
+    ``bounds``: largest sizes of angles from the sample ``first`` on, rad. Before it only the stops
+    count: the rig may come from beyond the bounds.
     """
 
     def __init__(
@@ -142,19 +135,9 @@ def largest_amplitudes(
 ) -> FloatArray:
     """Amplitudes that are given stand; the others are as large as the bounds allow.
 
-    Parameters
-    ----------
-    commands : callable
-        Of an amplitude (n_u,): what is played, (n, n_u).
-    room : (n_u,) array
-        Largest amplitudes that the inputs' limits allow.
-    progress : callable
-        Told in words what is being done.
-
-    Raises
-    ------
-    ConfigurationError
-        If nothing fits; it tells which bound is in the way, and what to change.
+    ``commands``: of an amplitude (n_u,) what is played, (n, n_u). ``room``: (n_u,) array; largest
+    amplitudes that the inputs' limits allow. Raises ConfigurationError if nothing fits; it tells
+    which bound is in the way, and what to change.
     """
     inputs, upper = names(model.inputs), model.input_bounds()[1]
     for name, value in request.amplitude.items():
@@ -181,15 +164,20 @@ def largest_amplitudes(
             where="amplitude",
             remedy="smaller ones, or leave amplitude out to have them searched",
         )
+
+    def along(start: FloatArray, direction: FloatArray) -> float:
+        """The largest share of the way in a direction that fits."""
+        return _largest(lambda share: trial.fits(commands(start + share * direction)))
+
     alone = fixed.copy()
     for i in np.flatnonzero(free).tolist():
         progress(f"amplitude of {inputs[i]}")
         one = np.zeros(len(inputs))
         one[i] = room[i]
-        alone[i] = room[i] * _largest(_along(trial, commands, fixed, one))
+        alone[i] = room[i] * along(fixed, one)
     progress("amplitudes together")
     wanted = np.where(free, alone, 0.0)
-    amplitude = fixed + wanted * _largest(_along(trial, commands, fixed, wanted))
+    amplitude = fixed + wanted * along(fixed, wanted)
     weak = [i for i in np.flatnonzero(free).tolist() if amplitude[i] < LEAST_SHARE * upper[i]]
     if weak:
         name = inputs[weak[0]]
@@ -201,16 +189,6 @@ def largest_amplitudes(
             "duration; or record under control, with an excitation on the references",
         )
     return amplitude
-
-
-def _along(
-    trial: Trial,
-    commands: Callable[[FloatArray], FloatArray],
-    start: FloatArray,
-    direction: FloatArray,
-) -> Callable[[float], bool]:
-    """Whether a share of the way in a direction fits."""
-    return lambda share: trial.fits(commands(start + share * direction))
 
 
 def _largest(fits: Callable[[float], bool]) -> float:
@@ -263,19 +241,10 @@ def design(
     request: ExcitationRequest,
     progress: Callable[[str], None] = lambda words: None,
 ) -> ExcitationDesign:
-    """Design an excitation.
+    """Design an excitation by a model with equations that is roughly right for the rig.
 
-    Parameters
-    ----------
-    model : Model
-        With equations; of the rig that is to be excited, roughly right.
-    progress : callable
-        Told in words what is being done.
-
-    Raises
-    ------
-    ConfigurationError
-        If nothing fits: it tells which bound is in the way, and what to change.
+    ``progress``: told in words what is being done. Raises ConfigurationError if nothing fits: it
+    tells which bound is in the way, and what to change.
     """
     bounds = _bounds(model, request)
     upper = model.input_bounds()[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -60,10 +61,12 @@ def crest_factor(values: FloatArray) -> float:
     return float(np.abs(centred).max()) / power if power > 0 else float("inf")
 
 
-def of_unit_peak(values: FloatArray) -> FloatArray:
-    """Each column divided by its largest size."""
+def shape_of(signals: Sequence[FloatArray], **about: Any) -> Shape:
+    """Signals brought to unit peak, their crest factors beside what was chosen."""
+    values = np.column_stack(signals)
     peak = np.abs(values).max(axis=0)
-    return values / np.where(peak > 0, peak, 1.0)
+    about["crest_factor"] = [crest_factor(column) for column in values.T]
+    return Shape(values / np.where(peak > 0, peak, 1.0), about)
 
 
 def check_band(plan: Plan) -> None:

@@ -9,13 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.identification.excitation.excitation import (
-    Plan,
-    Shape,
-    check_band,
-    crest_factor,
-    of_unit_peak,
-)
+from trms_cli.identification.excitation.excitation import Plan, Shape, check_band, shape_of
 from trms_cli.identification.excitation.prbs import FLAT
 from trms_cli.references.multilevel import Multilevel
 
@@ -56,14 +50,8 @@ class MultilevelExcitation:
             ).sample(plan.time)
             for i in range(_DRAWS if plan.inputs > 1 else 1)
         ]
-        values = np.column_stack(_least_alike(drawn, plan.inputs))
-        about = {
-            "shortest_s": shortest,
-            "longest_s": longest,
-            "levels": self.levels,
-            "crest_factor": [crest_factor(column) for column in values.T],
-        }
-        return Shape(of_unit_peak(values), about)
+        chosen = _least_alike(drawn, plan.inputs)
+        return shape_of(chosen, shortest_s=shortest, longest_s=longest, levels=self.levels)
 
 
 def _least_alike(drawn: list[FloatArray], count: int) -> list[FloatArray]:

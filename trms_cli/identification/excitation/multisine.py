@@ -9,7 +9,7 @@ Instrumentation and Measurement 40(6), 1991): the larger p, the nearer to the pe
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
@@ -21,7 +21,7 @@ from trms_cli.identification.excitation.excitation import (
     Shape,
     check_band,
     crest_factor,
-    of_unit_peak,
+    shape_of,
 )
 
 #: Points a period of the highest harmonic at which the peak is looked for.
@@ -46,20 +46,18 @@ class MultisineExcitation:
         check_band(plan)
         period = plan.duration / self.periods
         harmonics = self._harmonics(plan, period)
-        columns, before, after = [], [], []
+        signals, before = [], []
         for own in harmonics:
             first = schroeder_phases(len(own))
             phases = low_crest_phases(own, first, self.iterations)
             before.append(crest_factor(_sum(own, first, _fine(own))))
-            columns.append(_sum(own, phases, plan.time / period))
-            after.append(crest_factor(columns[-1]))
-        about: dict[str, Any] = {
-            "frequencies_hz": [(own / period).tolist() for own in harmonics],
-            "period_s": period,
-            "crest_factor_schroeder": before,
-            "crest_factor": after,
-        }
-        return Shape(of_unit_peak(np.column_stack(columns)), about)
+            signals.append(_sum(own, phases, plan.time / period))
+        return shape_of(
+            signals,
+            frequencies_hz=[(own / period).tolist() for own in harmonics],
+            period_s=period,
+            crest_factor_schroeder=before,
+        )
 
     def _harmonics(self, plan: Plan, period: float) -> list[IntArray]:
         """Of each input; every one belongs to one input only."""
@@ -84,20 +82,9 @@ def schroeder_phases(lines: int) -> FloatArray:
 
 
 def low_crest_phases(harmonics: IntArray, phases: FloatArray, iterations: int) -> FloatArray:
-    """Phases with a lower peak of ``Σ cos(2π k τ + φ_k)``, from the ones given.
+    """Phases with a lower peak of ``Σ cos(2π k τ + φ_k)`` than the ones given, (K,) rad.
 
-    Parameters
-    ----------
-    harmonics : (K,) array
-    phases : (K,) array
-        rad.
-    iterations : int
-        For each of the norms.
-
-    Returns
-    -------
-    (K,) array
-        Never worse than the start.
+    ``harmonics``: (K,) array. ``iterations``: for each of the norms. Never worse than the start.
     """
     if iterations == 0:
         return phases

@@ -10,16 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
 from msgspec import Meta
 
-from trms_cli.identification.excitation.excitation import (
-    Plan,
-    Shape,
-    check_band,
-    crest_factor,
-    of_unit_peak,
-)
+from trms_cli.identification.excitation.excitation import Plan, Shape, check_band, shape_of
 from trms_cli.references.prbs import Prbs
 
 #: The spectrum is flat up to this over the time of a bit.
@@ -45,14 +38,7 @@ class PrbsExcitation:
             while (2**bits - 1) * hold < 1 / plan.lowest and bits < _MOST_BITS:
                 bits += 1
         signals = [
-            Prbs(amplitude=1.0, hold=hold, bits=bits, phase=i / plan.inputs)
+            Prbs(amplitude=1.0, hold=hold, bits=bits, phase=i / plan.inputs).sample(plan.time)
             for i in range(plan.inputs)
         ]
-        values = np.column_stack([signal.sample(plan.time) for signal in signals])
-        about = {
-            "bit_s": hold,
-            "bits": bits,
-            "period_s": (2**bits - 1) * hold,
-            "crest_factor": [crest_factor(column) for column in values.T],
-        }
-        return Shape(of_unit_peak(values), about)
+        return shape_of(signals, bit_s=hold, bits=bits, period_s=(2**bits - 1) * hold)
