@@ -45,16 +45,9 @@ def findings(
     assessment: Assessment | None = None,
     then: Sequence[NextCommand] = (),
 ) -> Findings:
-    """What is worth telling of a fit.
+    """What is worth telling of a fit: of ``trms.identification/1``.
 
-    Parameters
-    ----------
-    document : dict
-        ``trms.identification/1``.
-    assessment : Assessment or None
-        Its free runs are drawn.
-    then : sequence of NextCommand
-        What to type next.
+    ``assessment``: its free runs are drawn. ``then``: what to type next.
     """
     sections = [_free_runs(document, assessment)]
     if document["parameters"]:
@@ -401,9 +394,7 @@ def _search(document: Mapping[str, Any]) -> Section:
 def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
     """The search's cost above its least, over simulations and over time.
 
-    Parameters
-    ----------
-    history : sequence of (evaluations, seconds, cost)
+    ``history``: of evaluations, seconds and cost.
     """
     points = np.array([list(row) for row in history], dtype=float).reshape(-1, 3)
     least = float(np.nanmin(points[:, 2])) if len(points) else 0.0

@@ -23,16 +23,9 @@ def findings(
     spectra: Spectra | None = None,
     then: Sequence[NextCommand] = (),
 ) -> Findings:
-    """What is worth telling of an excitation.
+    """What is worth telling of an excitation: of ``trms.excitation/1``.
 
-    Parameters
-    ----------
-    document : dict
-        ``trms.excitation/1``.
-    designed, spectra : ExcitationDesign, Spectra or None
-        What the chart is drawn of.
-    then : sequence of NextCommand
-        What to type next.
+    ``designed``, ``spectra``: what the chart is drawn of. ``then``: what to type next.
     """
     low, high = document["band_hz"]
     slow, fast = document["poles_hz"]

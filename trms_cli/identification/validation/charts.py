@@ -30,7 +30,7 @@ from trms_cli.identification.validation.characteristics import (
 )
 from trms_cli.identification.validation.metrics import rms, rms_interval
 from trms_cli.identification.validation.residual_tests import ResidualTest, p_words
-from trms_cli.identification.validation.validate import ModelValidation, joined
+from trms_cli.identification.validation.validate import ModelValidation, gap_samples, joined
 from trms_cli.models.model import names
 
 _WIDTH = 9.2
@@ -348,7 +348,7 @@ def _coherences(
             for d, run in zip(validation.datasets, validation.runs, strict=True)
             if channel in names(d.outputs)
         ],
-        validation.gap,
+        gap_samples(validation.options, validation.sample_time),
     )
     return {
         name: coherence(of_error, segments_of(inputs[:, i], validation.sample_time, length))

@@ -59,14 +59,9 @@ _WHITENESS = ("auto", "ljung_box", "other")
 
 
 def findings(document: Document, validations: Sequence[ModelValidation] = ()) -> Findings:
-    """What is worth telling of a validation.
+    """What is worth telling of a validation: of ``trms.validation/1``.
 
-    Parameters
-    ----------
-    document : dict
-        ``trms.validation/1``.
-    validations : sequence of ModelValidation
-        What charts are drawn of; none without.
+    ``validations``: what charts are drawn of; none without.
     """
     models = models_of(document)
     sections = [_comparison(document)] if len(models) > 1 else []

@@ -94,14 +94,9 @@ def predict_one_step(
 ) -> OneStep:
     """Predict every sample from those before it.
 
-    Parameters
-    ----------
-    rollout : Rollout
-        Of the model at the recording's sample time.
-    noise_factors : mapping or None
-        Factors of the process noise that are known already (from another recording).
-    prepared : OneStepFilter or None
-        Over a recording with the same commands, to be used again with these measurements.
+    ``rollout``: of the model at the recording's sample time. ``noise_factors``: of the process
+    noise, where they are known already (from another recording). ``prepared``: over a recording
+    with the same commands, to be used again with these measurements.
     """
     remembered = measured_states(model, dataset)
     if remembered is not None:

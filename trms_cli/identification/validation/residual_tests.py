@@ -80,28 +80,22 @@ def moment_test(
 ) -> MomentTest:
     """Test that `present` is uncorrelated with earlier values of `past`.
 
-    Parameters
-    ----------
-    present : (n,) array
-        Unpredictable if the model is right; its mean is taken off. NaN where missing.
-    past : (n,) array, or several
-        Instruments; their means are taken off. Several share one test.
-    lags : sequence of int
-        From 1 on: ``present(t)`` meets ``past(t − lag)``.
+    ``present``: (n,) array; unpredictable if the model is right; NaN where missing. ``past``: (n,)
+    array, or several that share one test: instruments. Means are taken off. ``lags``: from 1 on:
+    ``present(t)`` meets ``past(t − lag)``.
     """
     series = [past] if isinstance(past, np.ndarray) else list(past)
     steps = np.asarray(lags, dtype=np.int64)
     a = present - np.nanmean(present) if np.any(~np.isnan(present)) else present
-    columns = [_shifted(z - _mean(z), int(k)) for z in series for k in steps]
+    columns = [_shifted(_centred(z), int(k)) for z in series for k in steps]
     z = np.column_stack(columns)
     v = a[:, None] * z
     complete = ~np.isnan(v).any(axis=1)
     v, z, a = v[complete], z[complete], a[complete]
     n, m = v.shape
     all_lags = np.tile(steps, len(series))
-    nothing = np.full(m, np.nan)
     if n < _SAMPLES_PER_LAG * max(m, 2):
-        return MomentTest(all_lags, nothing, nothing, np.nan, 0, np.nan)
+        return _not_made(all_lags)
     mean = v.mean(axis=0)
     second = v.T @ v / n
     spread = np.sqrt(np.diag(second))
@@ -110,7 +104,7 @@ def moment_test(
     with np.errstate(divide="ignore", invalid="ignore"):
         correlations, errors = mean / norms, spread / norms / np.sqrt(n)
     if not varying.any():
-        return MomentTest(all_lags, nothing, nothing, np.nan, 0, np.nan)
+        return _not_made(all_lags)
     scaled = mean[varying] / spread[varying]
     values, vectors = np.linalg.eigh(
         second[np.ix_(varying, varying)] / np.outer(spread[varying], spread[varying])
@@ -124,13 +118,19 @@ def moment_test(
     )
 
 
+def _not_made(lags: npt.NDArray[np.int64]) -> MomentTest:
+    """Of too few samples, or where nothing varies."""
+    nothing = np.full(len(lags), np.nan)
+    return MomentTest(lags, nothing, nothing, np.nan, 0, np.nan)
+
+
 def mean_test(present: FloatArray) -> MomentTest:
     """Test that an unpredictable residual has mean zero (the same engine, instrument 1)."""
     values = present[~np.isnan(present)]
     lag = np.zeros(1, dtype=np.int64)
     power = float(np.mean(values**2)) if values.size else 0.0
     if values.size < 2 * _SAMPLES_PER_LAG or power == 0.0:
-        return MomentTest(lag, np.full(1, np.nan), np.full(1, np.nan), np.nan, 0, np.nan)
+        return _not_made(lag)
     share = float(np.mean(values)) / np.sqrt(power)
     statistic = values.size * share**2
     error = np.array([1.0 / np.sqrt(values.size)])
@@ -144,14 +144,13 @@ def ljung_box(residual: FloatArray, lags: int) -> MomentTest:
     Biometrika 65(2), 1978. With missing samples each r(k) has its own count of pairs.
     """
     steps = np.arange(1, lags + 1)
-    a = residual - _mean(residual)
+    a = _centred(residual)
     power = np.nanmean(a**2) if np.any(~np.isnan(a)) else 0.0
     pairs = [a * _shifted(a, int(k)) for k in steps]
     counts = np.array([np.count_nonzero(~np.isnan(p)) for p in pairs])
     n = int(np.count_nonzero(~np.isnan(a)))
     if not power > 0 or counts.min() < _SAMPLES_PER_LAG * max(2, lags):
-        nothing = np.full(lags, np.nan)
-        return MomentTest(steps, nothing, nothing, np.nan, 0, np.nan)
+        return _not_made(steps)
     r = np.array([np.nansum(p) for p in pairs]) / (power * n)
     # Pairs that are missing beyond those at the end lower r's variance in the same proportion.
     variances = counts / n**2
@@ -168,17 +167,12 @@ def chi2_tail(statistic: float, degrees: float) -> float:
 
 def correlation(a: FloatArray, b: FloatArray, lags: Sequence[int]) -> FloatArray:
     """Sample correlations of ``a(t)`` with ``b(t − lag)``, lags of any sign; for figures."""
-    a, b = a - _mean(a), b - _mean(b)
+    a, b = _centred(a), _centred(b)
     scale = np.sqrt(np.nanmean(a**2) * np.nanmean(b**2))
     if not scale > 0:
         return np.full(len(lags), np.nan)
     present = max(1, int(np.count_nonzero(~np.isnan(a * b))))
     return np.array([np.nansum(a * _shifted(b, int(k))) / present / scale for k in lags])
-
-
-def _mean(values: FloatArray) -> float:
-    present = values[~np.isnan(values)]
-    return float(present.mean()) if present.size else 0.0
 
 
 def _shifted(values: FloatArray, lag: int) -> FloatArray:
@@ -237,20 +231,11 @@ _RIDGE = 1e-13
 
 
 def whitened(residual: FloatArray, highest_order: int = 20) -> tuple[FloatArray, int]:
-    """The innovations of an autoregression fitted to a residual, its order by BIC.
+    """The innovations of an autoregression fitted to a residual (n,), and its order, by BIC.
 
-    Parameters
-    ----------
-    residual : (n,) array
-        NaN where missing; its mean stays in the result, scaled by the sum of the coefficients.
-    highest_order : int
-
-    Returns
-    -------
-    (n,) array
-        NaN where an earlier sample is missing.
-    order : int
-        0: the residual is returned as it is.
+    The residual is NaN where missing; its mean stays in the result, scaled by the sum of the
+    coefficients. The result is NaN where an earlier sample is missing; of order 0 it is the
+    residual as it is.
     """
     n = len(residual)
     highest_order = min(highest_order, n // 20)
@@ -370,18 +355,11 @@ def residual_tests(
 ) -> ResidualTests:
     """Test one-step residuals.
 
-    Parameters
-    ----------
-    residuals, outputs : dict of str to (n,) arrays
-        By channel: measured minus predicted from the past; measured. NaN where missing.
-    inputs : dict of str to (n,) arrays
-        ``u(t)`` acts from sample t to t + 1, so ``ξ(t)`` may depend on ``u(t − 1)`` first.
-    lags : int
-        Lags of the autocorrelation, 1 … lags.
-    longest_lag : int
-        Of the tests with inputs, whose lags grow geometrically from 1; default `lags`.
-    level : float
-        Family-wise.
+    ``residuals``, ``outputs``: (n,) arrays by channel: measured minus predicted from the past;
+    measured. NaN where missing. ``inputs``: (n,) arrays; ``u(t)`` acts from sample t to t + 1, so
+    ``ξ(t)`` may depend on ``u(t − 1)`` first. ``lags``: of the autocorrelation, 1 … lags.
+    ``longest_lag``: of the tests with inputs, whose lags grow geometrically from 1; default `lags`.
+    ``level``: family-wise.
     """
     far = geometric_lags(longest_lag or lags)
     white = {name: whitened(residual, lags) for name, residual in residuals.items()}

@@ -228,14 +228,10 @@ class ModelValidation:
             if channel in names(d.outputs)
         )
 
-    @property
-    def gap(self) -> int:
-        """Missing samples between two recordings that are joined: no lag reaches across."""
-        return gap_samples(self.options, self.sample_time)
-
     def free_run_errors(self, channel: str) -> tuple[FloatArray, FloatArray]:
         """Errors and measurements of the free run over the whole of each recording, joined."""
         errors, measured = [], []
+        gap = gap_samples(self.options, self.sample_time)
         for run, dataset in zip(self.runs, self.datasets, strict=True):
             if channel not in names(dataset.outputs):
                 continue
@@ -243,7 +239,7 @@ class ModelValidation:
             real = dataset.measurements[run.whole.first :, column]
             measured.append(real)
             errors.append(real - run.whole.simulated[:, column])
-        return joined(errors, self.gap), joined(measured, self.gap)
+        return joined(errors, gap), joined(measured, gap)
 
     @cached_property
     def region_horizon(self) -> float:
@@ -304,17 +300,9 @@ def validate_all(
 ) -> list[ModelValidation]:
     """Validate models on the same recordings, over the same windows.
 
-    Parameters
-    ----------
-    models : dict of str to Model
-        By the name that they are shown with.
-    datasets : dict of str to sequence of Dataset
-        The recordings as each model takes them, in the same order.
-
-    Raises
-    ------
-    ConfigurationError
-        If sample times differ, or a recording is too short for the shortest horizon.
+    ``models``: by the name that they are shown with. ``datasets``: the recordings as each model
+    takes them, in the same order. Raises ConfigurationError if sample times differ, or a recording
+    is too short for the shortest horizon.
     """
     tell = progress or (lambda word: None)
     recordings = list(next(iter(datasets.values())))
@@ -397,17 +385,9 @@ def calibrated(
 ) -> ResidualTests | None:
     """The residual tests with p-values from simulation.
 
-    Parameters
-    ----------
-    quanta : dict of str to float
-        Resolution of each output; the rest of its declared noise is white.
-    progress : callable, optional
-        Called with the number of simulations done.
-
-    Returns
-    -------
-    ResidualTests or None
-        None if the model, left alone over the recording, leaves the range of what was measured.
+    ``quanta``: resolution of each output; the rest of its declared noise is white. ``progress``:
+    called with the number of simulations done. None if the model, left alone over the recording,
+    leaves the range of what was measured.
     """
     options = validation.options
     rollout = Rollout(validation.model, validation.sample_time)
