@@ -90,25 +90,20 @@ def _range(ends: Sequence[float] | None) -> str:
 
 def excitation_chart(designed: ExcitationDesign, spectra: Spectra) -> Chart:
     """Commands, angles, spectra of both over the noise, responses, and where the rig goes."""
-    model = designed.model
-    inputs, outputs = names(model.inputs), names(model.outputs)
-    units = {signal.name: signal.unit for signal in (*model.inputs, *model.outputs)}
+    of = _Panels(designed, spectra)
+    outputs, units = of.outputs, of.units
     # of a rotor alone, which has no bound, the outputs in the unit of the first
     alike = [name for name in outputs if units[name] == units[outputs[0]]]
     bounded = [name for name in outputs if name in designed.bounds] or alike
     speeds = [name for name in outputs if name not in bounded]
     values = {name: designed.outputs[:, i] for i, name in enumerate(outputs)}
     panels = [
-        _over_time(
-            designed, {n: designed.commands[:, i] for i, n in enumerate(inputs)}, units, True
-        ),
-        _over_time(designed, {name: values[name] for name in bounded}, units, False),
-        _input_spectra(designed, spectra, inputs, units),
-        _responses(designed, spectra, bounded, inputs, outputs, units),
+        of.over_time({n: designed.commands[:, i] for i, n in enumerate(of.inputs)}, True),
+        of.over_time({name: values[name] for name in bounded}, False),
+        of.input_spectra(),
+        of.responses(bounded),
+        *(of.output_spectra(chosen) for chosen in (bounded, speeds) if chosen),
     ]
-    for chosen in (bounded, speeds):
-        if chosen:
-            panels.append(_output_spectra(designed, spectra, chosen, outputs, units))
     for i, (angle, speed) in enumerate((("alpha_v", "omega_v"), ("alpha_h", "omega_h"))):
         if angle in values and speed in values:
             x, y = values[speed][designed.first :], values[angle][designed.first :]
@@ -119,7 +114,7 @@ def excitation_chart(designed: ExcitationDesign, spectra: Spectra) -> Chart:
             panels.append(Panel(x_axis, Axis(wording.signal(angle), "rad"), marks))
     rates = [name for name in outputs if name in designed.bounds]
     if rates:
-        panels.append(_rates(designed, {name: values[name] for name in rates}))
+        panels.append(of.rates({name: values[name] for name in rates}))
     return Chart(
         "excitation",
         panels,
@@ -130,105 +125,91 @@ def excitation_chart(designed: ExcitationDesign, spectra: Spectra) -> Chart:
     )
 
 
-def _over_time(
-    designed: ExcitationDesign, signals: Mapping[str, Any], units: Mapping[str, str], commands: bool
-) -> Panel:
-    marks: list[Mark] = []
-    for colour, (name, values) in zip(_COLOURS, signals.items(), strict=False):
-        label = f"{wording.signal(name)} {name}" if commands else wording.signal(name)
-        marks.append(Curve(designed.time, values, label, colour, width=0.8, held=commands))
-    if not commands:
-        for bound in {
-            round(designed.bounds[name], 6) for name in signals if name in designed.bounds
-        }:
-            marks += [Line(y=side * bound, colour="alarm", style="dashed") for side in (-1, 1)]
-    if 0 < designed.first < len(designed.time):
-        marks.append(Line(x=float(designed.time[designed.first]), label="", colour="ink"))
-    what = "command" if commands else "angle" if designed.bounds else "speed"
-    x = Axis("time", "s", (float(designed.time[0]), float(designed.time[-1])))
-    return Panel(x, Axis(what, wording.unit(units[next(iter(signals))])), marks)
+class _Panels:
+    """The panels of an excitation's chart."""
 
+    def __init__(self, designed: ExcitationDesign, spectra: Spectra) -> None:
+        self.designed, self.spectra, model = designed, spectra, designed.model
+        self.inputs, self.outputs = names(model.inputs), names(model.outputs)
+        self.units = {signal.name: signal.unit for signal in (*model.inputs, *model.outputs)}
 
-def _spectrum(
-    designed: ExcitationDesign,
-    spectra: Spectra,
-    label: str,
-    marks: Sequence[Mark],
-    values: Sequence[Any],
-) -> Panel:
-    """On logarithmic axes, with the band shaded and the poles dashed."""
-    poles = [Line(x=pole / (2 * np.pi), style="dashed") for pole in designed.poles]
-    known = np.concatenate([np.ravel(one) for one in values])
-    known = known[np.isfinite(known) & (known > 0)]
-    low, high = (0.5 * known.min(), 2 * known.max()) if known.size else (0.1, 1.0)
-    ends = [designed.plan.lowest, designed.plan.highest]
-    band = Band(ends, [low, low], [high, high], "", "grey", 0.15)
-    f = spectra.frequencies
-    x = Axis("frequency", "Hz", (0.9 * float(f[0]), 1.1 * float(f[-1])), log=True)
-    return Panel(x, Axis(label, limits=(low, high), log=True), [band, *poles, *marks])
+    def over_time(self, signals: Mapping[str, Any], commands: bool) -> Panel:
+        designed = self.designed
+        marks: list[Mark] = []
+        for colour, (name, values) in zip(_COLOURS, signals.items(), strict=False):
+            label = f"{wording.signal(name)} {name}" if commands else wording.signal(name)
+            marks.append(Curve(designed.time, values, label, colour, width=0.8, held=commands))
+        if not commands:
+            for bound in {
+                round(designed.bounds[name], 6) for name in signals if name in designed.bounds
+            }:
+                marks += [Line(y=side * bound, colour="alarm", style="dashed") for side in (-1, 1)]
+        if 0 < designed.first < len(designed.time):
+            marks.append(Line(x=float(designed.time[designed.first]), label="", colour="ink"))
+        what = "command" if commands else "angle" if designed.bounds else "speed"
+        x = Axis("time", "s", (float(designed.time[0]), float(designed.time[-1])))
+        return Panel(x, Axis(what, wording.unit(self.units[next(iter(signals))])), marks)
 
+    def _spectrum(self, label: str, marks: Sequence[Mark], values: Sequence[Any]) -> Panel:
+        """On logarithmic axes, with the band shaded and the poles dashed."""
+        designed, spectra = self.designed, self.spectra
+        poles = [Line(x=pole / (2 * np.pi), style="dashed") for pole in designed.poles]
+        known = np.concatenate([np.ravel(one) for one in values])
+        known = known[np.isfinite(known) & (known > 0)]
+        low, high = (0.5 * known.min(), 2 * known.max()) if known.size else (0.1, 1.0)
+        ends = [designed.plan.lowest, designed.plan.highest]
+        band = Band(ends, [low, low], [high, high], "", "grey", 0.15)
+        f = spectra.frequencies
+        x = Axis("frequency", "Hz", (0.9 * float(f[0]), 1.1 * float(f[-1])), log=True)
+        return Panel(x, Axis(label, limits=(low, high), log=True), [band, *poles, *marks])
 
-def _input_spectra(
-    designed: ExcitationDesign, spectra: Spectra, inputs: Sequence[str], units: Mapping[str, str]
-) -> Panel:
-    marks, shown = [], []
-    for i, (colour, name) in enumerate(zip(_COLOURS, inputs, strict=False)):
-        density = spectra.inputs[:, i]
-        # below the resolution of a multisine's lines there is nothing to be shown
-        shown.append(np.where(density > 1e-6 * density.max(), density, np.nan))
-        marks.append(Curve(spectra.frequencies, shown[-1], name, colour, held=True))
-    unit = units[inputs[0]]
-    label = f"input [{unit}²/Hz]" if unit != "1" else "input [1/Hz]"
-    return _spectrum(designed, spectra, label, marks, shown)
+    def input_spectra(self) -> Panel:
+        spectra, inputs = self.spectra, self.inputs
+        marks, shown = [], []
+        for i, (colour, name) in enumerate(zip(_COLOURS, inputs, strict=False)):
+            density = spectra.inputs[:, i]
+            # below the resolution of a multisine's lines there is nothing to be shown
+            shown.append(np.where(density > 1e-6 * density.max(), density, np.nan))
+            marks.append(Curve(spectra.frequencies, shown[-1], name, colour, held=True))
+        unit = self.units[inputs[0]]
+        label = f"input [{unit}²/Hz]" if unit != "1" else "input [1/Hz]"
+        return self._spectrum(label, marks, shown)
 
+    def responses(self, shown: Sequence[str]) -> Panel:
+        spectra, inputs = self.spectra, self.inputs
+        marks, values = [], []
+        for colour, output in zip(_COLOURS, shown, strict=False):
+            for j, name in enumerate(inputs[:2]):
+                response = spectra.response[:, self.outputs.index(output), j]
+                if np.any(response > 1e-9):
+                    label = f"{wording.signal(output)} / {name}"
+                    style: Any = "dashed" if j else "solid"
+                    marks.append(Curve(spectra.frequencies, response, label, colour, style, 1.2))
+                    values.append(response)
+        per = "/".join({self.units[name]: None for name in inputs})
+        label = f"response [{self.units[shown[0]]}/{per}]"
+        return self._spectrum(label, marks, values)
 
-def _responses(
-    designed: ExcitationDesign,
-    spectra: Spectra,
-    shown: Sequence[str],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    units: Mapping[str, str],
-) -> Panel:
-    marks, values = [], []
-    for colour, output in zip(_COLOURS, shown, strict=False):
-        for j, name in enumerate(inputs[:2]):
-            response = spectra.response[:, outputs.index(output), j]
-            if np.any(response > 1e-9):
-                label = f"{wording.signal(output)} / {name}"
-                style: Any = "dashed" if j else "solid"
-                marks.append(Curve(spectra.frequencies, response, label, colour, style, 1.2))
-                values.append(response)
-    per = "/".join({units[name]: None for name in inputs})
-    label = f"response [{units[shown[0]]}/{per}]"
-    return _spectrum(designed, spectra, label, marks, values)
+    def output_spectra(self, chosen: Sequence[str]) -> Panel:
+        spectra = self.spectra
+        marks: list[Mark] = []
+        values = []
+        for colour, name in zip(_COLOURS, chosen, strict=False):
+            i = self.outputs.index(name)
+            noise = float(spectra.noise[i])
+            density = spectra.outputs[:, i]
+            label = wording.signal(name)
+            marks.append(Curve(spectra.frequencies, density, label, colour, held=True))
+            marks.append(Line(y=noise, colour=colour))
+            values += [density, [noise]]
+        return self._spectrum(f"output [({self.units[chosen[0]]})²/Hz]", marks, values)
 
-
-def _output_spectra(
-    designed: ExcitationDesign,
-    spectra: Spectra,
-    chosen: Sequence[str],
-    outputs: Sequence[str],
-    units: Mapping[str, str],
-) -> Panel:
-    marks: list[Mark] = []
-    values = []
-    for colour, name in zip(_COLOURS, chosen, strict=False):
-        i = outputs.index(name)
-        noise = float(spectra.noise[i])
-        density = spectra.outputs[:, i]
-        label = wording.signal(name)
-        marks.append(Curve(spectra.frequencies, density, label, colour, held=True))
-        marks.append(Line(y=noise, colour=colour))
-        values += [density, [noise]]
-    return _spectrum(designed, spectra, f"output [({units[chosen[0]]})²/Hz]", marks, values)
-
-
-def _rates(designed: ExcitationDesign, angles: Mapping[str, Any]) -> Panel:
-    marks: list[Mark] = []
-    for colour, (name, values) in zip(_COLOURS, angles.items(), strict=False):
-        rate = np.diff(values[designed.first :]) / designed.plan.sample_time
-        share, edges = np.histogram(rate, bins=60, density=True)
-        x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
-        marks.append(Curve(x, y, wording.signal(name), colour))
-    return Panel(Axis("rate", "rad/s"), Axis("share", "s/rad"), marks)
+    def rates(self, angles: Mapping[str, Any]) -> Panel:
+        designed = self.designed
+        marks: list[Mark] = []
+        for colour, (name, values) in zip(_COLOURS, angles.items(), strict=False):
+            rate = np.diff(values[designed.first :]) / designed.plan.sample_time
+            share, edges = np.histogram(rate, bins=60, density=True)
+            x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
+            marks.append(Curve(x, y, wording.signal(name), colour))
+        return Panel(Axis("rate", "rad/s"), Axis("share", "s/rad"), marks)

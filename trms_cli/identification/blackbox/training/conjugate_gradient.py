@@ -23,13 +23,60 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.training.line_search import DECREASE, LineSearch
 from trms_cli.identification.blackbox.training.training import EpochReport
 
 Update = Literal["fletcher_reeves", "polak_ribiere", "powell_beale"]
 #: Powell's constants.
 _NOT_ORTHOGONAL = 0.2
 _DESCENT = (0.8, 1.2)
+#: Armijo's constant.
+_DECREASE = 1e-4
+
+
+class LineSearch:
+    """Strong Wolfe search over a loss that is evaluated once a point.
+
+    Nocedal & Wright 2006, algorithms 3.5 and 3.6; scipy's. ``curvature``: largest remaining share
+    of the slope along the line; conjugate directions need 0.1.
+    """
+
+    def __init__(self, objective: TrainingObjective, curvature: float) -> None:
+        self._objective, self._curvature = objective, curvature
+        self._at: FloatArray | None = None
+        self._known: tuple[float, FloatArray] | None = None
+
+    def evaluate(self, theta: FloatArray) -> tuple[float, FloatArray]:
+        """Loss and gradient; a point that was just evaluated costs nothing."""
+        if self._known is None or self._at is None or not np.array_equal(theta, self._at):
+            self._at, self._known = theta.copy(), self._objective.gradient(theta)
+        return self._known
+
+    def step(
+        self,
+        theta: FloatArray,
+        direction: FloatArray,
+        loss: float,
+        slope: FloatArray,
+        loss_before: float | None,
+    ) -> float | None:
+        """Length of the step, None where no length satisfies the conditions."""
+        from scipy.optimize import line_search
+
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # no length found: the caller restarts
+            result = line_search(
+                lambda x: self.evaluate(x)[0],
+                lambda x: self.evaluate(x)[1],
+                theta,
+                direction,
+                gfk=slope,
+                old_fval=loss,
+                old_old_fval=loss_before,
+                c1=min(_DECREASE, self._curvature / 2),
+                c2=self._curvature,
+                maxiter=20,
+            )
+        return None if result[0] is None else float(result[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +93,7 @@ class ConjugateGradient:
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport
     ) -> None:
         if self.update == "polak_ribiere":
-            options = {"c1": min(DECREASE, self.curvature / 2), "c2": self.curvature}
+            options = {"c1": min(_DECREASE, self.curvature / 2), "c2": self.curvature}
             minimise_by_scipy("CG", options, objective, start, report)
             return
         search = LineSearch(objective, self.curvature)
@@ -54,7 +101,7 @@ class ConjugateGradient:
         memory, before = _Directions(self.update), None
         while True:
             direction = memory.next(slope)
-            length = quiet_step(search, theta, direction, loss, slope, before)
+            length = search.step(theta, direction, loss, slope, before)
             if length is None:
                 if memory.restarted:
                     return
@@ -155,13 +202,6 @@ def minimise_by_scipy(
             # The report decides when to end.
             options={"gtol": 0.0, "maxiter": 10**9, **options},
         )
-
-
-def quiet_step(search: LineSearch, *arguments: Any) -> float | None:
-    """:meth:`LineSearch.step` without its warnings."""
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # no length found: the caller restarts
-        return search.step(*arguments)
 
 
 def _share(slope: FloatArray, direction: FloatArray, change: FloatArray) -> float:

@@ -18,10 +18,9 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.training.conjugate_gradient import (
+    LineSearch,
     minimise_by_scipy,
-    quiet_step,
 )
-from trms_cli.identification.blackbox.training.line_search import LineSearch
 from trms_cli.identification.blackbox.training.training import EpochReport
 
 
@@ -53,7 +52,7 @@ class OneStepSecant:
         theta, (loss, slope) = start, search.evaluate(start)
         direction, before, fresh = -slope, None, True
         while True:
-            length = quiet_step(search, theta, direction, loss, slope, before)
+            length = search.step(theta, direction, loss, slope, before)
             if length is None:
                 if fresh:
                     return
