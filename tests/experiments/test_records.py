@@ -35,11 +35,8 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, QuanserAero]:
     u = np.column_stack([9.5 * on - 28 * (on & (t < 5.4)), 12.0 * on + 24 * (on & (t < 5.15))])
     u[t >= 6.5] -= [1.0, 4.0]
     discrete = discretise(truth, 0.002)
-    x, p, rows = (
-        np.zeros(6),
-        truth.parameters.values,
-        ["t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"],
-    )
+    x, p = np.zeros(6), truth.parameters.values
+    rows = ["t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"]
     for time, command in zip(t, u, strict=True):
         y = np.asarray(discrete.measurement(x, command, p)).ravel()
         rows.append(f"{time:.3f},{command[0]:.4f},{command[1]:.4f},{y[0]:.6f},{y[1]:.6f}")
@@ -58,13 +55,8 @@ def test_it_finds_what_made_a_recording(rig: tuple[Path, QuanserAero]) -> None:
     found = fitted(problem_of((first,), settings), settings)
     assert {p.name for p in found.problem.free} == set(settings["free"])
     assert found.result.covariance is not None
-    sd = dict(
-        zip(
-            [p.name for p in found.problem.free],
-            np.diag(found.result.covariance) ** 0.5,
-            strict=True,
-        )
-    )
+    names = [p.name for p in found.problem.free]
+    sd = dict(zip(names, np.diag(found.result.covariance) ** 0.5, strict=True))
     for name in ("J_r", "F_2", "tau_v", "d_x"):
         true = truth.parameters[name].value
         assert abs(found.result.values[name] - true) < 3 * sd[name], name

@@ -263,15 +263,8 @@ class TestVerdicts:
 
 class TestProgram:
     def test_runs_resumes_and_refuses_to_write_over(self, tmp_path, capsys):
-        words = [
-            "--only",
-            "pid+ukf/*/nominal_0",
-            "--quick",
-            "--jobs",
-            "1",
-            "--out",
-            str(tmp_path / "t"),
-        ]
+        words = ["--only", "pid+ukf/*/nominal_0", "--quick"]
+        words += ["--jobs", "1", "--out", str(tmp_path / "t")]
         assert program.main(words) == 0
         report = json.loads((tmp_path / "t" / "report.json").read_text(encoding="utf-8"))
         assert report["schema"] == "trms.tournament/1"

@@ -135,23 +135,16 @@ def test_the_table_counts_each_kind_where_it_belongs() -> None:
 
 def test_the_second_recording_judges_intervals_and_harm() -> None:
     told: dict[str, Any] = {"shrink": 0.8, "shrink_ci95": (0.7, 0.9)}
-    inside, outside = (
-        FreshResult(shrink=0.75, worse=()),
-        FreshResult(shrink=0.5, worse=("alpha_v",)),
-    )
-    best = judged(
-        case("single", FRICTION), answer(FRICTION), fresh=FreshResult(shrink=1.0, worse=())
-    )
+    inside = FreshResult(shrink=0.75, worse=())
+    outside = FreshResult(shrink=0.5, worse=("alpha_v",))
+    whole, none = FreshResult(shrink=1.0, worse=()), FreshResult(shrink=None, worse=())
+    rubbing = case("single", FRICTION)
+    best = judged(rubbing, answer(FRICTION), fresh=whole)
     found = table(
         [
-            judged(case("single", FRICTION), answer(FRICTION, **told), "a", inside),
-            judged(case("single", FRICTION), answer(FRICTION, **told), "b", outside),
-            judged(
-                case("null"),
-                answer("no_gap", verdict="no_gap"),
-                "n",
-                FreshResult(shrink=None, worse=()),
-            ),
+            judged(rubbing, answer(FRICTION, **told), "a", inside),
+            judged(rubbing, answer(FRICTION, **told), "b", outside),
+            judged(case("null"), answer("no_gap", verdict="no_gap"), "n", none),
         ],
         {"a": best, "b": best},
     )
