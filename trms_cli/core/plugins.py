@@ -54,11 +54,8 @@ def nearest(given: str, allowed: Iterable[str]) -> str:
 def locate(target: str, where: str) -> Any:
     """Import the class or factory that a dotted name points to.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is not ours and of no package that is allowed; if no such module or attribute exists;
-        if it is not defined in that package.
+    Raises ConfigurationError if it is not ours and of no package that is allowed; if no such module
+    or attribute exists; if it is not defined in that package.
     """
     module_name, _, attribute = target.rpartition(".")
     key = f"{where}.{TARGET}" if where else TARGET
@@ -105,17 +102,15 @@ def is_plugin(value: object) -> bool:
 def build(node: Any, where: str = "") -> Any:
     """Construct a plugin, and all the plugins nested in it.
 
+    Raises ConfigurationError for a missing or unknown key, a wrong type, a value out of range; it
+    names the key.
+
     Parameters
     ----------
     node : mapping
         ``_target_`` and the arguments; lists and mappings in it may hold further plugins.
     where : str
         Path of the node in the configuration, for messages.
-
-    Raises
-    ------
-    ConfigurationError
-        For a missing or unknown key, a wrong type, a value out of range; it names the key.
     """
     if not is_plugin(node):
         raise ConfigurationError(

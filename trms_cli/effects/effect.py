@@ -69,10 +69,7 @@ class EffectContext:
     def quantity(self, name: str) -> ca.SX:
         """A physical quantity that the model names (``thrust_main``, ``inertia_yaw``…).
 
-        Raises
-        ------
-        ModelError
-            If this model has no such quantity.
+        Raises ModelError if this model has no such quantity.
         """
         known = self.model.quantities(self.x, self.u, self.p)
         if name not in known:
@@ -231,10 +228,7 @@ def _ranges(kind: type[Effect]) -> dict[str, tuple[float, float]]:
 def rotor_input(model: Model, rotor: str) -> int:
     """Position of a rotor's input in ``u``.
 
-    Raises
-    ------
-    ModelError
-        If the model has no such rotor.
+    Raises ModelError if the model has no such rotor.
     """
     if rotor not in model.rotors:
         raise ModelError(
@@ -247,10 +241,7 @@ def rotor_input(model: Model, rotor: str) -> int:
 def speed_row(model: Model, rotor: str) -> int:
     """Position of a rotor's speed in ``x``.
 
-    Raises
-    ------
-    ModelError
-        If the model has no such rotor, or its speed is no state.
+    Raises ModelError if the model has no such rotor, or its speed is no state.
     """
     rotor_input(model, rotor)
     name = SPEEDS[rotor]
@@ -270,10 +261,7 @@ def motor_disturbance(model: Model, rotor: str) -> int:
 def output_row(model: Model, name: str) -> int:
     """Position of a measured channel in ``y``.
 
-    Raises
-    ------
-    ModelError
-        If the model does not measure it.
+    Raises ModelError if the model does not measure it.
     """
     known = names(model.outputs)
     if name not in known:
@@ -287,10 +275,7 @@ def output_row(model: Model, name: str) -> int:
 def require_quantities(model: Model, *wanted: str) -> None:
     """Check that a model names some physical quantities.
 
-    Raises
-    ------
-    ModelError
-        For the first that it does not.
+    Raises ModelError for the first that it does not.
     """
     x, u, p, _ = model.symbols()
     known = model.quantities(x, u, p)

@@ -20,17 +20,15 @@ class ExtendedModel(Model):
     States, memory and parameters of the effect follow those of the model beneath; the effect's
     parameters are named ``<effect>.<size>``.
 
+    Raises ModelError if the model lacks the axis or rotor that the effect acts on, or has an effect
+    of that name.
+
     Parameters
     ----------
     base : Model
     name : str
         The effect's name, unique among those of ``base``.
     effect : Effect
-
-    Raises
-    ------
-    ModelError
-        If the model lacks the axis or rotor that the effect acts on, or has an effect of that name.
     """
 
     def __init__(self, base: Model, name: str, effect: Effect) -> None:

@@ -42,6 +42,9 @@ def load_model(
 ) -> Model:
     """The model that a file describes, with its effects.
 
+    Raises ConfigurationError if there is no such file, or ``parameters`` names none or is out of
+    range. Raises ModelError if the file's content does not fit; it names the file and the key.
+
     Parameters
     ----------
     path : str
@@ -51,13 +54,6 @@ def load_model(
         nested as a command line has it).
     rig : Model, optional
         What a run simulates in the place of the model; it means nothing here.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such file, or ``parameters`` names none or is out of range.
-    ModelError
-        If the file's content does not fit; it names the file and the key.
     """
     if is_network_file(path):
         network = read_narx_file(path)

@@ -184,6 +184,9 @@ def discretise(
 ) -> DiscreteModel:
     """Discretise a model with the command and the disturbances constant over the step.
 
+    Raises ModelError for a step that is not positive or fewer than one substep, and for one that is
+    no whole multiple of the sample time of a model that only steps (which has no use for substeps).
+
     Parameters
     ----------
     step_length : float
@@ -195,12 +198,6 @@ def discretise(
     sensors : bool
         Whether what the sensors remember is part of the state, as whatever simulates or estimates
         measurements needs; without it they show what they would at rest.
-
-    Raises
-    ------
-    ModelError
-        For a step that is not positive or fewer than one substep, and for one that is no whole
-        multiple of the sample time of a model that only steps (which has no use for substeps).
     """
     if not (step_length > 0 and substeps >= 1):
         raise ModelError(

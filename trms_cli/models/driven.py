@@ -19,16 +19,13 @@ from trms_cli.models.model import FloatArray, Model, Signal, index_of, names
 class DrivenModel(Model):
     """A model whose states ``driven`` are inputs, after the inputs that it has.
 
+    Raises ModelError for a name that is no measured state, or when no state would be left.
+
     Parameters
     ----------
     base : Model
     driven : sequence of str
         Measured states, such as ``omega_v`` and ``omega_h``.
-
-    Raises
-    ------
-    ModelError
-        For a name that is no measured state, or when no state would be left.
     """
 
     def __init__(self, base: Model, driven: Sequence[str]) -> None:

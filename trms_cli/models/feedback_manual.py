@@ -38,6 +38,9 @@ from trms_cli.models.parameters import parameter_file
 class FeedbackManual(BeamRig):
     """The maker's model, 7 states.
 
+    Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a set of
+    another model.
+
     Parameters
     ----------
     dry_friction : bool
@@ -46,13 +49,6 @@ class FeedbackManual(BeamRig):
         The built-in set ``feedback_manual`` or the path of a parameter file.
     parameters : mapping
         Other values for some parameters, in SI.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown set or parameter.
-    ModelError
-        For a set of another model.
     """
 
     def __init__(

@@ -34,6 +34,9 @@ from trms_cli.models.twin_rotor import BeamMotion, BeamPoint, Currents, Freedom,
 class Lagrangian(TwinRotor):
     """Lagrangian TRMS.
 
+    Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a curve that
+    cannot be used, or a set without the arm h.
+
     Parameters
     ----------
     freedom : {"both", "vertical", "horizontal"}
@@ -50,13 +53,6 @@ class Lagrangian(TwinRotor):
         Path of the measured curve of a motor's interface (CSV ``u[V],v[V]``) in place of its gain.
     main_voltage_limit, tail_voltage_limit : float or None
         Where the interface saturates, V; None: nowhere (or where its curve does).
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown set or parameter.
-    ModelError
-        For a curve that cannot be used, or a set without the arm h.
     """
 
     OPTION = "lagrangian"

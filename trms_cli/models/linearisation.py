@@ -68,6 +68,8 @@ class Linearisation:
     def at(self, angles: Mapping[str, float], where: str) -> LinearModel:
         """The linear model where the rig rests at the given controlled angles.
 
+        Raises ConfigurationError for a name that is no angle, or if the rig cannot rest there.
+
         Parameters
         ----------
         angles : dict of str to float
@@ -75,11 +77,6 @@ class Linearisation:
             does not have are ignored.
         where : str
             Configuration key of ``angles``, for messages.
-
-        Raises
-        ------
-        ConfigurationError
-            For a name that is no angle, or if the rig cannot rest there.
         """
         model, discrete = self.model, self._discrete
         known = {"alpha_v", "alpha_h", *model.controlled}

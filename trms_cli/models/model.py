@@ -80,10 +80,7 @@ class Model(ABC):
     def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         """States one ``sample_time`` later, shape (n_x, 1), of a model that only steps.
 
-        Raises
-        ------
-        ModelError
-            For a model in continuous time, whose step depends on its length.
+        Raises ModelError for a model in continuous time, whose step depends on its length.
         """
         raise ModelError(
             f"model {self.name!r} has a derivative and no step of its own",
@@ -238,10 +235,7 @@ def by_name(signals: Sequence[Signal], values: FloatArray) -> dict[str, float]:
 def index_of(signals: Sequence[Signal], name: str, what: str) -> int:
     """Position of a signal by name.
 
-    Raises
-    ------
-    ModelError
-        If there is none of that name.
+    Raises ModelError if there is none of that name.
     """
     known = names(signals)
     if name not in known:

@@ -72,6 +72,8 @@ _AT_REST = 1e-10
 class Narx(SteppedModel):
     """A network that predicts the next outputs from past outputs and commands.
 
+    Raises ModelError if network and structure do not fit, or a limit names no input or angle.
+
     Parameters
     ----------
     structure : NarxStructure
@@ -82,11 +84,6 @@ class Narx(SteppedModel):
     limits : mapping
         Symmetric bounds by input, and mechanical stops by angle (rad). Inputs without one have
         2.5 V, or 1 for normalised commands.
-
-    Raises
-    ------
-    ModelError
-        If network and structure do not fit, or a limit names no input or angle.
     """
 
     def __init__(
@@ -295,6 +292,9 @@ class NarxFile:
 def narx(*, network: str, rig: Model | None = None) -> Narx:
     """The NARX model of a network.
 
+    Raises ConfigurationError if there is no such network. Raises ModelError for a file that does
+    not hold one; it names the file and the key.
+
     Parameters
     ----------
     network : str
@@ -302,13 +302,6 @@ def narx(*, network: str, rig: Model | None = None) -> Narx:
     rig : Model, optional
         The rig that it was trained on. A run simulates it in the place of the network; to the
         model itself it means nothing.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such network.
-    ModelError
-        For a file that does not hold one; it names the file and the key.
     """
     content = read_narx_file(network, where="model.network")
     return narx_of(content, network)
@@ -327,12 +320,8 @@ def narx_of(content: NarxFile, path: str) -> Narx:
 def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
     """Read a network: one that travels with the program by name, or a file by path.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is none.
-    ModelError
-        If the content is not of the documented form; it names the file and the key.
+    Raises ConfigurationError if there is none. Raises ModelError if the content is not of the
+    documented form; it names the file and the key.
     """
     path = Path(name_or_path).expanduser()
     if path.suffix not in (".yaml", ".yml"):

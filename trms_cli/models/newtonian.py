@@ -32,6 +32,9 @@ from trms_cli.models.twin_rotor import BeamMotion, BeamPoint, TwinRotor
 class Newtonian(TwinRotor):
     """Newtonian TRMS.
 
+    Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a curve that
+    cannot be used.
+
     Parameters
     ----------
     freedom : {"both", "vertical", "horizontal"}
@@ -46,13 +49,6 @@ class Newtonian(TwinRotor):
         Path of the measured curve of a motor's interface (CSV ``u[V],v[V]``) in place of its gain.
     main_voltage_limit, tail_voltage_limit : float or None
         Where the interface saturates, V; None: nowhere (or where its curve does).
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown set or parameter.
-    ModelError
-        For a curve that cannot be used.
     """
 
     OPTION, UNUSED = "newtonian", ("h",)

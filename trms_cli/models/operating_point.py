@@ -68,6 +68,9 @@ class OperatingPoint:
 def operating_point(model: Model, at: Mapping[str, float], where: str = "at") -> OperatingPoint:
     """The equilibrium at given controlled angles, or at given commands.
 
+    Raises ConfigurationError for names that are neither, and where the model has no such
+    equilibrium.
+
     Parameters
     ----------
     model : Model
@@ -78,11 +81,6 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
         command turns into when they are raised.
     where : str
         Configuration key of ``at``, for messages.
-
-    Raises
-    ------
-    ConfigurationError
-        For names that are neither, and where the model has no such equilibrium.
     """
     by_angle = prescribes_angles(model, at, where)
     plain = model.without_effects()

@@ -35,6 +35,8 @@ from trms_cli.models.parameters import parameter_file
 class QuanserAero(BeamRig):
     """Quanser Aero with free pitch and yaw.
 
+    Raises ConfigurationError for an unknown set or parameter.
+
     Parameters
     ----------
     parameter_set : str
@@ -43,11 +45,6 @@ class QuanserAero(BeamRig):
         Other values for some parameters, in SI.
     rotor_speeds : bool
         Whether the speeds of the rotors are among what may be measured, besides the angles.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown set or parameter.
     """
 
     def __init__(

@@ -25,6 +25,9 @@ _AXIS_OF_ROTOR = {"main": "v", "tail": "h"}
 class SingleRotor(Model):
     """One of the rig's rotors alone.
 
+    Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a curve that
+    cannot be used, or a set of another kind of model.
+
     Parameters
     ----------
     rotor : {"main", "tail"}
@@ -40,13 +43,6 @@ class SingleRotor(Model):
         Path of the measured curve of the interface (CSV ``u[V],v[V]``) in place of its gain.
     voltage_limit : float or None
         Where the interface saturates, V.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown set or parameter.
-    ModelError
-        For a curve that cannot be used, or a set of another kind of model.
     """
 
     def __init__(

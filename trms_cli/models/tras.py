@@ -105,6 +105,8 @@ class MeasuredRotor:
 def rotor_of(axis: str, table: str | None, where: str) -> Rotor:
     """A rotor from its measured table, or from parameters if there is none.
 
+    Raises ModelError if the table cannot be read, or no smooth curve through it rises.
+
     Parameters
     ----------
     axis : str
@@ -113,11 +115,6 @@ def rotor_of(axis: str, table: str | None, where: str) -> Rotor:
         Path of a CSV, see :func:`trms_cli.models.static_curve.read_static_curve`.
     where : str
         The configuration key, for messages.
-
-    Raises
-    ------
-    ModelError
-        If the table cannot be read, or no smooth curve through it rises.
     """
     if table is None:
         return ParametricRotor(axis)
@@ -136,6 +133,9 @@ def rotor_of(axis: str, table: str | None, where: str) -> Rotor:
 class Tras(BeamRig):
     """Two rotor aerodynamical system.
 
+    Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a curve that
+    cannot be used.
+
     Parameters
     ----------
     parameter_set : str
@@ -145,13 +145,6 @@ class Tras(BeamRig):
     main_curve, tail_curve : str or None
         Path of a rotor's measured static curve (CSV: ``u[1],omega[rpm],thrust[N]``), in place of
         the coefficients of the parameter set, which then has none for this rotor.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown set or parameter.
-    ModelError
-        For a curve that cannot be used.
     """
 
     def __init__(

@@ -62,6 +62,9 @@ class BeamMotion:
 class TwinRotor(BeamRig):
     """A TRMS with the beam's equations left open.
 
+    Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a curve that
+    cannot be used, or a set of another kind of model.
+
     Parameters
     ----------
     freedom : {"both", "vertical", "horizontal"}
@@ -77,13 +80,6 @@ class TwinRotor(BeamRig):
         :mod:`trms_cli.models.interface_circuit`.
     main_voltage_limit, tail_voltage_limit : float or None
         Where the interface saturates, V.
-
-    Raises
-    ------
-    ConfigurationError
-        For an unknown set or parameter.
-    ModelError
-        For a curve that cannot be used, or a set of another kind of model.
     """
 
     OPTION: ClassVar[str]  #: of ``configs/model``, which a fitted file names

@@ -28,10 +28,7 @@ class ObserverSetup:
     def channels(self) -> list[int]:
         """Positions of the measured channels among the model's outputs.
 
-        Raises
-        ------
-        ConfigurationError
-            For a channel that the model knows nothing of.
+        Raises ConfigurationError for a channel that the model knows nothing of.
         """
         known = names(self.model.outputs)
         foreign = [name for name in self.outputs if name not in known]

@@ -59,6 +59,9 @@ class Sensitive(NamedTuple):
 class Rollout:
     """A model over windows of commands that are constant between samples.
 
+    Raises ModelError for a free parameter that the model does not have, or a step that it cannot
+    make.
+
     Parameters
     ----------
     model : Model
@@ -77,11 +80,6 @@ class Rollout:
     ----------
     states : tuple of Signal
         The model's, followed by its memory.
-
-    Raises
-    ------
-    ModelError
-        For a free parameter that the model does not have, or a step that it cannot make.
     """
 
     def __init__(
