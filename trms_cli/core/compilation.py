@@ -73,13 +73,8 @@ def compiler() -> str | None:
 def compiled(function: ca.Function) -> ca.Function:
     """The function as machine code where there is a compiler, else as it is.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Its name must be a valid C identifier. Outputs are made dense.
+    ``function``: its name must be a valid C identifier. Outputs are made dense.
 
-    Notes
-    -----
     The cache key is the SHA-256 of the serialised function, CasADi's version and the compiler's
     flags. Two processes that build at once do not disturb each other: a library is written
     beside its place and renamed.
@@ -173,12 +168,8 @@ class BufferedFunction:
     NumPy arrays. Write into :attr:`inputs`, call, read :attr:`outputs`; the arrays stay the same
     objects for life and are overwritten by the next call.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Compiled here (see :func:`compiled`) unless ``compile`` is false.
-    inputs : sequence of arrays, optional
-        Input arrays of another buffered function with the same arguments, to share them.
+    ``function``: compiled here (see :func:`compiled`) unless ``compile`` is false. ``inputs``:
+    input arrays of another buffered function with the same arguments, to share them.
     """
 
     __slots__ = ("_buffer", "_evaluate", "function", "inputs", "outputs")

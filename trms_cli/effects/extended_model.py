@@ -23,12 +23,7 @@ class ExtendedModel(Model):
     Raises ModelError if the model lacks the axis or rotor that the effect acts on, or has an effect
     of that name.
 
-    Parameters
-    ----------
-    base : Model
-    name : str
-        The effect's name, unique among those of ``base``.
-    effect : Effect
+    ``name``: the effect's name, unique among those of ``base``.
     """
 
     def __init__(self, base: Model, name: str, effect: Effect) -> None:

@@ -187,17 +187,10 @@ def discretise(
     Raises ModelError for a step that is not positive or fewer than one substep, and for one that is
     no whole multiple of the sample time of a model that only steps (which has no use for substeps).
 
-    Parameters
-    ----------
-    step_length : float
-        s.
-    substeps : int
-        Equal integration steps inside it.
-    method : {"auto", "rk4", "rodas3"}
-        ``auto`` takes the L-stable step for a stiff model.
-    sensors : bool
-        Whether what the sensors remember is part of the state, as whatever simulates or estimates
-        measurements needs; without it they show what they would at rest.
+    ``step_length``: s. ``substeps``: equal integration steps inside it. ``method``: ``auto`` takes
+    the L-stable step for a stiff model. ``sensors``: whether what the sensors remember is part of
+    the state, as whatever simulates or estimates measurements needs; without it they show what they
+    would at rest.
     """
     if not (step_length > 0 and substeps >= 1):
         raise ModelError(

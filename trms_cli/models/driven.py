@@ -21,11 +21,7 @@ class DrivenModel(Model):
 
     Raises ModelError for a name that is no measured state, or when no state would be left.
 
-    Parameters
-    ----------
-    base : Model
-    driven : sequence of str
-        Measured states, such as ``omega_v`` and ``omega_h``.
+    ``driven``: measured states, such as ``omega_v`` and ``omega_h``.
     """
 
     def __init__(self, base: Model, driven: Sequence[str]) -> None:

@@ -48,13 +48,7 @@ class LinearModel:
 class Linearisation:
     """Linear models of one model over one step, at any steady state.
 
-    Parameters
-    ----------
-    model : Model
-    step_length : float
-        s.
-    steady : SteadyState
-        Of this model.
+    ``step_length``: s. ``steady``: of this model.
     """
 
     def __init__(self, model: Model, step_length: float, steady: SteadyState) -> None:
@@ -70,13 +64,8 @@ class Linearisation:
 
         Raises ConfigurationError for a name that is no angle, or if the rig cannot rest there.
 
-        Parameters
-        ----------
-        angles : dict of str to float
-            rad, by controlled angle; 0 where none is given. Angles of an axis that this model
-            does not have are ignored.
-        where : str
-            Configuration key of ``angles``, for messages.
+        ``angles``: rad, by controlled angle; 0 where none is given. Angles of an axis that this
+        model does not have are ignored. ``where``: configuration key of ``angles``, for messages.
         """
         model, discrete = self.model, self._discrete
         known = {"alpha_v", "alpha_h", *model.controlled}

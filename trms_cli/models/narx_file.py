@@ -74,16 +74,9 @@ class Narx(SteppedModel):
 
     Raises ModelError if network and structure do not fit, or a limit names no input or angle.
 
-    Parameters
-    ----------
-    structure : NarxStructure
-        What the regressor is made of.
-    network : Network
-        Of as many regressors and outputs as the structure has.
-    name : str
-    limits : mapping
-        Symmetric bounds by input, and mechanical stops by angle (rad). Inputs without one have
-        2.5 V, or 1 for normalised commands.
+    ``structure``: what the regressor is made of. ``network``: of as many regressors and outputs as
+    the structure has. ``limits``: symmetric bounds by input, and mechanical stops by angle (rad).
+    Inputs without one have 2.5 V, or 1 for normalised commands.
     """
 
     def __init__(
@@ -295,13 +288,9 @@ def narx(*, network: str, rig: Model | None = None) -> Narx:
     Raises ConfigurationError if there is no such network. Raises ModelError for a file that does
     not hold one; it names the file and the key.
 
-    Parameters
-    ----------
-    network : str
-        A network that travels with the program, by name, or the path of a network file.
-    rig : Model, optional
-        The rig that it was trained on. A run simulates it in the place of the network; to the
-        model itself it means nothing.
+    ``network``: A network that travels with the program, by name, or the path of a network file.
+    ``rig``: the rig that it was trained on. A run simulates it in the place of the network; to the
+    model itself it means nothing.
     """
     content = read_narx_file(network, where="model.network")
     return narx_of(content, network)

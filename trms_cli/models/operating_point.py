@@ -71,16 +71,10 @@ def operating_point(model: Model, at: Mapping[str, float], where: str = "at") ->
     Raises ConfigurationError for names that are neither, and where the model has no such
     equilibrium.
 
-    Parameters
-    ----------
-    model : Model
-        With equations.
-    at : dict of str to float
-        Controlled states by name (rad), or inputs (V); what is not named is zero. Nothing named:
-        the rest without command. For commands, the equilibrium is taken that the rest without
-        command turns into when they are raised.
-    where : str
-        Configuration key of ``at``, for messages.
+    ``model``: with equations. ``at``: controlled states by name (rad), or inputs (V); what is not
+    named is zero. Nothing named: the rest without command. For commands, the equilibrium is taken
+    that the rest without command turns into when they are raised. ``where``: configuration key of
+    ``at``, for messages.
     """
     by_angle = prescribes_angles(model, at, where)
     plain = model.without_effects()
@@ -241,17 +235,10 @@ def newton(
 ) -> FloatArray | None:
     """Newton's method on g(z) = 0 to :data:`TOLERANCE`; None where it does not converge.
 
-    Parameters
-    ----------
-    equations : callable
-        z → g (n,) and its slopes (n, n_z).
-    z : (n_z,)
-        Where it starts.
-    flat : float
-        Directions whose slope is below this share of the largest are left where they are.
-    patience : int, optional
-        It ends after so many iterations that do not shrink the error. A double root halves the
-        error each time; what does not shrink at all has no root.
+    ``equations``: z → g (n,) and its slopes (n, n_z). ``z``: (n_z,); where it starts. ``flat``:
+    directions whose slope is below this share of the largest are left where they are. ``patience``:
+    it ends after so many iterations that do not shrink the error. A double root halves the error
+    each time; what does not shrink at all has no root.
     """
     z, least, stalled = z.copy(), np.inf, 0
     for _ in range(iterations):
@@ -285,10 +272,7 @@ class TrimSolver:
     Unknown are states and commands; as many of the commands or of the controlled angles are held
     as there are inputs.
 
-    Parameters
-    ----------
-    model : Model
-        With equations, or with a step of its own.
+    ``model``: with equations, or with a step of its own.
     """
 
     def __init__(self, model: Model) -> None:

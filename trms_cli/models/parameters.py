@@ -109,11 +109,7 @@ class ParameterSet:
     def drawn(self, seed: int, scale: float = 1.0) -> ParameterSet:
         """A draw from the priors: ``value·(1 + scale·prior_sd·n)``, n normal and truncated.
 
-        Parameters
-        ----------
-        seed : int
-        scale : float
-            Multiplies every prior standard deviation.
+        ``scale``: multiplies every prior standard deviation.
         """
         generator = np.random.default_rng(seed)
         drawn = []

@@ -79,21 +79,12 @@ class Target:
 class SteadyState:
     """Solver for the steady states of one model; keeps nothing between two calls but buffers.
 
-    Parameters
-    ----------
-    model : Model
-        Continuous part and input path are used; impulses (dry friction, stops) are not, since they
-        hold an axis at rest anywhere. References are cut to the mechanical stops.
-    weights : mapping, optional
-        q by controlled angle, for references out of reach; 1 where none is given.
-    parameters : (n_p,) array, optional
-        Defaults to the model's values.
-
-    Attributes
-    ----------
-    function, unknowns, controlled, weights
-        One iteration, uncompiled; positions of the unknowns among the states, and of the
-        controlled angles among them; q.
+    ``model``: continuous part and input path are used; impulses (dry friction, stops) are not,
+    since they hold an axis at rest anywhere. References are cut to the mechanical stops.
+    ``weights``: q by controlled angle, for references out of reach; 1 where none is given.
+    ``parameters``: (n_p,); defaults to the model's values. ``function``, ``unknowns``,
+    ``controlled``, ``weights``: one iteration, uncompiled; positions of the unknowns among the
+    states, and of the controlled angles among them; q.
     """
 
     def __init__(
@@ -139,22 +130,12 @@ class SteadyState:
     ) -> Target:
         """The steady state for a reference.
 
-        Parameters
-        ----------
-        reference : (n_r,) array
-            Of ``model.controlled``, rad.
-        disturbance : (n_w,) array, optional
-            Constant torques on the model's equations, N m.
-        guess : Target, optional
-            Where to start: the last sample's target leaves two or three iterations.
-        path_memory : (n_m,) array, optional
-            Values of the states ``model.path_memory``, in their units; by default the guess's, or
-            those of ``model.rest()``.
-
-        Returns
-        -------
-        Target
-            Check ``converged`` before use: a disturbance that no input can hold has no target.
+        ``reference``: (n_r,); of ``model.controlled``, rad. ``disturbance``: (n_w,); constant
+        torques on the model's equations, N m. ``guess``: where to start: the last sample's target
+        leaves two or three iterations. ``path_memory``: (n_m,); values of the states
+        ``model.path_memory``, in their units; by default the guess's, or those of ``model.rest()``.
+        Returns Target: check ``converged`` before use: a disturbance that no input can hold has no
+        target.
         """
         asked = reference.tolist()
         for i, value in enumerate(asked):

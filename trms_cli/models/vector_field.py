@@ -22,11 +22,8 @@ LONGEST_STEP = 0.005
 class VectorField:
     """``ẋ = f(x, u)`` of a model with its present parameters and no disturbance.
 
-    Parameters
-    ----------
-    model : Model
-        With equations; what impulses, delays and sensors add to it is no part of f, but of
-        :meth:`motions`.
+    ``model``: with equations; what impulses, delays and sensors add to it is no part of f, but of
+    :meth:`motions`.
     """
 
     def __init__(self, model: Model) -> None:
@@ -94,21 +91,10 @@ class VectorField:
     ) -> FloatArray:
         """Motions from many starts with the command held.
 
-        Parameters
-        ----------
-        starts : (m, n_x)
-        u : (n_u,) or (m, n_u)
-        duration : float
-            s.
-        step : float
-            s between two states; integrated in equal parts of at most :data:`LONGEST_STEP`.
-        impulses : bool
-            Whether dry friction and stops act.
-
-        Returns
-        -------
-        (n + 1, m, n_x) array
-            NaN from where a motion is no longer finite.
+        ``starts``: (m, n_x). ``u``: (n_u,) or (m, n_u). ``duration``: s. ``step``: s between two
+        states; integrated in equal parts of at most :data:`LONGEST_STEP`. ``impulses``: whether dry
+        friction and stops act. Returns (n + 1, m, n_x): NaN from where a motion is no longer
+        finite.
         """
         starts = np.atleast_2d(np.asarray(starts, dtype=float))
         m, steps = len(starts), max(1, round(duration / step))

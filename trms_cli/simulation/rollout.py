@@ -62,24 +62,10 @@ class Rollout:
     Raises ModelError for a free parameter that the model does not have, or a step that it cannot
     make.
 
-    Parameters
-    ----------
-    model : Model
-    sample_time : float
-        s, of the commands and the outputs.
-    free : sequence of str
-        Parameters in which :meth:`sensitivities` differentiates.
-    substeps : int or None
-        Integration steps a sample; None: as many as keep them to :data:`LONGEST_STEP`, and one
-        for a model that has only a step.
-    method : {"auto", "rk4", "rodas3"}
-    jobs : int
-        Threads among which windows are divided.
-
-    Attributes
-    ----------
-    states : tuple of Signal
-        The model's, followed by its memory.
+    ``sample_time``: s, of the commands and the outputs. ``free``: parameters in which
+    :meth:`sensitivities` differentiates. ``substeps``: integration steps a sample; None: as many as
+    keep them to :data:`LONGEST_STEP`, and one for a model that has only a step. ``jobs``: threads
+    among which windows are divided. ``states``: the model's, followed by its memory.
     """
 
     def __init__(
@@ -138,16 +124,9 @@ class Rollout:
     ) -> Simulated:
         """Simulate windows.
 
-        Parameters
-        ----------
-        commands : (n, n_u) array
-            Of the whole recording.
-        first, count : (m,) arrays of int
-            First sample and number of samples of each window.
-        starts : (m, n_x) array
-            States at each first sample.
-        p : (n_p,) array or None
-            Values of all the model's parameters; None: the model's own.
+        ``commands``: (n, n_u); of the whole recording. ``first``, ``count``: (m,)s of int; first
+        sample and number of samples of each window. ``starts``: (m, n_x); states at each first
+        sample. ``p``: (n_p,) or None; values of all the model's parameters; None: the model's own.
         """
         call = self._call(commands, first, count, starts, p)
         y = np.empty((call.rows, self.model.n_y))
