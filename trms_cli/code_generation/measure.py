@@ -23,12 +23,12 @@ class Measured:
 
     compiler: str
     processor: str
-    samples: int  #: Steps, and those that ended in a fall-back
-    failed: int  #: Steps, and those that ended in a fall-back
+    samples: int  #: Steps
+    failed: int  #: Those that ended in a fall-back
     largest_difference: float  #: V, to the Python controller's commands
-    median: float  #: µs, of a step
-    p99: float  #: µs, of a step
-    longest: float  #: µs, of a step
+    median: float  #: Of the times of a step, µs
+    p99: float  #: µs
+    longest: float  #: µs
     slowest: float  #: µs, of the sample that takes longest, in the least disturbed of its passes
     #: ``observer_median``, ``observer_p99``, ``observer_longest``: µs, of a sample of the observer;
     #: None without one

@@ -82,8 +82,8 @@ class AxisPart:
     """One axis with its rotor; all by position."""
 
     name: str  #: ``pitch`` or ``yaw``
-    state: int  #: Of the angle in x, and of its reference
-    reference: int  #: Of the angle in x, and of its reference
+    state: int  #: Of the angle in x
+    reference: int  #: Of the angle among the references
     rotor: int  #: Of the rotor's speed in x
     channel: int  #: Of the rotor's input in u
     speed: PiecewiseLinear  #: Speed by thrust, rad/s by N, up to the speeds that full commands hold
@@ -309,8 +309,8 @@ class FeedbackLinearisationState:
     lags: FloatArray  #: (n_a,) array; 1 over each of the reference's lags, 1/s
     forecast: ReferenceForecast
     delays: list[int]  #: Of the lags of each axis, in periods; 0 without forecast
-    lower: FloatArray  #: (n_u,) arrays; V
-    upper: FloatArray  #: (n_u,) arrays; V
+    lower: FloatArray  #: Of the inputs, (n_u,), V
+    upper: FloatArray  #: (n_u,), V
     period: float  #: T, s
     started: bool = False  #: Whether there was a sample yet
     target: Target | None = None  #: The steady state of the present reference

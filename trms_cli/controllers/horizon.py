@@ -99,8 +99,8 @@ class HorizonSettings:
     input_rate_limits: Mapping[str, Positive] = field(default_factory=dict)
     #: Limits on states, met if at all possible; in the states' units
     soft_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    soft_linear: Positive = 100.0  #: Price of violating them
-    soft_quadratic: Positive = 1000.0  #: Price of violating them
+    soft_linear: Positive = 100.0  #: Price of violating them by one unit
+    soft_quadratic: Positive = 1000.0  #: Price of the square of the violation
     #: Steps of the model's integrator in a control period
     integration_steps: Annotated[int, Meta(ge=1)] = 1
     #: Whether the observer's constant disturbances enter prediction and target (offset-free)

@@ -128,12 +128,12 @@ class StageCost:
 class Limits:
     """What inputs and states have to keep."""
 
-    lower: FloatArray  #: (n_u,) arrays; of the inputs, V
-    upper: FloatArray  #: (n_u,) arrays; of the inputs, V
+    lower: FloatArray  #: Of the inputs, (n_u,), V
+    upper: FloatArray  #: (n_u,), V
     moves: FloatArray  #: (n_u,) array; largest change of an input in a period, V; infinite for none
     states: FloatArray  #: (n_limited, 2) array; soft limits of the limited states, in their units
-    linear: float  #: Price of violating these
-    quadratic: float  #: Price of violating these
+    linear: float  #: Price of violating these by one unit
+    quadratic: float  #: Price of the square of the violation
 
 
 class Condensed:

@@ -63,8 +63,8 @@ class LqrState:
     target: Target  #: The steady state that is regulated to
     target_memory: FloatArray  #: (n_m,) array; memory in that state
     rows: list[int]  #: Positions of the controlled angles in x
-    lower: FloatArray  #: (n_u,) arrays; V
-    upper: FloatArray  #: (n_u,) arrays; V
+    lower: FloatArray  #: Of the inputs, (n_u,), V
+    upper: FloatArray  #: (n_u,), V
     period: float  #: T, s
     started: bool = False  #: Whether there was a sample yet
 

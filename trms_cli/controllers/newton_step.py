@@ -29,12 +29,10 @@ class NewtonResult:
     converged: bool  #: Whether the last Newton step moved no input by more than the tolerance
     failed: bool  #: Whether there is no usable answer; ``message`` says why
     stalled: bool  #: Whether no step along the Newton direction lowered the merit
-    objective: float  #: J and φ of the plan
-    merit: float  #: J and φ of the plan
-    #: ``violation``, ``terminal_residual``: Largest violation of a soft limit, and of the terminal
-    #: constraint
-    violation: float
-    terminal_residual: float
+    objective: float  #: J of the plan
+    merit: float  #: φ of the plan
+    violation: float  #: Largest, of a soft limit
+    terminal_residual: float  #: Largest, of the terminal constraint
     kkt_residual: float  #: Largest component of the Lagrangian's gradient before the last step
     message: str = ""
 

@@ -32,9 +32,9 @@ class OpenLoopState:
 
     period: float  #: Between two commands, s
     signals: list[ReferenceSignal | None]  #: By input; None rests
-    offset: FloatArray  #: (n_u,) array; u₀ and the limits
-    lower: FloatArray  #: (n_u,) array; u₀ and the limits
-    upper: FloatArray  #: (n_u,) array; u₀ and the limits
+    offset: FloatArray  #: u₀, (n_u,)
+    lower: FloatArray  #: The limits, (n_u,)
+    upper: FloatArray  #: (n_u,)
     units: list[str]  #: Of the inputs
     names: list[str]
     block: int = -1  #: Which run of samples is at hand

@@ -60,26 +60,26 @@ class AxisState:
     channel: int
     gains: Gains
     step: float  #: T, s
-    curve: PiecewiseLinear  #: Input by torque, V by N m, and its inverse
-    torque_of: PiecewiseLinear  #: Input by torque, V by N m, and its inverse
+    curve: PiecewiseLinear  #: Input by torque, V by N m
+    torque_of: PiecewiseLinear  #: Its inverse
     holding: PiecewiseLinear | None  #: Torque by angle, N m by rad; None without feed-forward
     #: c_1, c_2, c_3: torque by the derivatives of the reference, N m s/rad and so on
     inverse: list[float]
-    keep: float  #: a, and k_d (1 − a)/T
-    derivative_gain: float  #: a, and k_d (1 − a)/T
+    keep: float  #: a, the share that the filter of D keeps
+    derivative_gain: float  #: k_d (1 − a)/T
     tracking: float  #: T/T_t, at most τ_f/τ
     coupling: list[float]  #: Torque by the rate of m_ff of each axis before this one, s
     #: ``lead``, ``slow``: τ/τ_f, and the part that the lead's lag keeps over a period
     lead: float
     slow: float
     reference_rate: float  #: One over the reference's lag, 1/s; 0 for none
-    least: float  #: Torques at the limits of the input, N m
-    most: float  #: Torques at the limits of the input, N m
-    integral: float = 0.0  #: I, D, and v behind τ_f, N m
-    derivative: float = 0.0  #: I, D, and v behind τ_f, N m
-    lagged: float = 0.0  #: I, D, and v behind τ_f, N m
-    forward_lag: float = 0.0  #: m_ff behind τ_f, N m, and so its rate, N m/s
-    forward_rate: float = 0.0  #: m_ff behind τ_f, N m, and so its rate, N m/s
+    least: float  #: Torque at the lower limit of the input, N m
+    most: float  #: At the upper one, N m
+    integral: float = 0.0  #: I, N m
+    derivative: float = 0.0  #: D, N m
+    lagged: float = 0.0  #: v behind τ_f, N m
+    forward_lag: float = 0.0  #: m_ff behind τ_f, N m
+    forward_rate: float = 0.0  #: and so its rate, N m/s
     last_error: float = math.nan  #: α − r̃ (or α), rad; NaN before the first sample
     #: r̃ and its two derivatives, rad, rad/s, rad/s²
     guide: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -65,8 +65,8 @@ class Rings(msgspec.Struct):
     inverses: list[list[list[float]]]  #: Q_i⁻¹ from the outermost, each n × n
     gains: list[list[list[float]]]  #: K_i, each m × n
     blends: list[bool]  #: Whether K_i may be mixed with the next
-    gammas: list[float]  #: Certified
-    contractions: list[float]  #: Certified
+    gammas: list[float]  #: Certified bounds of the cost
+    contractions: list[float]  #: Certified, of a step
     positions: list[float]  #: The states that each was made for, as a share of the farthest
 
 

@@ -83,8 +83,8 @@ class DiscreteModel:
     #: The model's states, the sensors' memory if asked for, and the memory of the input path (past
     #: commands of a delay, for instance)
     states: tuple[Signal, ...]
-    step: ca.Function  #: ``(x, u, p, w) → x⁺`` and ``(x, u, p) → y``
-    measurement: ca.Function  #: ``(x, u, p, w) → x⁺`` and ``(x, u, p) → y``
+    step: ca.Function  #: ``(x, u, p, w) → x⁺``
+    measurement: ca.Function  #: ``(x, u, p) → y``
     #: Steps, one after the other, that make up ``step``; a single one for a model with a derivative
     parts: tuple[ca.Function, ...]
     n_sensors: int = 0  #: entries of the sensors' memory, which follow the model's states

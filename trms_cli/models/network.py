@@ -43,10 +43,10 @@ class Network:
     #: ``centres`` (n_c, n_z), ``widths`` (n_c,), ``W`` (n_out, n_c), ``A`` (n_out, n_z), ``b``
     #: (n_out,). All in normalised units.
     weights: Mapping[str, FloatArray]
-    regressor_mean: FloatArray  #: (n_phi,) arrays; in the regressor's units
-    regressor_sd: FloatArray  #: (n_phi,) arrays; in the regressor's units
-    output_mean: FloatArray  #: (n_out,) arrays; in the output's units
-    output_sd: FloatArray  #: (n_out,) arrays; in the output's units
+    regressor_mean: FloatArray  #: (n_phi,), in the regressor's units
+    regressor_sd: FloatArray  #: (n_phi,), likewise
+    output_mean: FloatArray  #: (n_out,), in the output's units
+    output_sd: FloatArray  #: (n_out,), likewise
 
     def __post_init__(self) -> None:
         for name in _FIGURES:

@@ -66,10 +66,10 @@ def bodies(c: Mapping[str, Any], shields: Shields = "rings") -> tuple[Body, ...]
 class Energies:
     """Energies of particles on the two axes, and what follows from them by differentiation."""
 
-    angles: ca.SX  #: q = (α_h, α_v) and q̇, symbols, (2, 1)
-    rates: ca.SX  #: q = (α_h, α_v) and q̇, symbols, (2, 1)
-    kinetic: ca.SX  #: T and V, J
-    potential: ca.SX  #: T and V, J
+    angles: ca.SX  #: q = (α_h, α_v), symbols, (2, 1)
+    rates: ca.SX  #: q̇, symbols, (2, 1)
+    kinetic: ca.SX  #: T, J
+    potential: ca.SX  #: V, J
 
     @property
     def inertia(self) -> ca.SX:

@@ -88,8 +88,8 @@ class ParametricRotor:
 class MeasuredRotor:
     """A rotor by a measured table."""
 
-    holding: RisingSpline  #: H⁻¹ and F over the speed in rad/s
-    thrusting: RisingSpline  #: H⁻¹ and F over the speed in rad/s
+    holding: RisingSpline  #: H⁻¹ over the speed in rad/s
+    thrusting: RisingSpline  #: F over the speed in rad/s
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -32,30 +32,30 @@ class BeamPoint:
     """Where the equations of the beam are evaluated; what is locked is zero."""
 
     c: Mapping[str, ca.SX]  #: Parameters
-    moves_h: bool  #: Whether yaw and pitch are free
-    moves_v: bool  #: Whether yaw and pitch are free
-    S_h: ca.SX  #: rad/s, rad
-    alpha_h: ca.SX  #: rad/s, rad
-    S_v: ca.SX  #: rad/s, rad
-    alpha_v: ca.SX  #: rad/s, rad
-    omega_h: ca.SX  #: rad/s, rad
-    omega_v: ca.SX  #: rad/s, rad
+    moves_h: bool  #: Whether yaw is free
+    moves_v: bool  #: Whether pitch is free
+    S_h: ca.SX  #: rad/s
+    alpha_h: ca.SX  #: rad
+    S_v: ca.SX  #: rad/s
+    alpha_v: ca.SX  #: rad
+    omega_h: ca.SX  #: rad/s
+    omega_v: ca.SX  #: rad/s
     thrust_h: ca.SX  #: N
     thrust_v: ca.SX  #: N
-    yaw_moment: ca.SX  #: Disturbances, N m
-    pitch_moment: ca.SX  #: Disturbances, N m
+    yaw_moment: ca.SX  #: The disturbance of yaw, N m
+    pitch_moment: ca.SX  #: The disturbance of pitch, N m
 
 
 @dataclass(frozen=True)
 class BeamMotion:
     """What the equations of the beam give there."""
 
-    rate_h: ca.SX  #: dα/dt, rad/s
-    rate_v: ca.SX  #: dα/dt, rad/s
-    momentum_rate_h: ca.SX  #: dS/dt, rad/s²
-    momentum_rate_v: ca.SX  #: dS/dt, rad/s²
-    inertia_h: ca.SX  #: kg m²
-    inertia_v: ca.SX  #: kg m²
+    rate_h: ca.SX  #: dα_h/dt, rad/s
+    rate_v: ca.SX  #: dα_v/dt, rad/s
+    momentum_rate_h: ca.SX  #: dS_h/dt, rad/s²
+    momentum_rate_v: ca.SX  #: dS_v/dt, rad/s²
+    inertia_h: ca.SX  #: Of yaw, kg m²
+    inertia_v: ca.SX  #: Of pitch, kg m²
     gravity: ca.SX  #: Moment of gravity on pitch, N m
 
 

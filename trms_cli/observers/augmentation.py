@@ -68,11 +68,11 @@ class ProcessNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Standard deviations before the first measurement; units as the states'."""
 
-    angle: Positive = 0.1  #: rad, rad/s, rad/s, A, the state's unit
-    momentum: Positive = 0.1  #: rad, rad/s, rad/s, A, the state's unit
-    rotor: Positive = 20.0  #: rad, rad/s, rad/s, A, the state's unit
-    current: Positive = 0.2  #: rad, rad/s, rad/s, A, the state's unit
-    other: Positive = 0.1  #: rad, rad/s, rad/s, A, the state's unit
+    angle: Positive = 0.1  #: rad
+    momentum: Positive = 0.1  #: rad/s
+    rotor: Positive = 20.0  #: rad/s
+    current: Positive = 0.2  #: A
+    other: Positive = 0.1  #: In the state's unit
     #: ``disturbance``, ``rotor_disturbance``: N m, of the torques on the axes and on the rotors
     disturbance: Positive = 0.01
     rotor_disturbance: Positive = 0.002
