@@ -254,14 +254,14 @@ static void mpc_shift_plan(mpc_ctx *c) {
 
 /* The steady state of a reference under the present torques; the last one if there is none. */
 static void mpc_find_target(mpc_ctx *c, const double *goal) {
-    double given[MPC_N_R + MPC_N_W + MPC_N_MEMORY];
-    const int n_given = MPC_N_R + MPC_N_W + MPC_N_MEMORY;
+    double given[MPC_N_R + MPC_N_W + MPC_N_PATHS];
+    const int n_given = MPC_N_R + MPC_N_W + MPC_N_PATHS;
     mpc_target found;
     int i;
     memset(&found, 0, sizeof found);
     for (i = 0; i < MPC_N_R; i++) given[i] = goal[i];
     for (i = 0; i < MPC_N_W; i++) given[MPC_N_R + i] = c->w[i];
-    for (i = 0; i < MPC_N_MEMORY; i++)
+    for (i = 0; i < MPC_N_PATHS; i++)
         given[MPC_N_R + MPC_N_W + i] = c->full[mpc_memory_row[i]];
     if (c->has_target && c->solved_for_valid) {
         for (i = 0; i < n_given && given[i] == c->solved_for[i]; i++) continue;

@@ -75,7 +75,7 @@ typedef struct {
     double full[MPC_N_FULL];                 /* state, then what is remembered of past commands */
     double last_u[MPC_N_U];
     mpc_target target;
-    double solved_for[MPC_N_R + MPC_N_W + MPC_N_MEMORY];
+    double solved_for[MPC_N_R + MPC_N_W + MPC_N_PATHS];
     double last_reference[MPC_N_R], moves[MPC_N_R][6]; /* what forecasts are made of */
     int n_moves[MPC_N_R], reference_seen;
     int sense[MPC_N_Z + MPC_ROWS];           /* active sets of the last QPs: without */

@@ -94,7 +94,7 @@ def sizes_of(state: Any, preview: int) -> dict[str, tuple[int, str]]:
         "FORECAST": (_forecast(state), "periods that an unknown reference is carried on for"),
         "N_FULL": (state.discrete.n_x, "states, and what is remembered of past commands"),
         "N_S": (steady, "unknowns of a steady state"),
-        "N_MEMORY": (len(model.path_memory), "states that remember a path and rest at any value"),
+        "N_PATHS": (len(model.path_memory), "states that remember a path and rest at any value"),
         "N_BLOCKS": (horizon.n_blocks, "blocks of constant inputs"),
         "N_Z": (n_z, "unknowns: N_U inputs in each block"),
         "N_WEIGHTED": (len(horizon.weighted), "states with a weight"),

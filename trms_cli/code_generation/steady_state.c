@@ -115,7 +115,7 @@ static int mpc_ss_from(mpc_ctx *c, const mpc_target *guess, const double *asked,
         s->z[i] = guess->x[mpc_steady_rows[i]];
         s->z[SS_N + i] = guess->multiplier[i];
     }
-    for (i = 0; i < MPC_N_MEMORY; i++)
+    for (i = 0; i < MPC_N_PATHS; i++)
         s->z[mpc_memory_unknown[i]] = s->rest[mpc_memory_unknown[i]];
     for (i = 0; i < MPC_N_U; i++) {
         s->z[MPC_N_S + i] = guess->u[i];
@@ -240,7 +240,7 @@ static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
     }
     for (i = 0; i < MPC_N_W; i++) s->w[i] = w[i];
     for (i = 0; i < MPC_N_S; i++) s->rest[i] = mpc_steady_rest[i];
-    for (i = 0; i < MPC_N_MEMORY; i++)
+    for (i = 0; i < MPC_N_PATHS; i++)
         s->rest[mpc_memory_unknown[i]] = c->full[mpc_memory_row[i]];
     if (guess != NULL && mpc_ss_from(c, guess, asked, target)) {
         /* The closest point found from nearby may be closest in its neighbourhood only, and what

@@ -57,7 +57,7 @@ from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import Positive
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target
@@ -348,10 +348,7 @@ class FeedbackLinearisation:
     def __post_init__(self) -> None:
         for key, given in (("poles", self.poles), ("reference_lag", self.reference_lag)):
             for name in given:
-                if name not in _AXES:
-                    raise ConfigurationError(
-                        f"{name!r} is not an axis", where=key, remedy=nearest(name, _AXES)
-                    )
+                require_known(name, _AXES, f"{name!r} is not an axis", key)
             for name in _AXES:
                 if name not in given:
                     raise ConfigurationError(

@@ -32,7 +32,7 @@ from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.model import Model, names
@@ -197,18 +197,15 @@ def check_problem(model: Model, weights: Weights, limits: SoftLimits) -> None:
         check_names(given, known, where)
 
 
+#: Names of the 2 DOF rig, so that one configuration also serves its 1 DOF models.
+_OF_BOTH_AXES = {"alpha_v", "alpha_h", "S_v", "S_h", "omega_v", "omega_h", "u_v", "u_h"}
+
+
 def check_names(given: Iterable[str], known: Sequence[str], where: str) -> None:
     """Raise :class:`ConfigurationError` for a name that neither this model nor its kin has."""
     for name in given:
-        if name not in known and not _of_other_axis(name):
-            raise ConfigurationError(
-                f"the model has no {name!r}", where=f"{where}.{name}", remedy=nearest(name, known)
-            )
-
-
-def _of_other_axis(name: str) -> bool:
-    """Names of the 2 DOF rig, so that one configuration also serves its 1 DOF models."""
-    return name in {"alpha_v", "alpha_h", "S_v", "S_h", "omega_v", "omega_h", "u_v", "u_h"}
+        if name not in _OF_BOTH_AXES:
+            require_known(name, known, f"the model has no {name!r}", f"{where}.{name}")
 
 
 class Horizon:

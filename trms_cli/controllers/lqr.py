@@ -31,7 +31,7 @@ from trms_cli.controllers.fallback import NOT_FINITE, held
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
@@ -214,9 +214,6 @@ def in_order(
     everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
     for name in given:
         if name not in everywhere:
-            raise ConfigurationError(
-                f"{name!r} is not a name that a weight can have here",
-                where=f"controller.{key}",
-                remedy=nearest(name, known),
-            )
+            words = f"{name!r} is not a name that a weight can have here"
+            require_known(name, known, words, f"controller.{key}")
     return np.array([given.get(name, default) for name in known])

@@ -17,7 +17,7 @@ import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.signal import ReferenceSignal, require_signal
@@ -114,12 +114,12 @@ class OpenLoop:
         if self.operating_point is None:
             return np.zeros(model.n_u)
         for name, value in self.operating_point.items():
-            if name not in model.controlled:
-                raise ConfigurationError(
-                    f"{name!r} is no angle of model {model.name!r}",
-                    where=f"operating_point.{name}",
-                    remedy=nearest(name, model.controlled),
-                )
+            require_known(
+                name,
+                model.controlled,
+                f"{name!r} is no angle of model {model.name!r}",
+                f"operating_point.{name}",
+            )
             if not math.isfinite(value):
                 raise ConfigurationError(
                     f"{value!r} given", where=f"operating_point.{name}", remedy="an angle in rad"

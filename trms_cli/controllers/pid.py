@@ -44,7 +44,7 @@ from trms_cli.controllers.fallback import NOT_FINITE, held
 from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
 from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, AxisMargins, Gains, PidDesign
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.model import Model
 
@@ -135,12 +135,7 @@ class Pid:
                 remedy="give at least one, as [{alpha_v: 0.0, alpha_h: 0.5}]",
             )
         for name in self.smoothness:
-            if name not in ROTOR_OF_AXIS:
-                raise ConfigurationError(
-                    f"{name!r} is not an axis",
-                    where="smoothness",
-                    remedy=nearest(name, ROTOR_OF_AXIS),
-                )
+            require_known(name, ROTOR_OF_AXIS, f"{name!r} is not an axis", "smoothness")
 
     def preview(self, setup: ControlSetup) -> int:
         return 0

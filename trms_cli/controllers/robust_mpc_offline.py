@@ -45,8 +45,7 @@ from trms_cli.controllers.robust.regulation import (
     no_law,
 )
 from trms_cli.core.arrays import BoolArray, FloatArray
-from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative
 from trms_cli.core.result_cache import cached_result
 
@@ -304,10 +303,5 @@ def _angles(
 ) -> FloatArray:
     known = {"alpha_v", "alpha_h", *controlled}
     for name in given:
-        if name not in known:
-            raise ConfigurationError(
-                f"{name!r} is not a controlled angle",
-                where=f"controller.{key}",
-                remedy=nearest(name, known),
-            )
+        require_known(name, known, f"{name!r} is not a controlled angle", f"controller.{key}")
     return np.array([given.get(name, default) for name in controlled])

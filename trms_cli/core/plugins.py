@@ -16,7 +16,7 @@ import math
 import re
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Union
 
@@ -49,6 +49,18 @@ def nearest(given: str, allowed: Iterable[str]) -> str:
     close = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
     hint = f"did you mean {close[0]}? " if close else ""
     return f"{hint}allowed: {', '.join(names) if names else 'nothing'}"
+
+
+def require_known(
+    name: str,
+    known: Collection[str],
+    problem: str,
+    where: str,
+    error: type[TrmsError] = ConfigurationError,
+) -> None:
+    """Refuse a name that is not among those known, with the nearest of them."""
+    if name not in known:
+        raise error(problem, where=where, remedy=nearest(name, known))
 
 
 def locate(target: str, where: str) -> Any:

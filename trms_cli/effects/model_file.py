@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from trms_cli.core.errors import ModelError, TrmsError
-from trms_cli.core.plugins import TARGET, build, nearest
+from trms_cli.core.plugins import TARGET, build, nearest, require_known
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
@@ -180,12 +180,13 @@ def _check_limits(content: ParameterFile, model: Model, path: str) -> None:
     # A model with a locked axis keeps the limits of the whole rig in its file.
     known = {*model.input_limits, *model.stops, "u_v", "u_h", "alpha_v", "alpha_h"}
     for name, limit in content.limits.items():
-        if name not in known:
-            raise ModelError(
-                f"there is no input or angle {name!r}",
-                where=f"{path}: limits.{name}",
-                remedy=nearest(name, known),
-            )
+        require_known(
+            name,
+            known,
+            f"there is no input or angle {name!r}",
+            f"{path}: limits.{name}",
+            ModelError,
+        )
         if not limit > 0:
             raise ModelError(
                 f"{limit!r} given", where=f"{path}: limits.{name}", remedy="give a positive number"

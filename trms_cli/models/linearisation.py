@@ -15,7 +15,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model
 from trms_cli.models.steady_state import SteadyState, Target
@@ -70,10 +70,7 @@ class Linearisation:
         model, discrete = self.model, self._discrete
         known = {"alpha_v", "alpha_h", *model.controlled}
         for name in angles:
-            if name not in known:
-                raise ConfigurationError(
-                    f"{name!r} is not a controlled angle", where=where, remedy=nearest(name, known)
-                )
+            require_known(name, known, f"{name!r} is not a controlled angle", where)
         asked = np.array([angles.get(name, 0.0) for name in model.controlled])
         target = self._steady.solve(asked)
         if not target.exact:

@@ -45,13 +45,12 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.data_file import read_bytes
-from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
-from trms_cli.core.plugins import nearest
-from trms_cli.core.resources import config_folder
+from trms_cli.core.errors import ModelError, TrmsError
+from trms_cli.core.plugins import nearest, require_known
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
 from trms_cli.models.network import NarxStructure, Network
-from trms_cli.models.parameters import ParameterSet
+from trms_cli.models.parameters import ParameterSet, read_named
 from trms_cli.models.rest import rest_equations
 
 #: Value of ``model`` in a network file.
@@ -164,12 +163,9 @@ def _checked_limits(limits: Mapping[str, float], structure: NarxStructure) -> Ma
     # A network of one axis keeps the limits of the whole rig in its file.
     known = {*structure.inputs, *angles, *_AXES, *_ROTORS}
     for name, limit in limits.items():
-        if name not in known:
-            raise ModelError(
-                f"there is no input or angle {name!r}",
-                where=f"limits.{name}",
-                remedy=nearest(name, known),
-            )
+        require_known(
+            name, known, f"there is no input or angle {name!r}", f"limits.{name}", ModelError
+        )
         if not limit > 0:
             raise ModelError(
                 f"{limit!r} given", where=f"limits.{name}", remedy="give a positive number"
@@ -312,18 +308,7 @@ def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
     Raises ConfigurationError if there is none. Raises ModelError if the content is not of the
     documented form; it names the file and the key.
     """
-    path = Path(name_or_path).expanduser()
-    if path.suffix not in (".yaml", ".yml"):
-        folder = config_folder() / "networks"
-        path = folder / f"{name_or_path}.yaml"
-        if not path.exists():
-            raise ConfigurationError(
-                f"there is no network {name_or_path!r}",
-                where=where,
-                remedy=nearest(name_or_path, (file.stem for file in folder.glob("*.yaml")))
-                + ", or the path of a network file",
-            )
-    data = _plain(path, where)
+    data = _plain(*read_named(name_or_path, where, "networks", "network", "network file"))
     shown = name_or_path
     for key in _REQUIRED:
         if key not in data:
@@ -358,9 +343,12 @@ def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
 
 def is_network_file(path: str) -> bool:
     """Whether a file that can be read says that it holds a network."""
+    from trms_cli.core.yaml_data import MOST_BYTES
+
+    file = Path(path).expanduser()
     try:
-        data = _plain(Path(path).expanduser(), "model.path")
-    except TrmsError:
+        data = _plain(file, read_bytes(file, MOST_BYTES))
+    except (OSError, TrmsError):
         return False
     return data.get("model") == KIND or "network" in data
 
@@ -380,19 +368,13 @@ def write_narx_file(path: Path, content: NarxFile) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _plain(path: Path, where: str) -> dict[str, Any]:
+def _plain(path: Path, text: bytes) -> dict[str, Any]:
     import yaml
 
-    from trms_cli.core.yaml_data import MOST_BYTES, load_yaml
+    from trms_cli.core.yaml_data import load_yaml
 
     try:
-        data = load_yaml(read_bytes(path, MOST_BYTES))
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot read {str(path)!r}: {error.strerror}",
-            where=where,
-            remedy="give the path of a network file",
-        ) from error
+        data = load_yaml(text)
     except yaml.YAMLError as error:
         raise ModelError(
             f"not valid YAML: {str(error).splitlines()[0]}",

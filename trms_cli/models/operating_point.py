@@ -15,7 +15,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.continuation import follow
 from trms_cli.models.model import Model, names
 from trms_cli.models.rest import rest_equations
@@ -97,12 +97,8 @@ def prescribes_angles(model: Model, at: Mapping[str, float], where: str = "at") 
     """
     inputs = names(model.inputs)
     for name in at:
-        if name not in (*inputs, *model.controlled):
-            raise ConfigurationError(
-                f"{name!r} is neither a controlled state nor an input",
-                where=f"{where}.{name}",
-                remedy=nearest(name, (*model.controlled, *inputs)),
-            )
+        words = f"{name!r} is neither a controlled state nor an input"
+        require_known(name, (*model.controlled, *inputs), words, f"{where}.{name}")
     by_angle = [name in model.controlled for name in at]
     if any(by_angle) and not all(by_angle):
         raise ConfigurationError(

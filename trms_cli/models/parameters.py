@@ -187,28 +187,38 @@ def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> Par
     Raises ConfigurationError if there is no such set, or the file's content is not of the
     documented form.
     """
+    what = ("parameters", "parameter set", "YAML file")
+    path, text = read_named(name_or_path, where, *what, " with name, model and parameters")
+    return parse_parameter_file(text, str(path))
+
+
+def read_named(
+    name_or_path: str, where: str, folder: str, what: str, kind: str, content: str = ""
+) -> tuple[Path, bytes]:
+    """The file of a name, in a folder that travels with the program, or at a path; what it holds.
+
+    Raises ConfigurationError if there is none, or it cannot be read.
+    """
     from trms_cli.core.yaml_data import MOST_BYTES
 
-    folder = config_folder() / "parameters"
-    path = Path(name_or_path)
+    path = Path(name_or_path).expanduser()
     if path.suffix not in (".yaml", ".yml"):
-        path = folder / f"{name_or_path}.yaml"
+        path = config_folder() / folder / f"{name_or_path}.yaml"
         if not path.exists():
+            ours = nearest(name_or_path, (file.stem for file in path.parent.glob("*.yaml")))
             raise ConfigurationError(
-                f"there is no parameter set {name_or_path!r}",
+                f"there is no {what} {name_or_path!r}",
                 where=where,
-                remedy=nearest(name_or_path, (p.stem for p in folder.glob("*.yaml")))
-                + ", or the path of a YAML file",
+                remedy=f"{ours}, or the path of a {kind}",
             )
     try:
-        text = read_bytes(path, MOST_BYTES)
+        return path, read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise ConfigurationError(
             f"cannot read {str(path)!r}: {error.strerror}",
             where=where,
-            remedy="give the path of a YAML file with name, model and parameters",
+            remedy=f"give the path of a {kind}{content}",
         ) from error
-    return parse_parameter_file(text, str(path))
 
 
 def parse_parameter_file(text: str | bytes, source: str) -> ParameterFile:

@@ -26,7 +26,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import DiscreteModel, discretise, noise_of_states
@@ -95,12 +95,7 @@ def by_state(
     ConfigurationError for a name that the filter does not have.
     """
     for name in table.states:
-        if name not in augmented:
-            raise ConfigurationError(
-                f"the filter has no state {name!r}",
-                where=f"observer.{key}",
-                remedy=nearest(name, augmented),
-            )
+        require_known(name, augmented, f"the filter has no state {name!r}", f"observer.{key}")
     return np.array(
         [
             table.states.get(name, getattr(table, kind))
@@ -272,23 +267,20 @@ def _equations(setup: ObserverSetup, chosen: tuple[str, ...] | None) -> list[int
             return list(range(model.n_w))
         return [known.index(axis.moment) for axis in model.axes.values()]
     for name in chosen:
-        if name not in known:
-            raise ConfigurationError(
-                f"model {model.name!r} has no equation for {name!r}",
-                where="observer.disturbances",
-                remedy=nearest(name, known),
-            )
+        require_known(
+            name,
+            known,
+            f"model {model.name!r} has no equation for {name!r}",
+            "observer.disturbances",
+        )
     return [known.index(name) for name in dict.fromkeys(chosen)]
 
 
 def _noise_sd(setup: ObserverSetup, given: Mapping[str, float]) -> FloatArray:
     for name in given:
-        if name not in setup.outputs:
-            raise ConfigurationError(
-                f"the rig measures no {name!r}",
-                where="observer.measurement_noise",
-                remedy=nearest(name, setup.outputs),
-            )
+        require_known(
+            name, setup.outputs, f"the rig measures no {name!r}", "observer.measurement_noise"
+        )
     declared = {**setup.noise_sd, **given}
     sd = np.array([declared.get(name, 0.0) for name in setup.outputs])
     for name, value in zip(setup.outputs, sd, strict=True):

@@ -38,7 +38,7 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.qp import Daqp, Qp
 from trms_cli.core.ranges import Positive
 from trms_cli.models.estimate import Estimate
@@ -326,12 +326,9 @@ class Mhe(FilterOptions):
         if self.within_stops:
             limits = {name: (-stop, stop) for name, stop in model.stops.items()}
         for name, (low, high) in self.bounds.items():
-            if name not in augmented.names:
-                raise ConfigurationError(
-                    f"the estimator has no state {name!r}",
-                    where="observer.bounds",
-                    remedy=nearest(name, augmented.names),
-                )
+            require_known(
+                name, augmented.names, f"the estimator has no state {name!r}", "observer.bounds"
+            )
             if not low < high:
                 raise ConfigurationError(
                     f"[{low:g}, {high:g}] given",

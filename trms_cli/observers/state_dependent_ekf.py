@@ -50,8 +50,8 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.errors import ModelError
+from trms_cli.core.plugins import require_known
 from trms_cli.core.process_cache import kept
 from trms_cli.models.discretisation import factorised
 from trms_cli.models.model import Model, Signal, names
@@ -273,10 +273,5 @@ def state_dependent_transition(
 def _vector(given: Mapping[str, float], signals: tuple[Signal, ...], key: str) -> FloatArray:
     known = names(signals)
     for name in given:
-        if name not in known:
-            raise ConfigurationError(
-                f"the model has no {name!r}",
-                where=f"observer.{key}",
-                remedy=nearest(name, known),
-            )
+        require_known(name, known, f"the model has no {name!r}", f"observer.{key}")
     return np.array([given.get(name, 0.0) for name in known])

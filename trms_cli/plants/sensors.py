@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative
 
 #: A perfect channel still gets this declared noise (its unit), so that an observer's covariance
@@ -38,12 +38,7 @@ class Sensors:
         """
         chosen = available if self.channels is None else tuple(self.channels)
         for name in chosen:
-            if name not in available:
-                raise ConfigurationError(
-                    f"the model measures no {name!r}",
-                    where="sensors.channels",
-                    remedy=nearest(name, available),
-                )
+            require_known(name, available, f"the model measures no {name!r}", "sensors.channels")
         if not chosen:
             raise ConfigurationError(
                 "no channel is measured",

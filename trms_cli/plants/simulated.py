@@ -22,7 +22,7 @@ from msgspec import Meta
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError, SimulationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.process_cache import kept
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
@@ -254,12 +254,12 @@ class SimulatedRun:
         times = np.arange(setup.samples, dtype=np.float64) * setup.sample_time
         w = np.zeros((setup.samples, len(equations)))
         for name, disturbance in rig.disturbances.items():
-            if disturbance.equation not in equations:
-                raise ConfigurationError(
-                    f"the rig has no equation {disturbance.equation!r}",
-                    where=f"disturbances.{name}.equation",
-                    remedy=nearest(disturbance.equation, equations),
-                )
+            require_known(
+                disturbance.equation,
+                equations,
+                f"the rig has no equation {disturbance.equation!r}",
+                f"disturbances.{name}.equation",
+            )
             w[:, equations.index(disturbance.equation)] += disturbance.torque.sample(times)
         return w
 
@@ -339,8 +339,5 @@ def _vector(values: Mapping[str, float], signals: tuple[Signal, ...], where: str
 
 
 def _known(name: str, known: tuple[str, ...], where: str) -> int:
-    if name not in known:
-        raise ConfigurationError(
-            f"unknown name {name!r}", where=f"{where}.{name}", remedy=nearest(name, known)
-        )
+    require_known(name, known, f"unknown name {name!r}", f"{where}.{name}")
     return known.index(name)

@@ -29,7 +29,7 @@ import numpy as np
 from trms_cli.controllers.controller import Command, Status
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import Positive
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, names
@@ -151,12 +151,9 @@ class Supervisor:
         """
         known = names(setup.model.inputs)
         for name in self.landing_command:
-            if name not in known and name not in {"u_v", "u_h"}:
-                raise ConfigurationError(
-                    f"the model has no input {name!r}",
-                    where=f"landing_command.{name}",
-                    remedy=nearest(name, known),
-                )
+            if name not in {"u_v", "u_h"}:
+                words = f"the model has no input {name!r}"
+                require_known(name, known, words, f"landing_command.{name}")
             limit = setup.model.input_limits.get(name, math.inf)
             if not abs(self.landing_command[name]) <= limit:
                 raise ConfigurationError(

@@ -14,8 +14,7 @@ from typing import Annotated, Protocol
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 
 Share = Annotated[float, Meta(gt=0, le=1)]
 
@@ -77,6 +76,5 @@ class Fault(Protocol):
 
 
 def _position(name: str, known: Sequence[str], words: str, where: str) -> int:
-    if name not in known:
-        raise ConfigurationError(f"{words} {name!r}", where=where, remedy=nearest(name, known))
+    require_known(name, known, f"{words} {name!r}", where)
     return list(known).index(name)
