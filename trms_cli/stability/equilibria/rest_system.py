@@ -289,19 +289,16 @@ def _linear(
     slopes = ca.cse(ca.jacobian(ca.vertcat(*rows), x))
     filled = np.array(ca.DM(slopes.sparsity(), 1).full(), dtype=bool)
     for i in np.argsort(filled.sum(axis=1), kind="stable"):
-        candidates = [j for j in left if filled[i, j]]
-        for j in sorted(candidates, key=lambda j: not _is_unit(slopes[int(i), j])):
-            factor = slopes[int(i), j]
+        factors = {j: slopes[int(i), j] for j in left if filled[i, j]}
+        others = {j: not (f.is_one() or f.is_minus_one()) for j, f in factors.items()}
+        for j in sorted(factors, key=others.__getitem__):
+            factor = factors[j]
             if ca.depends_on(factor, variables):
                 continue
             size = float(ca.evalf(ca.substitute(factor, p, values))) if p.numel() else float(factor)
             if np.isfinite(size) and size != 0.0:
                 return int(i), j, factor
     return None
-
-
-def _is_unit(factor: ca.SX) -> bool:
-    return bool(factor.is_one() or factor.is_minus_one())
 
 
 def torques(

@@ -56,9 +56,11 @@ class Enclosure:
         known = {*_UNARY, *_BINARY, *_SPECIAL}
         for operation, *_ in self._program:
             if operation not in known:
+                named = [n for n in dir(ca) if n[:3] == "OP_" and getattr(ca, n) == operation]
+                name = named[0] if named else str(operation)
                 raise ModelError(
-                    f"function {function.name()!r} has operation {_name(operation)}, of which no "
-                    "bounds are known",
+                    f"function {function.name()!r} has operation {name}, of which no bounds are "
+                    "known",
                     remedy="statements by intervals are not possible for this model",
                 )
         # Row and column of each nonzero of the outputs, in CasADi's order.
@@ -240,8 +242,3 @@ _BINARY: dict[int, Callable[[Interval, Interval], Interval]] = {
     ca.OP_OR: lambda a, b: Interval(np.maximum(a.lower, b.lower), np.maximum(a.upper, b.upper)),
 }
 _SPECIAL = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_NOT, ca.OP_IF_ELSE_ZERO, *_COMPARISONS}
-
-
-def _name(operation: int) -> str:
-    found = [n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == operation]
-    return found[0] if found else str(operation)

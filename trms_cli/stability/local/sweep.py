@@ -28,7 +28,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import nearest
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model, by_name, names
 from trms_cli.models.operating_point import (
     OperatingPoint,
     TrimCondition,
@@ -325,11 +325,9 @@ class OperatingPath:
         except TrmsError:
             if not self._free or self.kind != "angle":
                 raise
-            rest = {
-                name: float(self.model.rest()[self.model.state_index(name)])
-                for name in self.model.controlled
-                if name not in self._given
-            }
+            at_rest = by_name(self.model.states, self.model.rest())
+            free = [name for name in self.model.controlled if name not in self._given]
+            rest = {name: at_rest[name] for name in free}
             begin = self.balance.first(self.at | rest)
             self.at |= rest
             self.began = self.at[self.over]

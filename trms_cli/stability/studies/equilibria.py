@@ -350,23 +350,21 @@ def _sentence(words: str) -> str:
 
 
 def _lead(result: EquilibriaResult) -> list[str]:
-    model = result.model
-    lead = [_named_words(model, point) + "." for point in result.named]
+    model, lead = result.model, []
+    for point in result.named:
+        commands, states = (
+            ", ".join(_written(model, name, point.value(model, name)) for name in group)
+            for group in (names(model.inputs), _outcomes(model))
+        )
+        stability = _stability(point).value
+        lead.append(f"{point.name.capitalize()}: {commands}: {states} ({stability}).")
     for one in result.surveys:
         marks = [_landmark_words(one, mark) for mark in one.landmarks if mark.kind in _FIRST]
         lead += [_sentence(words) for words in dict.fromkeys(marks)]
         lead.append(_proof_words(one))
-    bands = [(point.name, band) for point in result.named for band in point.bands]
-    return [*lead, *(_sentence(f"{name}: {band_words(model, band)}") for name, band in bands)]
-
-
-def _named_words(model: Model, point: NamedPoint) -> str:
-    """A named point with the figures that matter."""
-    commands, states = (
-        ", ".join(_written(model, name, point.value(model, name)) for name in group)
-        for group in (names(model.inputs), _outcomes(model))
-    )
-    return f"{point.name.capitalize()}: {commands}: {states} ({_stability(point).value})"
+    for point in result.named:
+        lead += [_sentence(f"{point.name}: {band_words(model, band)}") for band in point.bands]
+    return lead
 
 
 def _landmark_words(survey: Survey, one: Landmark) -> str:
