@@ -44,17 +44,12 @@ class ExtendedModel(Model):
                 remedy="leave it out, or give the second one a name of its own",
             )
         self.base, self.effect, self.effect_name = base, effect, name
-        self.name = base.name
+        self.take_over(base)
         self.states = (*base.states, *_prefixed(effect.states(), name))
-        self.inputs, self.outputs = base.inputs, base.outputs
-        self.disturbances = base.disturbances
         self._sizes = tuple(parameter.name for parameter in own)
         self.parameters = base.parameters.joined(
             replace(parameter, name=f"{name}.{parameter.name}") for parameter in own
         )
-        self.controlled, self.input_limits = base.controlled, base.input_limits
-        self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
-        self.stiff, self.sample_time = base.stiff, base.sample_time
 
     def without_effects(self) -> Model:
         return self.base.without_effects()

@@ -39,16 +39,12 @@ class DrivenModel(Model):
                 where="driven",
                 remedy=f"drive it by fewer of {', '.join(driven)}",
             )
-        self.name = base.name
+        self.take_over(base)
         self.states = tuple(base.states[i] for i in self._kept)
         self.inputs = (*base.inputs, *(base.states[i] for i in self._place))
         self.outputs = tuple(base.outputs[i] for i in self._outputs)
-        self.disturbances = base.disturbances
-        self.parameters = base.parameters
         self.controlled = tuple(name for name in base.controlled if name not in driven)
         self.input_limits = dict(base.input_limits) | dict.fromkeys(driven, np.inf)
-        self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
-        self.stiff, self.sample_time = base.stiff, base.sample_time
 
     def rest(self) -> FloatArray:
         return self.base.rest()[self._kept]

@@ -69,6 +69,11 @@ class Model(ABC):
     #: s, of a model that only steps (:meth:`transition`); None for one with :meth:`dynamics`
     sample_time: float | None = None
 
+    def take_over(self, base: Model) -> None:
+        """Have the name, signals, parameters, limits and geometry of another model."""
+        for attribute in Model.__annotations__:
+            setattr(self, attribute, getattr(base, attribute))
+
     @abstractmethod
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         """Time derivative of the states, shape (n_x, 1)."""

@@ -84,13 +84,10 @@ class LinearLawLoop(Model):
 
     def __init__(self, base: Model, law: LinearLaw, *, saturated: bool = True) -> None:
         self._base, self._law, self._saturated = base, law, saturated
+        self.take_over(base)
         self.name = f"{base.name} with lqr"
         added = (Signal(f"xi_{name}", "rad s", f"integral of {name}") for name in base.controlled)
         self.states = (*base.states, *added)
-        self.inputs, self.outputs, self.disturbances = base.inputs, base.outputs, base.disturbances
-        self.parameters, self.controlled = base.parameters, base.controlled
-        self.input_limits, self.stops = base.input_limits, base.stops
-        self.axes, self.rotors, self.stiff = base.axes, base.rotors, base.stiff
 
     @property
     def point(self) -> OperatingPoint:

@@ -62,7 +62,8 @@ def findings_of(result: HuntingResult) -> Findings:
         sections.append(_harmonic_section(result, result.harmonics))
     if result.sweeps:
         sections.append(_sweep_section(result))
-    return Findings("Hunting", _lead(result), sections, _results(result), tuple(result.warnings))
+    data = json_data(_results(result))
+    return Findings("Hunting", _lead(result), sections, data, tuple(result.warnings))
 
 
 def _lead(result: HuntingResult) -> list[str]:
@@ -271,37 +272,34 @@ def _results(result: HuntingResult) -> dict[str, Any]:
     prediction, harmonics = result.prediction, result.harmonics
     cycle = prediction.cycle if prediction is not None else None
     balance = harmonics.balance if harmonics is not None else None
-    data: dict[str, Any] = json_data(
-        {
-            "axis": result.friction.axis,
-            "friction": result.friction.law,
-            "simulated": _run_data(result.run),
-            "coulomb": None if result.coulomb is None else _run_data(result.coulomb),
-            "predicted": prediction
-            and {
-                "hunts": cycle is not None,
-                "threshold": prediction.threshold,
-                "coulomb_factor": prediction.coulomb,
-                "swing": cycle and cycle.swing,
-                "period": cycle and cycle.period,
-                "stuck": cycle and cycle.stuck,
-                "multipliers": cycle and cycle.multipliers[:4],
-            },
-            "harmonic": balance
-            and {"swing": balance.swing, "period": balance.period, "stuck": balance.stuck},
-            "levels": [
-                {
-                    "of": sweep.name,
-                    "factor": level.factor,
-                    "predicted_swing": level.predicted,
-                    "simulated": _run_data(level.run),
-                }
-                for sweep in result.sweeps
-                for level in sweep.levels
-            ],
-        }
-    )
-    return data
+    return {
+        "axis": result.friction.axis,
+        "friction": result.friction.law,
+        "simulated": _run_data(result.run),
+        "coulomb": result.coulomb and _run_data(result.coulomb),
+        "predicted": prediction
+        and {
+            "hunts": cycle is not None,
+            "threshold": prediction.threshold,
+            "coulomb_factor": prediction.coulomb,
+            "swing": cycle and cycle.swing,
+            "period": cycle and cycle.period,
+            "stuck": cycle and cycle.stuck,
+            "multipliers": cycle and cycle.multipliers[:4],
+        },
+        "harmonic": balance
+        and {"swing": balance.swing, "period": balance.period, "stuck": balance.stuck},
+        "levels": [
+            {
+                "of": sweep.name,
+                "factor": level.factor,
+                "predicted_swing": level.predicted,
+                "simulated": _run_data(level.run),
+            }
+            for sweep in result.sweeps
+            for level in sweep.levels
+        ],
+    }
 
 
 def _run_data(run: AxisRun) -> dict[str, Any]:
@@ -330,16 +328,9 @@ def history(run: AxisRun, label: str, input_label: str) -> Chart:
         y = values[part]
         room = 0.08 * max(float(np.ptp(y)), 1e-9)
         low, high = float(y.min()) - room, float(y.max()) + room
-        at_rest = run.stuck[part]
+        lower, upper = (np.where(run.stuck[part], end, np.nan) for end in (low, high))
         marks: list[Mark] = [
-            Band(
-                time,
-                np.where(at_rest, low, np.nan),
-                np.where(at_rest, high, np.nan),
-                "sticks",
-                "orange",
-                0.2,
-            ),
+            Band(time, lower, upper, "sticks", "orange", 0.2),
             Curve(time, y, "", "blue", width=1.6),
         ]
         panels.append(Panel(Axis("time", "s"), Axis(name, unit_of, (low, high)), marks))
@@ -372,15 +363,10 @@ def planes(
             marks.append(Curve(sign * path, sign * speed, "predicted", "vermilion", "dashed", 1.6))
     at_rest = run.stuck[n:]
     marks.append(Points(angle[at_rest], rate[at_rest], "sticks", "square", "orange", size=6.0))
+    held = np.where(at_rest, given, np.nan)
     other: list[Mark] = [
         Curve(angle, given, "simulated", "blue", width=1.6, arrow=True),
-        Curve(
-            np.where(at_rest, angle, np.nan),
-            np.where(at_rest, given, np.nan),
-            "sticks",
-            "orange",
-            width=3.5,
-        ),
+        Curve(np.where(at_rest, angle, np.nan), held, "sticks", "orange", width=3.5),
     ]
     return Chart(
         "hunting_plane",
@@ -416,15 +402,10 @@ def event_map(prediction: HuntingPrediction, run: AxisRun) -> Chart:
     if prediction.cycle is not None:
         at = prediction.cycle.swing / 2.0
         marks.append(Points([at], [at], "hunting cycle, predicted", "star", "vermilion", size=9.0))
+    x, y = (Axis(f"error at {which} stick", "rad", log=True) for which in ("a", "the next"))
     return Chart(
         "hunting_map",
-        [
-            Panel(
-                Axis("error at a stick", "rad", log=True),
-                Axis("error at the next stick", "rad", log=True),
-                marks,
-            )
-        ],
+        [Panel(x, y, marks)],
         "The Poincaré map from stick to stick, by the linear loop. Above the dotted line slips "
         "grow, below it they shrink; where it crosses is the cycle.",
         columns=1,
@@ -435,44 +416,29 @@ def event_map(prediction: HuntingPrediction, run: AxisRun) -> Chart:
 
 def nyquist(one: Harmonics) -> Chart:
     """Describing functions in the Nyquist plane."""
+
+    def plane(unit: str, marks: list[Mark], title: str) -> Panel:
+        return Panel(Axis("real part", unit), Axis("imaginary part", unit), marks, title)
+
     G = one.response
     reach = 1.1 * float(np.abs(G).max())
     left: list[Mark] = [
         Curve([-reach, 0.0], [0.0, 0.0], "−1/N(A), all amplitudes", "vermilion", width=2.2),
         Curve(G.real, G.imag, "G(jω): rate by friction's moment", "blue", arrow=True),
     ]
-    panels = [
-        Panel(
-            Axis("real part", "(rad/s)/(N m)"),
-            Axis("imaginary part", "(rad/s)/(N m)"),
-            left,
-            "An axis that never sticks",
-        )
-    ]
+    panels = [plane("(rad/s)/(N m)", left, "An axis that never sticks")]
     if one.balance is not None:
         near = (one.omega > 0.5 * one.balance.omega) & (one.omega < 2.5 * one.balance.omega)
         Z = one.impedance[near]
         at = complex(np.interp(one.balance.omega, one.omega, one.impedance))
-        size = 4.0 * abs(at)
-        shown = np.abs(one.inverse) < size
+        inverse = np.where(np.abs(one.inverse) < 4.0 * abs(at), one.inverse, np.nan * (1 + 1j))
+        words = "−1/M(X, ω*) of the sticking axis"
         right: list[Mark] = [
-            Curve(
-                np.where(shown, one.inverse.real, np.nan),
-                np.where(shown, one.inverse.imag, np.nan),
-                "−1/M(X, ω*) of the sticking axis",
-                "vermilion",
-            ),
+            Curve(inverse.real, inverse.imag, words, "vermilion"),
             Curve(Z.real, Z.imag, "Z(jω): the loop on the axis", "blue", arrow=True),
             Points([at.real], [at.imag], "balance", "star", "green", size=8.0),
         ]
-        panels.append(
-            Panel(
-                Axis("real part", "N m s/rad"),
-                Axis("imaginary part", "N m s/rad"),
-                right,
-                "An axis that sticks, one harmonic",
-            )
-        )
+        panels.append(plane("N m s/rad", right, "An axis that sticks, one harmonic"))
     return Chart(
         "hunting_nyquist", panels, "Harmonic balance: a crossing is a cycle.", width=4.8, height=3.8
     )
@@ -487,30 +453,15 @@ def over_levels(axis_label: str, sweeps: Sequence[LevelSweep]) -> Chart:
             Curve(sweep.x, values, words, colours[i % 3])  # type: ignore[arg-type]
             for i, (words, values) in enumerate(sweep.curves)
         ]
-        hunting = [level for level in sweep.levels if level.run.hunts]
-        still = [level for level in sweep.levels if not level.run.hunts]
-        if hunting:
-            marks.append(
-                Points(
-                    [level.factor for level in hunting],
-                    [level.run.swing for level in hunting],
-                    "simulated",
-                    "star",
-                    "vermilion",
-                    size=8.0,
-                )
-            )
-        if still:
-            marks.append(
-                Points(
-                    [level.factor for level in still],
-                    [0.0] * len(still),
-                    "simulated: comes to rest",
-                    "unstable",
-                    "vermilion",
-                    size=8.0,
-                )
-            )
+        for hunts, words, shape in (
+            (True, "simulated", "star"),
+            (False, "simulated: comes to rest", "unstable"),
+        ):
+            levels = [level for level in sweep.levels if level.run.hunts == hunts]
+            if levels:
+                factors = [level.factor for level in levels]
+                y = [level.run.swing if hunts else 0.0 for level in levels]
+                marks.append(Points(factors, y, words, shape, "vermilion", size=8.0))  # type: ignore[arg-type]
         factor = Axis(f"{sweep.label}, times", "", log=True)
         shown.append(Panel(factor, Axis(f"swing of {axis_label}", "rad"), marks))
     return Chart(

@@ -24,7 +24,7 @@ Of hunting it is a rough picture: the moment on an axis that sticks is a ramp, n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -72,37 +72,29 @@ def errors_of(loop: FrictionLoop, law: FrictionLaw, count: int = _COUNT) -> Floa
 def predict(events: StickSlip, count: int = _COUNT) -> HuntingPrediction:
     """The map, its threshold, and the stable cycle."""
     errors = errors_of(events.loop, events.law, count)
-    errors_after = [events.next_error(float(e)) for e in errors]
-    following = np.array([np.nan if f is None else -f for f in errors_after])
-    ratio = following / errors
-    grows = np.nan_to_num(ratio, nan=0.0) > 1.0
-    coulomb = _coulomb_factor(events, float(errors[len(errors) // 2]))
-    if not grows.any():
+    following = _following(events, errors)
+    grows = np.flatnonzero(np.nan_to_num(following / errors, nan=0.0) > 1.0)
+    middle = errors[len(errors) // 2 : len(errors) // 2 + 1]
+    alone = events.with_law(replace(events.law, excess=0.0))
+    coulomb = -float(_following(alone, middle)[0] / middle[0])
+    if not grows.size:
         return HuntingPrediction(errors, following, None, None, coulomb)
-    first = int(np.flatnonzero(grows)[0])
-    threshold = _threshold(events, errors, first)
-    guess = float(errors[int(np.flatnonzero(grows)[-1])])
+    threshold = _threshold(events, errors, int(grows[0]))
+    cycle = _cycle(events, float(errors[grows[-1]]))
     if threshold is not None:
-        errors, following = _with_jump(events, errors, following, threshold)
-    return HuntingPrediction(errors, following, _cycle(events, guess), threshold, coulomb)
+        # Points close to the threshold, where the map jumps, and a gap in between.
+        near = threshold * np.array([0.8, 0.9, 0.96, 0.99, 0.998, 1.002, 1.01, 1.05, 1.12])
+        errors = np.concatenate([errors, near, [threshold]])
+        following = np.concatenate([following, _following(events, near), [np.nan]])
+        order = np.argsort(errors, kind="stable")
+        errors, following = errors[order], following[order]
+    return HuntingPrediction(errors, following, cycle, threshold, coulomb)
 
 
-def _with_jump(
-    events: StickSlip, errors: FloatArray, following: FloatArray, threshold: float
-) -> tuple[FloatArray, FloatArray]:
-    """The map with points close to its threshold, where it jumps, and a gap in between."""
-    near = threshold * np.array([0.8, 0.9, 0.96, 0.99, 0.998, 1.002, 1.01, 1.05, 1.12])
-    errors_after = [events.next_error(float(e)) for e in near]
-    more = np.array([np.nan if f is None else -f for f in errors_after])
-    both = np.concatenate([errors, near, [threshold]])
-    order = np.argsort(both, kind="stable")
-    return both[order], np.concatenate([following, more, [np.nan]])[order]
-
-
-def _coulomb_factor(events: StickSlip, error: float) -> float:
-    law = FrictionLaw(events.law.torque, 0.0, events.law.velocity)
-    following = events.with_law(law).next_error(error)
-    return float("nan") if following is None else following / error
+def _following(events: StickSlip, errors: FloatArray) -> FloatArray:
+    """The map at several errors: the next one's mirror image; NaN where a slip does not end."""
+    after = [events.next_error(float(error)) for error in errors]
+    return np.array([np.nan if error is None else -error for error in after])
 
 
 def _threshold(events: StickSlip, errors: FloatArray, first: int) -> float | None:
@@ -142,11 +134,10 @@ def swings(events: StickSlip, laws: Sequence[FrictionLaw]) -> FloatArray:
 def _swing(events: StickSlip) -> float:
     """By iterating the map; no multipliers."""
     errors = errors_of(events.loop, events.law, 14)
-    errors_after = [events.next_error(float(e)) for e in errors]
-    grows = [f is not None and -f > e for f, e in zip(errors_after, errors, strict=True)]
-    if not any(grows):
+    grows = np.flatnonzero(_following(events, errors) > errors)
+    if not grows.size:
         return float("nan")
-    z = events.settled(float(errors[int(np.flatnonzero(grows)[-1])]))
+    z = events.settled(float(errors[grows[-1]]))
     travel = float("nan")
     for _ in range(_ITERATIONS):
         half = None if z is None else events.half(z)
@@ -179,23 +170,15 @@ def harmonics(loop: FrictionLoop, law: FrictionLaw) -> Harmonics:
     omega = np.geomspace(0.02, 60.0, 1200)
     one = HarmonicBalance(loop, law)
     balance = one.solved()
-    moments = np.zeros(0)
-    inverse = np.zeros(0, dtype=complex)
+    moments, inverse = np.zeros(0), np.zeros(0, dtype=complex)
     if balance is not None:
         over = max(balance.moment - law.breakaway, 1e-6 * law.breakaway)
         moments = law.breakaway + over * np.geomspace(0.3, 300.0, 60)
         ratios = np.array([one.answer(float(X), balance.omega).ratio for X in moments])
         kept = np.abs(ratios) > 1e-9
         moments, inverse = moments[kept], -1.0 / ratios[kept]
-    return Harmonics(
-        omega,
-        loop.response(omega),
-        sliding_cycle(loop, law, omega),
-        balance,
-        one.impedance(omega),
-        inverse,
-        moments,
-    )
+    response, sliding = loop.response(omega), sliding_cycle(loop, law, omega)
+    return Harmonics(omega, response, sliding, balance, one.impedance(omega), inverse, moments)
 
 
 #: Steps of a period; periods until the block's answer repeats itself.
@@ -232,17 +215,12 @@ class Balance:
         return 2.0 * np.pi / self.omega
 
 
+@dataclass(frozen=True)
 class HarmonicBalance:
-    """One harmonic of the moment on an axis that sticks.
+    """One harmonic of the moment on an axis that sticks."""
 
-    Parameters
-    ----------
-    loop : FrictionLoop
-    law : FrictionLaw
-    """
-
-    def __init__(self, loop: FrictionLoop, law: FrictionLaw) -> None:
-        self.loop, self.law = loop, law
+    loop: FrictionLoop
+    law: FrictionLaw
 
     @cached_property
     def _step(self) -> BufferedFunction:
@@ -275,10 +253,8 @@ class HarmonicBalance:
                 rate[0] = rates[k] = after[0]
         ends = 2.0 * np.pi * (np.arange(_OF_A_PERIOD) + 1.0) / _OF_A_PERIOD
         first = 2j / _OF_A_PERIOD * np.sum(rates * np.exp(-1j * ends))
-        angle = np.cumsum(rates - rates.mean()) * h
-        return AxisResponse(
-            complex(first / moment), float(np.ptp(angle)), float(np.mean(rates == 0.0))
-        )
+        swing = float(np.ptp(np.cumsum(rates - rates.mean()) * h))
+        return AxisResponse(complex(first / moment), swing, float(np.mean(rates == 0.0)))
 
     def impedance(self, omega: npt.ArrayLike) -> ComplexArray:
         """Z(jω): the moment that the loop puts on the axis against its rate, N m s/rad."""
@@ -333,10 +309,10 @@ def sliding_cycle(
         return None
     k = int(turns[-1])
 
-    def imaginary(w: float) -> float:
-        return float(loop.response(np.array([w]))[0].imag)
+    def at(w: float) -> complex:
+        return complex(loop.response(np.array([w]))[0])
 
-    w = float(brentq(imaginary, omega[k], omega[k + 1]))
-    wanted = -1.0 / float(loop.response(np.array([w]))[0].real)
+    w = float(brentq(lambda w: at(w).imag, omega[k], omega[k + 1]))
+    wanted = -1.0 / at(w).real
     amplitude = brentq(lambda a: float(law.describing(a)) - wanted, 1e-9, 1e6)
     return float(amplitude), w

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points, Style
@@ -16,7 +15,7 @@ from trms_cli.core.wording import symbol, titled
 from trms_cli.models.model import Model, by_name
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.absence import Absence
-from trms_cli.stability.cycles.branch import Branch, EquilibriumBranch, Hopf, OverCommand
+from trms_cli.stability.cycles.branch import Branch, Hopf, OverCommand
 from trms_cli.stability.cycles.orbits import FATES, Fate, Orbit, OrbitSearch
 from trms_cli.stability.local.linear import Linear
 
@@ -65,7 +64,8 @@ def findings_of(result: LimitCycleResult) -> Findings:
     sections = [_proof_section(result), _search_section(result)]
     if result.over is not None:
         sections.append(_over_section(result, result.over))
-    return Findings("Limit cycles", lead, sections, _results(result), _warnings(result))
+    data = json_data(_results(result))
+    return Findings("Limit cycles", lead, sections, data, _warnings(result))
 
 
 def _answer(result: LimitCycleResult) -> list[str]:
@@ -218,8 +218,7 @@ def _hopf_words(result: LimitCycleResult) -> list[str]:
 
 
 def _criticality(result: LimitCycleResult, hopf: Hopf, branch: Branch) -> str:
-    early = branch.orbits[min(2, len(branch.orbits) - 1)]
-    if early.stable:
+    if branch.orbits[min(2, len(branch.orbits) - 1)].stable:
         return "supercritical: a stable cycle grows out of the equilibrium that loses its stability"
     return (
         "subcritical: the cycle that is born is unstable and lies around the stable equilibrium, "
@@ -294,9 +293,9 @@ def _search_section(result: LimitCycleResult) -> Section:
         if search.orbits or search.continuum
         else ": none repeats itself."
     )
-    blocks.append(plane(model, search, result.point.x, result.state, words))
+    blocks.append(_plane(result, words))
     if search.orbits:
-        blocks.append(multipliers(search.orbits))
+        blocks.append(_multipliers(search.orbits))
     return Section("The search", text, blocks)
 
 
@@ -359,17 +358,7 @@ def _over_section(result: LimitCycleResult, over: OverCommand) -> Section:
             f"swing of {symbol(signal.name)} [{signal.unit}]",
         ]
         blocks.append(Table(columns, rows, "What happens along the branches."))
-    blocks.append(
-        diagram(
-            model,
-            over.curve,
-            over.hopfs,
-            over.branches,
-            result.channel,
-            result.state,
-            float(result.point.u[result.channel]),
-        )
-    )
+    blocks.append(_diagram(result, over))
     return Section(f"Over {symbol(command.name)}", text, blocks)
 
 
@@ -435,8 +424,7 @@ def _results(result: LimitCycleResult) -> dict[str, Any]:
             "branches": [_branch_data(result, branch) for branch in over.branches],
             "swing_of": model.states[result.state].name,
         }
-    data: dict[str, Any] = json_data(results)
-    return data
+    return results
 
 
 def _branch_data(result: LimitCycleResult, branch: Branch) -> dict[str, Any]:
@@ -469,18 +457,15 @@ def _orbit_data(model: Model, orbit: Orbit) -> dict[str, Any]:
 _DRAWN, _SHOWN = 5, 40.0
 #: Orbits drawn of a continuum, spread over their sizes.
 _OF_MANY = 7
+_STABLE: tuple[Colour, Style, str] = ("blue", "solid", "stable cycle")
+_UNSTABLE: tuple[Colour, Style, str] = ("vermilion", "dashed", "unstable cycle")
+_MARKERS: dict[str, Marker] = {"fold": "square", "period doubling": "triangle", "torus": "cross"}
 
 
-def plane(
-    model: Model,
-    search: OrbitSearch,
-    x: FloatArray,
-    state: int,
-    words: str,
-    name: str = "limit_cycles",
-) -> Chart:
+def _plane(result: LimitCycleResult, words: str) -> Chart:
     """Orbits and motions in the plane of a state and its rate, and the orbits over time."""
-    signal = model.states[state]
+    search, state = result.search, result.state
+    signal = result.model.states[state]
     label = symbol(signal.name)
     marks: list[Mark] = []
     shown = round(_SHOWN / search.step)
@@ -503,10 +488,11 @@ def plane(
         rate = np.gradient(path, orbit.period / (len(path) - 1))
         marks.append(Curve(path, rate, words_of, colour, style, width=2.0, arrow=True))
         over_time.append(Curve(orbit.time, path, words_of, colour, style, width=1.8))
-    marks.append(Points([x[state]], [0.0], "equilibrium", "dot", "ink"))
-    stop = model.stops.get(signal.name)
+    marks.append(Points([result.point.x[state]], [0.0], "equilibrium", "dot", "ink"))
+    stop = result.model.stops.get(signal.name)
     if stop is not None and drawn:
-        low, high = _span(drawn, state)
+        low = min(float(orbit.path[:, state].min()) for orbit in drawn) - 0.05
+        high = max(float(orbit.path[:, state].max()) for orbit in drawn) + 0.05
         for at in (-stop, stop):
             if low < at < high:
                 marks.append(Line(x=at, label="mechanical stop", colour="alarm"))
@@ -516,39 +502,23 @@ def plane(
     ]
     if over_time:
         panels.append(Panel(Axis("time", "s"), Axis(label, signal.unit), over_time, "One period"))
-    return Chart(name, panels, words)
+    return Chart("limit_cycles", panels, words)
 
 
 def _look(orbit: Orbit) -> tuple[Colour, Style, str]:
-    if orbit.stable:
-        return "blue", "solid", "stable cycle"
-    return "vermilion", "dashed", "unstable cycle"
+    return _STABLE if orbit.stable else _UNSTABLE
 
 
-def _span(orbits: Sequence[Orbit], state: int) -> tuple[float, float]:
-    return (
-        min(float(orbit.path[:, state].min()) for orbit in orbits) - 0.05,
-        max(float(orbit.path[:, state].max()) for orbit in orbits) + 0.05,
-    )
-
-
-def multipliers(orbits: Sequence[Orbit]) -> Chart:
+def _multipliers(orbits: Sequence[Orbit]) -> Chart:
     """Floquet multipliers on the unit circle."""
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     marks: list[Mark] = [Curve(np.cos(turn), np.sin(turn), "", "grey", "solid", 1.0)]
     for orbit in orbits:
         colour, _, words = _look(orbit)
         others = orbit.multipliers[1:]
-        marks.append(
-            Points(
-                others.real,
-                others.imag,
-                f"of the {words}",
-                "stable" if orbit.stable else "unstable",
-                colour,
-                size=7.0,
-            )
-        )
+        shape: Marker = "stable" if orbit.stable else "unstable"
+        words = f"of the {words}"
+        marks.append(Points(others.real, others.imag, words, shape, colour, size=7.0))
     marks.append(Points([1.0], [0.0], "trivial, 1", "cross", "ink", size=8.0))
     return Chart(
         "floquet_multipliers",
@@ -560,18 +530,11 @@ def multipliers(orbits: Sequence[Orbit]) -> Chart:
     )
 
 
-def diagram(
-    model: Model,
-    curve: EquilibriumBranch,
-    hopfs: Sequence[Hopf],
-    followed: Sequence[Branch],
-    channel: int,
-    state: int,
-    at: float,
-) -> Chart:
+def _diagram(result: LimitCycleResult, over: OverCommand) -> Chart:
     """Equilibria and cycles over a command."""
-    signal, command = model.states[state], model.inputs[channel]
-    label = symbol(signal.name)
+    channel, state, curve = result.channel, result.state, over.curve
+    signal, command = result.model.states[state], result.model.inputs[channel]
+    at = float(result.point.u[channel])
     marks: list[Mark] = []
     values = curve.x[:, state]
     steady = curve.growth < 0
@@ -583,7 +546,7 @@ def diagram(
             )
         )
     periods: list[Mark] = []
-    for branch in followed:
+    for branch in over.branches:
         if not branch.orbits:
             continue
         commands = branch.commands(channel)
@@ -602,47 +565,32 @@ def diagram(
             stable, unstable = (
                 np.insert(side, k, end) for side, end in zip((stable, unstable), ends, strict=True)
             )
-        for chosen, words, colour, style in (
-            (stable, "stable cycle", "blue", "solid"),
-            (unstable, "unstable cycle", "vermilion", "dashed"),
-        ):
+        for chosen, (colour, style, words) in ((stable, _STABLE), (unstable, _UNSTABLE)):
             if not chosen.any():
                 continue
             for edge in (high, low):
-                marks.append(_part(commands, edge, chosen, words, colour, style))
-            periods.append(_part(commands, lengths, chosen, "", colour, style))
+                part = np.where(chosen, edge, np.nan)
+                marks.append(Curve(commands, part, words, colour, style, 1.8))
+            part = np.where(chosen, lengths, np.nan)
+            periods.append(Curve(commands, part, "", colour, style, 1.8))
         for change in changes:
             shape = _MARKERS[change.kind]
             edges = [change.lowest, change.highest]
             marks.append(Points([change.command] * 2, edges, change.kind, shape, "purple"))
             periods.append(Points([change.command], [change.period], "", shape, "purple"))
-    if hopfs:
-        marks.append(
-            Points(
-                [float(h.u[channel]) for h in hopfs],
-                [float(h.x[state]) for h in hopfs],
-                "Hopf point",
-                "star",
-                "green",
-                size=9.0,
-            )
-        )
+    if over.hopfs:
+        born = np.array([[hopf.u[channel], hopf.x[state]] for hopf in over.hopfs])
+        marks.append(Points(born[:, 0], born[:, 1], "Hopf point", "star", "green", size=9.0))
     marks.append(Line(x=at, label="commands asked about", colour="grey"))
-    stop = model.stops.get(signal.name)
+    stop = result.model.stops.get(signal.name)
     if stop is not None:
         for place in (-stop, stop):
             marks.append(Line(y=place, label="mechanical stop", colour="alarm"))
-    spread = np.concatenate([[at], *(branch.commands(channel) for branch in followed)])
+    spread = np.concatenate([[at], *(branch.commands(channel) for branch in over.branches)])
     near = (float(spread.min()) - 0.4, float(spread.max()) + 0.15) if len(spread) > 1 else None
     x_axis = Axis(symbol(command.name), command.unit)
-    panels = [
-        Panel(
-            Axis(symbol(command.name), command.unit, near),
-            Axis(label, signal.unit),
-            marks,
-            "Rest and cycles",
-        )
-    ]
+    angle = Axis(symbol(signal.name), signal.unit)
+    panels = [Panel(replace(x_axis, limits=near), angle, marks, "Rest and cycles")]
     if periods:
         panels.append(Panel(x_axis, Axis("period", "s"), periods, "Period of the cycles"))
     return Chart(
@@ -652,12 +600,3 @@ def diagram(
         width=5.0,
         height=3.8,
     )
-
-
-_MARKERS: dict[str, Marker] = {"fold": "square", "period doubling": "triangle", "torus": "cross"}
-
-
-def _part(
-    x: FloatArray, y: FloatArray, chosen: npt.NDArray[np.bool_], words: str, colour: str, style: str
-) -> Curve:
-    return Curve(x, np.where(chosen, y, np.nan), words, colour, style, 1.8)  # type: ignore[arg-type]

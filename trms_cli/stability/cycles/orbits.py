@@ -113,22 +113,14 @@ class Pieces:
 
 
 class Shooting:
-    """Shoots a model's orbits.
+    """Shoots orbits of a model with equations in a number of ``pieces``, m.
 
-    Parameters
-    ----------
-    model : Model
-        With equations.
-    pieces : int
-        m. More make Newton's method surer for orbits that leave their neighbours fast.
-    steps : int
-        Integration steps a period, rounded up to a multiple of the pieces.
+    More pieces make Newton's method surer for orbits that leave their neighbours fast. The
+    integration ``steps`` of a period are rounded up to a multiple of them.
     """
 
     def __init__(self, model: Model, pieces: int = 10, steps: int = 800) -> None:
-        self.model = model
-        self.field = VectorField(model)
-        self.pieces = pieces
+        self.model, self.field, self.pieces = model, VectorField(model), pieces
         self.per_piece = math.ceil(steps / pieces)
 
     @cached_property
@@ -167,16 +159,10 @@ class Shooting:
     def closed(
         self, nodes: FloatArray, period: float, u: FloatArray, *, row: BranchCondition | None = None
     ) -> Orbit | None:
-        """The orbit near a guess, by damped Newton steps; None where there is none.
+        """The orbit near a guess of its nodes (m, n_x), period (s) and command, by Newton's method.
 
-        Parameters
-        ----------
-        nodes : (m, n_x)
-        period : float
-            s.
-        u : (n_u,)
-        row : BranchCondition, optional
-            Frees one command, and fixes the place on a branch of orbits instead.
+        The steps are damped; None where there is none. A ``row`` frees one command, and fixes the
+        place on a branch of orbits instead.
         """
         anchor, direction = nodes[0].copy(), self.field.rates(nodes[0], u)
         size = float(np.linalg.norm(direction))
@@ -258,14 +244,13 @@ class Shooting:
         for i in range(m):
             monodromy = pieces.by_state[i] @ monodromy
         path = np.vstack([pieces.path[:, :-1].reshape(-1, n), pieces.path[-1, -1:]])
-        return Orbit(
-            nodes,
-            period,
-            command,
-            _sorted(np.linalg.eigvals(monodromy).astype(complex)),
-            path,
-            misfit,
-        )
+        values = np.linalg.eigvals(monodromy).astype(complex)
+        # The one nearest to 1 first, the others by falling size.
+        trivial = int(np.argmin(np.abs(values - 1.0)))
+        others = np.delete(values, trivial)
+        order = np.argsort(-np.abs(others), kind="stable")
+        multipliers = np.concatenate([values[trivial : trivial + 1], others[order]])
+        return Orbit(nodes, period, command, multipliers, path, misfit)
 
 
 @dataclass(frozen=True)
@@ -299,37 +284,21 @@ def unpacked(
     return z[: m * n].reshape(m, n), float(z[m * n]), command
 
 
-def _sorted(multipliers: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    """The one nearest to 1 first, the others by falling size."""
-    trivial = int(np.argmin(np.abs(multipliers - 1.0)))
-    others = np.delete(multipliers, trivial)
-    order = np.argsort(-np.abs(others), kind="stable")
-    return np.concatenate([multipliers[trivial : trivial + 1], others[order]]).astype(complex)
-
-
 #: Name of the period among the parameters.
 PERIOD = "the_period"
 
 
 class InPeriods(Model):
-    """A model whose time is counted in periods; the period is its last parameter, s.
+    """A model with equations whose time is counted in periods; the period is its last parameter, s.
 
-    Parameters
-    ----------
-    base : Model
-        With equations. What impulses, delays and sensors add to it is left out: f must be
-        differentiable for the variational equations.
+    What impulses, delays and sensors add to it is left out: f must be differentiable for the
+    variational equations.
     """
 
     def __init__(self, base: Model) -> None:
+        self.take_over(base)
         self.base = base
-        self.name = base.name
-        self.states, self.inputs, self.outputs = base.states, base.inputs, base.outputs
-        self.disturbances = base.disturbances
         self.parameters = base.parameters.joined([Parameter(PERIOD, 1.0, "s", lower=0.0)])
-        self.controlled, self.input_limits = base.controlled, base.input_limits
-        self.stops, self.axes, self.rotors = base.stops, base.axes, base.rotors
-        self.stiff = base.stiff
 
     def rest(self) -> FloatArray:
         return self.base.rest()
@@ -424,17 +393,9 @@ def search_orbits(
     shooting: Shooting | None,
     step: float = 0.02,
 ) -> OrbitSearch:
-    """Motions from all starts, and the periodic orbits that they lead to.
+    """Motions from all starts (m, n_x), the command held, and the periodic orbits they lead to.
 
-    Parameters
-    ----------
-    starts : (m, n_x)
-    u : (n_u,)
-        Held.
-    duration, step : float
-        s.
-    shooting : Shooting or None
-        None: motions only (dry friction has no slopes).
+    Duration and step in s. Without ``shooting`` motions only: dry friction has no slopes.
     """
     paths = VectorField(model).motions(starts, u, duration, step)
     rows = [model.state_index(name) for name in model.controlled]
@@ -446,7 +407,7 @@ def search_orbits(
         if shooting is not None and fate != "leaves":
             tried = _TRIED if fate == "moves on" else 1
             orbits += _closed(shooting, path, row, u, step, tried)
-        if fate == "moves on" and _repeats(path, row, step):
+        if fate == "moves on" and _repeats(path, row):
             fate = "cycle"
         motions.append(SearchMotion(path, fate, swing))
     every = different(orbits)
@@ -479,25 +440,17 @@ def crossings(values: FloatArray) -> npt.NDArray[np.intp]:
     return np.flatnonzero((values[:-1] < middle) & (values[1:] >= middle))
 
 
-def _repeats(path: FloatArray, row: int, step: float) -> bool:
+def _repeats(path: FloatArray, row: int) -> bool:
     """Whether the end of a motion comes back to where it was, within 2 % of its swing."""
     at = crossings(path[:, row])
     swing = np.maximum(np.ptp(path[3 * len(path) // 4 :], axis=0), 1e-9)
-    for turns in range(1, 2 * _LONGEST_RETURN + 1):
-        if len(at) <= turns:
-            return False
-        # Between samples by the state itself: the crossing lies up to a step away.
-        one, other = (_at_crossing(path, row, int(k)) for k in (at[-1], at[-1 - turns]))
-        if float((np.abs(one - other) / swing.max()).max()) < 0.02:
-            return True
-    return False
-
-
-def _at_crossing(path: FloatArray, row: int, k: int) -> FloatArray:
     tail = path[3 * len(path) // 4 :, row]
     middle = 0.5 * (tail.max() + tail.min())
-    low, high = path[k, row], path[k + 1, row]
-    return np.asarray(path[k] + (middle - low) / (high - low) * (path[k + 1] - path[k]))
+    # Between samples by the state itself: the crossing lies up to a step away.
+    at = at[-2 * _LONGEST_RETURN - 1 :]
+    share = (middle - path[at, row]) / (path[at + 1, row] - path[at, row])
+    states = path[at] + share[:, None] * (path[at + 1] - path[at])
+    return bool(np.any(np.abs(states[:-1] - states[-1:]).max(axis=1) < 0.02 * swing.max()))
 
 
 def _closed(

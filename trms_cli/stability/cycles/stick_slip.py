@@ -116,14 +116,10 @@ def in_continuous_time(
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """A law's matrices by the bilinear map."""
     F, g, h, d = law
-    inverse = np.linalg.inv(F + np.eye(len(F)))
-    scale = 2.0 / np.sqrt(step)
-    return (
-        2.0 / step * (F - np.eye(len(F))) @ inverse,
-        scale * inverse @ g,
-        scale * h @ inverse,
-        float(d - h @ inverse @ g),
-    )
+    one, scale = np.eye(len(F)), 2.0 / np.sqrt(step)
+    inverse = np.linalg.inv(F + one)
+    whole = 2.0 / step * (F - one) @ inverse
+    return whole, scale * inverse @ g, scale * h @ inverse, float(d - h @ inverse @ g)
 
 
 def friction_loop(
@@ -131,22 +127,12 @@ def friction_loop(
 ) -> FrictionLoop:
     """The loop of a PID around a rig at a point, with the friction of an axis open.
 
-    Parameters
-    ----------
-    model : Model
-        The rig; its friction as an impulse is no part of what is linearised.
-    loop : LoopParts
-        The controller's model and the sample time.
-    axis : str
-        ``pitch`` or ``yaw``.
+    The rig's friction as an impulse is no part of what is linearised.
     """
     period = pid.sample_time or loop.sample_time
     laws = pid.init(ControlSetup(loop.model, period, point.u)).axes
-    field = VectorField(model)
-    parts = [
-        np.array(m) for m in field.slopes(point.x, point.u, field.parameters, np.zeros(model.n_w))
-    ]
-    A, B, _, W = parts
+    field, rest = VectorField(model), np.zeros(model.n_w)
+    A, B, _, W = map(np.array, field.slopes(point.x, point.u, field.parameters, rest))
     n, states = model.n_x, 6
     total = n + states * len(laws)
     whole = np.zeros((total, total))
@@ -278,13 +264,7 @@ class Cycle:
 
 
 class StickSlip:
-    """Events of a loop with friction.
-
-    Parameters
-    ----------
-    loop : FrictionLoop
-    law : FrictionLaw
-    """
+    """Events of a loop with friction."""
 
     def __init__(self, loop: FrictionLoop, law: FrictionLaw) -> None:
         self.loop, self.law = loop, law
@@ -319,22 +299,16 @@ class StickSlip:
         return step
 
     @cached_property
-    def _sticking(self) -> tuple[FloatArray, FloatArray]:
-        """Transitions of a stick by the fine and the coarse step."""
+    def _sticking(self) -> tuple[FloatArray, list[FloatArray]]:
+        """Transitions of a stick by the fine step, and by the coarse one, its half, quarter…"""
         from scipy.linalg import expm
 
-        return expm(self.loop.stuck * _FINE), expm(self.loop.stuck * _COARSE)
-
-    @cached_property
-    def _halves(self) -> list[FloatArray]:
-        """Transitions by a half, a quarter… of the coarse step, for bisection."""
-        from scipy.linalg import expm
-
-        return [expm(self.loop.stuck * (_COARSE / 2.0**k)) for k in range(1, _BISECTIONS + 1)]
+        halves = [expm(self.loop.stuck * (_COARSE / 2.0**k)) for k in range(_BISECTIONS + 1)]
+        return expm(self.loop.stuck * _FINE), halves
 
     def stick(self, z: FloatArray) -> tuple[FloatArray, float] | None:
         """State at the next break-away and the time until then; None if it does not come."""
-        fine, coarse = self._sticking
+        fine, (coarse, *halves) = self._sticking
         holding, limit = self.loop.holding, self.law.breakaway
         time = 0.0
         while time < LONGEST_STICK:
@@ -346,7 +320,7 @@ class StickSlip:
         else:
             return None
         advanced = 0.0
-        for k, transition in enumerate(self._halves, start=1):
+        for k, transition in enumerate(halves, start=1):
             size = _COARSE / 2.0**k
             if advanced + size > step:
                 continue
@@ -358,12 +332,8 @@ class StickSlip:
     def slip(self, z: FloatArray) -> tuple[FloatArray, float, float] | None:
         """State where the next slip ends, its time and direction; None if it does not end."""
         direction = -float(np.sign(self.loop.holding @ z))
-        step, law = self._step, self.law
-        step.inputs[1][:] = direction
-        step.inputs[2][:] = _SLIP_STEP
-        step.inputs[3][:] = [law.torque, law.excess, law.velocity]
+        step = self._slipping(z, direction)
         now, after, rate = step.inputs[0], *step.outputs
-        now[:] = z
         moving = False
         for k in range(round(LONGEST_SLIP / _SLIP_STEP)):
             step()
@@ -392,14 +362,19 @@ class StickSlip:
         end -= self.loop.b * float(self.loop.rate @ end) / self.loop.mobility
         return end, k * _SLIP_STEP + high, direction
 
-    def trace(self, half: Slip) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Time from break-away (s), angle (rad) and rate (rad/s) along a slip."""
+    def _slipping(self, z: FloatArray, direction: float) -> BufferedFunction:
+        """The step of a slip that begins at a state."""
         step, law = self._step, self.law
-        now, after = step.inputs[0], step.outputs[0]
-        step.inputs[1][:] = half.direction
+        step.inputs[0][:] = z
+        step.inputs[1][:] = direction
         step.inputs[2][:] = _SLIP_STEP
         step.inputs[3][:] = [law.torque, law.excess, law.velocity]
-        now[:] = half.broken
+        return step
+
+    def trace(self, half: Slip) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Time from break-away (s), angle (rad) and rate (rad/s) along a slip."""
+        step = self._slipping(half.broken, half.direction)
+        now, after = step.inputs[0], step.outputs[0]
         states = [half.broken]
         for _ in range(int(half.slip / _SLIP_STEP)):
             step()
@@ -412,13 +387,10 @@ class StickSlip:
     def half(self, z: FloatArray) -> Slip | None:
         """The stick that begins at a state and the slip after it; None if either does not end."""
         held = self.stick(z)
-        if held is None:
+        slipped = None if held is None else self.slip(held[0])
+        if held is None or slipped is None:
             return None
-        broken, stick = held
-        slipped = self.slip(broken)
-        if slipped is None:
-            return None
-        end, slip, direction = slipped
+        (broken, stick), (end, slip, direction) = held, slipped
         return Slip(z, broken, end, stick, slip, direction)
 
     def ramp(self, error: float) -> FloatArray:
@@ -460,7 +432,9 @@ class StickSlip:
                 assert half is not None
                 values = np.linalg.eigvals(slope @ slope)
                 order = np.argsort(-np.abs(values))
-                return Cycle(half, values[order].astype(complex), self._swing(half))
+                # Peak to peak: within a slip the angle moves one way.
+                swing = abs(float(self.loop.angle @ (half.end - half.start)))
+                return Cycle(half, values[order].astype(complex), swing)
             change = np.linalg.lstsq(slope - np.eye(len(z)), -miss, rcond=1e-12)[0]
             for halving in range(5):
                 trial = best + change / 2.0**halving
@@ -490,7 +464,3 @@ class StickSlip:
                 return None
             slope[:, i] = (one - other) / (2.0 * away[i])
         return slope
-
-    def _swing(self, half: Slip) -> float:
-        """Peak to peak of the angle: within a slip it moves one way."""
-        return abs(float(self.loop.angle @ (half.end - half.start)))
