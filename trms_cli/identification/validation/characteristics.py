@@ -59,10 +59,6 @@ class Coherence:
     frequencies: FloatArray  #: (f,) array; hz
     squared: FloatArray  #: (f,) array; from 0 to 1
     by_chance: float  #: What independent signals stay below at a frequency with probability 0.95
-    #: ``lower``, ``upper``: (f,) arrays; 95 % interval (Fisher's transform)
-    lower: FloatArray
-    upper: FloatArray
-    segments: int
 
 
 def segments_of(values: FloatArray, sample_time: float, length: int) -> Segments:
@@ -113,24 +109,12 @@ def coherence(one: Segments, two: Segments) -> Coherence:
     a, b = one.transforms[both], two.transforms[both]
     k = _independent(int(np.count_nonzero(both)))
     if k <= 1.5:
-        nothing = np.full(len(one.frequencies), np.nan)
-        return Coherence(
-            one.frequencies, nothing, np.nan, nothing, nothing, int(np.count_nonzero(both))
-        )
+        return Coherence(one.frequencies, np.full(len(one.frequencies), np.nan), np.nan)
     cross = np.abs(np.mean(a * np.conj(b), axis=0)) ** 2
     powers = np.mean(np.abs(a) ** 2, axis=0) * np.mean(np.abs(b) ** 2, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         squared = np.where(powers > 0, cross / powers, np.nan)
-    root = np.arctanh(np.minimum(np.sqrt(squared), 1 - 1e-12))
-    reach = 1.96 / np.sqrt(2.0 * k)
-    return Coherence(
-        one.frequencies,
-        squared,
-        float(1.0 - 0.05 ** (1.0 / (k - 1.0))),
-        np.tanh(np.maximum(root - reach, 0.0)) ** 2,
-        np.tanh(root + reach) ** 2,
-        int(np.count_nonzero(both)),
-    )
+    return Coherence(one.frequencies, squared, float(1.0 - 0.05 ** (1.0 / (k - 1.0))))
 
 
 def _independent(count: int) -> float:

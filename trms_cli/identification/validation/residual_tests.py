@@ -165,25 +165,10 @@ def chi2_tail(statistic: float, degrees: float) -> float:
     return float(chdtrc(degrees, statistic)) if degrees > 0 and np.isfinite(statistic) else np.nan
 
 
-def correlation(a: FloatArray, b: FloatArray, lags: Sequence[int]) -> FloatArray:
-    """Sample correlations of ``a(t)`` with ``b(t − lag)``, lags of any sign; for figures."""
-    a, b = _centred(a), _centred(b)
-    scale = np.sqrt(np.nanmean(a**2) * np.nanmean(b**2))
-    if not scale > 0:
-        return np.full(len(lags), np.nan)
-    present = max(1, int(np.count_nonzero(~np.isnan(a * b))))
-    return np.array([np.nansum(a * _shifted(b, int(k))) / present / scale for k in lags])
-
-
 def _shifted(values: FloatArray, lag: int) -> FloatArray:
-    """``values(t − lag)``, NaN where that lies outside."""
+    """``values(t − lag)``, NaN where that lies outside; ``lag`` from 1 on."""
     shifted = np.full(len(values), np.nan)
-    if lag == 0:
-        shifted[:] = values
-    elif 0 < lag < len(values):
-        shifted[lag:] = values[:-lag]
-    elif -len(values) < lag < 0:
-        shifted[:lag] = values[-lag:]
+    shifted[lag:] = values[:-lag]
     return shifted
 
 
