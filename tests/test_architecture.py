@@ -44,8 +44,6 @@ LEVELS = [
     {"commands"},
     {"cli", "__main__"},
 ]
-# What of the library still calls commands, until runs and sweeps are tasks too.
-CALLS_COMMANDS = {"judging.py", "run_result.py", "running.py", "showing.py", "sweeping.py"}
 # `recordings` stands beside the levels: it knows files, the core and what a model's signals are,
 # and these may use it.
 READERS_OF_RECORDINGS = {
@@ -127,8 +125,6 @@ def _upward_imports(module: Path) -> set[str]:
         imported -= {"recordings"}
     if room == "commands":  # a command may ask the dispatcher which commands there are
         imported -= {"cli"}
-    if room == "library" and module.name in CALLS_COMMANDS:
-        imported -= {"commands"}
     above = {other for other in imported - {"recordings"} if _level(other) > _level(room)}
     return above | (imported & {"recordings"})
 

@@ -21,6 +21,7 @@ from benchmarks.setups import experiment
 from benchmarks.setups import run as run_in_memory
 from trms_cli.commands import run as command
 from trms_cli.composition.composer import Composition, compose
+from trms_cli.library.tasks import run as task
 from trms_cli.simulation.closed_loop import Loop
 
 TITLE = "a run of 60 s with pid in a process that makes many"
@@ -118,7 +119,7 @@ class _Worker:
             redirect_stdout(nowhere),
             patch.dict(os.environ, {"TRMS_RUNS": "off"}),
             patch.object(Loop, "run", timed("loop", Loop.run)),
-            patch.object(command, "score_of", timed("score", command.score_of)),
+            patch.object(task, "score_of", timed("score", task.score_of)),
         ):
             command.perform(composition)
         spent["whole"] = 1e3 * (process_time() - begin)

@@ -105,7 +105,7 @@ def _loop(place: Path, words: list[str], count: int) -> float:
 def _engine(place: Path, words: list[str], count: int, workers: int) -> float:
     """Time between two runs that end, once every worker is warm, s."""
     from trms_cli.commands.run import perform
-    from trms_cli.commands.sweep import make_sweep
+    from trms_cli.library.tasks.sweep import make_sweep
 
     warm = 3 * max(1, workers)
     ends: list[float] = []

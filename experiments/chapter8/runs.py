@@ -85,13 +85,14 @@ def run_case(case: Case) -> Ran:
     from trms_cli.commands import run
     from trms_cli.composition.composer import compose
     from trms_cli.recordings.log_reader import read_log
+    from trms_cli.runs.run_folder import LOG_NAME, SCORE_NAME
 
     with tempfile.TemporaryDirectory(prefix="trms-chapter8-") as scratch:
         folder = Path(scratch, "run")
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             run.perform(compose([*case.overrides, "picture=false", f"out='{folder}'"]))
-        score: dict[str, Any] = json.loads((folder / run.SCORE_NAME).read_text(encoding="utf-8"))
-        tables = read_log(folder / run.LOG_NAME).tables
+        score: dict[str, Any] = json.loads((folder / SCORE_NAME).read_text(encoding="utf-8"))
+        tables = read_log(folder / LOG_NAME).tables
     state, command, solver = (tables[k] for k in ("/plant/state", "/command", "/controller"))
     time = np.asarray(state.time, dtype=float)
     time = time - time[0]

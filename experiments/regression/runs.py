@@ -39,6 +39,7 @@ def run_case(case: Case) -> Outcome:
     """Compose a case and run it into a folder that is thrown away; never raises but on Ctrl-C."""
     from trms_cli.commands import run
     from trms_cli.composition.composer import compose
+    from trms_cli.runs.run_folder import LOG_NAME, SCORE_NAME
 
     begin = perf_counter()
     outcome = Outcome(case)
@@ -46,8 +47,8 @@ def run_case(case: Case) -> Outcome:
         folder = Path(scratch, "run")
         try:
             run.perform(compose([*case.overrides, "picture=false", f"out='{folder}'"]))
-            outcome.score = json.loads((folder / run.SCORE_NAME).read_text(encoding="utf-8"))
-            outcome.traces = _traces(folder / run.LOG_NAME)
+            outcome.score = json.loads((folder / SCORE_NAME).read_text(encoding="utf-8"))
+            outcome.traces = _traces(folder / LOG_NAME)
         except TrmsError as error:
             outcome.problem = str(error)
         except Exception as error:  # a failing case must not hide the others

@@ -170,7 +170,7 @@ def score_in_memory(run: Run, folder: Path) -> tuple[dict[str, Any], int]:
     import numpy as np
 
     from trms_cli.library.tasks import experiment as assembly
-    from trms_cli.library.tasks.run_score import score_of, units_of
+    from trms_cli.library.tasks.run import score_of
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
 
@@ -178,7 +178,7 @@ def score_in_memory(run: Run, folder: Path) -> tuple[dict[str, Any], int]:
 
     def keep(plant: Any) -> History:
         topics = assembly.topics_of(experiment, plant)
-        return History({topic.name: units_of(topic) for topic in topics}, None)
+        return History(assembly.units_of(topics), None)
 
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         loop = Loop.start(experiment, keep)

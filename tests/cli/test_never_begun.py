@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from trms_cli.library.tasks.never_begun import never_begun
+from trms_cli.library.tasks.run import never_begun
 from trms_cli.plants.disturbance import ScheduledDisturbance
 from trms_cli.plants.faults.frozen_sensor import FrozenSensor
 from trms_cli.references.constant import Constant

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from trms_cli.commands.sweep.screen import say_outcome
+from trms_cli.library.tasks.sweep_screen import say_outcome
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.sweeps.outcome import outcome_of
 
@@ -521,7 +521,7 @@ class TestResuming:
 
 def test_a_sweep_from_python(tmp_path, monkeypatch):
     from trms_cli.commands.run import perform
-    from trms_cli.commands.sweep import go_on, make_sweep
+    from trms_cli.library.tasks.sweep import go_on, make_sweep
 
     monkeypatch.chdir(tmp_path)
     seen = []

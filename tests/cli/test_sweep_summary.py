@@ -11,7 +11,7 @@ from PIL import Image
 
 from tests.sweeps.samplers.test_optimise import SPACE, TWO, bowls, searched
 from tests.sweeps.test_robustness import told
-from trms_cli.commands.sweep.screen import draw_summary as draw
+from trms_cli.library.tasks.sweep_screen import draw_summary as draw
 from trms_cli.sweeps.findings import summary_findings
 from trms_cli.sweeps.samplers.optimise import Optimise
 

@@ -151,7 +151,7 @@ def test_a_namesake_in_a_folder_replaces_nothing(lab: Path) -> None:
         "trms_cli.core.allowed.write_allowed",
         "trms_cli.core.allowed.allow_for_now",
         "trms_cli.runs.run_folder.new_folder",
-        "trms_cli.commands.sweep.subprocess",
+        "trms_cli.library.tasks.git_revision.subprocess",
         "trms_cli.recordings.run_log.RunLog",
         "trms_cli.recordings.output_file.whole_file",
         "trms_cli.identification.population.Journal",
@@ -293,7 +293,7 @@ def test_hydra_is_not_steered(word: str) -> None:
 
 
 def test_options_that_a_log_holds_are_not_followed(tmp_path: Path) -> None:
-    from trms_cli.commands.run.repeat import repeat
+    from trms_cli.library.tasks.repeat import repetition
     from trms_cli.recordings.run_log import RunLog
 
     words = ["--allow", "evil", "--config-dir", str(tmp_path)]
@@ -303,7 +303,7 @@ def test_options_that_a_log_holds_are_not_followed(tmp_path: Path) -> None:
         with RunLog(log, [], about, {"config.yaml": ("text/yaml", b"seed: 1\n")}):
             pass
         with pytest.raises(TrmsError, match="what was typed"):
-            repeat(log, [], "run", lambda composition: 0)
+            repetition(log, [], "run")
         assert "evil" not in allowed_for_now()
 
 

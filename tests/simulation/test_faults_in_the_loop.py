@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.resources import config_folder
-from trms_cli.library.tasks.run_score import score_of
+from trms_cli.library.tasks.run import score_of
 from trms_cli.scoring.score import Series
 
 from .looping import composed, looped

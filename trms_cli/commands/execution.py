@@ -31,10 +31,12 @@ def execute(argv: Sequence[str], primary: str, task: Task) -> int:
     swept = any(word in ("-m", "--multirun") for word in argv)
     request = read_request([word for word in argv if not (swept and word == "--json")], primary)
     if request.multirun:
-        from trms_cli.commands.sweep import first_job, sweep
-
         if not request.show:
+            from trms_cli.commands.sweep import sweep
+
             return sweep(request, primary, task, as_json="--json" in argv)
+        from trms_cli.library.tasks.sweep import first_job
+
         composition = first_job(request, primary)
     else:
         composition = compose_request(request, primary)

@@ -58,6 +58,8 @@ def main(argv: list[str]) -> int:
     if given.out is not None and given.out.suffix.lower() not in (".html", ".htm"):
         options.error(f"--out {str(given.out)!r} is no page: its name ends in .html")
 
+    from trms_cli.library.report.pages import write_report
+
     report, path = write_report(given.paths, out=given.out, title=given.title, force=given.force)
     if given.json:
         json.dump(document(report, path), sys.stdout, indent=2, ensure_ascii=False)
@@ -65,29 +67,6 @@ def main(argv: list[str]) -> int:
     else:
         _say(report, path)
     return EXIT_OK
-
-
-def write_report(
-    paths: list[Path], *, out: Path | None = None, title: str = "", force: bool = False
-) -> tuple[Report, Path]:
-    """Write the page of logs and folders; the report, and where it is.
-
-    Raises RecordingError if there is nothing to report, or the file exists and is not to be
-    replaced.
-    """
-    from trms_cli.library.report.pages import PAGE_NAME, report_page
-    from trms_cli.recordings.output_file import refuse_overwrite, whole_file
-
-    remedy = "--force replaces it; --out FILE.html names another"
-    if out is not None and not force:
-        refuse_overwrite(out, remedy)
-    report = report_page(paths, title=title, out=out)
-    path = out if out is not None else report.folder / PAGE_NAME
-    if not force:
-        refuse_overwrite(path, remedy)
-    with whole_file(path, force=force) as temporary:
-        temporary.write_text(report.page.html(), encoding="utf-8")
-    return report, path
 
 
 def document(report: Report, path: Path) -> dict[str, Any]:

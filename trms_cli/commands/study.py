@@ -1,4 +1,4 @@
-"""What the commands that study something share: do it, show it, say how to go on."""
+"""What the commands that compose share: do it, show it, say how to go on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import EXIT_TERMINATED, Terminated
-from trms_cli.library.tasks.task import Done, Interrupted, Listener, Screen
+from trms_cli.library.tasks.task import Done, Interrupted, Screen, as_job
 
 
 def study(command: str, composition: Composition, task: Callable[..., Done], **how: Any) -> Outcome:
@@ -19,20 +19,18 @@ def study(command: str, composition: Composition, task: Callable[..., Done], **h
     task : callable
         Takes the composition, a listener, and `how`.
     """
-    in_sweep = composition.job is not None
-    listener = Listener(command) if in_sweep else Screen(command)
+    if composition.job is not None:
+        return as_job(composition, task, **how)
+    screen = Screen(command)
     try:
-        done = task(composition, listener, **how)
+        done = task(composition, screen, **how)
     except Interrupted as stopped:
-        if not in_sweep:
-            sys.stderr.write(f"stopped; finished stages are kept: {stopped.how}\n")
+        if stopped.words:
+            sys.stderr.write(stopped.words)
+            return Outcome(stopped.exit_code, folder=stopped.folder)
+        sys.stderr.write(f"stopped; finished stages are kept: {stopped.how}\n")
         if stopped.exit_code == EXIT_TERMINATED:
             raise Terminated from None
         raise KeyboardInterrupt from None
-    if composition.job is not None:
-        from trms_cli.reporting.screen import show_job
-
-        show_job(done.findings, composition.job, composition.overrides)
-    else:
-        listener.done(done)
+    screen.done(done)
     return Outcome(done.exit_code, done.objective, done.folder)

@@ -141,7 +141,7 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
     from trms_cli.composition.given_object import with_objects
     from trms_cli.core.plugins import build as built
     from trms_cli.core.plugins import nearest
-    from trms_cli.library.calling import called, words_of
+    from trms_cli.library.calling import turn, words_of
 
     defaults = read_primary("run", _folders(config_dir)).defaults
     one = [key for key, option in defaults.items() if option and not isinstance(option, list)]
@@ -150,7 +150,7 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
             f"there is no part {group!r}", where="group", remedy=nearest(group, [*one, "effect"])
         )
     asked = arguments_of("run", (), {group: {name: keys}}, config_dir=config_dir)
-    with called(words_of("run", asked), list(asked.objects.values())):
+    with turn(words_of("run", asked), list(asked.objects.values())):
         config = with_objects(compose(asked.argv, "run"), asked.objects).config[group]
         if group not in one:
             return built(config[name], f"{group}.{name}")

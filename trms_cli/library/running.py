@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.library import html
-from trms_cli.library.calling import called, finished, perform, words_of
+from trms_cli.library.calling import done, done_by, words_of
 from trms_cli.library.frames import frame_of
 from trms_cli.library.result import Result
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
 
-    from trms_cli.composition.composer import Composition, Outcome
+    from trms_cli.library.tasks.task import Done, Listener
     from trms_cli.recordings.log_reader import LoggedRun
     from trms_cli.reporting.notebook_figure import NotebookFigure
     from trms_cli.simulation.closed_loop import Experiment
@@ -339,10 +339,13 @@ def run(
 
 def run_as(asked: Arguments, verbose: bool) -> Run:
     """Run what the arguments of a call ask for."""
-    from trms_cli.commands.run import perform as task
+    from trms_cli.library.tasks.run import perform
 
-    folder, text = perform("run", asked, task, verbose=verbose)
-    return Run(folder, folder / "run.mcap", text=text, asked=asked)
+    return _run_of(done("run", asked, perform, verbose=verbose), asked)
+
+
+def _run_of(made: Done, asked: Arguments | None = None) -> Run:
+    return Run(made.folder, made.folder / "run.mcap", text=made.text, asked=asked)
 
 
 def run_again(
@@ -366,21 +369,18 @@ def run_again(
 
 def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
     """What ``trms run --from LOG`` does."""
-    from trms_cli.commands.run import perform as task
-    from trms_cli.commands.run.repeat import repeat
+    from trms_cli.composition.composer import Composition, compose
     from trms_cli.composition.given_object import with_objects
+    from trms_cli.library.tasks.repeat import repetition
+    from trms_cli.library.tasks.run import perform
 
-    done: list[Outcome] = []
-
-    def kept(composition: Composition) -> Outcome:
-        done.append(task(with_objects(composition, more.objects)))
-        return done[-1]
+    def again(listener: Listener) -> Done:
+        found = repetition(run.log, more.argv, "run")
+        composition = found if isinstance(found, Composition) else compose(found, "run")
+        return perform(with_objects(composition, more.objects), listener)
 
     words = words_of("run", Arguments(("--from", str(run.log), *more.argv)))
-    with called(words, list(more.objects.values()), verbose=verbose) as heard:
-        repeat(run.log, more.argv, "run", kept)
-    folder, text = finished(done[0], heard, verbose=verbose)
-    return Run(folder, folder / "run.mcap", text=text)
+    return _run_of(done_by("run", words, again, more.objects, verbose=verbose))
 
 
 def _with_experiment(

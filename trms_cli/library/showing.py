@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.library.calling import called
+from trms_cli.library.calling import turn
 from trms_cli.library.paths import run_paths
 
 if TYPE_CHECKING:
@@ -54,11 +54,13 @@ def report(
     --------
     >>> report(lqr, pid, out="comparison.html")
     """
-    from trms_cli.commands.report import write_report
+    from trms_cli.library.report.pages import write_report
 
-    with called("Python: report", verbose=verbose):
+    with turn("Python: report"):
         page = None if out is None else path_of(out, "out")
-        return write_report(list(run_paths(runs)), out=page, title=title, force=force)[1]
+        return write_report(
+            list(run_paths(runs)), out=page, title=title, force=force, quiet=not verbose
+        )[1]
 
 
 def plot(

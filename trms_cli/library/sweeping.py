@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of, text_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.library import html
-from trms_cli.library.calling import called, words_of
+from trms_cli.library.calling import remarks, turn, words_of
 from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
 from trms_cli.library.judging import Comparison, compare
 from trms_cli.library.result import Result
@@ -19,6 +20,8 @@ from trms_cli.library.running import Run, run_in
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
+
+    from trms_cli.library.tasks.sweep import SweepOutcome
 
 #: A path, or several.
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
@@ -100,19 +103,10 @@ class Sweep(Result):
         verbose : bool
             Show progress.
         """
-        from trms_cli.commands.sweep import go_on
+        from trms_cli.library.tasks.sweep import go_on
 
-        line = f"Python: resume({str(self.folder)!r})"
-        with called(line, verbose=verbose) as heard, _Screen(verbose) as screen:
-            go_on(
-                self.folder,
-                settings=settings,
-                retry_failed=retry_failed,
-                tell=screen.tell,
-                begun=screen.begun,
-            )
-            screen.ended(self.folder)
-        heard.warn()
+        drive = partial(go_on, self.folder, settings=settings, retry_failed=retry_failed)
+        _driven(f"Python: resume({str(self.folder)!r})", drive, verbose=verbose)
         return self
 
     @property
@@ -190,8 +184,8 @@ def sweep(
     >>> swept = sweep(controller=["pid", "lqr"], seed=range(3), sim={"duration": 20})
     >>> swept.frame.groupby("controller").rmse_alpha_h.median()
     """
-    from trms_cli.commands.run import perform as task
-    from trms_cli.commands.sweep import make_sweep
+    from trms_cli.library.tasks.run import job
+    from trms_cli.library.tasks.sweep import make_sweep
 
     steering = {"sampler": sampler, "launcher": launcher, "retries": retries}
     asked = _asked(overrides, keys, steering, workers, config_dir)
@@ -199,19 +193,8 @@ def sweep(
         words = (*asked.words, f"out={text_of(str(path_of(out, 'out')))}")
         asked = Arguments(words, {}, asked.config_dirs)
     line = words_of("run", Arguments(("-m", *asked.words), {}, asked.config_dirs))
-    with called(line, verbose=verbose) as heard, _Screen(verbose) as screen:
-        swept = make_sweep(
-            asked.words,
-            "run",
-            task,
-            config_dirs=asked.config_dirs,
-            tell=screen.tell,
-            begun=screen.begun,
-        )
-        screen.ended(swept.folder)
-    if not verbose:
-        heard.warn()
-    return Sweep(_near(swept.folder))
+    drive = partial(make_sweep, asked.words, "run", job, config_dirs=asked.config_dirs)
+    return Sweep(_near(_driven(line, drive, verbose=verbose).folder))
 
 
 def load(path: str | PathLike[str]) -> Result:
@@ -252,39 +235,12 @@ def load(path: str | PathLike[str]) -> Result:
     )
 
 
-class _Screen:
-    """What the command shows, or nothing."""
+def _driven(words: str, drive: Callable[..., SweepOutcome], *, verbose: bool) -> SweepOutcome:
+    """Drive a sweep to its end, as a call in `words`: shown as by the command, or in silence."""
+    from trms_cli.library.tasks.sweep_screen import on_screen
 
-    def __init__(self, verbose: bool) -> None:
-        self._shown: Any = None
-        if verbose:
-            from trms_cli.commands.sweep.screen import SweepScreen
-
-            self._shown = SweepScreen(as_json=False)
-
-    def __enter__(self) -> Self:
-        if self._shown is not None:
-            self._shown.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        if self._shown is not None:
-            self._shown.__exit__(*error)
-
-    def tell(self, progress: Any, result: Any) -> None:
-        """After each run, and now and then."""
-        if self._shown is not None:
-            self._shown.tell(progress, result)
-
-    def begun(self, folder: Path) -> None:
-        """Once the sweep has its folder."""
-        if self._shown is not None:
-            self._shown.say_begun(folder)
-
-    def ended(self, folder: Path) -> None:
-        """At the end."""
-        if self._shown is not None:
-            self._shown.say_ended(folder)
+    with turn(words), remarks(verbose):
+        return on_screen(drive) if verbose else drive()
 
 
 def _asked(

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from time import perf_counter
 from types import FrameType, MappingProxyType
@@ -252,6 +252,9 @@ class ReadingProgress:
 
     _PATIENCE = 0.5  # s
 
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._visible = sys.stderr.isatty() and not quiet
+
     def __enter__(self) -> Self:
         self._begin, self._told, self._shown = perf_counter(), 0.0, False
         return self
@@ -259,7 +262,7 @@ class ReadingProgress:
     def __call__(self, done: int, of: int) -> None:
         """Say that `done` logs of `of` have been read."""
         now = perf_counter()
-        if now - max(self._begin, self._told) < self._PATIENCE or not sys.stderr.isatty():
+        if now - max(self._begin, self._told) < self._PATIENCE or not self._visible:
             return
         self._told, self._shown = now, True
         sys.stderr.write(f"\rreading logs: {done} of {of}  ")
@@ -269,3 +272,56 @@ class ReadingProgress:
         if self._shown:
             sys.stderr.write("\r" + " " * 48 + "\r")
             sys.stderr.flush()
+
+
+class LoopBar:
+    """A bar on standard error for a loop, which one that ends at once does not need.
+
+    Parameters
+    ----------
+    duration : float
+        Of the run, s.
+    """
+
+    _PATIENCE = 0.5  # s
+
+    def __init__(self, duration: float) -> None:
+        self._duration = duration
+        self._bar: Any = None
+        self._task: Any = None
+
+    def __enter__(self) -> Callable[[float, float], None]:
+        self._begin = perf_counter()
+        return self._tell
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def _tell(self, time: float, error: float) -> None:
+        """Simulated time (s) and the largest present tracking error (rad)."""
+        spent = perf_counter() - self._begin
+        if spent < self._PATIENCE:
+            return
+        if self._bar is None:
+            self._bar = _loop_bar()
+            self._task = self._bar.add_task("", total=self._duration, speed="", error="")
+            self._bar.start()
+        speed = f"{time / spent:.0f}× real time"
+        self._bar.update(self._task, completed=time, speed=speed, error=f"error {error:.3f} rad")
+
+
+def _loop_bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        TextColumn("{task.completed:.0f} / {task.total:g} s"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[speed]}"),
+        TextColumn("{task.fields[error]}"),
+        TimeRemainingColumn(compact=True),
+        console=Console(file=sys.stderr, force_jupyter=False),
+        transient=True,
+    )

@@ -50,8 +50,39 @@ class Report:
     left_out: tuple[tuple[str, str], ...] = ()  #: Files that could not be read, with the reason
 
 
+def write_report(
+    paths: Sequence[Path],
+    *,
+    out: Path | None = None,
+    title: str = "",
+    force: bool = False,
+    quiet: bool = False,
+) -> tuple[Report, Path]:
+    """Write the page of logs and folders; the report, and where it is.
+
+    Raises RecordingError if there is nothing to report, or the file exists and is not to be
+    replaced.
+    """
+    from trms_cli.recordings.output_file import refuse_overwrite, whole_file
+
+    remedy = "--force replaces it; --out FILE.html names another"
+    if out is not None and not force:
+        refuse_overwrite(out, remedy)
+    report = report_page(paths, title=title, out=out, quiet=quiet)
+    path = out if out is not None else report.folder / PAGE_NAME
+    if not force:
+        refuse_overwrite(path, remedy)
+    with whole_file(path, force=force) as temporary:
+        temporary.write_text(report.page.html(), encoding="utf-8")
+    return report, path
+
+
 def report_page(
-    paths: Sequence[str | os.PathLike[str]], *, title: str = "", out: Path | None = None
+    paths: Sequence[str | os.PathLike[str]],
+    *,
+    title: str = "",
+    out: Path | None = None,
+    quiet: bool = False,
 ) -> Report:
     """The report of logs and folders.
 
@@ -64,6 +95,8 @@ def report_page(
     out : Path or None
         File that the page will be written to, for links in it; None: ``report.html`` in the run's
         folder, in that of the sweep, or in the working folder for several paths.
+    quiet : bool
+        Show no progress.
 
     Raises
     ------
@@ -82,7 +115,8 @@ def report_page(
         [
             path if path.is_dir() else path.parent if path.name == LOG_NAME else path
             for path in given
-        ]
+        ],
+        quiet=quiet,
     )
     if not found.runs:
         return _of_scores(given, found, folder, title)

@@ -62,12 +62,12 @@ def _page_figures() -> list[str]:
     return [*names, "duration"]
 
 
-def rows_of(folders: Sequence[Path]) -> QueryResult:
+def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
     """The runs in folders, as ``trms runs`` has them; logs that are new are read."""
     from trms_cli.reporting.progress import ReadingProgress
     from trms_cli.runs.query import Query, find
 
-    with ReadingProgress() as progress:
+    with ReadingProgress(quiet=quiet) as progress:
         found = find(Query(folders=tuple(folders), sort="path", descending=False), progress)
     return replace(found, runs=_completed(found.runs))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -12,10 +12,12 @@ import yaml
 
 from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import number, whole_number
+from trms_cli.core.errors import interrupted_code
 from trms_cli.core.invocation import command_line
 from trms_cli.core.plugin_contract import check_contract
 from trms_cli.core.plugins import build
 from trms_cli.core.versions import versions
+from trms_cli.library.tasks.task import Interrupted
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.plants.plant import PlantRun
@@ -25,6 +27,8 @@ from trms_cli.simulation.closed_loop import Experiment
 
 if TYPE_CHECKING:
     from trms_cli.recordings.for_model import RecordedRun
+    from trms_cli.scoring.score import Series
+    from trms_cli.simulation.history import History
 
 #: Keys of the log's ``trms.run`` record, each with JSON: what ``trms run --from LOG`` reads.
 OVERRIDES_KEY, CONFIG_DIRS_KEY, VERSIONS_KEY = "overrides", "config_dirs", "versions"
@@ -116,12 +120,11 @@ def run_metadata(
     composition: Composition, model: Model, plant: PlantRun | RecordedRun, revision: str
 ) -> dict[str, str]:
     """What the log says of the run besides its samples."""
-    lower, upper = plant.input_limits
     limits = {
-        signal.name: [low, high]
-        for signal, low, high in zip(plant.inputs, lower.tolist(), upper.tolist(), strict=True)
+        name: [low, high]
+        for name, (low, high) in limits_of(plant, model).items()
+        if name not in model.stops or high < float("inf")
     }
-    limits |= {name: [-stop, stop] for name, stop in model.stops.items() if stop < float("inf")}
     return {
         "command": command_line(),
         "seed": str(composition.config["seed"]),
@@ -133,6 +136,39 @@ def run_metadata(
         CONFIG_DIRS_KEY: json.dumps([str(folder) for folder in composition.config_dirs]),
         LIMITS_KEY: json.dumps(limits),
     }
+
+
+def limits_of(rig: PlantRun | RecordedRun, model: Model) -> dict[str, tuple[float, float]]:
+    """Of the inputs (V) and of the angles (rad), by name."""
+    lower, upper = rig.input_limits
+    limits = {
+        signal.name: (low, high)
+        for signal, low, high in zip(rig.inputs, lower.tolist(), upper.tolist(), strict=True)
+    }
+    return limits | {name: (-stop, stop) for name, stop in model.stops.items()}
+
+
+def units_of(topics: Iterable[Topic]) -> dict[str, dict[str, str]]:
+    """Units of the fields of topics, by the names of both."""
+    return {topic.name: {field.name: field.unit for field in topic.fields} for topic in topics}
+
+
+def tables_of(history: History) -> dict[str, Series]:
+    """What a history holds as a score wants it, by topic."""
+    from trms_cli.scoring.score import Series
+
+    return {
+        topic: Series(history.times(topic), history.columns(topic), history.units[topic])
+        for topic in history.fields
+        if topic != "/prediction"
+    }
+
+
+def interrupted(error: KeyboardInterrupt, time: float, log: Path, then: str = "") -> Interrupted:
+    """What is raised for a run that was stopped at a `time` (s), with what to do `then`."""
+    words = f"\ninterrupted at {time:.2f} s; the log up to there is complete and readable\n"
+    words += f"  log  {log}\n{then}"
+    return Interrupted(log.parent, exit_code=interrupted_code(error), words=words)
 
 
 def attachments(

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from trms_cli.composition.composer import Composition, Outcome
+from trms_cli.composition.composer import Composition
 from trms_cli.core import wording
-from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError, interrupted_code
+from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Cell, Column, Findings, NextCommand, Section, Table, table
 from trms_cli.core.invocation import program
 from trms_cli.core.plugin_contract import check_contract, plugin_failure
@@ -20,6 +19,7 @@ from trms_cli.core.plugins import TARGET, build, locate
 from trms_cli.library.tasks import experiment as assembly
 from trms_cli.library.tasks.git_revision import GitRevision
 from trms_cli.library.tasks.scene import RunScene
+from trms_cli.library.tasks.task import Done, Listener
 from trms_cli.models.model import Model, Signal
 from trms_cli.plants.replay import RecordedRig
 from trms_cli.recordings.for_model import RecordedRun
@@ -28,7 +28,7 @@ from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.runs.place import note_run
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.scoring.innovations import innovation_table
-from trms_cli.scoring.score import Series, score_tables
+from trms_cli.scoring.score import score_tables
 from trms_cli.simulation.history import History
 from trms_cli.simulation.replay import Replay, time_offset
 
@@ -48,8 +48,8 @@ def is_replay(config: Mapping[str, Any]) -> bool:
     return isinstance(target, type) and issubclass(target, RecordedRig)
 
 
-def perform_replay(composition: Composition) -> Outcome:
-    """Run the observer over the recording: log, score, print and draw."""
+def perform(composition: Composition, listener: Listener) -> Done:
+    """Run the observer over the recording: log it, score it, draw it."""
     begin = perf_counter()
     config = composition.config
     model = build(config["model"], "model")
@@ -78,18 +78,16 @@ def perform_replay(composition: Composition) -> Outcome:
         )
         logs.append(log)
         note_run(log.path)
-        units = {t.name: {f.name: f.unit for f in t.fields} for t in topics}
-        return History(units, scene.sink(log))
+        return History(assembly.units_of(topics), scene.sink(log))
 
     replay = Replay.start(model, rig, observer, make_history)
-    log = logs[0]
-    screen = ReplayScreen(composition, rig, log.path)
+    log, whole = logs[0], len(rig) * rig.sample_time
     try:
-        replay.run(screen.progress)
+        with listener.progress() as line:
+            replay.run(lambda time, off: line.tell(f"{time:.0f} / {whole:g} s, off {off:.4f} rad"))
     except KeyboardInterrupt as error:
         log.close("interrupted", _score(replay, log.path, complete=False))
-        screen.say_interrupted(replay.done * rig.sample_time)
-        return Outcome(interrupted_code(error), folder=log.path.parent)
+        raise assembly.interrupted(error, replay.done * rig.sample_time, log.path) from None
     except BaseException as error:
         log.close("failed")
         reached = replay.done * rig.sample_time
@@ -104,14 +102,33 @@ def perform_replay(composition: Composition) -> Outcome:
     log.close("completed", score)
     for name, document in ((SCORE_NAME, score), (INNOVATIONS_NAME, table)):
         write_document(document, log.path.with_name(name))
-    picture = None
+    choices = composition.shown_choices
+    title = (
+        f"{rig.recording.source.name} · model {choices['model']} · observer "
+        f"{choices['observer']} · {whole:g} s at {1 / rig.sample_time:g} Hz"
+    )
+    files = {"log": log.path}
     if config["picture"]:
         from trms_cli.reporting.replay_picture import draw_replay
 
-        picture = log.path.with_name(PICTURE_NAME)
-        draw_replay(replay.history, table, picture, title=screen.what)
-    screen.say_finished(score, table, picture, spent)
-    return Outcome(EXIT_OK, _objective(table), log.path.parent)
+        files["picture"] = log.path.with_name(PICTURE_NAME)
+        draw_replay(replay.history, table, files["picture"], title=title)
+    tracking = [
+        f"{wording.signal(name)} {wording.quantity(channel['rmse'], channel['unit'])}"
+        for name, channel in score["channels"].items()
+    ]
+    recorded = {"recorded": f"tracking RMSE {', '.join(tracking)}"} if tracking else {}
+    findings = Findings(
+        title,
+        [_in_short(table)] if composition.job is not None else [],
+        [Section("One step ahead", blocks=[_table_of(table["channels"])])],
+        table,
+        list(_notes(composition, rig)),
+        facts=recorded | {"time": f"{score['duration_s']:g} s replayed in {spent:.2f} s"},
+        files=files,
+        next=[NextCommand(f"{program()} score {shlex.quote(str(log.path))}")],
+    )
+    return Done(log.path.parent, findings, objective=_objective(table), command="replay")
 
 
 def _topics(model: Model, rig: RecordedRun) -> list[Topic]:
@@ -136,33 +153,18 @@ def _about(rig: RecordedRun) -> dict[str, str]:
     return about | ({"time_offset_s": repr(offset)} if offset else {})
 
 
-def _tables(replay: Replay) -> dict[str, Series]:
-    history = replay.history
-    return {
-        topic: Series(history.times(topic), history.columns(topic), history.units[topic])
-        for topic in history.fields
-    }
-
-
 def _score(replay: Replay, path: Path, *, complete: bool) -> dict[str, Any]:
-    rig, model = replay.rig, replay.model
-    lower, upper = rig.input_limits
-    limits = {
-        signal.name: (low, high)
-        for signal, low, high in zip(rig.inputs, lower.tolist(), upper.tolist(), strict=True)
-    }
-    limits |= {name: (-stop, stop) for name, stop in model.stops.items()}
     return score_tables(
-        _tables(replay),
-        limits=limits,
-        duration_s=round(replay.done * rig.sample_time, 9),
+        assembly.tables_of(replay.history),
+        limits=assembly.limits_of(replay.rig, replay.model),
+        duration_s=round(replay.done * replay.rig.sample_time, 9),
         log=str(path),
         complete=complete,
     )
 
 
 def _innovations(replay: Replay) -> dict[str, Any]:
-    tables, outputs = _tables(replay), replay.rig.outputs
+    tables, outputs = assembly.tables_of(replay.history), replay.rig.outputs
     return innovation_table(
         tables["/estimate"],
         tables["/measurement"],
@@ -181,106 +183,26 @@ def _objective(table: Mapping[str, Any]) -> float | None:
     return float(sum(ratios))
 
 
-class ReplayScreen:
-    """What a person sees: progress on a terminal, then figures, notes and files.
-
-    Parameters
-    ----------
-    composition : Composition
-    rig : RecordedRun
-    log : Path
-    """
-
-    _PATIENCE = 0.5  # s, before progress is worth a line
-
-    def __init__(self, composition: Composition, rig: RecordedRun, log: Path) -> None:
-        self._composition, self._rig, self._log = composition, rig, log
-        self._begin = perf_counter()
-        self._line = ""
-        choices = composition.shown_choices
-        duration = len(rig) * rig.sample_time
-        self.what = (
-            f"{rig.recording.source.name} · model {choices['model']} · observer "
-            f"{choices['observer']} · {duration:g} s at {1 / rig.sample_time:g} Hz"
-        )
-
-    def progress(self, time: float, surprise: float) -> None:
-        """Recorded time (s) and the largest present innovation of an angle (rad)."""
-        if not sys.stderr.isatty() or perf_counter() - self._begin < self._PATIENCE:
-            return
-        line = f"{time:.0f} / {len(self._rig) * self._rig.sample_time:g} s, off {surprise:.4f} rad"
-        sys.stderr.write("\r" + line.ljust(len(self._line)))
-        sys.stderr.flush()
-        self._line = line
-
-    def say_interrupted(self, time: float) -> None:
-        """Where the log of an interrupted replay is."""
-        self._clear()
-        sys.stderr.write(
-            f"\ninterrupted at {time:.2f} s; the log up to there is complete and readable\n"
-            f"  log  {self._log}\n"
-        )
-
-    def say_finished(
-        self, score: Mapping[str, Any], table: Mapping[str, Any], picture: Path | None, spent: float
-    ) -> None:
-        """The figures in short, what to know about them, and the files."""
-        self._clear()
-        if self._composition.job is not None:
-            what = " ".join(self._composition.overrides) or self.what
-            print(f"{self._composition.job:>4}  {what}  {_in_short(table)}")
-            return
-        from trms_cli.reporting.screen import show
-
-        show(self.findings(score, table, picture, spent), "replay")
-
-    def findings(
-        self, score: Mapping[str, Any], table: Mapping[str, Any], picture: Path | None, spent: float
-    ) -> Findings:
-        """What the replay has to tell; `spent` is the time that it took, s."""
-        tracking = [
-            f"{wording.signal(name)} {wording.quantity(channel['rmse'], channel['unit'])}"
-            for name, channel in score["channels"].items()
-        ]
-        recorded = {"recorded": f"tracking RMSE {', '.join(tracking)}"} if tracking else {}
-        time = f"{score['duration_s']:g} s replayed in {spent:.2f} s"
-        return Findings(
-            self.what,
-            [],
-            [Section("One step ahead", blocks=[_table_of(table["channels"])])],
-            table,
-            list(self._notes()),
-            facts=recorded | {"time": time},
-            files={"log": self._log} | ({"picture": picture} if picture is not None else {}),
-            next=[NextCommand(f"{program()} score {shlex.quote(str(self._log))}")],
-        )
-
-    def _notes(self) -> Iterator[str]:
-        ignored = [text for text in self._composition.overrides if _has_no_part(text)]
-        given = f" ({' '.join(ignored)})" if ignored else ""
-        yield (
-            "a recording cannot be steered: commands, references and sample time are its own; "
-            f"{', '.join(_NO_PART)} have no part in it{given}"
-        )
-        yield from self._rig.remarks
-        lost = sum(1 for happening in self._rig.happenings if happening.kind == "gap")
-        if lost:
-            yield "the observer predicts across gaps with the last command held: see /event"
-        model = self._composition.config["model"]
-        beside = {
-            key: self._rig.recording.source.with_name(name)
-            for key, name in _CURVES.items()
-            if key in model and model[key] is None
-        }
-        found = {key: path for key, path in beside.items() if path.is_file()}
-        if found:
-            words = " ".join(f"model.{key}={shlex.quote(str(p))}" for key, p in found.items())
-            yield f"measured rotor curves lie beside the recording, to be used by {words}"
-
-    def _clear(self) -> None:
-        if self._line:
-            sys.stderr.write("\r" + " " * len(self._line) + "\r")
-            self._line = ""
+def _notes(composition: Composition, rig: RecordedRun) -> Iterator[str]:
+    ignored = [text for text in composition.overrides if _has_no_part(text)]
+    given = f" ({' '.join(ignored)})" if ignored else ""
+    yield (
+        "a recording cannot be steered: commands, references and sample time are its own; "
+        f"{', '.join(_NO_PART)} have no part in it{given}"
+    )
+    yield from rig.remarks
+    if any(happening.kind == "gap" for happening in rig.happenings):
+        yield "the observer predicts across gaps with the last command held: see /event"
+    model = composition.config["model"]
+    beside = {
+        key: rig.recording.source.with_name(name)
+        for key, name in _CURVES.items()
+        if key in model and model[key] is None
+    }
+    curves = {key: path for key, path in beside.items() if path.is_file()}
+    if curves:
+        words = " ".join(f"model.{key}={shlex.quote(str(p))}" for key, p in curves.items())
+        yield f"measured rotor curves lie beside the recording, to be used by {words}"
 
 
 def _has_no_part(override: str) -> bool:

@@ -11,7 +11,6 @@ import json
 import os
 import platform
 import shlex
-import signal
 import threading
 import traceback
 from collections.abc import Iterator, Mapping
@@ -25,6 +24,7 @@ from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.core.invocation import called_as
 from trms_cli.library.tasks.git_revision import known_revision
+from trms_cli.library.tasks.task import termination
 from trms_cli.runs.columns import figures_of
 from trms_cli.runs.run_folder import SCORE_NAME
 from trms_cli.sweeps.driver import DISK_FULL
@@ -218,23 +218,6 @@ class _Watch(threading.Thread):
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(
                     ctypes.c_ulong(self._runner), ctypes.py_object(Terminated)
                 )
-
-
-@contextlib.contextmanager
-def termination() -> Iterator[None]:
-    """SIGTERM ends the run inside as Ctrl-C does, where it runs in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def terminate(*_: Any) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _figures(folder: Path) -> dict[str, float]:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import io
+import signal
 import sys
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, Terminated
 from trms_cli.core.findings import Findings
 
 if TYPE_CHECKING:
+    from trms_cli.composition.composer import Composition, Outcome
     from trms_cli.reporting.progress import ProgressLine
 
 
+#: Called with the simulated time (s) and the largest present tracking error (rad).
+LoopProgress = Callable[[float, float], None]
 #: Rows of a table on the screen: all parameters of a model.
 _ROWS = 40
 
@@ -29,6 +35,8 @@ class Done:
     subject: str = ""  #: What of: ``newtonian with pitch_coulomb_friction``
     exit_code: int = EXIT_OK
     objective: float | None = None  #: Smaller is better; None where a sweeper does not search
+    #: First word of what is shown; empty where it is shown once the task begins
+    command: str = ""
 
     @property
     def text(self) -> str:
@@ -36,7 +44,7 @@ class Done:
         from trms_cli.reporting.screen import show
 
         stream = io.StringIO()
-        show(self.findings, "", self.subject, stream=stream, rows=_ROWS)
+        show(self.findings, self.command, self.subject, stream=stream, rows=_ROWS)
         return stream.getvalue()
 
 
@@ -51,11 +59,15 @@ class Interrupted(KeyboardInterrupt):
         How to go on, to be typed.
     exit_code : int
         Of the process: of Ctrl-C, or of a signal to end.
+    words : str
+        What a command tells of it, where it cannot be gone on with.
     """
 
-    def __init__(self, folder: Path, how: str = "", exit_code: int = EXIT_INTERRUPTED) -> None:
+    def __init__(
+        self, folder: Path, how: str = "", exit_code: int = EXIT_INTERRUPTED, words: str = ""
+    ) -> None:
         super().__init__(f"what was done until then is in {folder}")
-        self.folder, self.how, self.exit_code = folder, how, exit_code
+        self.folder, self.how, self.exit_code, self.words = folder, how, exit_code, words
 
 
 class Listener:
@@ -81,6 +93,10 @@ class Listener:
 
         return ProgressLine(quiet=self.quiet)
 
+    def simulation(self, duration: float) -> AbstractContextManager[LoopProgress | None]:
+        """Gives what a loop of so many seconds is to call, if anything."""
+        return nullcontext(None)
+
 
 class Screen(Listener):
     """Shows it on standard output."""
@@ -103,5 +119,45 @@ class Screen(Listener):
         """What came of it."""
         from trms_cli.reporting.screen import show
 
-        command = "" if self._begun else self.command
+        command = "" if self._begun else result.command or self.command
         show(result.findings, command, result.subject, rows=_ROWS)
+
+    def simulation(self, duration: float) -> AbstractContextManager[LoopProgress | None]:
+        """Gives what moves a bar, on a terminal."""
+        from trms_cli.reporting.progress import LoopBar
+
+        return LoopBar(duration) if sys.stderr.isatty() else nullcontext(None)
+
+
+def as_job(composition: Composition, task: Callable[..., Done], **how: Any) -> Outcome:
+    """Let a task do a job of a sweep, which says a few lines of itself.
+
+    Parameters
+    ----------
+    task : callable
+        Takes the composition, a listener, and `how`.
+    """
+    from trms_cli.composition.composer import Outcome
+    from trms_cli.reporting.screen import show_job
+
+    assert composition.job is not None
+    done = task(composition, Listener(""), **how)
+    show_job(done.findings, composition.job, composition.overrides or [done.findings.title])
+    return Outcome(done.exit_code, done.objective, done.folder)
+
+
+@contextmanager
+def termination() -> Iterator[None]:
+    """SIGTERM ends what runs inside as Ctrl-C does, where it runs in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+
+    def terminate(*_: Any) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

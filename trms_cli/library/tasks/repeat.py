@@ -4,60 +4,32 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.execution import execute
-from trms_cli.composition.composer import Composition, Outcome, Task, compose
+from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.given_object import refuse_given
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.invocation import program
+from trms_cli.core.notes import note
 from trms_cli.core.plugins import TARGET
-from trms_cli.runs.run_folder import log_of
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
 
-OPTION = "--from"
 #: What a run is given for itself: a repetition writes elsewhere.
 _OWN_KEYS = ("out",)
 
 
-def take_log(argv: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """Take ``--from LOG`` off `argv`.
-
-    Raises ConfigurationError if it names nothing, or stands twice.
-    """
-    log: str | None = None
-    rest: list[str] = []
-    words = iter(argv)
-    for word in words:
-        if word != OPTION and not word.startswith(f"{OPTION}="):
-            rest.append(word)
-            continue
-        if log is not None:
-            raise ConfigurationError(
-                "given twice", where=OPTION, remedy="a run is repeated from one log"
-            )
-        log = word.partition("=")[2] if "=" in word else next(words, "")
-        if not log or (log.startswith("-") or ("=" in log and not Path(log).exists())):
-            raise ConfigurationError(
-                f"{log!r} given" if log else "no log given",
-                where=OPTION,
-                remedy=f"write {OPTION} outputs/…/run.mcap",
-            )
-    return (None if log is None else log_of(Path(log))), rest
-
-
-def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
-    """Run the experiment of a log, with the overrides of `argv` on top.
+def repetition(log: Path, argv: Sequence[str], primary: str) -> list[str] | Composition:
+    """The experiment of a log, with the overrides of `argv` on top.
 
     What was typed then and what is typed now are composed together, so that an override means
-    what it always means. That needs option files that say what they said: where they have
-    changed since, the log's own configuration still runs, but nothing can be laid on top.
+    what it always means: these words are given back. That needs option files that say what they
+    said: where they have changed since, the log's own configuration still runs, and is given
+    back, but nothing can be laid on top.
     """
     run = _read(log)
     then = _words(run, "overrides")
@@ -69,20 +41,18 @@ def repeat(log: Path, argv: Sequence[str], primary: str, task: Task) -> int:
     _tell_what_differs(run)
     changed = _changed(logged, [*places, *typed], primary)
     if not changed:
-        return execute([*places, *typed, *argv], primary, task)
+        return [*places, *typed, *argv]
     own = [word for word in argv if _is_own(word)]
     if len(own) != len(argv):
         raise ConfigurationError(
             f"option files have changed since that run, so {' '.join(argv)} cannot be laid on it: "
             f"{changed}",
             where=str(log),
-            remedy=f"repeat it as it was: {program()} run {OPTION} {shlex.quote(str(log))}\n"
+            remedy=f"repeat it as it was: {program()} run --from {shlex.quote(str(log))}\n"
             f"or run anew: {program()} run {shlex.join([*typed, *argv])}",
         )
-    sys.stderr.write(f"note   option files have changed since; the log's own count ({changed})\n")
-    composition = _as_logged(run, _completed(logged, primary), own, folders)
-    outcome = task(composition)
-    return outcome.exit_code if isinstance(outcome, Outcome) else outcome
+    note(f"note   option files have changed since; the log's own count ({changed})")
+    return _as_logged(run, _completed(logged, primary), own, folders)
 
 
 def _read(path: Path) -> LoggedRun:
@@ -173,7 +143,7 @@ def _completed(logged: Mapping[str, Any], primary: str) -> dict[str, Any]:
                 completed[key] = {**present, **missing}
                 new += [f"{key}.{name}" for name in missing]
     if new:
-        sys.stderr.write(f"note   newer than that run, and at their default: {', '.join(new)}\n")
+        note(f"note   newer than that run, and at their default: {', '.join(new)}")
     return completed
 
 
@@ -220,7 +190,7 @@ def _tell_what_differs(run: LoggedRun) -> None:
         if then[name] != now.get(name)
     ]
     if changed:
-        sys.stderr.write(f"note   not as it was then: {', '.join(changed)}\n")
+        note(f"note   not as it was then: {', '.join(changed)}")
 
 
 def _writer(run: LoggedRun) -> str:

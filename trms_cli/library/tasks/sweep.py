@@ -1,8 +1,12 @@
-"""``trms sweep``: sweeps that were begun, gone on with or told about; and what ``-m`` does.
+"""Sweeps: begun, checked, driven to their end, gone on with; nothing is printed.
 
-``trms run -m …`` (and every other command that composes) begins a sweep: :func:`sweep`. What a
-sweep varies is read from the overrides, its record is written, and the driver has the runs made.
-From Python, :func:`make_sweep` and :func:`go_on` do the same without printing.
+What a sweep varies is read from the overrides, its record is written, and the driver has the runs
+made (:mod:`trms_cli.library.tasks.sweep_work`). Before that one run of each value that is tried is
+looked at: a key that one of the controllers lacks, or a duration that is no number, would fail
+each run of its kind, so it is told at once, and nothing is written. Each value is tried with the
+first of all others, so that the effort grows with the number of values and not with that of
+combinations. Parts of this program are built as a run builds them; a user's own code runs in
+workers only.
 """
 
 from __future__ import annotations
@@ -10,55 +14,32 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.composer import Composition, Task, compose
 from trms_cli.composition.overrides import ComposeRequest
 from trms_cli.composition.sweep_settings import Settings, names_of, settings_of
-from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, RecordingError, TrmsError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
+from trms_cli.core.notes import note
+from trms_cli.core.plugins import TARGET
 from trms_cli.sweeps.record import SweepPlan
+from trms_cli.sweeps.space import Space
 
 if TYPE_CHECKING:
     from trms_cli.sweeps.driver import SweepProgress
     from trms_cli.sweeps.point import RunResult, SweepPoint
-    from trms_cli.sweeps.record import SweepPlan
 
-SUMMARY = "go on with a sweep that was interrupted, or tell how one stands"
-COMPOSES = "sweep"
-
-HELP = """\
-usage: trms run -m KEY=VALUE,VALUE… [sampler=…] [launcher=…] [retries=N] [out=FOLDER] [--json]
-       trms sweep resume FOLDER [launcher=…] [retries=N] [--retry-failed] [--json]
-       trms sweep status FOLDER [--json]
-
-A sweep makes one run for each combination of values, or for values that are drawn or searched,
-each in a numbered folder with its log, score.json and status.json. Whatever dies or is switched
-off meanwhile, `trms sweep resume` goes on where it stopped, and makes no run twice.
-
-examples
-  trms run -m controller=pid,lqr,newton_mpc seed=1,2,3         nine runs, on all cores
-  trms run -m controller=pid plant.parameters=prior sampler=latin_hypercube sampler.samples=200
-  trms run -m controller=pid 'seed=range(1000)' launcher.workers=8 out=many
-  trms run -m controller=pid 'seed=range(1000)' launcher=dask launcher.address=tcp://head:8786
-  trms run -m controller=pid 'seed=range(1000)' launcher=slurm launcher.workers=32
-  trms sweep status many                       counts, failures by their reason, the best
-  trms sweep resume many                       goes on after Ctrl-C, a crash, a full disk
-  trms sweep resume many --retry-failed        also those that failed or were lost
-  trms sweep resume many launcher=slurm        the rest elsewhere
-  trms watch many                              as it goes on
-
-options
-  --retry-failed   make again what failed or was lost
-  --allow PACKAGE  let classes of this package run, as for the command that began the sweep
-  --json           print the outcome as one JSON document (trms.sweep-status/1)
-"""
+#: Values of one key that are looked at, from the first on; the last is, too.
+MOST_VALUES = 30
+_OURS = "trms_cli."
+_NUMBERS = ("duration", "sample_time")
+#: Tasks of a record are looked for here only: a record is data, and names no other code.
+_TASKS = ("trms_cli.commands.", "trms_cli.library.tasks.")
 
 
 @dataclass(frozen=True)
@@ -83,45 +64,6 @@ Tell = Callable[["SweepProgress", "RunResult | None"], None]
 
 def _silent(progress: SweepProgress, result: RunResult | None) -> None:
     """Tells nobody."""
-
-
-def main(argv: Sequence[str]) -> int:
-    """Go on with a sweep, or tell how it stands."""
-
-    commands = {"resume": resume_command, "status": status_command}
-    word = argv[0] if argv else ""
-    if word not in commands:
-        raise ConfigurationError(
-            f"cannot use {word!r}" if word else "nothing to do",
-            where="trms sweep",
-            remedy="write trms sweep resume FOLDER or trms sweep status FOLDER; "
-            "a sweep is begun by -m: trms run -m controller=pid,lqr",
-        )
-    return commands[word](argv[1:])
-
-
-def sweep(request: ComposeRequest, primary: str, task: Task, *, as_json: bool = False) -> int:
-    """Begin a sweep and drive it to its end, on the screen.
-
-    Returns
-    -------
-    int
-        0 when every run ended well, 1 otherwise.
-    """
-    from trms_cli.commands.sweep.screen import SweepScreen
-
-    screen = SweepScreen(as_json=as_json)
-    with screen:
-        swept = make_sweep(
-            request.overrides,
-            primary,
-            task,
-            config_dirs=request.config_dirs,
-            tell=screen.tell,
-            begun=screen.say_begun,
-        )
-    screen.say_ended(swept.folder)
-    return EXIT_OK if swept.all_done else EXIT_WORSE
 
 
 def make_sweep(
@@ -158,10 +100,7 @@ def make_sweep(
     KeyboardInterrupt
         When it was interrupted; what ran has ended, and `go_on` goes on.
     """
-    import shutil
-
-    from trms_cli.composition.sweep_settings import built, divided, settings_of
-    from trms_cli.library.tasks.sweep_check import check_choices
+    from trms_cli.composition.sweep_settings import built, divided
     from trms_cli.runs.run_folder import new_folder
     from trms_cli.sweeps.record import Record, driving
 
@@ -263,12 +202,9 @@ def _checked(
 def _plan(
     mine: Any, settings: Any, space: Any, primary: str, task: Task, config_dirs: Sequence[Path]
 ) -> SweepPlan:
-    import os
-
     from trms_cli.core.invocation import command_line
     from trms_cli.core.versions import versions
     from trms_cli.library.tasks.git_revision import GitRevision
-    from trms_cli.sweeps.record import SweepPlan
 
     revision = GitRevision.ask()
     return SweepPlan(
@@ -339,90 +275,12 @@ def _driven(
         try:
             record.note(**words)
         except TrmsError as error:
-            sys.stderr.write(f"note   {error.problem}\n")
+            note(f"note   {error.problem}")
             if state == "done":
                 raise
     return SweepOutcome(
         record.folder, tuple(record.points()), dict(results), counts, words.get("summary", {})
     )
-
-
-_OPTIONS = ("--retry-failed", "--json")
-#: Tasks of a record are looked for here only: a record is data, and names no other code.
-_COMMANDS = "trms_cli.commands."
-
-
-def resume_command(argv: Sequence[str]) -> int:
-    """Go on where it stopped."""
-    from trms_cli.commands.sweep.screen import SweepScreen
-
-    folder, settings, options = _read(argv, "resume", _OPTIONS)
-    screen = SweepScreen(as_json="--json" in options)
-    with screen:
-        swept = go_on(
-            folder,
-            settings=settings,
-            retry_failed="--retry-failed" in options,
-            tell=screen.tell,
-            begun=screen.say_begun,
-        )
-    screen.say_ended(swept.folder)
-    return EXIT_OK if swept.all_done else EXIT_WORSE
-
-
-def status_command(argv: Sequence[str]) -> int:
-    """Tell how it stands."""
-    from trms_cli.commands.sweep.screen import say_outcome
-    from trms_cli.sweeps.outcome import outcome_of
-
-    folder, settings, options = _read(argv, "status", ("--json",))
-    if settings:
-        raise ConfigurationError(
-            f"{settings[0]!r} given",
-            where="trms sweep status",
-            remedy="usage: trms sweep status FOLDER [--json]",
-        )
-    document = outcome_of(folder.resolve())
-    if options:
-        sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
-    else:
-        say_outcome(document)
-    return EXIT_OK
-
-
-def _read(
-    argv: Sequence[str], word: str, allowed: Sequence[str]
-) -> tuple[Path, list[str], list[str]]:
-    """The folder, the overrides and the options of a command line."""
-    from trms_cli.composition.catalogue import take_allowed
-
-    argv = as_options(take_allowed(argv), {name.removeprefix("--"): False for name in allowed})
-    options = [text for text in argv if text.startswith("-")]
-    for option in options:
-        if option not in allowed:
-            raise ConfigurationError(
-                f"unknown option {option!r}",
-                where=f"trms sweep {word}",
-                remedy=nearest(option, allowed),
-            )
-    rest = [text for text in argv if not text.startswith("-")]
-    folders = [text for text in rest if "=" not in text or Path(text).is_dir()]
-    if len(folders) != 1:
-        raise ConfigurationError(
-            "no folder named" if not folders else f"{len(folders)} folders named",
-            where=f"trms sweep {word}",
-            remedy=f"write trms sweep {word} FOLDER, where FOLDER holds sweep.json",
-        )
-    folder = Path(folders[0]).expanduser()
-    if folder.name == "sweep.json":
-        folder = folder.parent
-    if not folder.is_dir():
-        raise ConfigurationError(
-            f"there is no folder {str(folder)!r}",
-            where=f"trms sweep {word}",
-            remedy="name the folder of a sweep",
-        )
-    return folder, [text for text in rest if text not in folders], options
 
 
 def resumed_settings(plan: SweepPlan, changed: Sequence[str]) -> Settings:
@@ -478,9 +336,9 @@ def place_of(plan: SweepPlan) -> Iterator[None]:
         if here.get(name) != version
     ]
     if changed:
-        sys.stderr.write(
+        note(
             f"note   not as it was when the sweep began: {', '.join(changed)}; the last digits of "
-            "figures may differ between earlier and later runs\n"
+            "figures may differ between earlier and later runs"
         )
     before = os.getcwd()
     make_importable(map(Path, plan.config_dirs))
@@ -498,7 +356,7 @@ def task_of(plan: SweepPlan) -> Task:
     """
     module, _, name = plan.task.partition(":")
     found: Any = None
-    if module.startswith(_COMMANDS) and name.isidentifier():
+    if module.startswith(_TASKS) and name.isidentifier():
         try:
             found = getattr(importlib.import_module(module), name, None)
         except ImportError:
@@ -510,3 +368,87 @@ def task_of(plan: SweepPlan) -> Task:
             remedy="a sweep that was begun from Python is gone on with from Python",
         )
     return found
+
+
+def check_choices(space: Space, primary: str, config_dirs: tuple[Path, ...]) -> None:
+    """Compose a run of each value, and build what is cheap and safe to build.
+
+    Parameters
+    ----------
+    space : Space
+    primary : str
+        Primary configuration of the runs.
+    config_dirs : tuple of Path
+        The user's folders of options.
+
+    Raises
+    ------
+    TrmsError
+        For the first value that no run can be made with; it names the value.
+    """
+    from trms_cli.composition.composer import composer_of
+
+    composer = composer_of(primary, config_dirs)
+    seen: set[str] = set()
+    for word, overrides in _runs(space):
+        try:
+            composition = composer.compose(overrides)
+            if primary == "run":
+                _check_run(composition.config, seen)
+        except TrmsError as error:
+            if word:
+                error.problem = f"{error.problem} (in the runs with {word})"
+                error.args = (error.problem,)
+            raise
+
+
+def _runs(space: Space) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """What a run has of its own, and its overrides."""
+    from trms_cli.composition.sweep_space import first_of
+
+    first = first_of(space)
+    yield "", first
+    for place, choice in enumerate(space.choices, start=len(space.fixed)):
+        values = choice.values[1:]
+        if len(values) > MOST_VALUES:
+            values = (*values[: MOST_VALUES - 1], values[-1])
+        for value in values:
+            word = f"{choice.key}={value}"
+            yield word, (*first[:place], word, *first[place + 1 :])
+
+
+def _check_run(config: Mapping[str, Any], seen: set[str]) -> None:
+    """What a run would refuse before its first step."""
+    from trms_cli.composition.plain_values import check_files, number, whole_number
+    from trms_cli.core.plugins import build
+    from trms_cli.library.tasks import experiment as assembly
+    from trms_cli.library.tasks.replay import is_replay
+
+    if is_replay(config):
+        return
+    check_files(config)
+    for name in _NUMBERS:
+        number(config["sim"][name], f"sim.{name}")
+    whole_number(config["seed"], "seed")
+    whole_number(config["sim"]["prediction_every"], "sim.prediction_every")
+    for key in ("model", *assembly.PARTS):
+        node = json.dumps([key, config[key]], default=str)
+        if node in seen or not _is_ours(config[key]):
+            continue
+        seen.add(node)
+        try:
+            build(config[key], key)
+        except TrmsError:
+            raise
+        except Exception:  # a fault of the part itself: the run tells it, with its trace
+            continue
+
+
+def _is_ours(node: Any) -> bool:
+    """Whether all that a part is built of belongs to this program."""
+    if isinstance(node, Mapping):
+        target = node.get(TARGET)
+        if target is not None and not str(target).startswith(_OURS):
+            return False
+        return all(map(_is_ours, node.values()))
+    return all(map(_is_ours, node)) if isinstance(node, (list, tuple)) else True

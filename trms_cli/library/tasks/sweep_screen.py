@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic
@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any, Self
 from trms_cli.core import wording
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.invocation import program
+from trms_cli.library.tasks.task import termination
 from trms_cli.reporting.progress import ProgressLine
 from trms_cli.sweeps.findings import PICTURES, rate, sweep_findings
 from trms_cli.sweeps.outcome import outcome_of
 
 if TYPE_CHECKING:
+    from trms_cli.library.tasks.sweep import SweepOutcome
     from trms_cli.sweeps.driver import SweepProgress
     from trms_cli.sweeps.point import RunResult
 
@@ -27,6 +29,23 @@ _MOST_NOTES = 10
 #: Lines that runs of a small sweep say of themselves.
 _MOST_LINES = 30
 _EVERY = 0.2  # s between two lines
+
+
+def on_screen(drive: Callable[..., SweepOutcome], *, as_json: bool = False) -> SweepOutcome:
+    """Drive a sweep to its end, and show how it goes and what came of it.
+
+    Parameters
+    ----------
+    drive : callable
+        Takes `tell` and `begun` of :func:`trms_cli.library.tasks.sweep.make_sweep`.
+    as_json : bool
+        Print the outcome as one JSON document.
+    """
+    screen = SweepScreen(as_json=as_json)
+    with screen:
+        outcome = drive(tell=screen.tell, begun=screen.say_begun)
+    screen.say_ended(outcome.folder)
+    return outcome
 
 
 class SweepScreen:
@@ -47,8 +66,6 @@ class SweepScreen:
         self._folder: Path | None = None
 
     def __enter__(self) -> Self:
-        from trms_cli.library.tasks.sweep_work import termination
-
         self._stack.enter_context(termination())
         self._stack.enter_context(self._line)
         return self
