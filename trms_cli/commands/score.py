@@ -107,30 +107,11 @@ def main(argv: list[str]) -> int:
 def _print_json(
     scored: list[tuple[dict[str, Any], list[BaselineRow] | None]], baseline: Path | None
 ) -> None:
+    from trms_cli.scoring.baseline import document_of
+
     whole = document_of(scored, baseline)
     json.dump(whole, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
     sys.stdout.write("\n")
-
-
-def document_of(
-    scored: list[tuple[dict[str, Any], list[BaselineRow] | None]], baseline: Path | None
-) -> dict[str, Any]:
-    """One document: the score, or ``trms.scores/1`` with several of them."""
-    from dataclasses import asdict
-
-    from trms_cli.scoring.baseline import regressed
-
-    documents = []
-    for score, rows in scored:
-        document = dict(score)
-        if rows is not None:
-            document["comparison"] = {
-                "baseline": str(baseline),
-                "worse": regressed(rows),
-                "figures": [asdict(row) for row in rows],
-            }
-        documents.append(document)
-    return documents[0] if len(documents) == 1 else {"schema": "trms.scores/1", "scores": documents}
 
 
 def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bool) -> None:

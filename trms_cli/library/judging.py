@@ -46,11 +46,10 @@ def score(*runs: RunPath, baseline: str | PathLike[str] | None = None) -> dict[s
     --------
     >>> score("outputs/first")["channels"]["alpha_h"]["rmse"]
     """
-    from trms_cli.commands.score import document_of
     from trms_cli.recordings.log_reader import read_log
     from trms_cli.runs.run_folder import log_of
     from trms_cli.scoring.baseline import compare as held_against
-    from trms_cli.scoring.baseline import read_baseline
+    from trms_cli.scoring.baseline import document_of, read_baseline
     from trms_cli.scoring.score import score_log
 
     if not runs:

@@ -192,3 +192,20 @@ def _verdict(now: float | None, then: float | None, allowed: float) -> Verdict:
     if now > then + slack:
         return "worse"
     return "better" if now < then - slack else "same"
+
+
+def document_of(
+    scored: list[tuple[dict[str, Any], list[BaselineRow] | None]], baseline: Path | None
+) -> dict[str, Any]:
+    """One document: the score, or ``trms.scores/1`` with several of them."""
+    documents = []
+    for score, rows in scored:
+        document = dict(score)
+        if rows is not None:
+            document["comparison"] = {
+                "baseline": str(baseline),
+                "worse": regressed(rows),
+                "figures": [asdict(row) for row in rows],
+            }
+        documents.append(document)
+    return documents[0] if len(documents) == 1 else {"schema": "trms.scores/1", "scores": documents}
