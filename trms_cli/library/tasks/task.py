@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, Terminated
-from trms_cli.core.findings import Findings
 
 if TYPE_CHECKING:
     from trms_cli.composition.composer import Composition, Outcome
+    from trms_cli.core.findings import Findings
     from trms_cli.reporting.progress import ProgressLine
 
 
