@@ -57,7 +57,7 @@ from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.qp import Daqp, Qp, QpResult, QpSolver
+from trms_cli.core.qp import Daqp, Qp, QpResult, QpSolver, solve_or_fail
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.linearisation import Linearisation, require_drivable
 from trms_cli.models.model import names
@@ -492,12 +492,8 @@ class LinearMpcState:
             nothing = np.full(len(gradient), np.nan)
             return QpResult(nothing, False, 0, "the predicted trajectory is not finite")
         qp = condensed.program(gradient, free, self._limits, target.x, target.u, last)
-        try:
-            return self.config.qp.solve(self._workspace, qp)
-        except Exception as error:  # an exception of the library is a solve that failed
-            self._workspace = self.config.qp.start()
-            reason = f"{type(error).__name__}: {error}"
-            return QpResult(np.full(len(gradient), np.nan), False, 0, reason)
+        result, self._workspace = solve_or_fail(self.config.qp, self._workspace, qp)
+        return result
 
     def follow(self, v: FloatArray) -> FloatArray:
         """Make the solution the plan; its first command."""

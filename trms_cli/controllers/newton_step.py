@@ -11,7 +11,7 @@ import numpy as np
 from trms_cli.controllers.horizon import Horizon
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.qp import Qp, QpResult, QpSolver
+from trms_cli.core.qp import Qp, QpResult, QpSolver, solve_or_fail
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import Target
 
@@ -174,7 +174,7 @@ class NewtonStep:
 
     def _solve(self, max_iterations: int, tolerance: float) -> NewtonResult:
         if self._rate_limited:
-            self._limit_rates()
+            self.limit_rates(self.plan)
         outcome = NewtonResult(0, False, False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
         for iteration in range(1, max_iterations + 1):
             outcome.iterations = iteration
@@ -203,7 +203,7 @@ class NewtonStep:
         qp = self._program(hessian, gradient, z, terminal_slope, terminal)
         middle = perf_counter()
         self.linearise_time += middle - begin
-        result = self._solved(qp)
+        result, self._workspace = solve_or_fail(self._qp, self._workspace, qp)
         if result.solved and self._limited:
             result = self._within_limits(qp, result, trajectory[self._limited], limited_slopes)
         self.qp_time += perf_counter() - middle
@@ -267,16 +267,8 @@ class NewtonStep:
             np.concatenate([qp.linear, np.full(m, limits.linear)]),
             np.concatenate([qp.quadratic, np.full(m, limits.quadratic)]),
         )
-        return self._solved(extended)
-
-    def _solved(self, qp: Qp) -> QpResult:
-        """The solver's answer; an exception of the library is a solve that failed."""
-        try:
-            return self._qp.solve(self._workspace, qp)
-        except Exception as error:
-            self._workspace = self._qp.start()
-            reason = f"{type(error).__name__}: {error}"
-            return QpResult(np.full(len(qp.gradient), np.nan), False, 0, reason)
+        result, self._workspace = solve_or_fail(self._qp, self._workspace, extended)
+        return result
 
     def _move(
         self,
@@ -317,16 +309,14 @@ class NewtonStep:
         else:
             outcome.terminal_residual = float(np.abs(terminal).max())
 
-    def _limit_rates(self) -> None:
-        """Bring the plan within the rate limits, block after block from the last command."""
+    def limit_rates(self, plan: FloatArray) -> None:
+        """Bring a plan within the rate limits, block after block from the last command."""
         previous = self.horizon.arguments["u_previous"]
         for block in range(self.horizon.n_blocks):
             previous = np.clip(
-                self.plan[:, block],
-                previous - self._largest_moves,
-                previous + self._largest_moves,
+                plan[:, block], previous - self._largest_moves, previous + self._largest_moves
             )
-            self.plan[:, block] = previous
+            plan[:, block] = previous
 
 
 def _largest(vector: FloatArray) -> float:

@@ -210,16 +210,9 @@ class NmpcState:
         return None
 
     def _within_rates(self, plan: FloatArray) -> FloatArray:
-        """The plan within the rate limits, block after block from the last command."""
-        if not np.isfinite(self._largest_moves).any():
-            return np.array(plan)
         limited = np.array(plan)
-        last = self.shared.newton.horizon.arguments["u_previous"]
-        for block in range(limited.shape[1]):
-            last = np.clip(
-                limited[:, block], last - self._largest_moves, last + self._largest_moves
-            )
-            limited[:, block] = last
+        if np.isfinite(self._largest_moves).any():
+            self.shared.newton.limit_rates(limited)
         return limited
 
     def words(self, status: Status, message: str) -> str:

@@ -68,6 +68,15 @@ class QpSolver(Protocol):
         ...
 
 
+def solve_or_fail(solver: QpSolver, workspace: Any, qp: Qp) -> tuple[QpResult, Any]:
+    """The answer and the workspace to go on with; an exception of a library is a failed solve."""
+    try:
+        return solver.solve(workspace, qp), workspace
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        return QpResult(np.full(len(qp.gradient), np.nan), False, 0, reason), solver.start()
+
+
 @dataclass
 class _Workspace:
     models: dict[tuple[int, int], Any] = field(default_factory=dict)

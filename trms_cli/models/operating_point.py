@@ -33,8 +33,8 @@ _SAME_ANGLE = 1e-6  # rad
 _STEPS = 25
 #: A step of the line that fails is halved until it is this share of itself.
 _SHORTEST = 2.0**-10
-#: V, rad: a command below the first is none if no angle then moves by the second.
-_STANDSTILL, _SAME_ANGLE = 1e-3, 1e-6
+#: V: a smaller command is none if no angle then moves by `_SAME_ANGLE`.
+_STANDSTILL = 1e-3
 #: rad: an angle that moves by more in a step is on another branch.
 _JUMP = 0.5
 
