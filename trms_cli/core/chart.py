@@ -20,11 +20,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal
 
-from trms_cli.core.arrays import BoolArray, FloatArray
-
 if TYPE_CHECKING:  # findings without a chart are told before NumPy is loaded
     import numpy as np
     import numpy.typing as npt
+
+    from trms_cli.core.arrays import BoolArray, FloatArray
 
     Values = Sequence[float] | npt.NDArray[np.floating[Any]]
 #: Names of the house's palette (told apart with any common colour blindness), and of its inks.
