@@ -29,9 +29,9 @@ from trms_cli.stability.lyapunov.certificate import (
     identity_residual,
     motions,
     on_level,
-    random_directions,
     rig_of,
 )
+from trms_cli.stability.lyapunov.level_search import rays
 from trms_cli.stability.studies.lyapunov import Lyapunov
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
@@ -135,7 +135,7 @@ def test_thesis_values_fail_at_a_high_pitch_and_the_counterexample_is_one() -> N
 def test_no_motion_leaves_the_inner_set(name: str, at: tuple[tuple[str, float], ...]) -> None:
     found = certificate_of(name, at)
     candidate, wells = found.search.candidate, found.search.wells
-    starts = on_level(candidate, wells, found.inner, random_directions(candidate, 6, 7))
+    starts = on_level(candidate, wells, found.inner, rays(candidate, 6, 7))
     assert len(starts) >= 5
     assert candidate.value(starts) == pytest.approx(found.inner, rel=1e-6)
     seen = motions(candidate, candidate.energy.model, starts, found.inner, 10.0)
@@ -150,7 +150,7 @@ def test_v_falls_at_random_states_of_the_outer_set() -> None:
     for name in ("newtonian", "lagrangian", "vertical"):
         found = certificate_of(name, HOVER)
         candidate, wells = found.search.candidate, found.search.wells
-        directions = random_directions(candidate, 150, 2)
+        directions = rays(candidate, 150, 2)
         places = [
             on_level(candidate, wells, share * found.outer, directions[i::3])
             for i, share in enumerate((0.1, 0.6, 0.999))

@@ -22,9 +22,15 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
-from trms_cli.stability.lyapunov.certificate import identity_residual, on_level, random_directions
+from trms_cli.stability.lyapunov.certificate import identity_residual, on_level
 from trms_cli.stability.lyapunov.energy import Energy, EnergyWeights
-from trms_cli.stability.lyapunov.level_search import decay_level, definite, stop_level, wells_of
+from trms_cli.stability.lyapunov.level_search import (
+    decay_level,
+    definite,
+    rays,
+    stop_level,
+    wells_of,
+)
 
 RNG = np.random.default_rng(5)
 
@@ -88,7 +94,7 @@ def test_a_level_set_lies_in_its_extent(kind: type, freedom: str, strict: bool) 
     assert wells.rise
     level = 0.02
     box = candidate.extent(level, wells.ends)
-    inside = on_level(candidate, wells, level, random_directions(candidate, 120, 1))
+    inside = on_level(candidate, wells, level, rays(candidate, 120, 1))
     assert len(inside) > 80
     assert np.all((inside >= box.lower) & (inside <= box.upper))
 

@@ -24,7 +24,7 @@ import numpy as np
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.lqr import Lqr, Regulator
 from trms_cli.core.arrays import BoolArray, FloatArray
-from trms_cli.core.chart import Axis, Chart, Mark, Panel, Points
+from trms_cli.core.chart import Chart, Mark, Panel, Points
 from trms_cli.core.findings import Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.operating_point import OperatingPoint
@@ -370,14 +370,7 @@ def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[Chart]:
     if len(bad):
         marks.append(Points(bad[:, i], bad[:, j], "does not", "cross", "alarm"))
     marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
-    x, y = (
-        Axis(
-            known[k],
-            signals[k].unit,
-            (float(origin[k] - 1.05 * box[k]), float(origin[k] + 1.05 * box[k])),
-        )
-        for k in (i, j)
-    )
+    x, y = report.box_axes(model, known, origin, 1.05 * box, (i, j))
     caption = (
         f"Starts from which the loop of {result.controller} comes back to {point.words(model)}."
     )

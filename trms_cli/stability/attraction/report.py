@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from trms_cli.core.chart import (
     Region,
 )
 from trms_cli.core.findings import Column, Judged, Section, Table, rounded, table
-from trms_cli.models.model import names
+from trms_cli.models.model import Model, names
 from trms_cli.stability.attraction.estimates import Method, RegionEstimate
 from trms_cli.stability.attraction.region import (
     SETTLED,
@@ -132,10 +133,6 @@ def sections(region: AttractionRegion) -> list[Section]:
 _PROVED = {True: Judged("proved", "good"), False: Judged("sampled only", "doubtful")}
 
 
-def _of_sampled(e: RegionEstimate) -> str | None:
-    return None if e.sampled is None else f"{e.level / e.sampled:.0%}"
-
-
 def estimate_table(region: AttractionRegion) -> Table:
     """A row for each estimate."""
     labels = region.system.names
@@ -156,7 +153,14 @@ def estimate_table(region: AttractionRegion) -> Table:
                 "of the true region",
                 lambda v: percent(v.share) if v.share else "too small to count",
             ),
-            Column("of the sampled level", lambda v: _of_sampled(v.estimate)),
+            Column(
+                "of the sampled level",
+                lambda v: (
+                    f"{v.estimate.level / v.estimate.sampled:.0%}"
+                    if v.estimate.sampled is not None
+                    else None
+                ),
+            ),
             Column("boxes", lambda v: v.estimate.boxes or None),
             Column(
                 "do not come to rest",
@@ -278,13 +282,12 @@ _FINE = 241
 def plane_chart(region: AttractionRegion) -> Chart:
     """The plane: the region by simulation, the estimates, other equilibria, motions."""
     i, j = region.plane.axes
-    if i == j:
-        raise ValueError("a plane needs two states")
     panels = [_panel(region, region.box, "")]
-    small = [v.estimate for v in region.verdicts if _size(v.estimate, region) < 0.25]
+    reaches = [_reach(v.estimate, region) for v in region.verdicts]
+    small = [reach for reach in reaches if np.max(reach / region.box[[i, j]]) < 0.25]
     if small:
         box = region.box.copy()
-        box[[i, j]] = 1.3 * np.max([_reach(e, region) for e in small], axis=0)
+        box[[i, j]] = 1.3 * np.max(small, axis=0)
         panels.append(_panel(region, box, "near the equilibrium"))
     names, model = region.starts.names, region.system.model
     others = [n for k, n in enumerate(names) if k not in (i, j)]
@@ -302,10 +305,6 @@ def plane_chart(region: AttractionRegion) -> Chart:
         width=4.8,
         height=4.2,
     )
-
-
-def _size(estimate: RegionEstimate, region: AttractionRegion) -> float:
-    return float(np.max(_reach(estimate, region) / region.box[list(region.plane.axes)]))
 
 
 def _reach(estimate: RegionEstimate, region: AttractionRegion) -> FloatArray:
@@ -341,16 +340,8 @@ def _panel(region: AttractionRegion, box: FloatArray, title: str) -> Panel:
     near = np.ix_(np.abs(region.plane.y) <= box[j], np.abs(region.plane.x) <= box[i])
     marks: list[Mark] = []
     if np.any(inside[near]):
-        marks.append(
-            Region(
-                origin[i] + region.plane.x,
-                origin[j] + region.plane.y,
-                inside,
-                "comes to rest (simulated)",
-                "sky",
-                0.35,
-            )
-        )
+        x, y = origin[i] + region.plane.x, origin[j] + region.plane.y
+        marks.append(Region(x, y, inside, "comes to rest (simulated)", "sky", 0.35))
     if whole and region.starts.direct:
         for path, settled in region.plane.paths:
             out = np.any(np.abs(path[:, [i, j]]) > 1.02 * box[[i, j]], axis=1)
@@ -359,16 +350,8 @@ def _panel(region: AttractionRegion, box: FloatArray, title: str) -> Panel:
             shown = np.where(out[:, None], np.nan, path)
             colour: Colour = "grey" if settled else "orange"
             label = "motions that do" if settled else "motions that do not"
-            marks.append(
-                Curve(
-                    origin[i] + shown[:, i],
-                    origin[j] + shown[:, j],
-                    label,
-                    colour,
-                    width=0.7,
-                    arrow=True,
-                )
-            )
+            x, y = origin[i] + shown[:, i], origin[j] + shown[:, j]
+            marks.append(Curve(x, y, label, colour, width=0.7, arrow=True))
     marks += [mark for v in region.verdicts if (mark := _contour(v.estimate, region, box))]
     marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
     for rest in region.rests:
@@ -376,21 +359,28 @@ def _panel(region: AttractionRegion, box: FloatArray, title: str) -> Panel:
         if np.all(np.abs(place[[i, j]]) <= box[[i, j]]):
             label = "another rest" if rest.stable else "saddle"
             marker: Marker = "stable" if rest.stable else "saddle"
-            marks.append(
-                Points(
-                    [origin[i] + place[i]], [origin[j] + place[j]], label, marker, "alarm", size=8
-                )
-            )
-    names, model = region.starts.names, region.system.model
-    axes = [
+            at = [origin[i] + place[i]], [origin[j] + place[j]]
+            marks.append(Points(*at, label, marker, "alarm", size=8))
+    x_axis, y_axis = box_axes(region.system.model, region.starts.names, origin, box, (i, j))
+    return Panel(x_axis, y_axis, marks, title)
+
+
+def box_axes(
+    model: Model,
+    states: Sequence[str],
+    origin: FloatArray,
+    box: FloatArray,
+    of: tuple[int, int],
+) -> list[Axis]:
+    """Axes of two states across a box about an origin."""
+    return [
         Axis(
-            names[k],
-            model.states[model.state_index(names[k])].unit,
+            states[k],
+            model.states[model.state_index(states[k])].unit,
             (float(origin[k] - box[k]), float(origin[k] + box[k])),
         )
-        for k in (i, j)
+        for k in of
     ]
-    return Panel(axes[0], axes[1], marks, title)
 
 
 def _origin(region: AttractionRegion) -> FloatArray:

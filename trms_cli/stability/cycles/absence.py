@@ -105,18 +105,10 @@ class Absence:
 
 
 def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray) -> Absence:
-    """Whether the model has no periodic orbit with a command held.
+    """Whether a model with equations has no periodic orbit with the command of a rest held.
 
-    Parameters
-    ----------
-    model : Model
-        With equations; impulses are no part of what is proved.
-    x_rest : (n_x,)
-        The equilibrium.
-    u : (n_u,)
-        Its command.
-    widths : (n_x,)
-        Half-widths of the box around it, where nothing can be said for all states.
+    Impulses are no part of what is proved. ``widths`` (n_x,) are half those of the box around the
+    rest, where nothing can be said for all states.
     """
     box = x_rest - widths, x_rest + widths
     field = VectorField(model)
@@ -209,6 +201,11 @@ def _cut(divergence: ca.Function, box: tuple[FloatArray, FloatArray]) -> Interva
         np.linspace(low[i], high[i], _CUTS + 1) if i in acting else np.array([low[i], high[i]])
         for i in range(len(low))
     ]
+    return _pieces(cuts)
+
+
+def _pieces(cuts: Sequence[FloatArray]) -> Interval:
+    """The boxes between the cuts of each state."""
     lower = np.stack([g.ravel() for g in np.meshgrid(*(c[:-1] for c in cuts))], axis=1)
     upper = np.stack([g.ravel() for g in np.meshgrid(*(c[1:] for c in cuts))], axis=1)
     return Interval.of(lower, upper)
@@ -230,19 +227,8 @@ def share_without_orbits(
 ) -> float:
     """Largest share of a box around an equilibrium that is proved to hold no periodic orbit.
 
-    Parameters
-    ----------
-    slope : casadi.Function
-        ``x → ∂f/∂x`` of the block, (k, k).
-    members : sequence of int
-        Positions of the block's states in x.
-    x, widths : (n_x,) arrays
-        The equilibrium and the half-widths; a width of zero keeps a state.
-
-    Returns
-    -------
-    float
-        From 0 (nothing is proved) to 1 (the whole box).
+    ``slope`` is ``x → ∂f/∂x`` of the block whose states are the ``members`` of x, (k, k). A
+    half-width of zero keeps a state. From 0 (nothing is proved) to 1 (the whole box).
     """
     try:
         enclosure = Enclosure(slope)
@@ -263,10 +249,8 @@ def share_without_orbits(
             return 1.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            if _bound(enclosure, T, x, widths, acting, middle) < -_MARGIN:
-                low = middle
-            else:
-                high = middle
+            shrinks = _bound(enclosure, T, x, widths, acting, middle) < -_MARGIN
+            low, high = (middle, high) if shrinks else (low, middle)
         best = max(best, low)
     return best
 
@@ -313,9 +297,7 @@ def _bound(
         ends = np.linspace(float(cuts[i][0]), float(cuts[i][1]), _PIECES[len(acting)] + 1)
         # A kink at zero is met by boxes on either side of it, not across.
         cuts[i] = np.unique(np.append(ends, 0.0)) if ends[0] < 0.0 < ends[-1] else ends
-    lower = np.stack([g.ravel() for g in np.meshgrid(*(c[:-1] for c in cuts))], axis=1)
-    upper = np.stack([g.ravel() for g in np.meshgrid(*(c[1:] for c in cuts))], axis=1)
-    J = enclosure(Interval.of(lower, upper))[0]
+    J = enclosure(_pieces(cuts))[0]
     W = np.linalg.inv(T)
     middle, radius = 0.5 * (J.lower + J.upper), 0.5 * (J.upper - J.lower)
     if not np.all(np.isfinite(radius)):

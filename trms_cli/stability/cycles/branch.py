@@ -70,12 +70,8 @@ def equilibria_over(
     order = np.argsort(commands)
     along = np.array(commands)[order]
     equilibria = np.array(states)[order]
-    growth = np.array(
-        [
-            _growth(linear, row, _with(u, channel, v))
-            for row, v in zip(equilibria, along, strict=True)
-        ]
-    )
+    pairs = zip(equilibria, along, strict=True)
+    growth = np.array([_growth(linear, row, _with(u, channel, v)) for row, v in pairs])
     return EquilibriumBranch(along, equilibria, growth)
 
 
@@ -421,14 +417,8 @@ def follow_over(
 ) -> OverCommand:
     """Equilibria over a command, the Hopf points on them, and all branches of cycles.
 
-    Parameters
-    ----------
-    orbits : sequence of Orbit
-        Found otherwise, at the point's command.
-    shooting : Shooting or None
-        None: no cycle can be.
-    limit : int
-        Most orbits of a branch.
+    ``orbits`` were found otherwise, at the point's command; without ``shooting`` no cycle can be;
+    ``limit``: most orbits of a branch.
     """
     curve = _within_stops(model, equilibria_over(model, point.x, point.u, channel), point)
     hopfs = hopf_points(model, curve, point.u, channel)
@@ -441,11 +431,8 @@ def follow_over(
                     follow_branch(shooting, orbit, channel, limit, towards=sign)
                     for sign in (-1.0, 1.0)
                 )
-                branches.append(
-                    Branch(
-                        [*reversed(one.orbits), *other.orbits[1:]], f"{one.ended}; {other.ended}"
-                    )
-                )
+                whole = [*reversed(one.orbits), *other.orbits[1:]]
+                branches.append(Branch(whole, f"{one.ended}; {other.ended}"))
     return OverCommand(curve, hopfs, branches)
 
 
@@ -460,11 +447,8 @@ def at_the_point(
             if before * after > 0.0 or before == after:
                 continue
             share = before / (before - after)
-            orbit = shooting.closed(
-                one.nodes + share * (other.nodes - one.nodes),
-                one.period + share * (other.period - one.period),
-                u,
-            )
+            nodes = one.nodes + share * (other.nodes - one.nodes)
+            orbit = shooting.closed(nodes, one.period + share * (other.period - one.period), u)
             if orbit is not None:
                 orbits.append(orbit)
     return orbits

@@ -153,9 +153,7 @@ def lowest_rising(candidate: EnergyCandidate, wells: Wells, ceiling: float) -> R
     for turn in range(_ROUNDS):
         steps = math.sqrt(2.0 * lowest) * reaches
         places = (y + directions[:, None, :] * steps[:, None]).reshape(-1, 3 * k)
-        angles = places[:, 2 * k :]
-        within = ((angles > wells.ends.lower) & (angles < wells.ends.upper)).all(axis=1)
-        places = places[within]
+        places = places[wells.hold(places)]
         states = candidate.states(places)
         values, rates = candidate.value(places), candidate.derivative(states)
         rises = (rates > 0.0) & (values < lowest)
@@ -184,8 +182,7 @@ def fastest_rising(candidate: EnergyCandidate, wells: Wells, ceiling: float) -> 
         places = y + step * directions
         states = candidate.states(places)
         values, rates = candidate.value(places), candidate.derivative(states)
-        angles = places[:, 2 * k :]
-        within = ((angles > wells.ends.lower) & (angles < wells.ends.upper)).all(axis=1)
+        within = wells.hold(places)
         quality = np.where(within & (rates > 0.0), rates / np.maximum(values, 1e-300), -np.inf)
         at = int(np.argmax(quality))
         if not quality[at] > 0.0:
@@ -313,7 +310,7 @@ def identity_residual(candidate: EnergyCandidate, seed: int, states: int = _STAT
 def positive_claim(found: LevelSearchResult) -> StabilityClaim:
     """V > 0 in the well but at the equilibrium."""
     candidate, boxes = found.candidate, sum(p.examined for p in found.wells.proofs)
-    heavy = _inertia_is_positive(candidate, found)
+    heavy = bool(definite(candidate.inertias(_pitches(candidate, found)))[0].all())
     held = _hold_is_positive(candidate, found)
     parts = [f"wells rise up to the saddles ({boxes} boxes)" if boxes else "wells rise (springs)"]
     parts.append("M ≻ 0, s' > 0")
@@ -340,10 +337,6 @@ def _pitches(candidate: EnergyCandidate, found: LevelSearchResult) -> Interval:
         edges = np.linspace(found.wells.ends.lower[i], found.wells.ends.upper[i], _PITCHES + 1)
         lower[:, j], upper[:, j] = edges[:-1], edges[1:]
     return Interval(lower, upper)
-
-
-def _inertia_is_positive(candidate: EnergyCandidate, found: LevelSearchResult) -> bool:
-    return bool(definite(candidate.inertias(_pitches(candidate, found)))[0].all())
 
 
 def _hold_is_positive(candidate: EnergyCandidate, found: LevelSearchResult) -> bool:
@@ -382,32 +375,20 @@ def falling_claim(
     found: LevelSearchResult, level: float, rising: RisingState | None
 ) -> StabilityClaim:
     """V̇ < 0 on the set, but where z = 0."""
-    where = "z = 0" if not found.candidate.weights.strict else "the equilibrium"
-    statement = f"V̇ < 0 on {{V < {level:.4g} J}} in the well, but at {where}"
     if level > 0.0:
-        return StabilityClaim(
-            "falls",
-            statement,
-            "intervals",
-            f"Q ≻ 0, boxes that cover it: {found.decay_level.examined}",
-        )
+        where = "the equilibrium" if found.candidate.weights.strict else "z = 0"
+        statement = f"V̇ < 0 on {{V < {level:.4g} J}} in the well, but at {where}"
+        detail = f"Q ≻ 0, boxes that cover it: {found.decay_level.examined}"
+        return StabilityClaim("falls", statement, "intervals", detail)
+    statement = "V̇ <= 0 about the equilibrium"
     if rising is not None:
-        return StabilityClaim(
-            "falls",
-            "V̇ <= 0 about the equilibrium",
-            "failed",
-            f"V̇ = {rising.derivative:.3g} W at a state with V = {rising.value:.3g} J",
-        )
+        detail = f"V̇ = {rising.derivative:.3g} W at a state with V = {rising.value:.3g} J"
+        return StabilityClaim("falls", statement, "failed", detail)
+    detail = "Q is not definite at rest"
     if found.wells.depth <= 0.0:
-        return StabilityClaim(
-            "falls",
-            "V̇ < 0 on a level set in the well",
-            "open",
-            "the barrier is lower than its bounds are wide: no level below it is known",
-        )
-    return StabilityClaim(
-        "falls", "V̇ <= 0 about the equilibrium", "open", "Q is not definite at rest"
-    )
+        statement = "V̇ < 0 on a level set in the well"
+        detail = "the barrier is lower than its bounds are wide: no level below it is known"
+    return StabilityClaim("falls", statement, "open", detail)
 
 
 def invariance_claim(found: LevelSearchResult, inner: float, bounded_by: str) -> StabilityClaim:
@@ -609,11 +590,6 @@ def plane_directions(candidate: EnergyCandidate, axis: str, count: int) -> Float
     found[:, energy.index("alpha", axis)] = 0.5 * np.cos(turn)
     found[:, energy.index("Omega", axis)] = np.sin(turn)
     return found
-
-
-def random_directions(candidate: EnergyCandidate, count: int, seed: int) -> FloatArray:
-    """Directions all round, (count, 3k)."""
-    return rays(candidate, count, seed)
 
 
 def motions(

@@ -35,7 +35,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.stability.intervals.branch_and_bound import (
     BoxSearch,
     NegativityProof,
@@ -63,6 +63,12 @@ class Wells:
     depth: float
     saddles: tuple[float, float] | None  #: α_v below and above, rad
     proofs: tuple[NegativityProof, ...]  #: That they rise
+
+    def hold(self, places: FloatArray) -> BoolArray:
+        """Which states of motion (m, 3k) have all their angles between the ends, (m,)."""
+        angles = places[:, -len(self.ends.lower) :]
+        within = (angles > self.ends.lower) & (angles < self.ends.upper)
+        return np.asarray(within.all(axis=1))
 
     @property
     def ends_of_pitch(self) -> tuple[float, float]:
@@ -362,9 +368,7 @@ def _sampled(candidate: EnergyCandidate, wells: Wells, ceiling: float) -> float:
         share = np.linspace(1.0 / _PLACES, 1.0, _PLACES)
         places = (y + reach * directions[:, None, :] * share[:, None]).reshape(-1, n)
         levels = candidate.value(places)
-        angles = places[:, 2 * candidate.energy.k :]
-        within = ((angles > wells.ends.lower) & (angles < wells.ends.upper)).all(axis=1)
-        within &= levels < lowest
+        within = wells.hold(places) & (levels < lowest)
         if not within.any():
             return lowest
         bad = ~definite(candidate.matrices(Interval.point(places[within])))[0]

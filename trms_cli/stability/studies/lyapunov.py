@@ -25,9 +25,9 @@ from trms_cli.stability.lyapunov.certificate import (
     motions_claim,
     on_level,
     plane_directions,
-    random_directions,
     rig_of,
 )
+from trms_cli.stability.lyapunov.level_search import rays
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -72,9 +72,7 @@ class Lyapunov:
         candidate, wells = found.candidate, found.wells
         shown = certificate.inner or _SHOWN * (min(wells.depth, 1.0) if wells.depth > 0.0 else 1e-9)
         tell("motions")
-        starts = on_level(
-            candidate, wells, shown, random_directions(candidate, self.starts, self.seed)
-        )
+        starts = on_level(candidate, wells, shown, rays(candidate, self.starts, self.seed))
         seen = motions(candidate, subject.model, starts, shown, self.duration)
         further = (motions_claim(seen, self.duration),) if certificate.inner > 0.0 else ()
         paths = {}
