@@ -152,9 +152,7 @@ def test_all_of_a_linear_systems_box_is_proved():
 
 
 @given(
-    st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
-    st.floats(0.2, 1.0),
-    st.floats(0.1, 3.0),
+    st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4), st.floats(0.2, 1.0), st.floats(0.1, 3.0)
 )
 @settings(max_examples=8, deadline=None)
 def test_what_is_proved_of_random_systems_comes_to_rest(entries, decay, bend):

@@ -31,10 +31,7 @@ def answered(*overrides):
 @pytest.fixture(scope="module")
 def pitch():
     return answered(
-        "model=newtonian_vertical",
-        "study.methods=[lyapunov,integrals]",
-        "study.boxes=20000",
-        *FEW,
+        "model=newtonian_vertical", "study.methods=[lyapunov,integrals]", "study.boxes=20000", *FEW
     )
 
 
@@ -92,16 +89,8 @@ def test_a_box_that_is_given_is_kept_to():
         (["model=rahideh", "study.at={alpha_v: 0.4}"], ModelError, "unstable.*0.0234"),
         (["model=narx_2dof"], ModelError, "only steps"),
         (["model=newtonian_vertical", "study.at={u_v: 2.4}"], ConfigurationError, "ends at"),
-        (
-            ["model=newtonian_vertical", "study.box={alpha_x: 1.0}"],
-            ConfigurationError,
-            "alpha_x",
-        ),
-        (
-            ["model=newtonian_vertical", "study.states=[alpha_x]"],
-            ConfigurationError,
-            "alpha_x",
-        ),
+        (["model=newtonian_vertical", "study.box={alpha_x: 1.0}"], ConfigurationError, "alpha_x"),
+        (["model=newtonian_vertical", "study.states=[alpha_x]"], ConfigurationError, "alpha_x"),
         (
             ["model=newtonian_vertical", "study.plane=[alpha_v, omega_v]"],
             ConfigurationError,

@@ -204,12 +204,7 @@ def test_the_study_says_it_all():
     # One harmonic tells that there is a cycle, and little of its size.
     assert results["harmonic"]["swing"] > 1.5 * results["simulated"]["swing"]
     names = [chart.name for chart in findings.charts]
-    assert names == [
-        "hunting_history",
-        "hunting_plane",
-        "hunting_map",
-        "hunting_nyquist",
-    ]
+    assert names == ["hunting_history", "hunting_plane", "hunting_map", "hunting_nyquist"]
     assert findings.lead[0].startswith("The loop hunts")
 
 

@@ -129,8 +129,7 @@ def test_thesis_values_fail_at_a_high_pitch_and_the_counterexample_is_one() -> N
 
 
 @pytest.mark.parametrize(
-    ("name", "at"),
-    [("vertical", HOVER), ("horizontal", (("alpha_h", 0.3),)), ("newtonian", HOVER)],
+    ("name", "at"), [("vertical", HOVER), ("horizontal", (("alpha_h", 0.3),)), ("newtonian", HOVER)]
 )
 def test_no_motion_leaves_the_inner_set(name: str, at: tuple[tuple[str, float], ...]) -> None:
     found = certificate_of(name, at)
@@ -167,10 +166,7 @@ def test_dry_friction_only_helps_and_the_conclusion_is_a_set_of_rests() -> None:
     attracts = next(c for c in found.results["claims"] if c["name"] == "attracts")
     assert "F_c" in attracts["detail"]
     with pytest.raises(ConfigurationError, match="strict function"):
-        run(
-            extended(Newtonian(), friction),
-            at={"alpha_v": 0.0, "alpha_h": 0.3},
-        )
+        run(extended(Newtonian(), friction), at={"alpha_v": 0.0, "alpha_h": 0.3})
 
 
 def test_sensors_change_nothing() -> None:

@@ -34,11 +34,7 @@ ROWS: dict[str, tuple[Any, dict[str, Any], dict[str, float]]] = {
     "Newtonian, rest": (Newtonian, {}, {}),
     "Newtonian, hover, α_h = 0.3": (Newtonian, {}, {"alpha_v": 0.0, "alpha_h": 0.3}),
     "Newtonian, `rahideh`, hover": (Newtonian, {"parameter_set": "rahideh"}, {"alpha_v": 0.0}),
-    "Newtonian, `rahideh`, α_v = 0.4": (
-        Newtonian,
-        {"parameter_set": "rahideh"},
-        {"alpha_v": 0.4},
-    ),
+    "Newtonian, `rahideh`, α_v = 0.4": (Newtonian, {"parameter_set": "rahideh"}, {"alpha_v": 0.4}),
     "Lagrangian, `rahideh`, hover": (Lagrangian, {"parameter_set": "rahideh"}, {"alpha_v": 0.0}),
 }
 #: Rows that take more than a second or two.

@@ -277,14 +277,7 @@ def newtonian() -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr], sp.Expr]:
     swing = -H * O_h**2 * sp.sin(2 * a_v) / 2
     pitch = l_m * (F_v - F_v0) - g_v + k_g * F_v * O_h * sp.cos(a_v) - k_ov * O_v + swing
     yaw = l_t * F_h * sp.cos(a_v) - l_t * F_h0 * sp.cos(A_v) + tilt - k_oh * O_h - k_c * a_h
-    rates = {
-        w_h: -s_h,
-        S_h: yaw / J,
-        a_h: O_h,
-        w_v: -s_v,
-        S_v: pitch / J_v,
-        a_v: O_v,
-    }
+    rates = {w_h: -s_h, S_h: yaw / J, a_h: O_h, w_v: -s_v, S_v: pitch / J_v, a_v: O_v}
     turning = k_m * w_v * sp.diff(sp.cos(a_v) / J, a_v) * J
     J_slope = sp.diff(J, a_v)
     lack_h = l_t * (F_h - F_h0) * sp.cos(a_v) - k_m * sp.cos(a_v) * s_v

@@ -13,11 +13,7 @@ from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.models.vector_field import has_impulses
-from trms_cli.stability.portraits.invariant_sets import (
-    search,
-    separatrices,
-    sticking_sets,
-)
+from trms_cli.stability.portraits.invariant_sets import search, separatrices, sticking_sets
 from trms_cli.stability.portraits.section import StateSection, section_of
 from trms_cli.stability.portraits.trajectories import NEAR, drawn_points, ends_of, trajectories
 from trms_cli.stability.portraits.window import (
