@@ -382,9 +382,8 @@ def centre_of(box: Interval) -> FloatArray:
     return np.where(wide, sign * np.sqrt(np.maximum(near, 1.0) * far), box.middle)
 
 
-def _signs(equations: BlockEquations, at: FloatArray, given: Interval) -> FloatArray:
-    """Of one equation at points: −1, 1, or 0 where it is not certain."""
-    values = equations.values(Interval.point(at), given)
+def _signs(values: Interval) -> FloatArray:
+    """Of one equation: −1, 1, or 0 where it is not certain."""
     return np.where(values.lower[:, 0] > 0, 1.0, np.where(values.upper[:, 0] < 0, -1.0, 0.0))
 
 
@@ -392,7 +391,8 @@ def _end_signs(equations: BlockEquations, box: Interval, given: Interval) -> Flo
     """The product of the signs at both ends; −1: at least one root. 0 of several equations."""
     if equations.n > 1:
         return np.zeros(len(box.lower))
-    return _signs(equations, box.lower, given) * _signs(equations, box.upper, given)
+    low, high = (equations.values(Interval.point(at), given) for at in (box.lower, box.upper))
+    return _signs(low) * _signs(high)
 
 
 def _times(matrix: Interval, vector: Interval) -> Interval:
@@ -424,7 +424,7 @@ def refined(equations: BlockEquations, box: Interval, given: Interval) -> Interv
     lower, upper = box.lower.copy(), box.upper.copy()
     rises = np.zeros(len(active))
     if equations.n == 1 and len(active):
-        rises = _signs(equations, upper, given)
+        rises = _signs(equations.values(Interval.point(upper), given))
     for _ in range(_REFINEMENTS):
         if not len(active):
             break
@@ -447,7 +447,7 @@ def _smaller(
     centre = centre_of(box)
     at_centre = equations.values(Interval.point(centre), given)
     image = _newton_image(centre, at_centre, slopes)
-    side = (_signs(equations, centre, given) * rises)[:, None]
+    side = (_signs(at_centre) * rises)[:, None]
     return Interval(
         np.where(side < 0, np.maximum(image.lower, centre), image.lower),
         np.where(side > 0, np.minimum(image.upper, centre), image.upper),
