@@ -55,9 +55,11 @@ def test_every_command_has_help_and_the_summary_that_the_table_shows(trms, name)
 
 def test_every_module_with_a_summary_is_in_the_table():
     folder = Path(cli.__file__).parent / "commands"
+    files = {file.stem: file for file in folder.glob("*.py")}
+    files |= {file.parent.name: file for file in folder.glob("*/__init__.py")}
     with_summary = {
-        file.stem.rstrip("_").replace("_", "-")
-        for file in folder.glob("*.py")
+        name.rstrip("_").replace("_", "-")
+        for name, file in files.items()
         for node in ast.parse(file.read_text(encoding="utf-8")).body
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "SUMMARY"
     }
