@@ -13,20 +13,10 @@ from trms_cli.core.errors import EXIT_OK
 def execute(argv: Sequence[str], primary: str, task: Task) -> int:
     """Do what `argv` asks: show the configuration, run `task` on it, or sweep.
 
-    Parameters
-    ----------
-    argv : sequence of str
-        Overrides, and ``--config-dir DIR``, ``--cfg job``, ``-m``.
-    primary : str
-        Name of the primary configuration, ``run`` for ``configs/run.yaml``.
-    task : callable
-        A module's function (a launcher may send it to another process): gets a `Composition`,
-        returns the exit code or an `Outcome`.
-
-    Returns
-    -------
-    int
-        Exit code; that of a sweep is 1 when any job failed.
+    `argv`: overrides, and ``--config-dir DIR``, ``--cfg job``, ``-m``. `primary`: ``run`` for
+    ``configs/run.yaml``. `task`: a module's function (a launcher may send it to another process)
+    that gets a `Composition` and returns the exit code or an `Outcome`. The exit code of a sweep is
+    1 when any job failed.
     """
     swept = any(word in ("-m", "--multirun") for word in argv)
     request = read_request([word for word in argv if not (swept and word == "--json")], primary)

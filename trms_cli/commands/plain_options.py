@@ -18,14 +18,8 @@ def as_options(argv: Sequence[str], takes: Mapping[str, bool]) -> list[str]:
     """The words with each ``KEY=VALUE`` of an option as ``--KEY=VALUE``, as experiments have it.
 
     A file of that name stays one, and so does the value of the option before. ``out=`` is one for
-    every command: a command without ``--out`` says so.
-
-    Parameters
-    ----------
-    argv : sequence of str
-        What follows the command word.
-    takes : mapping of str to bool
-        The options without their dashes, and whether each takes a value.
+    every command: a command without ``--out`` says so. `takes` has the options without their
+    dashes, and whether each takes a value.
     """
     words: list[str] = []
     is_value = False
@@ -44,15 +38,7 @@ def as_options(argv: Sequence[str], takes: Mapping[str, bool]) -> list[str]:
 
 
 class PlainOptions(argparse.ArgumentParser):
-    """An argument parser that raises ConfigurationError and prints a given help.
-
-    Parameters
-    ----------
-    command : str
-        As typed, for messages: "trms import".
-    help_text : str
-        Printed as it stands for ``--help``.
-    """
+    """A parser that raises ConfigurationError; ``--help`` prints `help_text` as it stands."""
 
     def __init__(self, command: str, help_text: str) -> None:
         super().__init__(prog=command, allow_abbrev=False)

@@ -254,12 +254,8 @@ _PAUSE, _MOST_FRAMES = 0.1, 150
 def plot_scene(log: LoggedRun, given: Any) -> int:
     """Draw, write and tell; the exit code.
 
-    Raises
-    ------
-    ConfigurationError
-        For options that a scene does not have.
-    RecordingError
-        For a log without an angle, or a file that exists.
+    Raises ConfigurationError for options that a scene does not have, RecordingError for a log
+    without an angle, or a file that exists.
     """
     from trms_cli.reporting.plot import size_of
     from trms_cli.reporting.scene_picture import animated, draw_scene
@@ -303,15 +299,9 @@ def plot_scene(log: LoggedRun, given: Any) -> int:
 def shots_of(
     log: LoggedRun, start: float | None, end: float | None, *, moving: bool
 ) -> tuple[dict[str, Any], Sequence[Any]]:
-    """The bodies, and moments of a log as its messages tell them.
+    """The bodies, and moments of a log as its messages tell them, between `start` and `end` (s).
 
-    Parameters
-    ----------
-    log : LoggedRun
-    start, end : float, optional
-        The window, s; the whole log by default, and for a still its middle.
-    moving : bool
-        Many moments, or the one at the start.
+    `moving`: many moments; else the one at the start, without it the middle of the log.
     """
     from trms_cli.reporting.scene_picture import Shot
 

@@ -12,13 +12,7 @@ from trms_cli.library.tasks.task import Done, Interrupted, Screen, as_job
 
 
 def study(command: str, composition: Composition, task: Callable[..., Done], **how: Any) -> Outcome:
-    """Do what a configuration asks for, and show it; in a sweep a few lines a job.
-
-    Parameters
-    ----------
-    task : callable
-        Takes the composition, a listener, and `how`.
-    """
+    """Let `task` do what a configuration asks for, and show it; in a sweep a few lines a job."""
     if composition.job is not None:
         return as_job(composition, task, **how)
     screen = Screen(command)

@@ -68,13 +68,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def sweep(request: ComposeRequest, primary: str, task: Task, *, as_json: bool = False) -> int:
-    """Begin a sweep and drive it to its end, on the screen.
-
-    Returns
-    -------
-    int
-        0 when every run ended well, 1 otherwise.
-    """
+    """Begin a sweep and drive it to its end, on the screen; 0 when every run ended well, else 1."""
     drive = partial(make_sweep, request.overrides, primary, task, config_dirs=request.config_dirs)
     return _shown(drive, as_json=as_json)
 

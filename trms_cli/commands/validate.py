@@ -69,10 +69,7 @@ def perform(composition: Composition) -> Outcome:
 def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Outcome:
     """Validate the model of each configuration; they differ in their model only.
 
-    Parameters
-    ----------
-    given : sequence of str
-        What each model was called on the command line; empty for one from a configuration.
+    `given`: what each model was called on the command line; empty for one from a configuration.
     """
     from trms_cli.commands.study import study
     from trms_cli.library.tasks.validate import perform as task

@@ -61,24 +61,11 @@ def arguments_of(
     out: str | PathLike[str] | None = None,
     config_dir: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
 ) -> Arguments:
-    """Read the arguments of a call.
+    """Read the arguments of a call that composes from `primary`.
 
-    Parameters
-    ----------
-    primary : str
-        The configuration that the command composes from: ``run``.
-    typed : sequence of str
-        ``KEY=VALUE``, as on the command line.
-    keys : mapping
-        By name. None stands for what is not given; to give null, write ``"KEY=null"``.
-    out : path or None
-        The folder to write into; None for a new one.
-    config_dir : path or sequence of paths
-
-    Raises
-    ------
-    ConfigurationError
-        For what cannot be an argument.
+    `typed`: ``KEY=VALUE`` as on the command line. `keys`: by name; None stands for what is not
+    given (to give null, write ``"KEY=null"``). `out`: the folder to write into; None for a new one.
+    Raises ConfigurationError for what cannot be an argument.
     """
     places = folders_of(config_dir, "config_dir")
     for word in typed:
@@ -222,13 +209,7 @@ def _instance(value: Any, where: str) -> Any:
 
 
 def text_of(value: Any, key: str = "") -> str:
-    """A value in the grammar of overrides.
-
-    Raises
-    ------
-    TypeError
-        If it is no data.
-    """
+    """A value in the grammar of overrides; raises TypeError if it is no data."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -282,10 +263,7 @@ def _refuse_keys_of_objects(words: Sequence[str], objects: Mapping[str, Any]) ->
 def path_of(value: Any, where: str) -> Path:
     """A path that was given, with ``~`` as the home folder.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is no path.
+    Raises ConfigurationError if it is no path.
     """
     if not isinstance(value, str | PathLike):
         raise ConfigurationError(
@@ -295,12 +273,6 @@ def path_of(value: Any, where: str) -> Path:
 
 
 def folders_of(value: Any, where: str) -> tuple[Path, ...]:
-    """One folder or several, from the root.
-
-    Raises
-    ------
-    ConfigurationError
-        If one is no path.
-    """
+    """One folder or several, from the root; raises ConfigurationError if one is no path."""
     several = list(value) if isinstance(value, list | tuple | set) else [value]
     return tuple(path_of(one, where).resolve() for one in several)

@@ -165,9 +165,7 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
         return [override]
     if value.count("[") != value.count("]"):
         raise ConfigurationError(
-            f"a bracket is missing in {value!r}",
-            where=group,
-            remedy=f"write '{group}=[NAME,NAME]'",
+            f"a bracket is missing in {value!r}", where=group, remedy=f"write '{group}=[NAME,NAME]'"
         )
     if several:
         _refuse_twice(group, names)
@@ -400,17 +398,7 @@ def is_path(name: str) -> bool:
 
 
 class DeclaredKeys:
-    """Looks keys up under the choices that a command line makes.
-
-    Parameters
-    ----------
-    declared : Primary
-        What the primary configuration declares.
-    groups : dict
-        The groups and options that there are.
-    typed : sequence of str
-        The overrides, for the choices among them.
-    """
+    """Looks keys up under the choices that a command line, `typed`, makes."""
 
     def __init__(self, declared: Primary, groups: Groups, typed: Sequence[str]) -> None:
         self.declared = declared

@@ -105,25 +105,15 @@ def compose(
     *,
     config_dirs: Sequence[Path] = (),
 ) -> Composition:
-    """Compose one experiment.
+    """Compose one experiment from a primary configuration (``run`` for ``configs/run.yaml``).
 
-    Parameters
-    ----------
-    given : sequence of str, or mapping
-        What would be typed (``["controller=pid", "sim.duration=20"]``; ``-m`` and ``--cfg`` are a
-        command's and refused here), or the same as a mapping:
-        ``{"controller": "pid", "sim": {"duration": 20}, "effect": ["main_input_delay"]}``. In a
-        mapping objects may stand for plugins; they are built inside of
-        :func:`trms_cli.composition.given_object.given`.
-    primary : str
-        Name of the primary configuration, ``run`` for ``configs/run.yaml``.
-    config_dirs : sequence of Path
-        The user's folders of options, absolute; those of ``--config-dir`` in `given` come first.
+    `given` is what would be typed (``["controller=pid", "sim.duration=20"]``; ``-m`` and ``--cfg``
+    are a command's and refused here), or the same as a mapping: ``{"controller": "pid", "sim":
+    {"duration": 20}, "effect": ["main_input_delay"]}``. In a mapping objects may stand for plugins;
+    they are built inside of :func:`trms_cli.composition.given_object.given`. `config_dirs` are the
+    user's folders of options, absolute; those of ``--config-dir`` in `given` come first.
 
-    Raises
-    ------
-    ConfigurationError
-        For the first key that is wrong.
+    Raises ConfigurationError for the first key that is wrong.
     """
     if isinstance(given, Mapping):
         from trms_cli.composition.arguments import arguments_of
@@ -169,15 +159,7 @@ class _Base:
 
 
 class Composer:
-    """Composes from one primary configuration again and again.
-
-    Parameters
-    ----------
-    primary : str
-        Name of the primary configuration, ``run`` for ``configs/run.yaml``.
-    config_dirs : sequence of Path
-        The user's folders.
-    """
+    """Composes from one primary configuration, and the user's folders, again and again."""
 
     def __init__(self, primary: str, config_dirs: Sequence[Path] = ()) -> None:
         self.primary, self.config_dirs = primary, tuple(config_dirs)
@@ -186,19 +168,9 @@ class Composer:
         self._bases: OrderedDict[tuple[str, ...], _Base] = OrderedDict()
 
     def compose(self, overrides: Sequence[str], job: int | None = None) -> Composition:
-        """What ``compose([*overrides], primary)`` gives.
+        """What ``compose([*overrides], primary)`` gives, for the run of number `job` of a sweep.
 
-        Parameters
-        ----------
-        overrides : sequence of str
-            As typed for one run.
-        job : int or None
-            Number of the run in a sweep.
-
-        Raises
-        ------
-        ConfigurationError
-            For the first key that is wrong.
+        Raises ConfigurationError for the first key that is wrong.
         """
         request = ComposeRequest(tuple(overrides), self.config_dirs, show=False, multirun=False)
         try:

@@ -22,16 +22,8 @@ def explained(
 ) -> Iterator[None]:
     """Turn what Hydra, OmegaConf and YAML raise inside into a `ConfigurationError`.
 
-    Parameters
-    ----------
-    overrides : sequence of str
-        As given to Hydra.
-    declared : Primary
-        What the primary configuration declares.
-    groups : dict
-        The groups and options that there are.
-    compose : callable
-        Composes with fewer overrides, for finding the keys that a misspelt one is near to.
+    `compose` composes with fewer overrides than those given to Hydra, for finding the keys that a
+    misspelt one is near to.
     """
     import yaml
     from hydra.errors import HydraException, MissingConfigException, OverrideParseException

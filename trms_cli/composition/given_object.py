@@ -59,8 +59,7 @@ def object_stand_in(*, number: int, kind: str, words: str) -> Any:
     if number < len(objects) and kind_of(objects[number]) == kind:
         return objects[number]
     raise ConfigurationError(
-        f"{words} was an object in a Python session, which no file holds",
-        remedy=_REMEDY,
+        f"{words} was an object in a Python session, which no file holds", remedy=_REMEDY
     )
 
 
@@ -71,19 +70,9 @@ _REMEDY = (
 
 
 def refuse_given(config: Any, where: str, source: str) -> None:
-    """Refuse a configuration in which an object stood.
+    """Refuse a configuration of `source`, at the place `where` of the whole, that had an object.
 
-    Parameters
-    ----------
-    where : str
-        The place of `config` in the whole; empty for the whole.
-    source : str
-        What the configuration is of, for the message.
-
-    Raises
-    ------
-    ConfigurationError
-        It names the place and what stood there.
+    Raises ConfigurationError: it names the place and what stood there.
     """
     if not isinstance(config, Mapping):
         return
@@ -113,10 +102,7 @@ def words_of(plugin: Any) -> str:
 def with_objects(composition: Composition, objects: Mapping[str, Any]) -> Composition:
     """The composition with objects at their places, in its choices by what they are.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no such place.
+    Raises ConfigurationError if there is no such place.
     """
     if not objects:
         return composition

@@ -140,14 +140,9 @@ def user_folders(folders: Sequence[Path]) -> Iterator[None]:
 def compose_by_hydra(
     primary: str, overrides: Sequence[str], config_dirs: Sequence[Path]
 ) -> tuple[DictConfig, dict[Any, Any]]:
-    """Compose by Hydra.
+    """Compose by Hydra: the ``DictConfig``, unresolved, and the option chosen in each group.
 
-    Returns
-    -------
-    config : DictConfig
-        Unresolved; what it refers to has been looked at.
-    choices : dict
-        Hydra's record of the option chosen in each group, its own among them.
+    What the configuration refers to has been looked at; Hydra's own groups are among the choices.
     """
     with user_folders(config_dirs):
         hydra.initialize_config_dir(

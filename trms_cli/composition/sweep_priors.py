@@ -37,15 +37,8 @@ _DIGITS = 12
 class PriorTables:
     """Looks priors up in the first configuration of a sweep, composed when it is first asked for.
 
-    Parameters
-    ----------
-    composed : callable
-        Composes a run, given other values for some choices than the first.
-    fixed : sequence of str
-        Overrides of every run.
-    choices : sequence of Choice
-    groups : dict
-        The groups and options that there are.
+    `composed` composes a run, given other values for some choices than the first; `fixed` are the
+    overrides of every run.
     """
 
     def __init__(
@@ -66,20 +59,11 @@ class PriorTables:
             self._configs = [("", self._composed({}).config)]
 
     def of(self, key: str, named: Iterable[str]) -> list[Range | PriorOfKey]:
-        """What a key varies over.
+        """What a key varies over: a parameter or size, or the mapping that holds several.
 
-        Parameters
-        ----------
-        key : str
-            A parameter or size, or the mapping that holds several.
-        named : iterable of str
-            Keys that were typed themselves, which a mapping leaves out.
-
-        Raises
-        ------
-        ConfigurationError
-            If there is no such parameter, it has no prior, or its prior is another under another
-            choice of the same sweep.
+        A mapping leaves out the keys `named`, which were typed themselves. Raises
+        ConfigurationError if there is no such parameter, it has no prior, or its prior is another
+        under another choice of the same sweep.
         """
         self.compose()
         if len(self._configs) == 1:

@@ -59,27 +59,13 @@ class _Typed(NamedTuple):
 
 
 def space_of(request: ComposeRequest, primary: str) -> Space:
-    """The space that a command line asks for.
+    """The space that a command line asks for; without choices and ranges where nothing varies.
 
-    Parameters
-    ----------
-    request : ComposeRequest
-        Its overrides are those of the runs; what steers the sweep itself (``sampler``,
-        ``launcher``, ``retries``, ``out``) has been taken off.
-    primary : str
-        Name of the runs' primary configuration, ``run`` for ``configs/run.yaml``.
-
-    Returns
-    -------
-    Space
-        Without choices and ranges where nothing varies. Overrides stand in it as they were typed,
-        so that each run can be repeated by typing its own.
-
-    Raises
-    ------
-    ConfigurationError
-        For a key or an option that does not exist, a value that cannot be read, a prior of what
-        has none; it names the key and what to write.
+    The overrides of `request` are those of the runs, composed from `primary`: what steers the sweep
+    itself (``sampler``, ``launcher``, ``retries``, ``out``) has been taken off. They stand in the
+    space as they were typed, so that each run can be repeated by typing its own. Raises
+    ConfigurationError for a key or an option that does not exist, a value that cannot be read, a
+    prior of what has none.
     """
     declared = read_primary(primary, request.config_dirs)
     groups = read_groups(request.config_dirs)

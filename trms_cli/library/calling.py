@@ -30,12 +30,7 @@ class TrmsNote(UserWarning):
 def turn(words: str, objects: Sequence[Any] = ()) -> Iterator[None]:
     """Inside, this call alone composes and finds its objects; afterwards the process is as it was.
 
-    Parameters
-    ----------
-    words : str
-        What the records of what is written say of the call.
-    objects : sequence
-        Those that the call was given.
+    `words`: what the records of what is written say of the call.
     """
     from trms_cli.composition.given_object import given
     from trms_cli.core.invocation import called_as
@@ -63,25 +58,11 @@ def remarks(verbose: bool) -> Iterator[None]:
 
 
 def done(
-    command: str,
-    asked: Arguments,
-    task: Callable[[Composition, Listener], Done],
-    *,
-    verbose: bool,
+    command: str, asked: Arguments, task: Callable[[Composition, Listener], Done], *, verbose: bool
 ) -> Done:
-    """Compose what is asked for and let a task do it.
+    """Compose what a command is asked for, let a task do it, and show it if `verbose`.
 
-    Parameters
-    ----------
-    command : str
-        Its name, which is also that of its configuration.
-    verbose : bool
-        Whether progress and result are shown as the command shows them.
-
-    Raises
-    ------
-    Interrupted
-        If it was stopped, and has left something.
+    Raises Interrupted if it was stopped, and has left something.
     """
     from trms_cli.composition.composer import compose
     from trms_cli.composition.given_object import with_objects

@@ -18,13 +18,7 @@ Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
 
 class Options(Mapping[str, str]):
-    """Names and what each is, in one line; printed and shown as a table.
-
-    Parameters
-    ----------
-    title : str
-    lines : mapping of str to str
-    """
+    """Names and what each is, in one line; printed and shown as a table."""
 
     def __init__(self, title: str, lines: Mapping[str, str]) -> None:
         self.title, self._lines = title, dict(lines)

@@ -14,21 +14,9 @@ if TYPE_CHECKING:
 def frame_of(
     columns: Mapping[Any, Any], units: Mapping[str, str], index: Any = None, name: str = ""
 ) -> pandas.DataFrame:
-    """A frame.
+    """A pandas frame; the units of its columns go to ``frame.attrs["units"]``, `name` to its index.
 
-    Parameters
-    ----------
-    columns : mapping of sequences by name
-    units : mapping of str to str
-        Go to ``frame.attrs["units"]``.
-    index : sequence or None
-    name : str
-        Of the index.
-
-    Raises
-    ------
-    TrmsError
-        If pandas is not installed: it is no dependency of this package.
+    Raises TrmsError if pandas is not installed: it is no dependency of this package.
     """
     frames = load_pandas()
     made = frames.DataFrame(dict(columns), index=index)
@@ -39,13 +27,7 @@ def frame_of(
 
 
 def load_pandas() -> Any:
-    """The package.
-
-    Raises
-    ------
-    TrmsError
-        If it is not installed.
-    """
+    """The package pandas; raises TrmsError if it is not installed."""
     from importlib import import_module
     from importlib.util import find_spec
 

@@ -61,16 +61,7 @@ def _cell(value: Any) -> str:
 
 
 def findings(told: Findings, headline: str, paths: Mapping[str, Path | None]) -> str:
-    """What a study has to tell, with the tables that a terminal shows.
-
-    Parameters
-    ----------
-    told : Findings
-    headline : str
-        What it is, in a line.
-    paths : dict of str to path
-        What was written.
-    """
+    """What a study has to tell, with the tables of a terminal and what was written."""
     parts = [paragraph(headline, bold=True)]
     parts += [paragraph(sentence.replace("**", "")) for sentence in told.lead]
     parts += [paragraph(f"Note: {warning}") for warning in told.warnings]

@@ -143,10 +143,7 @@ def compare(
     from trms_cli.core.plugins import nearest
     from trms_cli.library.tasks import compare as command
 
-    for value, allowed, key in (
-        (metric, command.METRICS, "metric"),
-        (sort, command.SORTS, "sort"),
-    ):
+    for value, allowed, key in ((metric, command.METRICS, "metric"), (sort, command.SORTS, "sort")):
         if value not in allowed:
             raise ConfigurationError(f"{value!r} given", where=key, remedy=nearest(value, allowed))
     paths = list(run_paths(runs))

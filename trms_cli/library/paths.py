@@ -13,10 +13,7 @@ from trms_cli.core.errors import ConfigurationError
 def run_paths(runs: Iterable[Any]) -> Iterator[Path]:
     """Paths of runs, given one by one or in sequences.
 
-    Raises
-    ------
-    ConfigurationError
-        For what is neither a path nor a run.
+    Raises ConfigurationError for what is neither a path nor a run.
     """
     for run in runs:
         if isinstance(run, str | PathLike):

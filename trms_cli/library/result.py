@@ -54,10 +54,7 @@ class Result:
     def file_for(self, key: str) -> Path:
         """The file that stands for this result where another call asks for a `key`.
 
-        Raises
-        ------
-        ConfigurationError
-            If it has none.
+        Raises ConfigurationError if it has none.
         """
         if key not in self.FILES:
             raise ConfigurationError(
@@ -89,13 +86,7 @@ class Result:
 
 
 def read_document(file: Path) -> dict[str, Any]:
-    """A JSON document of ours.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be read.
-    """
+    """A JSON document of ours; raises RecordingError if it cannot be read."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

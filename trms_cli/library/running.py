@@ -230,13 +230,7 @@ class _Drawn:
 
 
 def run_in(path: Path) -> Run:
-    """The run of a log, or of a run's folder.
-
-    Raises
-    ------
-    RecordingError
-        If there is none.
-    """
+    """The run of a log, or of a run's folder; raises RecordingError if there is none."""
     from trms_cli.runs.run_folder import log_of
 
     log = log_of(path)

@@ -33,17 +33,7 @@ _SHOWN = 64  # characters of a filter on one line
 
 
 class FilterError(ConfigurationError):
-    """A filter of runs cannot be used.
-
-    Parameters
-    ----------
-    problem : str
-    filter : str
-        The whole of it.
-    position : int
-        Character at which the trouble begins, from 0.
-    remedy : str
-    """
+    """A filter of runs cannot be used; the trouble begins at a character of it, from 0."""
 
     def __init__(self, problem: str, filter: str, position: int, remedy: str = "") -> None:
         super().__init__(problem, where=_pointed(filter, position), remedy=remedy)
@@ -178,20 +168,11 @@ class _Value:
 
 
 def translated(text: str, extra: Collection[str] | None = ()) -> Sql:
-    """A filter as an SQL condition that is 1 or 0 for each run.
+    """A filter (empty: all runs) as an SQL condition that is 1 or 0 for each run.
 
-    Parameters
-    ----------
-    text : str
-        Empty: all runs.
-    extra : collection of str or None
-        Figures that some runs have beside the columns (:meth:`RunIndex.more_names`); None: not
-        known yet, whatever is named as a figure is.
-
-    Raises
-    ------
-    FilterError
-        If it is no filter, with the place and what to type instead.
+    `extra`: figures that some runs have beside the columns (:meth:`RunIndex.more_names`); None: not
+    known yet, whatever is named as a figure is. Raises FilterError if it is no filter, with the
+    place and what to type instead.
     """
     if not text.strip():
         return Sql("1")

@@ -25,29 +25,19 @@ _WRITER_EVERY = 0.2  # s between two questions whether the run is still there
 class RunFollower:
     """A run's log, followed as it grows.
 
-    Attributes
-    ----------
-    path : Path
-        Of the log.
-    ended : bool
-        Nothing more will come, and all that there is has been read.
-    state : str
-        ``running``; ``completed``, ``interrupted`` or ``failed`` as the run itself said at its
-        end; ``died``: no end, and nobody writes; ``unfinished``: no end, and the system does not
-        tell whether anybody writes.
-    heard : float
-        Wall time (``time.monotonic``) when the log last grew.
-
     Raises RecordingError when the log cannot be read, also from :meth:`look`.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.ended = False
-        self.heard = monotonic()
+        self.ended = False  #: Nothing more will come, and all that there is has been read
+        self.heard = monotonic()  #: Wall time when the log last grew
         self._tail = LogTail(path, _wanted)
         self._asked = -math.inf
         self._last, outcome = _last_words(path)
+        #: ``running``; ``completed``, ``interrupted`` or ``failed``, as the run said at its end;
+        #: ``died``: no end, and nobody writes; ``unfinished``: no end, and the system does not
+        #: tell whether anybody writes
         self.state = outcome or self._of_writer()
         self._samples = RunSamples()
 

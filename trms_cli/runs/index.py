@@ -67,17 +67,9 @@ class LogReading:
 
 
 class RunIndex:
-    """The open index.
+    """The open index, in a file that is made if it is not there; None: in memory, of this process.
 
-    Parameters
-    ----------
-    file : Path or None
-        Of the database, made if it is not there; None: in memory, for this process alone.
-
-    Raises
-    ------
-    OSError, sqlite3.OperationalError
-        If the file cannot be opened or made.
+    Raises OSError or sqlite3.OperationalError if the file cannot be opened or made.
     """
 
     def __init__(self, file: Path | None) -> None:

@@ -158,10 +158,7 @@ class RunningSum:
 class TopicSamples:
     """The samples of a topic: a time and columns of equal length.
 
-    Parameters
-    ----------
-    units : dict of str to str
-        By column; those without a unit are texts or truth values.
+    Columns that have no unit are texts or truth values.
     """
 
     def __init__(self, units: dict[str, str]) -> None:
@@ -236,17 +233,7 @@ class RunSamples:
         return float(max(times, default=0.0))
 
     def at(self, time: float, span: float, events: int = 8) -> Moment:
-        """The run at a moment.
-
-        Parameters
-        ----------
-        time : float
-            s; samples after it are not looked at.
-        span : float
-            s before it that the curves show.
-        events : int
-            The most that are wanted.
-        """
+        """The run at `time` (s): curves over the `span` (s) before it, and its latest `events`."""
         happened = bisect_right(self._events, time + 1e-9, key=lambda event: event.time)
         last = [self._events[i] for i in range(max(0, happened - events), happened)]
         return Moment(

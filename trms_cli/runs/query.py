@@ -74,17 +74,8 @@ class _Walk:
 def find(question: Query, tell: Tell = lambda done, of: None) -> QueryResult:
     """Bring the index up to date, and ask it.
 
-    Parameters
-    ----------
-    tell : callable
-        Called with the number of logs read and of those to be read.
-
-    Raises
-    ------
-    FilterError
-        If the filter cannot be used.
-    ConfigurationError
-        If a folder or column does not exist.
+    `tell` is called with the number of logs read and of those to be read. Raises FilterError if the
+    filter cannot be used, ConfigurationError if a folder or column does not exist.
     """
     try:
         return _find(question, tell)

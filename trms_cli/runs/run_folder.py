@@ -18,25 +18,12 @@ LOG_NAME, SCORE_NAME, PICTURE_NAME = "run.mcap", "score.json", "run.png"
 
 
 def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
-    """Make the folder of a run; nothing that exists is ever written over.
+    """Make the folder of a run of the command `what`; nothing that exists is ever written over.
 
-    Parameters
-    ----------
-    out : path or None
-        The folder that was asked for; None: ``outputs/<date>/<time>-<what>`` under the working
-        directory, with a number behind it when two start in one second.
-    what : str
-        The command: ``run``, ``identify``, …
-
-    Raises
-    ------
-    TrmsError
-        If the folder holds something already, if another process is writing into it, or if it
-        cannot be made or written to.
-
-    Notes
-    -----
-    Of several processes that are given one folder at once, one gets it.
+    Without `out` it is ``outputs/<date>/<time>-<what>`` under the working directory, with a number
+    behind it when two start in one second. Of several processes that are given one folder at once,
+    one gets it. Raises TrmsError if the folder holds something already, if another process is
+    writing into it, or if it cannot be made or written to.
     """
     try:
         if out is None:

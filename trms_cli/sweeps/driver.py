@@ -73,19 +73,10 @@ Tell = Callable[[SweepProgress, RunResult | None], None]
 class Driver:
     """One process's part in a sweep.
 
-    Parameters
-    ----------
-    record : Record
-    proposals : Proposals
-        Started with the points of the record.
-    work : callable
-        Makes one run.
-    retries : int
-        Times that a run is tried again after its worker died.
-    tell : callable
-        Called after each result, and about twice a second with None.
-    retry_failed : bool
-        Whether runs that failed, or were lost, before this process began are made again.
+    `proposals` have been started with the points of the record, and `work` makes one run. `retries`
+    are the times that a run is tried again after its worker died; with `retry_failed`, runs that
+    failed or were lost before this process began are made again. `tell` is called after each
+    result, and about twice a second with None.
     """
 
     def __init__(
@@ -126,12 +117,8 @@ class Driver:
     def drive(self, launcher: Launcher) -> None:
         """Have all points run.
 
-        Raises
-        ------
-        KeyboardInterrupt
-            When it was interrupted; the runs have then ended, and the record tells so.
-        TrmsError
-            If there are no workers to be had, or the disk is full.
+        Raises KeyboardInterrupt when it was interrupted (the runs have then ended, and the record
+        tells so), and TrmsError if there are no workers to be had, or the disk is full.
         """
         with contextlib.suppress(FileNotFoundError):
             self._record.stop_file.unlink()

@@ -51,12 +51,7 @@ class SweepPlan:
 
 
 class Record:
-    """The record in a sweep's folder.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """The record in a sweep's folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -49,15 +49,7 @@ class Claim:
 
 
 class RunFolder:
-    """The folder of a run.
-
-    Parameters
-    ----------
-    sweep : Path
-        The sweep's folder.
-    number : int
-        Of the run.
-    """
+    """The folder of a sweep's run, by its number."""
 
     def __init__(self, sweep: Path, number: int) -> None:
         self.path = sweep / str(number)
@@ -150,16 +142,9 @@ class RunFolder:
 
 
 def lost(point: SweepPoint, attempt: int, reason: str, before: Mapping[str, Any]) -> dict[str, Any]:
-    """The status of a run whose worker died each time.
+    """The status of a run whose worker died each time, the last one in `attempt` for a `reason`.
 
-    Parameters
-    ----------
-    attempt : int
-        The last one.
-    reason : str
-        What the engine told.
-    before : mapping
-        The status that the last worker left, for what is known of it.
+    `before` is the status that the last worker left, for what is known of it.
     """
     known = {key: before[key] for key in ("host", "pid", "begin", "choices") if key in before}
     words = "time" if attempt == 1 else "times"

@@ -9,11 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.cli import COMMANDS, load_command
-from trms_cli.composition.catalogue import (
-    read_groups,
-    read_primary,
-    take_config_dirs,
-)
+from trms_cli.composition.catalogue import read_groups, read_primary, take_config_dirs
 from trms_cli.composition.checks import DeclaredKeys
 from trms_cli.composition.overrides import PATH_KEYS
 from trms_cli.core.errors import TrmsError
@@ -24,17 +20,9 @@ _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 
 
 def suggest(line: str) -> list[str]:
-    """The words that can stand where the last word of `line` begins.
+    """The words that can stand where the last word of `line`, which ends at the cursor, begins.
 
-    Parameters
-    ----------
-    line : str
-        The command line up to the cursor, the program's name included.
-
-    Returns
-    -------
-    list of str
-        Whole words; one that ends in ``=``, ``.``, ``/``, ``[`` or ``,`` goes on.
+    Whole words; one that ends in ``=``, ``.``, ``/``, ``[`` or ``,`` goes on.
     """
     *before, word = (part.lstrip("'\"") for part in re.split(r"\s+", line.lstrip()))
     before = before[1:]

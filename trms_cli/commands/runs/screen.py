@@ -64,11 +64,8 @@ _MOST_TOLD = 200  # characters of a line on trouble
 def print_runs(found: QueryResult, told: Sequence[str] | None, *, filtered: bool) -> None:
     """Print the table, and a line on how much of all it is.
 
-    Parameters
-    ----------
-    told : sequence of str or None
-        Columns that were asked about: they are shown beside the usual ones. None: all that
-        `found` has are shown, and no others.
+    `told`: columns that were asked about, shown beside the usual ones. None: all that `found` has
+    are shown, and no others.
     """
     if not found.runs:
         print(_why_nothing(found, filtered))

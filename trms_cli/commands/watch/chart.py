@@ -55,26 +55,10 @@ def chart(
     *,
     plain: bool = False,
 ) -> list[list[TerminalCell]]:
-    """Draw curves; the later ones lie over the earlier ones.
+    """Draw curves over `time` (s, rising), the later ones over the earlier; the rows from the top.
 
-    Parameters
-    ----------
-    time : (n,) array
-        s, rising.
-    curves : tuple of TerminalCurve
-    within : (float, float)
-        Time at the left and at the right edge, s.
-    limits : (float, float)
-        Value at the lower and at the upper edge.
-    size : (int, int)
-        Columns and rows, in characters.
-    plain : bool
-        Only ASCII.
-
-    Returns
-    -------
-    list of list of TerminalCell
-        The rows from the top.
+    `within`: time at the left and at the right edge, s. `limits`: value at the lower and at the
+    upper edge. `size`: columns and rows, in characters. `plain`: only ASCII.
     """
     columns, rows = size
     across, down = (1, 1) if plain else (2, 4)

@@ -15,12 +15,7 @@ from trms_cli.commands.watch.chart import TerminalCell, TerminalCurve, chart, sc
 from trms_cli.runs.moment import AxisMoment, Input, Moment, Solver
 
 #: What the signals of the twin rotor are called; others go by their own name.
-NAMES = {
-    "alpha_v": "pitch",
-    "alpha_h": "yaw",
-    "u_v": "main rotor",
-    "u_h": "tail rotor",
-}
+NAMES = {"alpha_v": "pitch", "alpha_h": "yaw", "u_v": "main rotor", "u_h": "tail rotor"}
 #: How the states of a run are told, and their colours.
 _STATES = {
     "running": ("running", "bold green"),
@@ -68,18 +63,7 @@ class View:
 def about(
     choices: Mapping[str, Any], run: Mapping[str, str], log: str, total: float | None
 ) -> About:
-    """What a run is, in words.
-
-    Parameters
-    ----------
-    choices : mapping
-        The option of each group; empty for a recording.
-    run : mapping of str to str
-        What the log says of the run.
-    log : str
-    total : float or None
-        s.
-    """
+    """What a run is, in words, from its choices (none: a recording) and what its log says."""
     recording = run.get("recording.file") or run.get("file")
     if not choices:
         return About(recording or run.get("command") or "a recording", "", log, total)

@@ -17,35 +17,16 @@ REPLAY_KEYS = "q quit  space pause  + - speed  ← → 5 s  home begin  end"
 
 
 class Player:
-    """Shows a run, following it or replaying it.
-
-    Attributes
-    ----------
-    position : float
-        s of the run.
-    speed : float
-        Of the replay: s of the run per second.
-    paused : bool
-    live : bool
-        Whether the latest sample is followed.
-
-    Parameters
-    ----------
-    run : RunFollower
-    live : bool
-    speed : float
-    begin : float
-        s at which a replay begins.
-    span : float
-        s that the curves show.
-    """
+    """Follows a run, or replays it from `begin` (s) on; the curves show `span` seconds."""
 
     def __init__(
         self, run: RunFollower, *, live: bool, speed: float, begin: float, span: float
     ) -> None:
         self.run = run
-        self.live, self.speed, self.paused = live, speed, False
-        self.position = 0.0 if live else begin
+        self.live = live  #: Whether the latest sample is followed
+        self.speed = speed  #: Of the replay: s of the run per second
+        self.paused = False
+        self.position = 0.0 if live else begin  #: s of the run
         self._span = span
 
     @property

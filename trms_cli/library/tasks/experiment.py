@@ -64,14 +64,9 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
 def raise_explained(
     error: Exception, experiment: Experiment, time: float, log: Path | None = None
 ) -> NoReturn:
-    """Raise an exception of a plugin as a message that names it; any other as it is.
+    """Raise a plugin's exception at `time` (simulated, s) as a message that names it; others as is.
 
-    Parameters
-    ----------
-    time : float
-        Simulated time that was reached, s.
-    log : Path or None
-        Where the run up to there can be read.
+    `log`: where the run up to there can be read.
     """
     from trms_cli.core.plugin_contract import plugin_failure
 

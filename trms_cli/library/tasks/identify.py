@@ -171,13 +171,7 @@ def _more(method: Mapping[str, Any]) -> str:
 def document_of(
     composition: Composition, request: Identification, fitted: Assessment, seconds: float
 ) -> dict[str, Any]:
-    """The document; figures that do not exist are null.
-
-    Parameters
-    ----------
-    seconds : float
-        Of the whole command, s.
-    """
+    """The document of a command that took `seconds`; figures that do not exist are null."""
     result, problem = fitted.result, request.problem
     content = {
         "schema": SCHEMA,

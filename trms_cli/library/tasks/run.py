@@ -143,16 +143,9 @@ def score_of(loop: Any, path: Path, *, complete: bool) -> dict[str, Any]:
 
 
 def never_begun(plant: Any, duration: float) -> Iterator[str]:
-    """A sentence for each fault and each disturbance of a rig that begins after a run has ended.
+    """A sentence for each fault and disturbance of a rig that begins after a run of `duration` s.
 
     Such a run is as sound as the rig without them, and would be taken for one that withstood them.
-
-    Parameters
-    ----------
-    plant : Plant
-        One without faults and disturbances has nothing to tell.
-    duration : float
-        Of the run, s.
     """
     end = f"after the end of the run ({duration:g} s)"
     for name, fault in _named(plant, "faults"):

@@ -77,28 +77,13 @@ def make_sweep(
 ) -> SweepOutcome:
     """Begin a sweep and drive it to its end.
 
-    Parameters
-    ----------
-    overrides : sequence of str
-        What would be typed after ``-m``, the sweep's own among them.
-    primary : str
-        Primary configuration of the runs, ``run`` for ``configs/run.yaml``.
-    task : callable
-        A module's function: what a run does with its composition.
-    config_dirs : sequence of Path
-        Folders of options, absolute.
-    tell : callable
-        Called after each run, and about twice a second.
-    begun : callable
-        Called with the folder once the record stands.
+    `overrides` are what would be typed after ``-m``, the sweep's own among them. `task` is a
+    module's function: what a run does with its composition. `tell` is called after each run, and
+    about twice a second; `begun` with the folder once the record stands.
 
-    Raises
-    ------
-    TrmsError
-        For what cannot be composed, before anything is written; for workers that are not to be
-        had, or a full disk, after that.
-    KeyboardInterrupt
-        When it was interrupted; what ran has ended, and `go_on` goes on.
+    Raises TrmsError for what cannot be composed, before anything is written, and for workers that
+    are not to be had or a full disk, after that; KeyboardInterrupt when it was interrupted: what
+    ran has ended, and `go_on` goes on.
     """
     from trms_cli.composition.sweep_settings import built, divided
     from trms_cli.runs.run_folder import new_folder
@@ -134,22 +119,11 @@ def go_on(
 ) -> SweepOutcome:
     """Go on with a sweep where it stopped.
 
-    Parameters
-    ----------
-    folder : Path
-    task : callable or None
-        What a run does; None: what the record names, if it is of this program.
-    settings : sequence of str
-        ``launcher=…``, ``launcher.workers=…``, ``retries=…``, instead of those of the record.
-    retry_failed : bool
-        Whether runs that failed, or were lost, are made again.
-    tell, begun : callable
-        As for `make_sweep`.
-
-    Raises
-    ------
-    TrmsError
-        If there is no sweep, another process drives it, or it cannot go on.
+    Without `task` a run does what the record names, if that is of this program. `settings`
+    (``launcher=…``, ``launcher.workers=…``, ``retries=…``) count instead of those of the record.
+    With `retry_failed`, runs that failed, or were lost, are made again. `tell` and `begun` are as
+    for `make_sweep`. Raises TrmsError if there is no sweep, another process drives it, or it cannot
+    go on.
     """
     from trms_cli.composition.sweep_settings import built
     from trms_cli.sweeps.record import Record, driving
@@ -373,18 +347,7 @@ def task_of(plan: SweepPlan) -> Task:
 def check_choices(space: Space, primary: str, config_dirs: tuple[Path, ...]) -> None:
     """Compose a run of each value, and build what is cheap and safe to build.
 
-    Parameters
-    ----------
-    space : Space
-    primary : str
-        Primary configuration of the runs.
-    config_dirs : tuple of Path
-        The user's folders of options.
-
-    Raises
-    ------
-    TrmsError
-        For the first value that no run can be made with; it names the value.
+    Raises TrmsError for the first value that no run can be made with; it names the value.
     """
     from trms_cli.composition.composer import composer_of
 

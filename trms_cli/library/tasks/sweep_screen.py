@@ -32,14 +32,9 @@ _EVERY = 0.2  # s between two lines
 
 
 def on_screen(drive: Callable[..., SweepOutcome], *, as_json: bool = False) -> SweepOutcome:
-    """Drive a sweep to its end, and show how it goes and what came of it.
+    """Drive a sweep to its end; show how it goes and what came of it, or that as JSON.
 
-    Parameters
-    ----------
-    drive : callable
-        Takes `tell` and `begun` of :func:`trms_cli.library.tasks.sweep.make_sweep`.
-    as_json : bool
-        Print the outcome as one JSON document.
+    `drive` takes `tell` and `begun` of :func:`trms_cli.library.tasks.sweep.make_sweep`.
     """
     screen = SweepScreen(as_json=as_json)
     with screen:
@@ -49,13 +44,7 @@ def on_screen(drive: Callable[..., SweepOutcome], *, as_json: bool = False) -> S
 
 
 class SweepScreen:
-    """SweepProgress on standard error if that is a terminal; the outcome on standard output.
-
-    Parameters
-    ----------
-    as_json : bool
-        Print the outcome as one JSON document.
-    """
+    """Progress on standard error if that is a terminal; the outcome on standard output."""
 
     def __init__(self, *, as_json: bool = False) -> None:
         self._as_json = as_json

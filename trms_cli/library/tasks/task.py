@@ -130,13 +130,7 @@ class Screen(Listener):
 
 
 def as_job(composition: Composition, task: Callable[..., Done], **how: Any) -> Outcome:
-    """Let a task do a job of a sweep, which says a few lines of itself.
-
-    Parameters
-    ----------
-    task : callable
-        Takes the composition, a listener, and `how`.
-    """
+    """Let a task do a job of a sweep, which says a few lines of itself."""
     from trms_cli.composition.composer import Outcome
     from trms_cli.reporting.screen import show_job
 

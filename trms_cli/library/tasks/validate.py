@@ -22,10 +22,7 @@ def perform(
 ) -> Done:
     """Validate the model of each configuration; they differ in their model only.
 
-    Parameters
-    ----------
-    given : sequence of str
-        What each model was called when it was asked for; empty for one from a configuration.
+    `given`: what each model was called when it was asked for; empty for one from a configuration.
     """
     from trms_cli.identification.validation import findings
     from trms_cli.identification.validation.document import document_of

@@ -157,15 +157,7 @@ def wait_for_workers(client: Any, patience: float, where: str) -> None:
 
 
 class DaskWorkers:
-    """What is submitted to a scheduler, and comes back from it.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    work : callable
-    where : str
-        The scheduler, for messages.
-    """
+    """What is submitted to a scheduler (`where` it is, for messages), and comes back from it."""
 
     def __init__(self, client: Any, work: Work, where: str) -> None:
         self._client, self._work, self._where = client, work, where

@@ -82,10 +82,7 @@ class SlurmLauncher:
             started = stack.enter_context(cluster(0, host=host))
             client = stack.enter_context(connected(distributed, started, 30.0))
             jobs = _Jobs(
-                executor,
-                started.scheduler_address,
-                self.workers,
-                played=self.cluster == "local",
+                executor, started.scheduler_address, self.workers, played=self.cluster == "local"
             )
             stack.callback(jobs.cancel)
             jobs.submit(self.workers)
@@ -142,18 +139,11 @@ class SlurmLauncher:
 
 
 class _Jobs:
-    """The jobs, and those that take the place of jobs that have ended.
+    """The jobs of a scheduler, `wanted` at once: others take the place of those that have ended.
 
-    Parameters
-    ----------
-    executor : submitit.AutoExecutor
-    address : str
-        Of the scheduler.
-    wanted : int
-        Jobs that there are to be at once.
-    played : bool
-        They are processes on this machine. Submitit ends those by SIGINT, as a terminal's Ctrl-C
-        also does, and each prints a traceback; so they do not hear it, and are told by SIGTERM.
+    Those that are `played` are processes on this machine. Submitit ends them by SIGINT, as a
+    terminal's Ctrl-C also does, and each prints a traceback; so they do not hear it, and are told
+    by SIGTERM.
     """
 
     def __init__(self, executor: Any, address: str, wanted: int, *, played: bool = False) -> None:

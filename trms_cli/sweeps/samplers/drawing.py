@@ -20,20 +20,11 @@ DIGITS = 6
 
 
 def quantiles(varied: Range | PriorOfKey, shares: FloatArray) -> FloatArray:
-    """Values of a range or prior at these shares of its distribution.
+    """Values, (n,) in the unit of the key, at these shares, (n,) within [0, 1], of a distribution.
 
-    Parameters
-    ----------
-    varied : Range or PriorOfKey
-        A range is uniform, in its logarithm if it is logarithmic. A prior is normal with its tails
-        moved to the bounds, as a parameter table is drawn by ``plant.prior_seed``.
-    shares : (n,) array
-        Within [0, 1].
-
-    Returns
-    -------
-    (n,) array
-        In the unit of the key, rounded to :data:`DIGITS` digits but within the bounds.
+    A range is uniform, in its logarithm if it is logarithmic. A prior is normal with its tails
+    moved to the bounds, as a parameter table is drawn by ``plant.prior_seed``. The values are
+    rounded to :data:`DIGITS` digits but within the bounds.
     """
     from scipy import stats
 

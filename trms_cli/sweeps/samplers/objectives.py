@@ -88,21 +88,11 @@ class Aims:
         return not tried.failed and all(excess <= 0 for excess in self.excess(tried))
 
     def check_figures(self, results: Iterable[RunResult], of: str, remedy: str = "") -> None:
-        """Refuse objectives and limited figures that none of these runs has.
+        """Refuse objectives and limited figures that none of the runs that are done has.
 
-        Parameters
-        ----------
-        results : iterable of RunResult
-            Nothing is said of figures where none of them is done.
-        of : str
-            Whose runs these are, for the message.
-        remedy : str
-            What else helps than another figure.
-
-        Raises
-        ------
-        ConfigurationError
-            It tells the figure as it was typed, and those of the runs that are near.
+        `of` says whose runs these are, `remedy` what else helps than another figure. Raises
+        ConfigurationError: it tells the figure as it was typed, and those of the runs that are
+        near.
         """
         done = [result for result in results if result.state == "done"]
         for name in (*self.objectives, *self.limits):

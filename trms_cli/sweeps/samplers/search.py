@@ -29,19 +29,7 @@ _WORSE = 0.1
 
 
 class OptimisationSearch:
-    """A study.
-
-    Parameters
-    ----------
-    ranges : sequence of Range
-    aims : Aims
-    method : {"tpe", "nsga2", "random"}
-    seed : int
-    startup : int
-        Trials before the first that learns from others.
-    population : int
-        Of ``nsga2``.
-    """
+    """A study whose first `startup` trials learn from no others; `population`: of ``nsga2``."""
 
     def __init__(
         self,

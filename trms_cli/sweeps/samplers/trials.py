@@ -36,15 +36,7 @@ class Trials:
     """See :class:`trms_cli.sweeps.sampler.Proposals`.
 
     Points are numbered trial after trial, each trial's conditions in the same order; behind all
-    trials stand the points of the confirmation.
-
-    Parameters
-    ----------
-    config : Optimise
-    space : Space
-    aims : Aims
-    known : sequence of SweepPoint
-        What was proposed before an interruption.
+    trials stand the points of the confirmation. `known` was proposed before an interruption.
     """
 
     def __init__(
