@@ -124,10 +124,7 @@ def _main(given: Any) -> int:
 
 
 def _log_of(path: Path) -> Path:
-    """The log that is meant.
-
-    Raises RecordingError for a folder that is not a run's.
-    """
+    """The log that is meant; raises RecordingError for a folder that is not a run's."""
     log = log_of(path)
     if not log.is_dir():
         return log

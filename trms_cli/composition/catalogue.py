@@ -233,10 +233,7 @@ def find_group(groups: Groups, name: str) -> dict[str, Option]:
 
 
 def find_option(groups: Groups, group: str, name: str) -> Option:
-    """An option of a group.
-
-    Raises ConfigurationError if there is none; it names the nearest.
-    """
+    """An option of a group; raises ConfigurationError if there is none; it names the nearest."""
     from trms_cli.core.plugins import nearest
 
     options = find_group(groups, group)

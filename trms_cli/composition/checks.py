@@ -39,10 +39,7 @@ _PLAIN_NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*")
 
 
 def prepare(request: ComposeRequest, primary: Primary, groups: Groups) -> list[str]:
-    """The overrides in Hydra's words.
-
-    Raises ConfigurationError for an unknown key or option.
-    """
+    """The overrides in Hydra's words; raises ConfigurationError for an unknown key or option."""
     request = request._replace(overrides=with_model_files(request.overrides, primary, groups))
     prepared: list[str] = []
     keys = DeclaredKeys(primary, groups, request.overrides)

@@ -21,19 +21,13 @@ def check_files(config: Mapping[str, Any]) -> None:
 
 
 def check_out(out: Any) -> None:
-    """Refuse what is neither a folder's name nor null.
-
-    Raises ConfigurationError.
-    """
+    """Refuse what is neither a folder's name nor null; raises ConfigurationError."""
     if out is not None and not (isinstance(out, str) and out):
         raise ConfigurationError(f"{out!r} given", where="out", remedy="name a folder, or null")
 
 
 def number(value: Any, where: str) -> float:
-    """A finite number from the configuration.
-
-    Raises ConfigurationError if it is none.
-    """
+    """A finite number from the configuration; raises ConfigurationError if it is none."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
         raise ConfigurationError(f"{value!r} given", where=where, remedy="give a number")
     return float(value)
@@ -52,10 +46,7 @@ def whole_number(value: Any, where: str) -> int:
 
 
 def truth(value: Any, where: str) -> bool:
-    """True or false from the configuration.
-
-    Raises ConfigurationError if it is neither.
-    """
+    """True or false from the configuration; raises ConfigurationError if it is neither."""
     if not isinstance(value, bool):
         raise ConfigurationError(f"{value!r} given", where=where, remedy="true or false")
     return value

@@ -78,10 +78,7 @@ def names_of(declared: Primary) -> set[str]:
 
 
 def settings_of(settings: Sequence[str], config_dirs: Sequence[Path]) -> Settings:
-    """Compose what steers the sweep.
-
-    Raises ConfigurationError for the first key that is wrong.
-    """
+    """Compose what steers the sweep; raises ConfigurationError for the first key that is wrong."""
     for text in settings:
         value = text.partition("=")[2]
         if "," in value and value[:1] not in "[{'\"":
@@ -101,10 +98,7 @@ def settings_of(settings: Sequence[str], config_dirs: Sequence[Path]) -> Setting
 
 
 def built(settings: Settings) -> tuple[Any, Any]:
-    """The sampler and the launcher.
-
-    Raises ConfigurationError for the first key that is wrong.
-    """
+    """The sampler and the launcher; raises ConfigurationError for the first key that is wrong."""
     return build(settings.sampler, "sampler"), build(settings.launcher, "launcher")
 
 

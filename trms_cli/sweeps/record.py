@@ -62,10 +62,7 @@ class Record:
         return self.folder / STOP_NAME
 
     def begin(self, plan: SweepPlan) -> None:
-        """Write down what is to be done.
-
-        Raises RecordingError if the disk does not take it.
-        """
+        """Write down what is to be done; raises RecordingError if the disk does not take it."""
         document = {"schema": SCHEMA, **asdict(plan), "state": "running", "begin": now()}
         self._write(document)
 
@@ -100,10 +97,7 @@ class Record:
         return document
 
     def plan(self) -> SweepPlan:
-        """What is to be done, read back.
-
-        Raises RecordingError if the record cannot be used.
-        """
+        """What is to be done, read back; raises RecordingError if the record cannot be used."""
         document = self.document()
         try:
             words = {each.name: document[each.name] for each in fields(SweepPlan)}

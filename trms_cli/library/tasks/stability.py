@@ -63,10 +63,7 @@ class StabilityRequest:
 
 
 def request_of(composition: Composition) -> StabilityRequest:
-    """Build everything that was asked for.
-
-    Raises TrmsError for the first key that is wrong.
-    """
+    """Build everything that was asked for; raises TrmsError for the first key that is wrong."""
     config = composition.config
     check_out(config["out"])
     if not isinstance(config["page"], bool):

@@ -117,10 +117,7 @@ def cluster(workers: int, **more: Any) -> Iterator[Any]:
 
 @contextmanager
 def connected(distributed: Any, target: Any, patience: float, **more: Any) -> Iterator[Any]:
-    """A client of a scheduler.
-
-    Raises ConfigurationError if it does not answer.
-    """
+    """A client of a scheduler; raises ConfigurationError if it does not answer."""
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(
@@ -142,10 +139,7 @@ def connected(distributed: Any, target: Any, patience: float, **more: Any) -> It
 
 
 def wait_for_workers(client: Any, patience: float, where: str) -> None:
-    """Wait for the first worker.
-
-    Raises ConfigurationError if none comes.
-    """
+    """Wait for the first worker; raises ConfigurationError if none comes."""
     try:
         client.wait_for_workers(1, timeout=patience)
     except TimeoutError as error:

@@ -154,10 +154,7 @@ class _Jobs:
         self._in_vain = 0  # jobs that have ended since a run was finished
 
     def submit(self, count: int) -> None:
-        """Submit jobs as one array.
-
-        Raises TrmsError if SLURM does not take them.
-        """
+        """Submit jobs as one array; raises TrmsError if SLURM does not take them."""
         try:
             with _deaf_to_interrupts(self._played), self._executor.batch():
                 new = [self._executor.submit(serve, self._address) for _ in range(count)]
