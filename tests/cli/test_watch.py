@@ -30,9 +30,8 @@ from trms_cli.commands.watch.frame import NAMES, About, View, about, plain_line,
 from trms_cli.commands.watch.player import Player
 from trms_cli.commands.watch.screen import keys_in
 from trms_cli.commands.watch.sweep import sweep_frame, sweep_line
-from trms_cli.runs.follower import RunFollower
+from trms_cli.runs.follower import AxisMoment, Event, Input, Moment, RunFollower, Solver
 from trms_cli.runs.latest import latest_run
-from trms_cli.runs.moment import AxisMoment, Event, Input, Moment, Solver
 from trms_cli.runs.sweep_progress import SweepFollower, _values
 from trms_cli.sweeps.record import driving
 

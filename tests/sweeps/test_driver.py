@@ -16,7 +16,7 @@ from trms_cli.sweeps.driver import DISK_FULL, Driver
 from trms_cli.sweeps.launcher import Attempt, Ended
 from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.record import Record
-from trms_cli.sweeps.samplers.planned import Planned
+from trms_cli.sweeps.samplers.drawing import Planned
 from trms_cli.sweeps.status import RunFolder
 
 DEAD = subprocess.Popen(["true"])

@@ -185,8 +185,7 @@ class Composer:
 
         from omegaconf import OmegaConf
 
-        from trms_cli.composition.errors import explained
-        from trms_cli.composition.hydra_composition import compose_by_hydra
+        from trms_cli.composition.hydra_composition import compose_by_hydra, explained
 
         def keys(fewer: Sequence[str]) -> Mapping[str, Any]:
             composed, _ = compose_by_hydra(self.primary, fewer, self.config_dirs)

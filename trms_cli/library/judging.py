@@ -12,7 +12,7 @@ from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import RecordingError
 from trms_cli.library import html
 from trms_cli.library.frames import frame_of
-from trms_cli.library.paths import run_paths
+from trms_cli.library.result import run_paths
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]

@@ -1,11 +1,12 @@
-"""What every call gives back: a folder, the document in it, and how it looks in a notebook."""
+"""What every call gives back (a folder, the document in it), and takes as paths of runs."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -94,3 +95,21 @@ def read_document(file: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RecordingError("no document of this program", where=str(file))
     return content
+
+
+def run_paths(runs: Iterable[Any]) -> Iterator[Path]:
+    """Paths of runs, given one by one or in sequences.
+
+    Raises ConfigurationError for what is neither a path nor a run.
+    """
+    for run in runs:
+        if isinstance(run, str | PathLike):
+            yield Path(run).expanduser()
+        elif isinstance(run, Iterable):
+            yield from run_paths(run)
+        else:
+            raise ConfigurationError(
+                f"{run!r} given",
+                where="the runs",
+                remedy="give logs, folders of runs, or what run() gave back",
+            )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library.calling import turn
-from trms_cli.library.paths import run_paths
+from trms_cli.library.result import run_paths
 
 if TYPE_CHECKING:
     from trms_cli.reporting.notebook_figure import NotebookFigure

@@ -1,4 +1,8 @@
-"""A run that is looked at while it is written, or again later."""
+"""A run that is looked at while it is written, or again later, and what it is at any moment.
+
+All figures until a moment are those that the score of the run up to there has: the same error,
+RMSE, share of saturation, percentile and misses (:mod:`trms_cli.scoring.score`).
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,425 @@ import contextlib
 import json
 import math
 import re
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_head import read_log_head
-from trms_cli.recordings.log_tail import LogTail
-from trms_cli.runs.moment import Moment, RunSamples
+from trms_cli.recordings.log_tail import LogPiece, LogTail
+
+FloatArray = npt.NDArray[np.float64]
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class AxisMoment:
+    """A controlled angle, or one that is watched in a run without a reference.
+
+    Values are NaN where the run has none.
+    """
+
+    name: str
+    unit: str
+    reference: float  #: Now; `state` is the simulated rig's true one
+    measured: float  #: Now; `state` is the simulated rig's true one
+    state: float  #: Now; `state` is the simulated rig's true one
+    estimate: float  #: Now; `state` is the simulated rig's true one
+    error: float  #: Reference minus state (or measurement, where no state is known), now
+    rmse: float  #: Of the error, from the run's beginning until now
+    time: FloatArray  #: (n,) array; s, of the last samples
+    #: ``wanted``, ``shown``: (n,) array; the reference, and the state or measurement, on them
+    wanted: FloatArray
+    shown: FloatArray
+
+
+@dataclass(frozen=True)
+class Input:
+    """A command as applied."""
+
+    name: str
+    unit: str
+    value: float  #: Now
+    lower: float  #: Its limits
+    upper: float  #: infinite where the log has none
+    saturated: bool  #: Whether it is at one of them now
+    share: float  #: Share of the samples until now at a limit, 0 to 1
+
+
+@dataclass(frozen=True)
+class Solver:
+    """The controller's own words."""
+
+    #: ``now_ms``, ``p99_ms``: Wall time of the latest control step, and the 99th percentile of
+    #: those until now
+    now_ms: float
+    p99_ms: float
+    deadline_ms: float  #: The control period
+    #: ``steps``, ``misses``, ``fallbacks``: Control steps until now, those that took longer, those
+    #: on which a fall-back acted or the solve failed
+    steps: int
+    misses: int
+    fallbacks: int
+    iterations: float  #: Of the latest step
+    status: str  #: Of the latest step
+    message: str  #: Of the latest step
+    #: ``mode``, ``reasons``: Of the supervisor: normal, degraded or landing, and why
+    mode: str
+    reasons: str
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened."""
+
+    time: float  #: s
+    kind: str
+    source: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A run at one moment."""
+
+    time: float  #: s
+    #: How many times as fast as real time the run went, around this moment; NaN if unknown
+    speed: float
+    axes: tuple[AxisMoment, ...]
+    inputs: tuple[Input, ...]
+    solver: Solver | None  #: None before the first control step, and in recordings
+    events: tuple[Event, ...]  #: The latest ones until now, the last one last
+    event_count: int  #: All of them until now
+
+
+class Growing:
+    """A float array that is appended to; doubling makes an append cheap however long it is."""
+
+    def __init__(self) -> None:
+        self._room = np.empty(256)
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    def append(self, values: FloatArray) -> None:
+        """Add values at the end."""
+        size = self._size + len(values)
+        if size > len(self._room):
+            room = np.empty(max(size, 2 * len(self._room)))
+            room[: self._size] = self._room[: self._size]
+            self._room = room
+        self._room[self._size : size] = values
+        self._size = size
+
+    @property
+    def values(self) -> FloatArray:
+        """All of them, (n,); a view that the next append may leave behind."""
+        return self._room[: self._size]
+
+
+class RunningSum:
+    """Sums from the beginning to each sample, NaN left out, with the number of what was summed."""
+
+    def __init__(self) -> None:
+        self._sums, self._counts = Growing(), Growing()
+
+    def append(self, values: FloatArray) -> None:
+        """Add samples at the end."""
+        present = ~np.isnan(values)
+        before, count = self.until(len(self._sums))
+        self._sums.append(before + np.cumsum(np.where(present, values, 0.0)))
+        self._counts.append(count + np.cumsum(present))
+
+    def until(self, index: int) -> tuple[float, float]:
+        """The sum of the samples before `index`, and their number."""
+        if index <= 0 or not len(self._sums):
+            return 0.0, 0.0
+        return float(self._sums.values[index - 1]), float(self._counts.values[index - 1])
+
+    def mean_until(self, index: int) -> float:
+        """The mean of the samples before `index`; NaN without any."""
+        total, count = self.until(index)
+        return total / count if count else float("nan")
+
+
+class TopicSamples:
+    """The samples of a topic: a time and columns of equal length.
+
+    Columns that have no unit are texts or truth values.
+    """
+
+    def __init__(self, units: dict[str, str]) -> None:
+        self.units = units
+        self.time = Growing()
+        self.numbers: dict[str, Growing] = {}
+        self.texts: dict[str, list[str]] = {}
+
+    def append(self, time: FloatArray, columns: dict[str, np.ndarray]) -> None:
+        """Add the rows of a table."""
+        self.time.append(time)
+        for name, column in columns.items():
+            if column.dtype == object:
+                self.texts.setdefault(name, []).extend(_texts(column))
+            else:
+                self.numbers.setdefault(name, Growing()).append(column)
+
+    def count_until(self, time: float) -> int:
+        """The number of samples until a time (s), it included."""
+        return int(np.searchsorted(self.time.values, time + 1e-9, side="right"))
+
+    def number(self, name: str, count: int) -> float:
+        """A column's last value of the first `count` samples; NaN if there is none."""
+        column = self.numbers.get(name)
+        return float(column.values[count - 1]) if column is not None and count else float("nan")
+
+    def text(self, name: str, count: int) -> str:
+        """The same of a text; empty if there is none."""
+        column = self.texts.get(name)
+        return column[count - 1] if column and count else ""
+
+    def held(self, name: str, time: FloatArray) -> FloatArray:
+        """A column at other times: its last sample until then, NaN before the first one."""
+        column = self.numbers.get(name)
+        if column is None or not len(column):
+            return np.full(len(time), np.nan)
+        index = np.searchsorted(self.time.values, time + 1e-9, side="right") - 1
+        return np.where(index >= 0, column.values[np.maximum(index, 0)], np.nan)
+
+
+def _texts(column: Iterable[object]) -> list[str]:
+    return [value if isinstance(value, str) else "" for value in column]
+
+
+_MOST_EVENTS = 20_000  # kept, of a run that does not end to complain
+_SPEED_OVER = 2e9  # ns of wall time that the run's speed is told over
+_WALL = 10**17  # ns; a publish time below it is no wall clock but a recording's own time
+_EVENT = ("kind", "source", "message")
+_FAR = 2**63
+
+
+class RunSamples:
+    """What a run has logged so far; each piece of it is taken once."""
+
+    def __init__(self) -> None:
+        self._run: dict[str, str] = {}
+        self._topics: dict[str, TopicSamples] = {}
+        self._events: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        self._forgotten = 0
+        self._squares: dict[str, RunningSum] = {}
+        self._limited: dict[str, RunningSum] = {}
+        self._missed, self._fell_back = RunningSum(), RunningSum()
+        self._limits: dict[str, tuple[float, float]] | None = None
+        self._progress: list[tuple[int, int]] = []  # (log time, wall time) of chunks, ns
+
+    @property
+    def latest(self) -> float:
+        """Time of the last sample so far (s); 0 before the first one."""
+        times = [
+            t.time.values[-1] for n, t in self._topics.items() if n != "/event" and len(t.time)
+        ]
+        return float(max(times, default=0.0))
+
+    def at(self, time: float, span: float, events: int = 8) -> Moment:
+        """The run at `time` (s): curves over the `span` (s) before it, and its latest `events`."""
+        happened = bisect_right(self._events, time + 1e-9, key=lambda event: event.time)
+        last = [self._events[i] for i in range(max(0, happened - events), happened)]
+        return Moment(
+            time=time,
+            speed=self._speed(time),
+            axes=tuple(self._axis(name, time, span) for name in self._axis_names()),
+            inputs=tuple(self._inputs(time)),
+            solver=self._solver(time),
+            events=tuple(last),
+            event_count=self._forgotten + happened,
+        )
+
+    def add(self, piece: LogPiece, run: dict[str, str]) -> None:
+        """Take what is new, and what the run says of itself."""
+        self._run = run
+        for topic, table in piece.tables.items():
+            if topic not in self._topics:
+                self._topics[topic] = TopicSamples(table.units)
+            self._topics[topic].append(table.time, table.columns)
+        self._progress += [pair for pair in piece.written if pair[1] > _WALL]
+        if "/reference" in piece.tables:
+            self._add_errors(piece.tables["/reference"].time, piece.tables["/reference"].columns)
+        if "/command" in piece.tables:
+            for name, values in piece.tables["/command"].columns.items():
+                at_limit = _at_limit(values, *self._limits_of(name))
+                self._limited.setdefault(name, RunningSum()).append(at_limit)
+        if "/controller" in piece.tables:
+            self._add_words(piece.tables["/controller"].columns)
+        if "/event" in piece.tables:
+            events = piece.tables["/event"]
+            words = (events.columns.get(name, [""] * len(events)) for name in _EVENT)
+            rows = [
+                Event(float(t), *map(str, row)) for t, *row in zip(events.time, *words, strict=True)
+            ]
+            self._forgotten += max(0, len(self._events) + len(rows) - _MOST_EVENTS)
+            self._events.extend(rows)
+
+    def _add_errors(self, time: FloatArray, wanted: dict[str, np.ndarray]) -> None:
+        for name, reference in wanted.items():
+            source = self._source(name)
+            if source is not None:
+                error = reference - source.held(name, time)
+                self._squares.setdefault(name, RunningSum()).append(error**2)
+
+    def _add_words(self, words: dict[str, np.ndarray]) -> None:
+        count = len(next(iter(words.values())))
+        nothing = np.zeros(count)
+        fell_back = np.nan_to_num(words.get("fallback", nothing)) > 0
+        if "status" in words:
+            fell_back |= words["status"] == "failed"
+        self._fell_back.append(fell_back.astype(float))
+        self._missed.append(np.nan_to_num(words.get("deadline_missed", nothing)))
+
+    def _limits_of(self, name: str) -> tuple[float, float]:
+        """Lower and upper limit of a command; infinite where the log has none."""
+        if self._limits is None:
+            given = _json(self._run.get("limits"))
+            self._limits = {
+                str(key): (
+                    -math.inf if pair[0] is None else float(pair[0]),
+                    math.inf if pair[1] is None else float(pair[1]),
+                )
+                for key, pair in (given.items() if isinstance(given, dict) else ())
+                if isinstance(pair, list) and len(pair) == 2
+            }
+        return self._limits.get(name, (-math.inf, math.inf))
+
+    def _source(self, name: str) -> TopicSamples | None:
+        """The topic that tells a channel best: the true state, else the measurement."""
+        for topic in ("/plant/state", "/measurement"):
+            samples = self._topics.get(topic)
+            if samples is not None and name in samples.numbers:
+                return samples
+        return None
+
+    def _axis_names(self) -> list[str]:
+        """What has a reference; without any, the measured angles, or what is measured first."""
+        if "/reference" in self._topics:
+            return list(self._topics["/reference"].numbers)
+        measured = self._topics.get("/measurement") or self._topics.get("/plant/state")
+        if measured is None:
+            return []
+        angles = [name for name in measured.numbers if measured.units.get(name) == "rad"]
+        return (angles or list(measured.numbers))[:2]
+
+    def _axis(self, name: str, time: float, span: float) -> AxisMoment:
+        def now(topic: str) -> float:
+            samples = self._topics.get(topic)
+            return NAN if samples is None else samples.number(name, samples.count_until(time))
+
+        source, reference = self._source(name), self._topics.get("/reference")
+        base = source if reference is None else reference
+        if base is None:
+            none = np.empty(0)
+            return AxisMoment(name, "", NAN, NAN, NAN, NAN, NAN, NAN, none, none, none)
+        last = base.count_until(time)
+        first = int(np.searchsorted(base.time.values, time - span - 1e-9))
+        times = base.time.values[first:last].copy()
+        none = np.full(len(times), np.nan)
+        shown = none if source is None else source.held(name, times)
+        wanted = none if reference is None else reference.held(name, times)
+        rmse = math.sqrt(self._squares[name].mean_until(last)) if name in self._squares else NAN
+        return AxisMoment(
+            name=name,
+            unit=base.units.get(name, ""),
+            reference=now("/reference"),
+            measured=now("/measurement"),
+            state=now("/plant/state"),
+            estimate=now("/estimate"),
+            error=float(wanted[-1] - shown[-1]) if len(times) else NAN,
+            rmse=rmse,
+            time=times,
+            wanted=wanted,
+            shown=shown,
+        )
+
+    def _inputs(self, time: float) -> list[Input]:
+        samples = self._topics.get("/command")
+        if samples is None:
+            return []
+        count = samples.count_until(time)
+        found = []
+        for name in samples.numbers:
+            value, (lower, upper) = samples.number(name, count), self._limits_of(name)
+            share = self._limited[name].mean_until(count)
+            saturated = bool(_at_limit(np.array([value]), lower, upper)[0] > 0)
+            unit = samples.units.get(name, "")
+            found.append(Input(name, unit, value, lower, upper, saturated, share))
+        return found
+
+    def _solver(self, time: float) -> Solver | None:
+        words = self._topics.get("/controller")
+        count = 0 if words is None else words.count_until(time)
+        if words is None or not count:
+            return None
+        spent = words.numbers.get("solve_time_s")
+        present = np.empty(0) if spent is None else spent.values[:count]
+        present = present[~np.isnan(present)]
+        last = words.time.values[max(0, count - 50) : count]
+        return Solver(
+            now_ms=1e3 * words.number("solve_time_s", count),
+            p99_ms=1e3 * float(np.percentile(present, 99)) if present.size else NAN,
+            deadline_ms=1e3 * float(np.median(np.diff(last))) if count > 1 else NAN,
+            steps=count,
+            misses=int(self._missed.until(count)[0]),
+            fallbacks=int(self._fell_back.until(count)[0]),
+            iterations=words.number("iterations", count),
+            status=words.text("status", count),
+            message=words.text("message", count),
+            mode=words.text("mode", count),
+            reasons=words.text("reasons", count),
+        )
+
+    def _speed(self, time: float) -> float:
+        """Over the last seconds of wall time until the chunk that holds a moment."""
+        progress = self._progress
+        here = min(bisect_right(progress, (round(time * 1e9) - 1, _FAR)), len(progress) - 1)
+        if here < 0:
+            return NAN
+        reached, wall = progress[here]
+        before = here
+        while before > 0 and wall - progress[before][1] < _SPEED_OVER:
+            before -= 1
+        begin, begin_wall = progress[before]
+        if before == 0 and wall - begin_wall < _SPEED_OVER:  # the run's first seconds
+            begin, begin_wall = 0, _start_ns(self._run) or begin_wall
+        return (reached - begin) / (wall - begin_wall) if wall > begin_wall else NAN
+
+
+def _at_limit(values: FloatArray, lower: float, upper: float) -> FloatArray:
+    """1 where a command is within 1e-6 of the range of a limit, or beyond; NaN where it is not."""
+    close = 1e-6 * (upper - lower) if math.isfinite(upper - lower) else 0.0
+    at = ((values <= lower + close) | (values >= upper - close)).astype(float)
+    return np.where(np.isnan(values), np.nan, at)
+
+
+def _json(text: str | None) -> Any:
+    try:
+        return json.loads(text or "null")
+    except (ValueError, RecursionError):
+        return None
+
+
+def _start_ns(run: dict[str, str]) -> int | None:
+    try:
+        return int(datetime.fromisoformat(run.get("start", "")).timestamp() * 1e9)
+    except (ValueError, OverflowError):
+        return None
+
 
 _WHOLE = ("/reference", "/command", "/measurement", "/plant/state", "/event")
 _TIMES = ("solve_time_s", "iterations", "fallback", "deadline_missed")
@@ -132,7 +547,7 @@ class RunFollower:
         self._tail.close()
 
     def at(self, time: float, span: float, events: int = 8) -> Moment:
-        """The run at a moment; see :meth:`~trms_cli.runs.moment.RunSamples.at`."""
+        """The run at a moment; see :meth:`~trms_cli.runs.follower.RunSamples.at`."""
         return self._samples.at(time, span, events)
 
     def _check_origin(self) -> None:
@@ -154,13 +569,6 @@ def _wanted(topic: str, column: str) -> bool:
     if topic == "/controller":
         return column in _CONTROLLER
     return topic == "/estimate" and not column.startswith(_DERIVED)
-
-
-def _json(text: str | None) -> Any:
-    try:
-        return json.loads(text or "null")
-    except (ValueError, RecursionError):
-        return None
 
 
 def _last_words(path: Path) -> tuple[float | None, str]:

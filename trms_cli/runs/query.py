@@ -18,11 +18,10 @@ from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql, column_sql, nearest
-from trms_cli.runs.entry import LOG_NAME, read_entry
+from trms_cli.runs.entry import LOG_NAME, STATUS_NAME, read_entry, read_status
 from trms_cli.runs.filter import translated
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex, is_damage, remove, scope_sql
 from trms_cli.runs.place import index_file, new_runs
-from trms_cli.runs.status import STATUS_NAME, read_status
 
 _BATCH = 200  # logs between two writes
 #: Entries of the working folder that are looked at when no folder is named: about a second.

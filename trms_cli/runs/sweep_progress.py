@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.runs.driving import has_driver
-from trms_cli.runs.status import STATUS_NAME
+from trms_cli.runs.entry import STATUS_NAME
 
 _SCHEMA = "trms.status/1"
 _LONGEST = 2**20  # bytes of a status

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.whole_file import replace_whole
-from trms_cli.runs.status import STATUS_NAME
+from trms_cli.runs.entry import STATUS_NAME
 from trms_cli.sweeps.point import RunResult, SweepPoint
 
 SCHEMA = "trms.status/1"

@@ -30,8 +30,8 @@ def seeds(folder: Path) -> Iterator[bytes]:
 
 def read(data: bytes, folder: Path) -> None:
     """The row of the index and the state of the sweep."""
+    from trms_cli.runs.entry import read_status
     from trms_cli.runs.index import FileStamp, LogReading, RunIndex
-    from trms_cli.runs.status import read_status
     from trms_cli.runs.sweep_progress import SweepFollower
 
     job = folder / "sweep" / "0"

@@ -12,7 +12,7 @@ from rich.cells import set_cell_size
 from rich.text import Text
 
 from trms_cli.commands.watch.chart import TerminalCell, TerminalCurve, chart, scale
-from trms_cli.runs.moment import AxisMoment, Input, Moment, Solver
+from trms_cli.runs.follower import AxisMoment, Input, Moment, Solver
 
 #: What the signals of the twin rotor are called; others go by their own name.
 NAMES = {"alpha_v": "pitch", "alpha_h": "yaw", "u_v": "main rotor", "u_h": "tail rotor"}

@@ -9,7 +9,7 @@ import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.point import SweepPoint
-from trms_cli.sweeps.samplers.planned import Planned, planned
+from trms_cli.sweeps.samplers.drawing import Planned, planned
 from trms_cli.sweeps.space import PriorOfKey, Space
 
 

@@ -18,8 +18,7 @@ from msgspec import Meta
 
 from trms_cli.sweeps.point import SweepPoint
 from trms_cli.sweeps.robustness import Robustness
-from trms_cli.sweeps.samplers.drawing import FloatArray, require_drawn
-from trms_cli.sweeps.samplers.planned import Planned, planned
+from trms_cli.sweeps.samplers.drawing import FloatArray, Planned, planned, require_drawn
 from trms_cli.sweeps.space import Space
 
 

@@ -12,8 +12,7 @@ from msgspec import Meta
 
 from trms_cli.sweeps.point import SweepPoint
 from trms_cli.sweeps.robustness import Robustness
-from trms_cli.sweeps.samplers.drawing import require_drawn
-from trms_cli.sweeps.samplers.planned import Planned, planned
+from trms_cli.sweeps.samplers.drawing import Planned, planned, require_drawn
 from trms_cli.sweeps.space import Space
 
 
