@@ -6,9 +6,7 @@ whoever watches wants the one run that began a moment ago, not the figures of a 
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +14,8 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_head import read_log_head
 from trms_cli.recordings.log_tail import LogTail
 from trms_cli.runs.entry import LOG_NAME
-from trms_cli.runs.query import MOST_ENTRIES
+from trms_cli.runs.query import logs_in
 
-_PASSED_OVER = frozenset({"__pycache__", "node_modules", "site-packages"})
 _END = b"\x89MCAP0\r\n"
 #: Logs, the latest first, of which it is asked whether they are being written.
 _ASKED = 2000
@@ -34,7 +31,7 @@ class Latest:
 
 def latest_run(folder: Path) -> Latest | None:
     """The latest run under a folder that is going on, else the latest one; None without any."""
-    logs = sorted(_logs(folder), reverse=True)
+    logs = sorted(((seen.mtime_ns, log) for log, seen in logs_in(folder).items()), reverse=True)
     for _, log in logs[:_ASKED]:
         if _is_written(log) and _is_run(log):
             return Latest(Path(log), True)
@@ -47,25 +44,6 @@ def latest_run(folder: Path) -> Latest | None:
 def log_in(folder: Path) -> Path | None:
     """The log of the run whose folder it is; None if it is no run's folder."""
     return folder / LOG_NAME if (folder / LOG_NAME).is_file() else None
-
-
-def _logs(folder: Path) -> Iterator[tuple[int, str]]:
-    """(time of the last change [ns], path) of each log under a folder."""
-    waiting, left = [str(folder)], MOST_ENTRIES
-    while waiting:
-        with contextlib.suppress(OSError), os.scandir(waiting.pop()) as entries:
-            for entry in entries:
-                left -= 1
-                if left < 0:
-                    return
-                if entry.name.startswith("."):
-                    continue
-                with contextlib.suppress(OSError):
-                    if entry.is_dir(follow_symlinks=False):
-                        if entry.name not in _PASSED_OVER:
-                            waiting.append(entry.path)
-                    elif entry.name.endswith(".mcap") and entry.is_file():
-                        yield entry.stat().st_mtime_ns, entry.path
 
 
 def _is_written(log: str) -> bool:

@@ -190,6 +190,13 @@ def _look_through(root: str, walk: _Walk) -> None:
             continue  # a folder of somebody else
 
 
+def logs_in(folder: Path) -> dict[str, FileStamp]:
+    """The logs under a folder, as far as the working folder is looked through."""
+    walk = _Walk(left=MOST_ENTRIES)
+    _look_through(str(folder), walk)
+    return {log: seen for log, seen in walk.logs.items() if log.endswith(_SUFFIX)}
+
+
 def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
     if entry.is_dir(follow_symlinks=False):
         if not entry.name.startswith(".") and entry.name not in _PASSED_OVER:

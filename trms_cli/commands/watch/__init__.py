@@ -11,11 +11,8 @@ from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, Record
 from trms_cli.core.invocation import program
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
-    from trms_cli.commands.watch.player import Player
     from trms_cli.runs.follower import RunFollower
-    from trms_cli.runs.sweep_progress import SweepFollower, SweepState
+    from trms_cli.runs.sweep_progress import SweepFollower
 
 SUMMARY = "a run or a sweep as it goes on, or a finished run replayed"
 
@@ -127,13 +124,17 @@ def _watch_run(log: Path, given: Any) -> int:
             run.look_until(math.inf if not replay else math.nextafter(given.begin, math.inf))
         live = not replay and (given.once or run.going_on)
         player = Player(
-            run, live=live, speed=given.speed or 1.0, begin=given.begin or 0.0, span=given.span
+            run,
+            live=live,
+            speed=given.speed or 1.0,
+            begin=given.begin or 0.0,
+            span=given.span,
+            plain=_plain(given),
         )
-        shown = _WatchedRun(player, plain=_plain(given))
         if given.once:
-            show_once(shown)
+            show_once(player)
             return EXIT_OK
-        show(shown)
+        show(player)
     finally:
         run.close()
     return (
@@ -159,8 +160,9 @@ def _begin(run: RunFollower, log: Path, begin: float | None) -> None:
 
 def _watch_sweep(sweep: SweepFollower, given: Any) -> int:
     from trms_cli.commands.watch.screen import show, show_once
+    from trms_cli.commands.watch.sweep import WatchedSweep
 
-    shown = _WatchedSweep(sweep, plain=_plain(given))
+    shown = WatchedSweep(sweep, plain=_plain(given))
     if given.once:
         show_once(shown)
         return EXIT_OK
@@ -173,67 +175,3 @@ def _plain(given: Any) -> bool:
     from trms_cli.commands.watch.screen import is_plain
 
     return bool(given.plain) or is_plain()
-
-
-class _WatchedRun:
-    """A run on the screen; see :class:`trms_cli.commands.watch.screen.WatchScreen`."""
-
-    def __init__(self, player: Player, *, plain: bool) -> None:
-        self._player, self._plain = player, plain
-
-    def advance(self, seconds: float) -> None:
-        self._player.advance(seconds)
-
-    def press(self, key: str) -> bool:
-        return self._player.press(key)
-
-    def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
-        from trms_cli.commands.watch.frame import run_frame
-
-        return run_frame(self._player.view(keys=keys), width, height, plain=self._plain)
-
-    def line(self) -> str:
-        from trms_cli.commands.watch.frame import plain_line
-
-        return plain_line(self._player.view(keys=False))
-
-    def done(self, *, keys: bool) -> bool:
-        player = self._player
-        return player.at_end and (not keys or (player.live and not player.paused))
-
-
-class _WatchedSweep:
-    """A sweep on the screen."""
-
-    _LOOK = 0.5  # s between two looks at its folder
-
-    def __init__(self, sweep: SweepFollower, *, plain: bool) -> None:
-        self._sweep, self._plain = sweep, plain
-        self.now: SweepState = sweep.now()
-        self._waited = 0.0
-
-    def advance(self, seconds: float) -> None:
-        self._waited += seconds
-        if self._waited >= self._LOOK:
-            self.now, self._waited = self._sweep.now(), 0.0
-
-    def press(self, key: str) -> bool:
-        return key not in ("q", "Q")
-
-    def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
-        from rich.text import Text
-
-        from trms_cli.commands.watch.sweep import sweep_frame
-
-        if not keys:
-            return sweep_frame(self.now, width, height, plain=self._plain)
-        lines = sweep_frame(self.now, width, height - 1, plain=self._plain)
-        return [*lines, Text("q quit", "dim")]
-
-    def line(self) -> str:
-        from trms_cli.commands.watch.sweep import sweep_line
-
-        return sweep_line(self.now)
-
-    def done(self, *, keys: bool) -> bool:
-        return self.now.ended

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from time import monotonic
 
-from trms_cli.commands.watch.frame import View, about
+from rich.text import Text
+
+from trms_cli.commands.watch.frame import View, about, plain_line, run_frame
 from trms_cli.runs.follower import RunFollower
 
 _STEP = 5.0  # s of an arrow key
@@ -20,14 +22,21 @@ class Player:
     """Follows a run, or replays it from `begin` (s) on; the curves show `span` seconds."""
 
     def __init__(
-        self, run: RunFollower, *, live: bool, speed: float, begin: float, span: float
+        self,
+        run: RunFollower,
+        *,
+        live: bool,
+        speed: float,
+        begin: float,
+        span: float,
+        plain: bool = False,
     ) -> None:
         self.run = run
         self.live = live  #: Whether the latest sample is followed
         self.speed = speed  #: Of the replay: s of the run per second
         self.paused = False
         self.position = 0.0 if live else begin  #: s of the run
-        self._span = span
+        self._span, self._plain = span, plain
 
     @property
     def at_end(self) -> bool:
@@ -91,3 +100,15 @@ class Player:
             keys=(LIVE_KEYS if self.live else REPLAY_KEYS) if keys else "",
             problem=run.problems[-1] if run.problems else "",
         )
+
+    def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
+        """The picture."""
+        return run_frame(self.view(keys=keys), width, height, plain=self._plain)
+
+    def line(self) -> str:
+        """The picture in a line."""
+        return plain_line(self.view(keys=False))
+
+    def done(self, *, keys: bool) -> bool:
+        """Whether nothing more is to be shown; with keys a person may still look around."""
+        return self.at_end and (not keys or (self.live and not self.paused))

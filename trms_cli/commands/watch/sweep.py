@@ -10,7 +10,7 @@ from rich.text import Text
 
 from trms_cli.commands.watch.frame import between, fitted, tail_of
 from trms_cli.core.invocation import program
-from trms_cli.runs.sweep_progress import Job, SweepState
+from trms_cli.runs.sweep_progress import Job, SweepFollower, SweepState
 
 #: Of a sweep whose process has gone; ``trms sweep status`` says the same.
 STOPPED = "stopped before its end"
@@ -161,3 +161,34 @@ def _duration(seconds: float) -> str:
     if hours:
         return f"{hours} h {minutes:02d} min"
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+class WatchedSweep:
+    """A sweep on the screen; see :class:`trms_cli.commands.watch.screen.WatchScreen`."""
+
+    _LOOK = 0.5  # s between two looks at its folder
+
+    def __init__(self, sweep: SweepFollower, *, plain: bool) -> None:
+        self._sweep, self._plain = sweep, plain
+        self.now: SweepState = sweep.now()
+        self._waited = 0.0
+
+    def advance(self, seconds: float) -> None:
+        self._waited += seconds
+        if self._waited >= self._LOOK:
+            self.now, self._waited = self._sweep.now(), 0.0
+
+    def press(self, key: str) -> bool:
+        return key not in ("q", "Q")
+
+    def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
+        if not keys:
+            return sweep_frame(self.now, width, height, plain=self._plain)
+        lines = sweep_frame(self.now, width, height - 1, plain=self._plain)
+        return [*lines, Text("q quit", "dim")]
+
+    def line(self) -> str:
+        return sweep_line(self.now)
+
+    def done(self, *, keys: bool) -> bool:
+        return self.now.ended

@@ -6,9 +6,9 @@ The points of most samplers are known before the first result: samples crossed w
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -119,24 +119,6 @@ def all_chosen(choices: Sequence[Choice]) -> Iterator[Part]:
     return (chosen_part(choices, number) for number in range(combinations(choices)))
 
 
-def require_drawn(space: Space, sampler: str) -> None:
-    """Refuse a space in which there is nothing to draw.
-
-    Raises ConfigurationError: it names what to write.
-    """
-    if not space.continuous:
-        raise ConfigurationError(
-            f"nothing is drawn: no range and no prior among {_keys(space.choices)}",
-            where="sampler",
-            remedy=f"give {sampler} something: plant.parameters=prior or KEY=interval(LOW,HIGH); "
-            "choices alone are tried one by one by sampler=grid",
-        )
-
-
-def _keys(choices: Sequence[Choice]) -> str:
-    return ", ".join(choice.key for choice in choices) or "what was typed"
-
-
 @dataclass
 class Planned:
     """The points of a sweep whose samples are all drawn at its beginning.
@@ -208,3 +190,34 @@ def planned(
             )
     proposals.given = len(known)
     return proposals
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawingSampler:
+    """Samples drawn from the ranges and priors at the beginning, crossed with the choices."""
+
+    NAME: ClassVar[str]  #: Its option
+    #: Figures that are told of at the end, by the names of ``trms runs``
+    figures: tuple[str, ...] = ()
+    #: Largest allowed value of some figures: a run beyond one counts as a failure
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def shares(self, columns: int) -> FloatArray:
+        """The samples as points of the unit cube, (samples, columns)."""
+        raise NotImplementedError
+
+    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
+        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`.
+
+        Raises ConfigurationError for a space in which there is nothing to draw.
+        """
+        if not space.continuous:
+            keys = ", ".join(choice.key for choice in space.choices) or "what was typed"
+            raise ConfigurationError(
+                f"nothing is drawn: no range and no prior among {keys}",
+                where="sampler",
+                remedy=f"give {self.NAME} something: plant.parameters=prior or "
+                "KEY=interval(LOW,HIGH); choices alone are tried one by one by sampler=grid",
+            )
+        told = Robustness(self.figures, self.limits).checked()
+        return planned(space, self.shares(len(space.continuous)), known, told)

@@ -9,40 +9,31 @@ every column's values and thus its strata.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.sweeps.point import SweepPoint
-from trms_cli.sweeps.robustness import Robustness
-from trms_cli.sweeps.samplers.drawing import FloatArray, Planned, planned, require_drawn
-from trms_cli.sweeps.space import Space
+from trms_cli.sweeps.samplers.drawing import DrawingSampler, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class LatinHypercube:
+class LatinHypercube(DrawingSampler):
     """Stratified draws."""
 
+    NAME: ClassVar[str] = "latin_hypercube"
     #: Draws, and shares into which each distribution is cut; each is run with every combination of
     #: the choices
     samples: Annotated[int, Meta(ge=1)] = 100
     seed: Annotated[int, Meta(ge=0)] = 0  #: Of the draws; the runs' own ``seed`` is another
     #: Take chance correlations between the columns out, where there are more samples than columns
     decorrelated: bool = True
-    #: Figures that are told of at the end, by the names of ``trms runs``
-    figures: tuple[str, ...] = ()
-    #: Largest allowed value of some figures: a run beyond one counts as a failure
-    limits: Mapping[str, float] = field(default_factory=dict)
 
-    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
-        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
-        require_drawn(space, "latin_hypercube")
-        told = Robustness(self.figures, self.limits).checked()
-        shares = hypercube(self.samples, len(space.continuous), self.seed, self.decorrelated)
-        return planned(space, shares, known, told)
+    def shares(self, columns: int) -> FloatArray:
+        """A point in each of the shares of every column."""
+        return hypercube(self.samples, columns, self.seed, self.decorrelated)
 
 
 def hypercube(
