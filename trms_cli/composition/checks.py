@@ -19,6 +19,7 @@ from typing import Any
 
 from trms_cli.composition.catalogue import Groups, Primary, read_yaml
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, quoted
+from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, nearest
 
@@ -105,51 +106,46 @@ def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Over
         )
     given = [item.strip("[]") for item in _names(override.value or "") or []]
     for name in (name.strip() for item in given for name in item.split(",")):
-        if name and name != "null" and name not in groups[override.key]:
-            raise ConfigurationError(
-                f"{override.key} has no option {name!r}",
-                where=override.key + override.package,
-                remedy=nearest(name, groups[override.key]),
-            )
+        if name and name != "null":
+            _require_option(override.key, name, groups, override.package)
     return override
 
 
 def _check_first_name(override: Override, primary: Primary, groups: Groups) -> None:
     first = override.key.split(".")[0]
     allowed = {*primary.defaults, *primary.body}
+    if first in allowed:
+        return
     other = _SAME.get(first)
-    if first not in allowed and other in allowed:
+    if other in allowed:
         raise ConfigurationError(
             f"there is no key {first!r}",
             where=override.key,
             remedy=f"the key is {other}: {override._replace(key=str(other))}",
         )
-    if first not in allowed and first in _OF_SWEEPS:
+    if first in _OF_SWEEPS:
         raise ConfigurationError(
             f"{override} steers a sweep, and this is a single run",
             where=override.key,
             remedy="add -m for a sweep (`trms help sweep`), or leave it out",
         )
-    if first not in allowed and override.key in groups:
+    if override.key in groups:
         raise ConfigurationError(
             f"group {first!r} has no place of its own (given: {override})",
             where=override.key,
             remedy=f"tell for which key: {first}@PLACE=OPTION, as signal@ref.alpha_v=sine",
         )
-    if first not in allowed:
-        raise unknown_key(first, override.value, override.key, allowed)
+    raise unknown_key(first, override.value, override.key, allowed)
 
 
 def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool) -> list[Override]:
     """The choice of a group's option, checked, with paths and single names rewritten."""
     group, value = override.key, override.value
-    if override.prefix == "~":
+    if override.prefix == "~" or not value:
+        problem = "cannot be left out" if override.prefix == "~" else "names nothing"
+        sign = "" if override.prefix == "~" else "="
         raise ConfigurationError(
-            f"{group} cannot be left out", where=group, remedy=nearest("", groups.get(group, {}))
-        )
-    if not value:
-        raise ConfigurationError(
-            f"{group}= names nothing", where=group, remedy=nearest("", groups.get(group, {}))
+            f"{group}{sign} {problem}", where=group, remedy=nearest("", groups.get(group, {}))
         )
     # `+ref=sine` is meant as `ref=sine`: the group has its place in the defaults
     override = override._replace(prefix="")
@@ -171,15 +167,17 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
     elif any(is_path(name) for name in names):
         return _from_file(override, names, groups)
     for name in names:
-        if name == "null" and primary.defaults[group] is None:
-            continue
-        if name not in groups.get(group, {}):
-            raise ConfigurationError(
-                f"{group} has no option {name!r}",
-                where=group,
-                remedy=nearest(name, groups.get(group, {})),
-            )
+        if name != "null" or primary.defaults[group] is not None:
+            _require_option(group, name, groups)
     return [override]
+
+
+def _require_option(group: str, name: str, groups: Groups, package: str = "") -> None:
+    options = groups.get(group, {})
+    if name not in options:
+        raise ConfigurationError(
+            f"{group} has no option {name!r}", where=group + package, remedy=nearest(name, options)
+        )
 
 
 def _names(value: str) -> list[str] | None:
@@ -407,13 +405,9 @@ class DeclaredKeys:
 
     def value(self, key: str) -> Any:
         """What stands at a key, None where there is nothing."""
-        first, *path = key.split(".")
-        node: Any = self.declared.body.get(first)
-        if first in self.declared.defaults:
-            node = self._group(first)
-        for name in path:
-            node = node.get(name) if isinstance(node, Mapping) else None
-        return node
+        first, _, rest = key.partition(".")
+        in_group = first in self.declared.defaults
+        return value_at(self._group(first) if in_group else self.declared.body.get(first), rest)
 
     def _chosen(self, group: str, place: str = "", default: Any = None) -> list[str]:
         text = self._typed.get(f"{group}@{place}" if place else group)

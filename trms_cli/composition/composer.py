@@ -38,6 +38,7 @@ from trms_cli.composition.checks import (
     prepared_value,
 )
 from trms_cli.composition.overrides import ComposeRequest, Override, parse, read_request
+from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.headline import shown_choices
 from trms_cli.runs.run_folder import new_folder
@@ -299,10 +300,8 @@ class Composer:
         prefix = base.prepared.get(key)
         if prefix is None:
             prefix = base.prepared[key] = prepared_value(override, base.keys, False).prefix
-        *path, last = key.split(".")
-        node: Any = config
-        for name in path:
-            node = node.get(name) if isinstance(node, dict) else None
+        path, _, last = key.rpartition(".")
+        node = value_at(config, path)
         if not isinstance(node, dict):
             raise _Unusual
         if last in node:
@@ -446,9 +445,7 @@ def _replaced(
             chosen = choices.get(f"{inner}@{group}.{place}")
             if chosen in (None, default):
                 continue
-            body: Any = content
-            for name in place.split("."):
-                body = body.get(name) if isinstance(body, Mapping) else None
+            body = value_at(content, place)
             own = _content(inner, chosen, config_dirs)
             kept = {*own, *(key.split(".")[0] for _, key, _ in included(own))}
             if isinstance(body, Mapping) or (isinstance(body, str) and "${" in body):

@@ -16,6 +16,7 @@ from dataclasses import fields, is_dataclass, replace
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET
 
@@ -133,10 +134,8 @@ def _places(place: str, composition: Composition) -> Iterator[str]:
 
 
 def _put(config: dict[str, Any], place: str, node: Any) -> None:
-    *path, last = place.split(".")
-    inner: Any = config
-    for name in path:
-        inner = inner.get(name) if isinstance(inner, dict) else None
+    path, _, last = place.rpartition(".")
+    inner = value_at(config, path)
     if not isinstance(inner, dict):
         raise ConfigurationError(
             "an object is given, and there is no such place",

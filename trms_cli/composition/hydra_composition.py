@@ -30,6 +30,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from trms_cli.composition.catalogue import Groups, Primary, config_folder, yaml_error
 from trms_cli.composition.checks import unknown_key
 from trms_cli.composition.overrides import parse
+from trms_cli.composition.plain_values import value_at
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
@@ -441,9 +442,7 @@ def _cannot_be_set(
     declared: Primary,
     compose: Compose,
 ) -> ConfigurationError:
-    node: Any = _with_choices_only(overrides, declared, compose)
-    for part in key.split(".")[:-1]:
-        node = node.get(part) if isinstance(node, Mapping) else None
+    node = value_at(_with_choices_only(overrides, declared, compose), key.rpartition(".")[0])
     if node is not None and not isinstance(node, Mapping | list):
         return _unknown_key(key, overrides, declared, compose)
     return ConfigurationError(

@@ -11,6 +11,13 @@ if TYPE_CHECKING:
     from trms_cli.composition.composer import Composition
 
 
+def value_at(config: Any, key: str) -> Any:
+    """What stands at a dotted key, None where there is nothing; of an empty key the whole."""
+    for name in key.split(".") if key else ():
+        config = config.get(name) if isinstance(config, Mapping) else None
+    return config
+
+
 def check_files(config: Mapping[str, Any]) -> None:
     """Refuse what ``out`` and ``picture`` cannot be, before any work is done.
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from trms_cli.composition.catalogue import Groups, Primary, read_groups, read_primary
 from trms_cli.composition.composer import compose
 from trms_cli.composition.overrides import parse
+from trms_cli.composition.plain_values import value_at, whole_number
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 
@@ -87,13 +88,8 @@ def settings_of(settings: Sequence[str], config_dirs: Sequence[Path]) -> Setting
                 where=text.partition("=")[0],
                 remedy="make two sweeps",
             )
-    folders = [word for place in config_dirs for word in ("--config-dir", str(place))]
-    config = compose([*folders, *settings], PRIMARY).config
-    retries = config["retries"]
-    if isinstance(retries, bool) or not isinstance(retries, int) or retries < 0:
-        raise ConfigurationError(
-            f"{retries!r} given", where="retries", remedy="give a whole number from 0 on"
-        )
+    config = compose(settings, PRIMARY, config_dirs=config_dirs).config
+    retries = whole_number(config["retries"], "retries")
     return Settings(config["sampler"], config["launcher"], retries)
 
 
@@ -110,10 +106,7 @@ def _added(
     declared = read_primary(primary, config_dirs)
     found = []
     for key, value in _OF_RUNS.get(primary, {}).items():
-        node: Any = declared.body
-        for name in key.split("."):
-            node = node.get(name) if isinstance(node, dict) else None
-        if node is not None and key not in keys:
+        if value_at(declared.body, key) is not None and key not in keys:
             found.append(f"{key}={value}")
     return found
 

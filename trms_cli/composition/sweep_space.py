@@ -38,6 +38,7 @@ from trms_cli.composition.checks import DeclaredKeys, prepare
 from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.hydra_composition import explained
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse
+from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build, nearest
 from trms_cli.models.parameters import DRAW_LIMIT_SD, Parameter
@@ -121,9 +122,7 @@ def _without_ranges(composer: _Composer) -> Mapping[str, Any]:
 
 def _with_present(varied: Range | PriorOfKey, config: Mapping[str, Any]) -> Range | PriorOfKey:
     """A range that knows the value its key has without it."""
-    node: Any = config
-    for name in varied.key.split("."):
-        node = node.get(name) if isinstance(node, Mapping) else None
+    node = value_at(config, varied.key)
     number = isinstance(node, (int, float)) and not isinstance(node, bool)
     if not isinstance(varied, Range) or varied.now is not None or not number:
         return varied
@@ -155,7 +154,6 @@ class _Composer:
 
     def __call__(self, otherwise: Mapping[str, str], ranges: bool = True) -> Composition:
         """The first of each choice, but as `otherwise` says; the least of each range, or none."""
-        folders = [word for place in self.request.config_dirs for word in ("--config-dir", place)]
         words = []
         for each in self.typed:
             value = otherwise.get(each.key) or (each.values[0] if each.values else None)
@@ -164,7 +162,7 @@ class _Composer:
             if each.interval:
                 value = middle_of(each.interval)
             words.append(each.text if value is None else f"{each.key}={value}")
-        return compose([*map(str, folders), *words], self.primary)
+        return compose(words, self.primary, config_dirs=self.request.config_dirs)
 
 
 def _last_of_each(typed: Sequence[_Typed]) -> list[_Typed]:

@@ -57,20 +57,22 @@ def find_runs(
         If there is no such folder or column.
     """
     return _found(
-        filter, folders, everywhere, sort=sort, descending=descending, columns=columns, limit=limit
+        filter,
+        folders,
+        everywhere=everywhere,
+        sort=sort,
+        descending=descending,
+        columns=columns,
+        limit=limit,
     ).runs
 
 
-def runs_table(
-    filter: str = "", folders: Path | Sequence[Path] = (), *, everywhere: bool = False, **how: Any
-) -> Any:
+def runs_table(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any) -> Any:
     """Runs as a ``pyarrow.Table``, units in the metadata of its fields; as :func:`find_runs`."""
-    return table_of(_found(filter, folders, everywhere, **how))
+    return table_of(_found(filter, folders, **how))
 
 
-def runs_frame(
-    filter: str = "", folders: Path | Sequence[Path] = (), *, everywhere: bool = False, **how: Any
-) -> Any:
+def runs_frame(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any) -> Any:
     """Runs as a ``pandas.DataFrame``, a row each; arguments as of :func:`find_runs`.
 
     ``frame.attrs["units"]`` has the units by column, and the ``time`` column is of the type
@@ -89,7 +91,7 @@ def runs_frame(
             "runs_table(…) an Arrow table",
         )
     pandas = import_module("pandas")
-    found = _found(filter, folders, everywhere, **how)
+    found = _found(filter, folders, **how)
     frame = table_of(found).to_pandas()
     if "time" in frame:
         frame["time"] = pandas.to_datetime(frame["time"], utc=True)
@@ -107,24 +109,10 @@ def table_of(found: QueryResult) -> Any:
 
 
 def _found(
-    filter: str,
-    folders: Path | Sequence[Path],
-    everywhere: bool,
-    *,
-    sort: str = "time",
-    descending: bool = False,
-    columns: Sequence[str] = (),
-    limit: int | None = None,
+    filter: str, folders: Path | Sequence[Path], *, columns: Sequence[str] = (), **how: Any
 ) -> QueryResult:
     several = (folders,) if isinstance(folders, (str, os.PathLike)) else tuple(folders)
+    asked = (columns,) if isinstance(columns, str) else tuple(columns)
     return find(
-        Query(
-            filter=filter,
-            folders=several,
-            everywhere=everywhere,
-            sort=sort,
-            descending=descending,
-            columns=(columns,) if isinstance(columns, str) else tuple(columns),
-            limit=limit,
-        )
+        Query(filter=filter, folders=several, columns=asked, **({"descending": False} | how))
     )

@@ -17,7 +17,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +105,7 @@ def make_sweep(
             shutil.rmtree(folder, ignore_errors=True)  # nothing has been run
             raise
         begun(folder)
-        return _driven(record, plan, proposals, launcher, task, tell, [], retry_failed=False)
+        return _driven(record, plan, proposals, launcher, task, tell, [], False)
 
 
 def go_on(
@@ -140,17 +140,8 @@ def go_on(
             proposals = sampler.start(plan.space, known)
             record.note(state="running", launcher=steered.launcher, retries=steered.retries)
             begun(folder)
-            return _driven(
-                record,
-                plan,
-                proposals,
-                launcher,
-                task or task_of(plan),
-                tell,
-                known,
-                retry_failed=retry_failed,
-                retries=steered.retries,
-            )
+            plan, task = replace(plan, retries=steered.retries), task or task_of(plan)
+            return _driven(record, plan, proposals, launcher, task, tell, known, retry_failed)
 
 
 def first_job(request: ComposeRequest, primary: str) -> Composition:
@@ -169,8 +160,7 @@ def _checked(
 
     request = ComposeRequest(tuple(overrides), config_dirs, show=False, multirun=True)
     space = space_of(request, primary)
-    folders = [word for place in config_dirs for word in ("--config-dir", str(place))]
-    return space, compose([*folders, *first_of(space)], primary)
+    return space, compose(first_of(space), primary, config_dirs=config_dirs)
 
 
 def _plan(
@@ -206,9 +196,7 @@ def _driven(
     task: Task,
     tell: Tell,
     known: Sequence[SweepPoint],
-    *,
     retry_failed: bool,
-    retries: int | None = None,
 ) -> SweepOutcome:
     """Drive the sweep, and write down at the end, whatever it is, how it stands."""
     from trms_cli.core.allowed import allowed_for_now
@@ -226,12 +214,7 @@ def _driven(
         tuple(sorted(allowed_for_now())),
     )
     driver = Driver(
-        record,
-        proposals,
-        work,
-        retries=plan.retries if retries is None else retries,
-        tell=tell,
-        retry_failed=retry_failed,
+        record, proposals, work, retries=plan.retries, tell=tell, retry_failed=retry_failed
     )
     record.note(total=proposals.total)
     driver.take_stock(known)
