@@ -224,8 +224,22 @@ def _cell(name: str, value: Any) -> Any:
 
 
 STATUS_NAME = "status.json"
-_SCHEMA = "trms.status/1"
-_LONGEST = 2**20  # bytes
+STATUS_SCHEMA = "trms.status/1"
+_LONGEST = 2**24  # bytes
+
+
+def status_document(file: Path) -> dict[str, Any] | None:
+    """The content of a ``status.json``; None for a file of this name that is somebody else's.
+
+    Raises OSError if the file cannot be read.
+    """
+    try:
+        with file.open("rb") as content:
+            document = json.loads(content.read(_LONGEST))
+    except (ValueError, RecursionError):
+        return None
+    ours = isinstance(document, dict) and document.get("schema") == STATUS_SCHEMA
+    return document if ours else None
 
 
 def read_status(path: Path) -> IndexEntry | None:
@@ -234,14 +248,11 @@ def read_status(path: Path) -> IndexEntry | None:
     Raises RecordingError if the file cannot be read.
     """
     try:
-        with path.open("rb") as file:
-            document = json.loads(file.read(_LONGEST))
+        document = status_document(path)
     except OSError as error:
         reason = error.strerror or error
         raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
-    except (ValueError, RecursionError):
-        return None
-    if not isinstance(document, Mapping) or document.get("schema") != _SCHEMA:
+    if document is None:
         return None
     given = document.get("overrides")
     overrides = [str(word) for word in given] if isinstance(given, list) else []

@@ -17,10 +17,8 @@ from typing import Any, NamedTuple
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.runs.driving import has_driver
-from trms_cli.runs.entry import STATUS_NAME
+from trms_cli.runs.entry import STATUS_NAME, status_document
 
-_SCHEMA = "trms.status/1"
-_LONGEST = 2**20  # bytes of a status
 _DEEPEST = 3  # folders between a sweep and its jobs
 _RECENT = 60  # ended jobs that the throughput is told over
 _ENDED = ("done", "failed", "interrupted", "lost")
@@ -173,13 +171,9 @@ def _status_files(folder: Path) -> Iterator[tuple[str, int]]:
 
 def _document(file: Path) -> Mapping[str, Any] | None:
     try:
-        with file.open("rb") as content:
-            document = json.loads(content.read(_LONGEST))
-    except (OSError, ValueError, RecursionError):
+        return status_document(file)
+    except OSError:
         return None
-    if not isinstance(document, Mapping) or document.get("schema") != _SCHEMA:
-        return None
-    return document
 
 
 def _read(file: Path, folder: Path, changed: int) -> Job | None:

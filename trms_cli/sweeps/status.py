@@ -23,14 +23,12 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.whole_file import replace_whole
-from trms_cli.runs.entry import STATUS_NAME
+from trms_cli.runs.entry import STATUS_NAME, STATUS_SCHEMA, status_document
 from trms_cli.sweeps.point import RunResult, SweepPoint
 
-SCHEMA = "trms.status/1"
 #: States after which nothing more comes of a run by itself.
 ENDED = ("done", "failed", "interrupted", "lost")
 _ATTEMPT = re.compile(r"\.attempt-(\d+)")
-_LONGEST = 2**24  # bytes of a status
 #: s: a worker gives a sign of life this often, and is taken for dead after so long without one.
 #: Where the process can be asked for (same host), it is asked.
 SIGN_EVERY, SILENT_AFTER = 5.0, 60.0
@@ -107,13 +105,9 @@ class RunFolder:
     def status(self) -> dict[str, Any]:
         """The content of ``status.json``; empty where there is none that can be read."""
         try:
-            with (self.path / STATUS_NAME).open("rb") as file:
-                document = json.loads(file.read(_LONGEST))
-        except (OSError, ValueError, RecursionError):
+            return status_document(self.path / STATUS_NAME) or {}
+        except OSError:
             return {}
-        if not isinstance(document, dict) or document.get("schema") != SCHEMA:
-            return {}
-        return document
 
     def result(self) -> RunResult | None:
         """What came of the run, if its status tells; None while it has not ended."""
@@ -149,7 +143,7 @@ def lost(point: SweepPoint, attempt: int, reason: str, before: Mapping[str, Any]
     known = {key: before[key] for key in ("host", "pid", "begin", "choices") if key in before}
     words = "time" if attempt == 1 else "times"
     return {
-        "schema": SCHEMA,
+        "schema": STATUS_SCHEMA,
         "job": point.number,
         "overrides": list(point.overrides),
         "state": "lost",

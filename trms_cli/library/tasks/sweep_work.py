@@ -26,12 +26,13 @@ from trms_cli.core.invocation import called_as
 from trms_cli.library.tasks.git_revision import known_revision
 from trms_cli.library.tasks.task import termination
 from trms_cli.runs.columns import figures_of
+from trms_cli.runs.entry import STATUS_SCHEMA
 from trms_cli.runs.run_folder import SCORE_NAME
 from trms_cli.sweeps.driver import DISK_FULL
 from trms_cli.sweeps.launcher import Attempt
 from trms_cli.sweeps.point import RunResult, State
 from trms_cli.sweeps.record import STOP_NAME
-from trms_cli.sweeps.status import SCHEMA, SIGN_EVERY, RunFolder, leaving, now, result_of
+from trms_cli.sweeps.status import SIGN_EVERY, RunFolder, leaving, now, result_of
 
 #: Lines of a run's standard error that are kept.
 _MOST_NOTES = 20
@@ -73,7 +74,7 @@ class MakeRun:
                 return known
             run.put_aside(attempt.number)
             status: dict[str, Any] = {
-                "schema": SCHEMA,
+                "schema": STATUS_SCHEMA,
                 "job": point.number,
                 "overrides": list(point.overrides),
                 "state": "running",

@@ -22,7 +22,7 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.sweeps.launcher import Attempt, Ended, Work, Workers
-from trms_cli.sweeps.launchers.local import ONE_THREAD
+from trms_cli.sweeps.launchers.local import ONE_THREAD, arrived, first_line
 
 INSTALL = "pip install 'trms-cli[cluster]'"
 _EVERY = 2.0  # s between two counts of the workers
@@ -124,8 +124,9 @@ def connected(distributed: Any, target: Any, patience: float, **more: Any) -> It
             target, timeout=patience, set_as_default=False, name="trms", **more
         )
     except (OSError, ValueError, TimeoutError, ImportError) as error:
+        reason = first_line(error, type(error).__name__)
         raise ConfigurationError(
-            f"the Dask scheduler {target} does not answer ({_first_line(error)})",
+            f"the Dask scheduler {target} does not answer ({reason})",
             where="launcher.address",
             remedy="start one (`dask scheduler`, and `dask worker ADDRESS --nthreads 1` on each "
             "machine), or leave the address out for this machine alone",
@@ -183,12 +184,7 @@ class DaskWorkers:
 
     def ended(self, timeout_s: float) -> list[Ended]:
         """Those that have ended since the last call."""
-        found: list[Ended] = []
-        with contextlib.suppress(queue.Empty):
-            key = self._came.get(timeout=timeout_s)
-            while True:
-                found += self._taken(key)
-                key = self._came.get_nowait()
+        found = [each for key in arrived(self._came, timeout_s) for each in self._taken(key)]
         if not found and self._client.status not in ("running", "newly-created"):
             raise self._gone(None)
         return found
@@ -211,13 +207,13 @@ class DaskWorkers:
             error = future.exception(timeout=30)
             if type(error).__name__ in ("KilledWorker", "CancelledError", "WorkerClosedError"):
                 return [Ended(attempt, None, "the process that ran it died")]
-            return [Ended(attempt, None, _first_line(error))]
+            return [Ended(attempt, None, first_line(error, type(error).__name__))]
         if self._client.status != "running":  # taken back, since the connection is lost
             raise self._gone(None)
         return [Ended(attempt, None, f"Dask has {future.status} it")]
 
     def _gone(self, error: Exception | None) -> TrmsError:
-        reason = f" ({_first_line(error)})" if error is not None else ""
+        reason = f" ({first_line(error, type(error).__name__)})" if error is not None else ""
         return TrmsError(
             f"the Dask scheduler ({self._where}) is gone{reason}",
             where="launcher",
@@ -239,8 +235,3 @@ def worker_plugin() -> Any:
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     return Apart()
-
-
-def _first_line(error: BaseException | None) -> str:
-    lines = [line.strip() for line in str(error or "").splitlines() if line.strip()]
-    return lines[0] if lines else type(error).__name__

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from msgspec import Meta
 
@@ -29,6 +29,7 @@ ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
 #: Workers that may die one after another without having finished a single run.
 _MOST_DEATHS = 20
 _GRACE = 15.0  # s
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,14 +113,7 @@ class _LokyCrew:
             future.add_done_callback(lambda done, worker=worker: self._came.put((worker, done)))
 
     def ended(self, timeout_s: float) -> list[Ended]:
-        found: list[Ended] = []
-        try:
-            waiting = self._came.get(timeout=timeout_s)
-            while True:
-                found += self._taken(*waiting)
-                waiting = self._came.get_nowait()
-        except queue.Empty:
-            return found
+        return [each for came in arrived(self._came, timeout_s) for each in self._taken(*came)]
 
     def end(self) -> None:
         """End the processes, whatever they are at."""
@@ -141,13 +135,13 @@ class _LokyCrew:
         self._deaths += 1
         if self._deaths > _MOST_DEATHS * len(self._team):
             raise TrmsError(
-                f"workers die before they finish a run: {_first_line(error)}",
+                f"workers die before they finish a run: {first_line(error)}",
                 where="launcher",
                 remedy="run one of them alone to see why: launcher.workers=0",
             )
         if worker.pool._flags.broken is not None:
             self._replace(worker)
-        return [Ended(attempt, None, _first_line(error))]
+        return [Ended(attempt, None, first_line(error))]
 
     def _replace(self, worker: _Worker) -> None:
         _kill(worker.pool)
@@ -182,6 +176,16 @@ def _end_with_parent(parent: int) -> None:
     os._exit(1)
 
 
-def _first_line(error: BaseException | None) -> str:
-    lines = [line.strip() for line in str(error or "").splitlines() if line.strip()]
-    return lines[0] if lines else "no reason given"
+def arrived(came: queue.SimpleQueue[_T], timeout_s: float) -> list[_T]:
+    """What a queue holds, after waiting up to a time for the first."""
+    found: list[_T] = []
+    with contextlib.suppress(queue.Empty):
+        found.append(came.get(timeout=timeout_s))
+        while True:
+            found.append(came.get_nowait())
+    return found
+
+
+def first_line(error: BaseException | None, otherwise: str = "no reason given") -> str:
+    """The first line of what an error says."""
+    return next((line.strip() for line in str(error or "").splitlines() if line.strip()), otherwise)
