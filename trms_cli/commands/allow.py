@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from trms_cli.core.allowed import (
 )
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.invocation import program
+from trms_cli.core.printable import print_json
 from trms_cli.core.trust import place_of
 
 SUMMARY = "let the classes of a package of yours, or of somebody else's, run"
@@ -128,7 +128,7 @@ def _tell(packages: dict[str, Path | None], *, as_json: bool) -> None:
     if as_json:
         places = {name: None if at is None else str(at) for name, at in sorted(packages.items())}
         document = {"schema": SCHEMA, "packages": places, "for_this_call": now}
-        sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+        print_json(document)
         return
     if not packages and not now:
         sys.stdout.write("no package but trms itself is allowed\n")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.compare import METRICS, SORTS, ordered, ranking_of, runs_from
 
 if TYPE_CHECKING:
@@ -85,8 +84,7 @@ def _pair(gathered: RunCollection, *, as_json: bool) -> int:
 
 def _tell(findings: Findings, as_json: bool) -> int:
     if as_json:
-        json.dump(findings.results, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(findings.results, allow_nan=False)
         return EXIT_OK
     from trms_cli.reporting.screen import show
 

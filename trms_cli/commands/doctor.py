@@ -14,6 +14,7 @@ from typing import NamedTuple
 from trms_cli import __version__
 from trms_cli.commands.plain_options import as_options
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.core.printable import print_json
 
 SUMMARY = "tell whether this machine is ready, and what to install"
 
@@ -63,15 +64,13 @@ def main(argv: Sequence[str]) -> int:
     findings = [finding for check in checks for finding in check()]
     usable = all(finding.state != BROKEN for finding in findings)
     if "--json" in argv:
-        import json
-
         document = {
             "schema": "trms.doctor/1",
             "trms": __version__,
             "usable": usable,
             "findings": [finding._asdict() for finding in findings],
         }
-        sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
+        print_json(document)
     else:
         sys.stdout.write(_report(findings, usable))
     return EXIT_OK if usable else EXIT_NOT_READY

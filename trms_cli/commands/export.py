@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.core.printable import print_json
 from trms_cli.runs.run_folder import log_of
 
 if TYPE_CHECKING:
@@ -57,8 +57,7 @@ def main(argv: list[str]) -> int:
     options.add_argument("--format", choices=FORMATS)
     options.add_argument("--out", type=Path)
     options.add_argument("--layout", type=Path)
-    options.add_argument("--force", action="store_true")
-    options.add_argument("--json", action="store_true")
+    options.add_flags("--force", "--json")
     given = options.parse_args(argv)
     if given.log is None and given.layout is None:
         options.error("the following arguments are required: LOG")
@@ -101,8 +100,7 @@ def main(argv: list[str]) -> int:
             document["poses"] = poses
         if given.layout is not None:
             document["layout"] = str(given.layout)
-        json.dump(document, sys.stdout, indent=2, ensure_ascii=False)
-        sys.stdout.write("\n")
+        print_json(document)
         return 0
     for problem in log.problems:
         print(f"note: {given.log}: {problem}")

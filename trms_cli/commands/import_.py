@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from trms_cli.commands.plain_options import PlainOptions
+from trms_cli.core.printable import print_json
 
 SUMMARY = "turn a recording (CSV, MAT) into an MCAP log"
 
@@ -63,8 +62,7 @@ def main(argv: list[str]) -> int:
     options = PlainOptions("trms import", HELP)
     options.add_argument("file", type=Path)
     options.add_argument("--out", type=Path)
-    options.add_argument("--force", action="store_true")
-    options.add_argument("--json", action="store_true")
+    options.add_flags("--force", "--json")
     options.add_argument("--outliers", choices=("keep", "mark"), default="keep")
     options.add_argument("--delay", action="append", default=[], metavar="NAME=SECONDS")
     options.add_argument("--gaps", default="keep")
@@ -108,8 +106,7 @@ def main(argv: list[str]) -> int:
         if prepared
     ]
     if given.json:
-        json.dump(document, sys.stdout, indent=2, ensure_ascii=False)
-        sys.stdout.write("\n")
+        print_json(document)
     else:
         _print(document)
     return 0

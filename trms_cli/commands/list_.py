@@ -20,6 +20,7 @@ from trms_cli.composition.catalogue import (
     take_config_dirs,
 )
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
+from trms_cli.core.printable import print_json
 
 SUMMARY = "the plugins there are, with one line each"
 
@@ -103,10 +104,8 @@ def document_of(groups: Groups, purposes: dict[str, str]) -> dict[str, Any]:
 
 
 def _print_json(groups: Groups, purposes: dict[str, str]) -> None:
-    import json
-
     document = document_of(groups, purposes)
-    sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
+    print_json(document)
 
 
 def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:

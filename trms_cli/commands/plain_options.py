@@ -44,6 +44,11 @@ class PlainOptions(argparse.ArgumentParser):
         super().__init__(prog=command, allow_abbrev=False)
         self._help_text = help_text
 
+    def add_flags(self, *names: str) -> None:
+        """Options without a value."""
+        for name in names:
+            self.add_argument(name, action="store_true")
+
     def format_help(self) -> str:
         """Return the help that was given."""
         return self._help_text

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError
 from trms_cli.core.invocation import program
+from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.scene import scene_of_log
 from trms_cli.recordings.foxglove.added_scene import scene_messages
 from trms_cli.recordings.foxglove.types import ARROWS, BODIES, TRANSFORMS
@@ -113,8 +113,7 @@ def _main(given: Any) -> int:
             "files": [str(path) for path in files],
             "absent": absent,
         }
-        json.dump(document, sys.stdout, indent=2, ensure_ascii=False)
-        sys.stdout.write("\n")
+        print_json(document)
         return EXIT_OK
     for kind, reason in absent.items():
         print(f"no {kind}: {reason}")
@@ -157,9 +156,7 @@ def _options(argv: Sequence[str]) -> Any:
     options.add_argument("--title", default="")
     options.add_argument("--names")
     options.add_argument("--dpi", type=float)
-    options.add_argument("--svg-text", action="store_true")
-    options.add_argument("--force", action="store_true")
-    options.add_argument("--json", action="store_true")
+    options.add_flags("--svg-text", "--force", "--json")
     given = options.parse_args(argv)
     if given.dpi is not None and not 30 <= given.dpi <= 1200:
         options.error("--dpi takes 30 to 1200")
@@ -286,8 +283,7 @@ def plot_scene(log: LoggedRun, given: Any) -> int:
             "frames": len(shots),
             "speed": round(speed, 3),
         }
-        json.dump(document, sys.stdout, indent=2, ensure_ascii=False)
-        sys.stdout.write("\n")
+        print_json(document)
         return EXIT_OK
     print(out if abs(speed - 1) < 0.05 else f"{out} ({speed:.3g} times as fast as the run)")
     return EXIT_OK

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.core.invocation import program
-from trms_cli.core.printable import printable
+from trms_cli.core.printable import print_json, printable
 
 if TYPE_CHECKING:
     from trms_cli.library.report.pages import Report
@@ -52,8 +50,7 @@ def main(argv: list[str]) -> int:
     options.add_argument("paths", type=Path, nargs="+", metavar="LOG")
     options.add_argument("--out", type=Path)
     options.add_argument("--title", default="")
-    options.add_argument("--force", action="store_true")
-    options.add_argument("--json", action="store_true")
+    options.add_flags("--force", "--json")
     given = options.parse_args(argv)
     if given.out is not None and given.out.suffix.lower() not in (".html", ".htm"):
         options.error(f"--out {str(given.out)!r} is no page: its name ends in .html")
@@ -62,8 +59,7 @@ def main(argv: list[str]) -> int:
 
     report, path = write_report(given.paths, out=given.out, title=given.title, force=given.force)
     if given.json:
-        json.dump(document(report, path), sys.stdout, indent=2, ensure_ascii=False)
-        sys.stdout.write("\n")
+        print_json(document(report, path))
     else:
         _say(report, path)
     return EXIT_OK

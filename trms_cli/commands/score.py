@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, RecordingError
+from trms_cli.core.printable import print_json
 from trms_cli.runs.run_folder import LOG_NAME, log_of
 
 if TYPE_CHECKING:
@@ -55,11 +55,9 @@ def main(argv: list[str]) -> int:
     options = PlainOptions("trms score", HELP)
     options.add_argument("logs", type=Path, nargs="+", metavar="LOG")
     options.add_argument("--baseline", type=Path)
-    options.add_argument("--all", action="store_true")
     options.add_argument("--write-baseline", type=Path)
     options.add_argument("--reason", default="")
-    options.add_argument("--force", action="store_true")
-    options.add_argument("--json", action="store_true")
+    options.add_flags("--all", "--force", "--json")
     given = options.parse_args(argv)
     if given.write_baseline and len(given.logs) > 1:
         options.error("--write-baseline takes one LOG")
@@ -110,8 +108,7 @@ def _print_json(
     from trms_cli.scoring.baseline import document_of
 
     whole = document_of(scored, baseline)
-    json.dump(whole, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
-    sys.stdout.write("\n")
+    print_json(whole, allow_nan=False)
 
 
 def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bool) -> None:

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +15,7 @@ from trms_cli.composition.composer import Task
 from trms_cli.composition.overrides import ComposeRequest
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.sweep import go_on, make_sweep
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ def status_command(argv: Sequence[str]) -> int:
         )
     document = outcome_of(folder.resolve())
     if options:
-        sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
+        print_json(document)
     else:
         say_outcome(document)
     return EXIT_OK

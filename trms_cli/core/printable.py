@@ -6,6 +6,9 @@ printed before, or write to the clipboard.
 
 from __future__ import annotations
 
+import sys
+from typing import Any
+
 #: Control characters but the tab and the line end (C0, DEL, C1), and those that turn the direction.
 _STEERING = {
     code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if code not in (9, 10)
@@ -15,3 +18,11 @@ _STEERING = {
 def printable(text: str) -> str:
     """The text with such signs written out, as ``\\x1b``."""
     return text.translate(_STEERING)
+
+
+def print_json(document: Any, *, allow_nan: bool = True) -> None:
+    """Print a document as JSON, as ``--json`` asks for."""
+    import json
+
+    json.dump(document, sys.stdout, indent=2, ensure_ascii=False, allow_nan=allow_nan)
+    sys.stdout.write("\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
@@ -15,6 +16,16 @@ _COMPUTING_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "hydra-core",
 def versions() -> dict[str, str]:
     """Versions of what computes, by package."""
     return dict(_versions())
+
+
+def changed_since(then: Mapping[str, str]) -> list[str]:
+    """Those that differ from the versions of a record: ``numpy 1.26.4 → 2.1.0``."""
+    here = versions()
+    return [
+        f"{name} {version} → {here.get(name, 'absent')}"
+        for name, version in then.items()
+        if here.get(name) != version
+    ]
 
 
 @cache

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.printable import print_json
 
 if TYPE_CHECKING:
     from trms_cli.runs.query import QueryResult
@@ -114,7 +115,7 @@ def _present(found: QueryResult, given: Any, told: list[str] | None, shown: bool
     if given.parquet:
         runs_screen.write_parquet(found, given.parquet, force=given.force)
     if given.json:
-        runs_screen.print_json(found, given.filter)
+        print_json(runs_screen.document(found, given.filter), allow_nan=False)
     if given.unreadable and shown:
         runs_screen.print_unreadable(found)
     elif shown:
@@ -129,17 +130,12 @@ def _given(argv: list[str]) -> Any:
     options = PlainOptions("trms runs", HELP)
     options.add_argument("filter", nargs="*", metavar="FILTER")
     options.add_argument("--in", action="append", default=[], dest="folders", metavar="FOLDER")
-    options.add_argument("--all", action="store_true")
     options.add_argument("--sort", default="")
-    options.add_argument("--desc", action="store_true")
     options.add_argument("--columns", default="")
     options.add_argument("--limit", type=int)
-    options.add_argument("--json", action="store_true")
     options.add_argument("--csv", type=Path)
     options.add_argument("--parquet", type=Path)
-    options.add_argument("--force", action="store_true")
-    options.add_argument("--unreadable", action="store_true")
-    options.add_argument("--rebuild", action="store_true")
+    options.add_flags("--all", "--desc", "--json", "--force", "--unreadable", "--rebuild")
     given = options.parse_args(argv)
     if len(given.filter) > 1:
         options.error(

@@ -237,12 +237,6 @@ def _why_nothing(found: QueryResult, filtered: bool) -> str:
 SCHEMA = "trms.runs/1"
 
 
-def print_json(found: QueryResult, filter: str) -> None:
-    """Print ``trms.runs/1``."""
-    json.dump(document(found, filter), sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
-    sys.stdout.write("\n")
-
-
 def document(found: QueryResult, filter: str) -> dict[str, Any]:
     """``trms.runs/1``: the runs, the units of their columns, and what limits the answer."""
     return {

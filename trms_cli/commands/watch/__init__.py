@@ -72,8 +72,7 @@ def _given(argv: list[str]) -> Any:
     options.add_argument("--speed", type=float)
     options.add_argument("--from", type=float, dest="begin")
     options.add_argument("--span", type=float, default=20.0)
-    options.add_argument("--once", action="store_true")
-    options.add_argument("--plain", action="store_true")
+    options.add_flags("--once", "--plain")
     given = options.parse_args(argv)
     for name, value, low in (("--speed", given.speed, 0.0), ("--span", given.span, 0.0)):
         if value is not None and not low < value < 1e6:

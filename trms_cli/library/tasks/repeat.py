@@ -178,17 +178,12 @@ def _is_own(word: str) -> bool:
 
 def _tell_what_differs(run: LoggedRun) -> None:
     """Say which packages are not those of the log: figures may differ in their last digits."""
-    from trms_cli.core.versions import versions
+    from trms_cli.core.versions import changed_since
     from trms_cli.library.tasks.experiment import VERSIONS_KEY
 
-    now = versions()
     with not_as_written(str(run.path)):
         then = {str(name): str(text) for name, text in _mapping(run, VERSIONS_KEY).items()}
-    changed = [
-        f"{name} {then[name]} → {now.get(name, 'absent')}"
-        for name in then
-        if then[name] != now.get(name)
-    ]
+    changed = changed_since(then)
     if changed:
         note(f"note   not as it was then: {', '.join(changed)}")
 

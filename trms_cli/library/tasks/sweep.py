@@ -276,7 +276,7 @@ def place_of(plan: SweepPlan) -> Iterator[None]:
     Raises RecordingError if the folder, or one of options, is gone.
     """
     from trms_cli.composition.catalogue import make_importable
-    from trms_cli.core.versions import versions
+    from trms_cli.core.versions import changed_since
 
     for place in (plan.directory, *plan.config_dirs):
         if not Path(place).is_dir():
@@ -286,12 +286,7 @@ def place_of(plan: SweepPlan) -> Iterator[None]:
                 where="sweep.json",
                 remedy="put it back: the runs that are left read files from there",
             )
-    here = versions()
-    changed = [
-        f"{name} {version} → {here.get(name, 'absent')}"
-        for name, version in plan.versions.items()
-        if here.get(name) != version
-    ]
+    changed = changed_since(plan.versions)
     if changed:
         note(
             f"note   not as it was when the sweep began: {', '.join(changed)}; the last digits of "

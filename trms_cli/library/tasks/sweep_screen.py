@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 import sys
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 from trms_cli.core import wording
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.invocation import program
+from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.task import termination
 from trms_cli.reporting.progress import ProgressLine
 from trms_cli.sweeps.findings import PICTURES, rate, sweep_findings
@@ -94,7 +94,7 @@ class SweepScreen:
         document = outcome_of(folder)
         draw_summary(folder, document["summary"])
         if self._as_json:
-            sys.stdout.write(json.dumps(document, ensure_ascii=False, indent=2) + "\n")
+            print_json(document)
         else:
             say_outcome(document)
 
