@@ -7,7 +7,7 @@ from typing import Any
 
 from experiments.page_tables import number
 from trms_cli.sweeps.findings import baseline_of, choices_of, front_of
-from trms_cli.sweeps.short_keys import short_keys
+from trms_cli.sweeps.space import short_keys
 
 _MOST_NAMED = 4
 _LEVEL = 0.05

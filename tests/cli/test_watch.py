@@ -25,8 +25,17 @@ from hypothesis import strategies as st
 from rich.text import Text
 
 from trms_cli import cli
-from trms_cli.commands.watch.chart import TerminalCurve, chart, scale
-from trms_cli.commands.watch.frame import NAMES, About, View, about, plain_line, run_frame
+from trms_cli.commands.watch.frame import (
+    NAMES,
+    About,
+    TerminalCurve,
+    View,
+    about,
+    chart,
+    plain_line,
+    run_frame,
+    scale,
+)
 from trms_cli.commands.watch.player import Player
 from trms_cli.commands.watch.screen import keys_in
 from trms_cli.commands.watch.sweep import sweep_frame, sweep_line

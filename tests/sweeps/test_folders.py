@@ -12,9 +12,8 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.runs.driving import has_driver
-from trms_cli.sweeps.point import SweepPoint
 from trms_cli.sweeps.record import POINTS_NAME, Record, SweepPlan, driving
-from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space, SweepPoint
 from trms_cli.sweeps.status import Claim, RunFolder, is_alive, lost
 
 

@@ -7,11 +7,9 @@ import pytest
 from scipy import stats
 
 from trms_cli.sweeps.figures import canonical, figure_of
-from trms_cli.sweeps.point import RunResult
 from trms_cli.sweeps.robustness import Robustness
 from trms_cli.sweeps.samplers.random import Random
-from trms_cli.sweeps.short_keys import short_keys
-from trms_cli.sweeps.space import Choice, PriorOfKey, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, RunResult, Space, short_keys
 
 PARAMETERS = tuple(
     PriorOfKey(f"plant.parameters.{name}", 1.0, 0.1, 0.75, 1.25) for name in ("k", "unimportant")

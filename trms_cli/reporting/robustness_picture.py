@@ -20,7 +20,7 @@ from trms_cli.reporting.style import (
     save_png,
 )
 from trms_cli.scoring.figures import column_title
-from trms_cli.sweeps.short_keys import short_keys
+from trms_cli.sweeps.space import short_keys
 
 _SHARES = np.linspace(0, 1, 101)
 #: So many drawn values are shown for each figure.

@@ -15,10 +15,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.sweeps.launcher import Attempt, Ended, Launcher, Work, Workers
-from trms_cli.sweeps.point import RunResult, SweepPoint
+from trms_cli.sweeps.plugins import Attempt, Ended, Launcher, Proposals, Work, Workers
 from trms_cli.sweeps.record import Record
-from trms_cli.sweeps.sampler import Proposals
+from trms_cli.sweeps.space import RunResult, SweepPoint
 from trms_cli.sweeps.status import SILENT_AFTER, Claim, RunFolder, is_alive, lost, now
 
 #: Problem of a result that ends the whole sweep: every other run would fail of it too.

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.runs.columns import ALIASES, COLUMNS, figure_stems
-from trms_cli.sweeps.point import RunResult
+from trms_cli.sweeps.space import RunResult
 
 #: What a command itself calls its figure of merit: the cost of ``trms identify``, …
 MERIT = "merit"

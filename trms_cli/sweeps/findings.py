@@ -17,7 +17,7 @@ from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Findings, NextCommand, Section, Table
 from trms_cli.core.invocation import program
 from trms_cli.sweeps.outcome import few
-from trms_cli.sweeps.short_keys import short_keys
+from trms_cli.sweeps.space import short_keys
 
 #: Pictures that are drawn of a summary, by its kind.
 PICTURES = {

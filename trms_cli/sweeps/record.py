@@ -20,8 +20,7 @@ from typing import Any
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.runs.driving import LOCK_NAME
-from trms_cli.sweeps.point import SweepPoint
-from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space, SweepPoint
 from trms_cli.sweeps.status import now
 
 SCHEMA = "trms.sweep/1"

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.sweeps.figures import MERIT, canonical_all, canonical_limits, figure_of, unit_of
-from trms_cli.sweeps.point import RunResult, SweepPoint
-from trms_cli.sweeps.space import Space
+from trms_cli.sweeps.space import RunResult, Space, SweepPoint
 
 #: Of the intervals of shares and of what is called a correlation.
 CONFIDENCE = 0.95

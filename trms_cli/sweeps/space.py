@@ -1,8 +1,10 @@
-"""What a sweep varies: choices between values, ranges of numbers, priors of parameters."""
+"""What a sweep varies (choices, ranges, priors of parameters), its points and what came of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 
 @dataclass(frozen=True)
@@ -45,3 +47,58 @@ class Space:
     fixed: tuple[str, ...]  #: Overrides of every run
     choices: tuple[Choice, ...]  #: In the order typed; the last varies fastest, as in nested loops
     continuous: tuple[Range | PriorOfKey, ...] = ()  #: Empty for a grid
+
+
+#: ``lost``: its worker died each time that it was tried.
+State = Literal["done", "failed", "interrupted", "lost"]
+
+
+@dataclass(frozen=True)
+class SweepPoint:
+    """One run of a sweep, before it is made."""
+
+    number: int  #: From 0 on, without gaps; the name of its folder
+    #: What would be typed for this run alone: ``("controller=pid", "plant.parameters.k_g=0.19")``
+    overrides: tuple[str, ...]
+    #: The value of each key that the sweep varies, as data: numbers for ranges and priors, text for
+    #: choices
+    values: Mapping[str, Any] = field(default_factory=dict)
+    #: The proposal of an optimiser that it belongs to: several points where a proposal is tried
+    #: under several conditions. None: the sampler searches for nothing.
+    trial: int | None = None
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What came of a point."""
+
+    number: int  #: Of the point
+    state: State
+    #: Figures of its score by the names that ``trms runs`` has for them (``rmse_yaw``, ``effort``,
+    #: …), SI units; what is not finite is left out
+    figures: Mapping[str, float] = field(default_factory=dict)
+    #: What the command itself calls its figure of merit (smaller is better), if it has one
+    objective: float | None = None
+    problem: str = ""  #: Why it failed
+    notes: tuple[str, ...] = ()  #: Lines that the run would have told on standard error
+
+
+_TABLE = "parameters"
+
+
+def short_keys(keys: Sequence[str]) -> dict[str, str]:
+    """The last two parts of each key, with as much before them as tells it from the others.
+
+    ``controller.state_weights.alpha_v`` becomes ``state_weights.alpha_v``; of a parameter, as
+    ``plant.parameters.k_g``, the name is enough.
+    """
+    split = {key: key.split(".") for key in keys}
+    short = {}
+    for key, parts in split.items():
+        size = 1 if parts[-2:-1] == [_TABLE] else 2
+        while size < len(parts) and any(
+            other != key and others[-size:] == parts[-size:] for other, others in split.items()
+        ):
+            size += 1
+        short[key] = ".".join(parts[-size:])
+    return short

@@ -24,7 +24,7 @@ from typing import Any
 
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.runs.entry import STATUS_NAME, STATUS_SCHEMA, status_document
-from trms_cli.sweeps.point import RunResult, SweepPoint
+from trms_cli.sweeps.space import RunResult, SweepPoint
 
 #: States after which nothing more comes of a run by itself.
 ENDED = ("done", "failed", "interrupted", "lost")

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.point import RunResult
 from trms_cli.sweeps.samplers.objectives import Aims, Tried, front, hypervolumes
 from trms_cli.sweeps.samplers.optimise import Optimise
-from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space
 
 WEIGHTS = tuple(Range(f"w.{i}", 1e-2, 1e2, logarithmic=True, now=50.0) for i in range(3))
 RIG = PriorOfKey("plant.parameters.k", 1.0, 0.1, 0.75, 1.25)

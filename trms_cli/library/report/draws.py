@@ -92,7 +92,7 @@ def draws_of(plan: Mapping[str, Any], names: Mapping[str, str]) -> Draws | None:
 
 def short_names(drawn: Sequence[str], others: Sequence[str]) -> dict[str, str]:
     """What drawn keys are called on a page: short, and not as another key is."""
-    from trms_cli.sweeps.short_keys import short_keys
+    from trms_cli.sweeps.space import short_keys
 
     return {
         key: key if short in others else short for key, short in short_keys(list(drawn)).items()

@@ -32,7 +32,7 @@ from trms_cli.sweeps.space import Space
 
 if TYPE_CHECKING:
     from trms_cli.sweeps.driver import SweepProgress
-    from trms_cli.sweeps.point import RunResult, SweepPoint
+    from trms_cli.sweeps.space import RunResult, SweepPoint
 
 #: Values of one key that are looked at, from the first on; the last is, too.
 MOST_VALUES = 30

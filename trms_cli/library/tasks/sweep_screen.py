@@ -23,7 +23,7 @@ from trms_cli.sweeps.outcome import outcome_of
 if TYPE_CHECKING:
     from trms_cli.library.tasks.sweep import SweepOutcome
     from trms_cli.sweeps.driver import SweepProgress
-    from trms_cli.sweeps.point import RunResult
+    from trms_cli.sweeps.space import RunResult
 
 _MOST_NOTES = 10
 #: Lines that runs of a small sweep say of themselves.

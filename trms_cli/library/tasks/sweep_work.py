@@ -29,9 +29,9 @@ from trms_cli.runs.columns import figures_of
 from trms_cli.runs.entry import STATUS_SCHEMA
 from trms_cli.runs.run_folder import SCORE_NAME
 from trms_cli.sweeps.driver import DISK_FULL
-from trms_cli.sweeps.launcher import Attempt
-from trms_cli.sweeps.point import RunResult, State
+from trms_cli.sweeps.plugins import Attempt
 from trms_cli.sweeps.record import STOP_NAME
+from trms_cli.sweeps.space import RunResult, State
 from trms_cli.sweeps.status import SIGN_EVERY, RunFolder, leaving, now, result_of
 
 #: Lines of a run's standard error that are kept.

@@ -21,8 +21,8 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.sweeps.launcher import Attempt, Ended, Work, Workers
 from trms_cli.sweeps.launchers.local import ONE_THREAD, arrived, first_line
+from trms_cli.sweeps.plugins import Attempt, Ended, Work, Workers
 
 INSTALL = "pip install 'trms-cli[cluster]'"
 _EVERY = 2.0  # s between two counts of the workers

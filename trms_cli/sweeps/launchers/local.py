@@ -22,7 +22,7 @@ from typing import Annotated, Any, TypeVar
 from msgspec import Meta
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.sweeps.launcher import Attempt, Ended, Work, Workers
+from trms_cli.sweeps.plugins import Attempt, Ended, Work, Workers
 
 #: Matrices are small here: threads of linear algebra only wait for one another.
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}

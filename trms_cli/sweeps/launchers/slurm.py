@@ -26,7 +26,6 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.sweeps.launcher import Ended, Work, Workers
 from trms_cli.sweeps.launchers.dask import (
     INSTALL,
     DaskWorkers,
@@ -36,6 +35,7 @@ from trms_cli.sweeps.launchers.dask import (
     wait_for_workers,
 )
 from trms_cli.sweeps.launchers.local import ONE_THREAD, InProcess
+from trms_cli.sweeps.plugins import Ended, Work, Workers
 
 #: s between two looks at jobs that have ended.
 _LOOK = 10.0

@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.robustness import Robustness
-from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space, SweepPoint
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -207,7 +206,7 @@ class DrawingSampler:
         raise NotImplementedError
 
     def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
-        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`.
+        """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`.
 
         Raises ConfigurationError for a space in which there is nothing to draw.
         """

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.point import SweepPoint
 from trms_cli.sweeps.samplers.drawing import Planned, planned
-from trms_cli.sweeps.space import PriorOfKey, Space
+from trms_cli.sweeps.space import PriorOfKey, Space, SweepPoint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +17,7 @@ class Grid:
     """Nested loops over the choices, the last typed running fastest."""
 
     def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
-        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
+        """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`."""
         if space.continuous:
             first = space.continuous[0]
             what = "a prior" if isinstance(first, PriorOfKey) else "a range of numbers"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.runs.columns import ALIASES
 from trms_cli.sweeps.figures import figure_of, near_figures, objective_name
-from trms_cli.sweeps.point import RunResult
+from trms_cli.sweeps.space import RunResult
 
 FloatArray = npt.NDArray[np.float64]
 

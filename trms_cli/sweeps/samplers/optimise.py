@@ -15,10 +15,9 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.figures import MERIT, canonical_all, canonical_limits
-from trms_cli.sweeps.point import SweepPoint
 from trms_cli.sweeps.samplers.objectives import Aims
 from trms_cli.sweeps.samplers.trials import Trials
-from trms_cli.sweeps.space import Range, Space
+from trms_cli.sweeps.space import Range, Space, SweepPoint
 
 #: Trials that are proposed together where that is not given.
 _BATCHES = {"tpe": 4, "nsga2": 20}
@@ -55,7 +54,7 @@ class Optimise:
     confirm: Annotated[int, Meta(ge=0)] = 0
 
     def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Trials:
-        """Begin, or go on; see :class:`trms_cli.sweeps.sampler.Sampler`."""
+        """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`."""
         if not any(isinstance(varied, Range) for varied in space.continuous):
             raise ConfigurationError(
                 "nothing is searched: no range among what was typed",

@@ -9,11 +9,10 @@ import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.figures import unit_of
-from trms_cli.sweeps.point import RunResult, SweepPoint
 from trms_cli.sweeps.samplers.drawing import Part, all_chosen, as_data, drawn_part, quantiles
 from trms_cli.sweeps.samplers.latin_hypercube import hypercube
 from trms_cli.sweeps.samplers.objectives import Aims, Tried, front, hypervolumes
-from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
+from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space, SweepPoint
 
 if TYPE_CHECKING:
     import optuna
@@ -28,7 +27,7 @@ _SEARCH_ALL_THE_SAME = "to search all the same: sampler.baseline=false"
 
 
 class Trials:
-    """See :class:`trms_cli.sweeps.sampler.Proposals`.
+    """See :class:`trms_cli.sweeps.plugins.Proposals`.
 
     Points are numbered trial after trial, each trial's conditions in the same order; behind all
     trials stand the points of the confirmation. `known` was proposed before an interruption.
