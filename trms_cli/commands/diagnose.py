@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.commands.execution import execute
 from trms_cli.commands.resume import Resumption
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
@@ -47,11 +46,7 @@ options
 
 def main(argv: Sequence[str]) -> int:
     """Compose and diagnose."""
-    resumption = _resumption()
-    folder, rest = resumption.take_folder(argv)
-    if folder is not None:
-        return resumption.go_on(folder, rest, perform)
-    return execute(rest, COMPOSES, perform)
+    return _RESUMPTION.main(argv, perform)
 
 
 def perform(composition: Composition, folder: Path | None = None) -> Outcome:
@@ -62,17 +57,6 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     return study("diagnose", composition, task, folder=folder)
 
 
-def _resumption() -> Resumption:
-    return Resumption(
-        noun="diagnosis",
-        verb="diagnose",
-        command="diagnose",
-        may_change=("jobs=", "page=", "--cfg", "job"),
-        only="jobs and page",
-        check=_unfinished,
-    )
-
-
 def _unfinished(folder: Path, text: str) -> None:
     if (folder / "diagnosis.json").is_file():
         raise ConfigurationError(
@@ -80,3 +64,13 @@ def _unfinished(folder: Path, text: str) -> None:
             where="resume",
             remedy=f"look at {folder / 'diagnosis.json'}, or diagnose anew into another folder",
         )
+
+
+_RESUMPTION = Resumption(
+    noun="diagnosis",
+    verb="diagnose",
+    command="diagnose",
+    may_change=("jobs=", "page=", "--cfg", "job"),
+    only="jobs and page",
+    check=_unfinished,
+)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.commands.execution import execute
 from trms_cli.commands.resume import Resumption
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
@@ -47,11 +46,7 @@ options
 
 def main(argv: Sequence[str]) -> int:
     """Compose and fit."""
-    resumption = _resumption()
-    folder, rest = resumption.take_folder(argv)
-    if folder is not None:
-        return resumption.go_on(folder, rest, perform)
-    return execute(rest, COMPOSES, perform)
+    return _RESUMPTION.main(argv, perform)
 
 
 def perform(composition: Composition, folder: Path | None = None) -> Outcome:
@@ -60,17 +55,6 @@ def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     from trms_cli.library.tasks.identify import perform as task
 
     return study("identify", composition, task, folder=folder)
-
-
-def _resumption() -> Resumption:
-    return Resumption(
-        noun="fit",
-        verb="fit",
-        command="identify",
-        may_change=("method.", "jobs=", "picture=", "--cfg", "job"),
-        only="its budget (method.…), jobs and picture",
-        check=_has_state,
-    )
 
 
 def _has_state(folder: Path, text: str) -> None:
@@ -84,3 +68,13 @@ def _has_state(folder: Path, text: str) -> None:
             remedy="fit anew: such methods take seconds; or begin with model="
             f"{folder / 'model.yaml'}",
         )
+
+
+_RESUMPTION = Resumption(
+    noun="fit",
+    verb="fit",
+    command="identify",
+    may_change=("method.", "jobs=", "picture=", "--cfg", "job"),
+    only="its budget (method.…), jobs and picture",
+    check=_has_state,
+)

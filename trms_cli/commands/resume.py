@@ -33,6 +33,13 @@ class Resumption:
     #: was typed
     check: Callable[[Path, str], None]
 
+    def main(self, argv: Sequence[str], perform: Callable[..., Any]) -> int:
+        """Begin anew, or go on in the folder that `argv` names."""
+        folder, rest = self.take_folder(argv)
+        if folder is None:
+            return execute(rest, self.command, perform)
+        return self.go_on(folder, rest, perform)
+
     def take_folder(self, argv: Sequence[str]) -> tuple[Path | None, list[str]]:
         """Take ``resume=FOLDER`` off `argv`.
 

@@ -220,7 +220,10 @@ def _swept(text: str, override: Override, declared: Primary, groups: Groups) -> 
         values = [Transformer.str(value) for value in sweep.list]
     elif isinstance(sweep, RangeSweep):
         numbers = list(sweep.range())
-        values = [str(n) if isinstance(n, int) else _typed_number(n) for n in numbers]
+        # Without the digits that adding up steps leaves: 0.7000000000000001.
+        values = [
+            str(n) if isinstance(n, int) else repr(float(f"{n:.{_DIGITS}g}")) for n in numbers
+        ]
     else:
         return _Typed(text, override)
     key = override.key + override.package
@@ -247,11 +250,6 @@ def _swept(text: str, override: Override, declared: Primary, groups: Groups) -> 
 def _each_once(values: Sequence[str]) -> tuple[str, ...]:
     """A value that is typed twice would make the same run twice."""
     return tuple(dict.fromkeys(values))
-
-
-def _typed_number(value: float) -> str:
-    """A number of a range without the digits that adding up steps leaves: 0.7000000000000001."""
-    return repr(float(f"{value:.{_DIGITS}g}"))
 
 
 def _range(text: str, override: Override, sweep: Any) -> Range:

@@ -12,7 +12,6 @@ import math
 import re
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -178,7 +177,9 @@ class TopicSamples:
         self.time.append(time)
         for name, column in columns.items():
             if column.dtype == object:
-                self.texts.setdefault(name, []).extend(_texts(column))
+                self.texts.setdefault(name, []).extend(
+                    v if isinstance(v, str) else "" for v in column
+                )
             else:
                 self.numbers.setdefault(name, Growing()).append(column)
 
@@ -203,10 +204,6 @@ class TopicSamples:
             return np.full(len(time), np.nan)
         index = np.searchsorted(self.time.values, time + 1e-9, side="right") - 1
         return np.where(index >= 0, column.values[np.maximum(index, 0)], np.nan)
-
-
-def _texts(column: Iterable[object]) -> list[str]:
-    return [value if isinstance(value, str) else "" for value in column]
 
 
 _MOST_EVENTS = 20_000  # kept, of a run that does not end to complain

@@ -108,7 +108,7 @@ class Driver:
             if result is not None and result.state not in self._again:
                 self._take(result)
             elif result is None and attempt and is_alive(folder.holder() or _NOBODY) is not False:
-                self._watch(Attempt(point, attempt))
+                self._watched[point.number] = _Watched(Attempt(point, attempt))
             else:
                 self._waiting.append(Attempt(point, attempt + 1))
         self.progress.before = self.progress.ended
@@ -189,7 +189,7 @@ class Driver:
         elif folder.last_attempt() < attempt.number:
             self._waiting.appendleft(attempt)  # it left before it began with this one
         elif told is None and is_alive(folder.holder() or _NOBODY) is not False:
-            self._watch(attempt)
+            self._watched[attempt.point.number] = _Watched(attempt)
         elif told is not None:
             self._try_again(attempt, "it was told to end each time", _MOST_INTERRUPTIONS)
         else:
@@ -214,9 +214,6 @@ class Driver:
         self.progress.take(result)
         self._new.append(result)
         self._tell(self.progress, result)
-
-    def _watch(self, attempt: Attempt) -> None:
-        self._watched[attempt.point.number] = _Watched(attempt)
 
     def _look_at_watched(self) -> None:
         """Runs of workers that this process does not hear of: have they ended, do they live?"""

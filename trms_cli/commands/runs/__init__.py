@@ -72,6 +72,7 @@ _GLANCE = 40
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     given = _given(argv)
+    from trms_cli.reporting.progress import ReadingProgress
     from trms_cli.runs.columns import COLUMNS
     from trms_cli.runs.filter import names_in
     from trms_cli.runs.query import Query, find
@@ -101,7 +102,7 @@ def main(argv: list[str]) -> int:
         limit=limit or None,
         rebuild=given.rebuild,
     )
-    with _progress() as tell:
+    with ReadingProgress() as tell:
         found = find(question, tell)
     _present(found, given, told if usual else None, shown)
     return EXIT_OK
@@ -160,9 +161,3 @@ def _asked(text: str) -> tuple[bool, list[str]]:
     """Whether the columns named are to be added to the usual ones, and their names."""
     names = [name.strip() for name in text.removeprefix("+").split(",")]
     return text.startswith("+"), [name for name in names if name]
-
-
-def _progress() -> Any:
-    from trms_cli.reporting.progress import ReadingProgress
-
-    return ReadingProgress()

@@ -171,7 +171,7 @@ def _print_table(found: QueryResult, names: Sequence[str]) -> None:
         ended = run.get("outcome", "completed") == "completed"
         cells = [_cell(run[name], found.columns[name]) for name in names]
         rows.append([Judged(cell, "" if ended else "doubtful") for cell in cells])
-    heads = [_heading(name, found.columns[name]) for name in names]
+    heads = [wording.titled(_HEADINGS.get(n, n), found.columns[n].unit) for n in names]
     show_table(terminal(), Table(heads, rows), len(rows))
 
 
@@ -179,10 +179,6 @@ def _cell(value: Any, column: IndexColumn) -> Value:
     """Numbers as they are, which stand right; what is not there as text where others are text."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return value if number or (value is None and column.is_number) else _text(value, column)
-
-
-def _heading(name: str, column: IndexColumn) -> str:
-    return wording.titled(_HEADINGS.get(name, name), column.unit)
 
 
 def _text(value: Any, column: IndexColumn, *, whole: bool = False) -> str:

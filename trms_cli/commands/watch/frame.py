@@ -211,7 +211,10 @@ def run_frame(view: View, width: int, height: int, *, plain: bool = False) -> li
     if view.problem:
         body.append(Text(f"damaged  {view.problem}", _ALARM))
     foot = [Text(view.keys, "dim")] if view.keys else []
-    events = [_event_line(event.time, event.source, event.message) for event in moment.events]
+    events = [
+        Text.assemble((f"{event.time:7.2f} s ", "dim"), event.message or event.source)
+        for event in moment.events
+    ]
     left = height - len(head) - len(body) - len(foot)
     room = min(len(events), _MOST_EVENTS, max(1, left // 4))
     charts = max(0, left - room - 1) // max(1, len(moment.axes)) if moment.axes else 0
@@ -408,11 +411,6 @@ def _solver_lines(solver: Solver | None) -> list[Text]:
     if solver.message:
         mode.append(f" · {solver.message}", "dim")
     return [line, mode]
-
-
-def _event_line(time: float, source: str, message: str) -> Text:
-    words = message or source
-    return Text.assemble((f"{time:7.2f} s ", "dim"), words)
 
 
 def between(left: Text, right: Text, width: int) -> Text:

@@ -173,7 +173,8 @@ def attachments(
     parameters = {"model": _as_data(model.parameters)}
     if true_parameters is not None:
         parameters["plant"] = _as_data(true_parameters)
-    text = yaml.dump(parameters, Dumper=_dumper(), sort_keys=False, allow_unicode=True)
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    text = yaml.dump(parameters, Dumper=dumper, sort_keys=False, allow_unicode=True)
     return {
         "config.yaml": ("application/yaml", composition.yaml.encode()),
         "parameters.yaml": ("application/yaml", text.encode()),
@@ -186,7 +187,3 @@ def _field(signal: Signal) -> Field:
 
 def _as_data(parameters: ParameterSet) -> dict[str, dict[str, Any]]:
     return {p.name: {"value": p.value, "unit": p.unit} for p in parameters}
-
-
-def _dumper() -> Any:
-    return getattr(yaml, "CSafeDumper", yaml.SafeDumper)

@@ -19,7 +19,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from trms_cli.composition.composer import Composition, Outcome, Task, composer_of
+from trms_cli.composition.composer import Outcome, Task, composer_of
 from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.core.invocation import called_as
@@ -108,7 +108,9 @@ class MakeRun:
         for package in self.allowed:
             allow_for_now(package)
         try:
-            with _here(self.directory), _watched(run, attempt.number, Path(self.folder)):
+            if self.directory and os.getcwd() != self.directory:
+                os.chdir(self.directory)  # relative paths are meant from there
+            with _watched(run, attempt.number, Path(self.folder)):
                 folders = tuple(map(Path, self.config_dirs))
                 composition = composer_of(self.primary, folders).compose(
                     point.overrides, point.number
@@ -121,7 +123,7 @@ class MakeRun:
                     known_revision(self.git),
                     called_as(shlex.join(["trms", self.primary, *point.overrides])),
                 ):
-                    outcome = self._outcome(composition)
+                    outcome = self.task(composition)
         except KeyboardInterrupt:
             return told | {"state": "interrupted"}
         except Exception as error:
@@ -131,6 +133,7 @@ class MakeRun:
                     "error": {"problem": f"{DISK_FULL}: {error}", "where": "", "remedy": ""},
                 }
             return told | {"state": "failed", "error": _described(error)} | _notes(errors)
+        outcome = outcome if isinstance(outcome, Outcome) else Outcome(outcome)
         state: State = "done" if outcome.exit_code == EXIT_OK else "failed"
         told |= {"state": state, "exit_code": outcome.exit_code, "objective": outcome.objective}
         told["figures"] = _figures(run.path)
@@ -139,10 +142,6 @@ class MakeRun:
         last = lines[-1] if lines else ""
         told["told"] = last if len(last) <= room else f"{last[: room - 1]}…"
         return told | _notes(errors)
-
-    def _outcome(self, composition: Composition) -> Outcome:
-        outcome = self.task(composition)
-        return outcome if isinstance(outcome, Outcome) else Outcome(outcome)
 
 
 @contextlib.contextmanager
@@ -156,14 +155,6 @@ def _collected_after() -> Iterator[None]:
         gc.collect(1)
         if was:
             gc.enable()
-
-
-@contextlib.contextmanager
-def _here(directory: str) -> Iterator[None]:
-    """In the folder that relative paths are meant from."""
-    if directory and os.getcwd() != directory:
-        os.chdir(directory)
-    yield
 
 
 @contextlib.contextmanager

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -357,9 +358,4 @@ def _unused(choice: Choice, fixed: Sequence[str], count: int) -> list[str]:
     """Seeds that are neither among the values of a choice nor fixed, nor the default."""
     typed = [text.partition("=") for text in fixed]
     used = {*choice.values, "0", *(value for key, _, value in typed if key == choice.key)}
-    return list(_first(count, (str(n) for n in range(1, 10**9) if str(n) not in used)))
-
-
-def _first(count: int, values: Iterator[str]) -> Iterator[str]:
-    for _ in range(count):
-        yield next(values)
+    return list(islice((str(n) for n in range(1, 10**9) if str(n) not in used), count))
