@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from trms_cli.commands.execution import study
 from trms_cli.commands.resume import Resumption
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
@@ -51,7 +52,6 @@ def main(argv: Sequence[str]) -> int:
 
 def perform(composition: Composition, folder: Path | None = None) -> Outcome:
     """Diagnose what a configuration asks for; in the folder of an earlier one, go on with that."""
-    from trms_cli.commands.study import study
     from trms_cli.library.tasks.diagnose import perform as task
 
     return study("diagnose", composition, task, folder=folder)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trms_cli.commands.execution import execute
+from trms_cli.commands.execution import execute, study
 from trms_cli.composition.composer import Composition, Outcome
 
 SUMMARY = "design an excitation: band and amplitude from the model"
@@ -50,7 +50,6 @@ def main(argv: Sequence[str]) -> int:
 
 def perform(composition: Composition) -> Outcome:
     """Design one composed excitation; write, print and draw it."""
-    from trms_cli.commands.study import study
     from trms_cli.library.tasks.excite import perform as task
 
     return study("excite", composition, task)

@@ -1,13 +1,17 @@
-"""Does what a composing command is asked: show the configuration, run a task on it, or sweep."""
+"""What the commands that compose share: show the configuration, do it, show it, or sweep."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
-from trms_cli.composition.composer import Outcome, Task, compose_request
+from trms_cli.composition.composer import Composition, Outcome, Task, compose_request
 from trms_cli.composition.overrides import read_request
-from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Terminated
+
+if TYPE_CHECKING:
+    from trms_cli.library.tasks.task import Done
 
 
 def execute(argv: Sequence[str], primary: str, task: Task) -> int:
@@ -35,3 +39,24 @@ def execute(argv: Sequence[str], primary: str, task: Task) -> int:
         return EXIT_OK
     outcome = task(composition)
     return outcome.exit_code if isinstance(outcome, Outcome) else outcome
+
+
+def study(command: str, composition: Composition, task: Callable[..., Done], **how: Any) -> Outcome:
+    """Let `task` do what a configuration asks for, and show it; in a sweep a few lines a job."""
+    from trms_cli.library.tasks.task import Interrupted, Screen, as_job
+
+    if composition.job is not None:
+        return as_job(composition, task, **how)
+    screen = Screen(command)
+    try:
+        done = task(composition, screen, **how)
+    except Interrupted as stopped:
+        if stopped.words:
+            sys.stderr.write(stopped.words)
+            return Outcome(stopped.exit_code, folder=stopped.folder)
+        sys.stderr.write(f"stopped; finished stages are kept: {stopped.how}\n")
+        if stopped.exit_code == EXIT_TERMINATED:
+            raise Terminated from None
+        raise KeyboardInterrupt from None
+    screen.done(done)
+    return Outcome(done.exit_code, done.objective, done.folder)

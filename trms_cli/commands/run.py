@@ -9,8 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from trms_cli.commands.execution import execute
-from trms_cli.commands.study import study
+from trms_cli.commands.execution import execute, study
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library.tasks.task import termination

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trms_cli.commands.execution import execute
+from trms_cli.commands.execution import execute, study
 from trms_cli.composition.composer import Composition, Outcome
 
 SUMMARY = "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins"
@@ -51,7 +51,6 @@ def main(argv: Sequence[str]) -> int:
 
 def perform(composition: Composition) -> Outcome:
     """Answer the question of a configuration."""
-    from trms_cli.commands.study import study
     from trms_cli.library.tasks.stability import perform as task
 
     return study("stability", composition, task)

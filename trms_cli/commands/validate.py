@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from trms_cli.commands.execution import execute
+from trms_cli.commands.execution import execute, study
 from trms_cli.composition.composer import Composition, Outcome, compose
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.library.tasks.validated_models import model_list, named_sets, one_of
@@ -71,7 +71,6 @@ def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Ou
 
     `given`: what each model was called on the command line; empty for one from a configuration.
     """
-    from trms_cli.commands.study import study
     from trms_cli.library.tasks.validate import perform as task
 
     def together(_: Composition, listener: Listener) -> Done:

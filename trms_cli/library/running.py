@@ -43,11 +43,6 @@ class Run(Result):
 
     ``run["/estimate"]`` is a pandas frame of one topic: a row a sample, the time in s as index,
     units in ``.attrs["units"]``. ``run.topics`` tells which there are.
-
-    Attributes
-    ----------
-    folder : Path
-        What was written: the log, the score as JSON, a picture.
     """
 
     log: Path  #: The MCAP log; all that follows comes from it

@@ -152,7 +152,8 @@ def validate(
         return task(compositions, listener, names)
 
     words = words_of("validate", whole)
-    return _result(Validation, done_by("validate", words, together, {}, verbose=verbose))
+    result = done_by("validate", words, together, {}, verbose=verbose)
+    return Validation(result.folder, text=result.text)
 
 
 def stability(
@@ -331,8 +332,5 @@ def excite(
 def _performed(
     kind: type[_R], command: str, asked: Arguments, task: Callable[..., Done], verbose: bool
 ) -> _R:
-    return _result(kind, done(command, asked, task, verbose=verbose))
-
-
-def _result(kind: type[_R], result: Done) -> _R:
+    result = done(command, asked, task, verbose=verbose)
     return kind(result.folder, text=result.text)
