@@ -99,7 +99,7 @@ def _with_controller(argv: Sequence[str]) -> list[str]:
 
 
 def _check(config: Mapping[str, Any]) -> None:
-    from trms_cli.composition.plain_values import check_files
+    from trms_cli.composition.plain_values import check_files, truth
     from trms_cli.library.tasks.replay import is_replay
 
     check_files({**config, "picture": False})
@@ -112,10 +112,7 @@ def _check(config: Mapping[str, Any]) -> None:
                 where="out",
                 remedy="name a new folder, or remove that one",
             )
-    if not isinstance(config["measure"], bool):
-        raise ConfigurationError(
-            f"{config['measure']!r} given", where="measure", remedy="true or false"
-        )
+    truth(config["measure"], "measure")
     name = config["name"]
     usable = isinstance(name, str) and _USABLE.fullmatch(name)
     if name is not None and (not usable or name in _TAKEN):

@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import Any
 
 from trms_cli.composition.composer import Composition
-from trms_cli.composition.plain_values import check_out, model_of_choice, number
+from trms_cli.composition.plain_values import check_out, model_of_choice, number, truth
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Findings, as_data
 from trms_cli.core.invocation import command_line
@@ -66,8 +66,7 @@ def request_of(composition: Composition) -> StabilityRequest:
     """Build everything that was asked for; raises TrmsError for the first key that is wrong."""
     config = composition.config
     check_out(config["out"])
-    if not isinstance(config["page"], bool):
-        raise ConfigurationError(f"{config['page']!r} given", where="page", remedy="true or false")
+    page = truth(config["page"], "page")
     study = build(config["study"], "study")
     if not isinstance(study, Study):
         raise ConfigurationError(
@@ -76,9 +75,7 @@ def request_of(composition: Composition) -> StabilityRequest:
             remedy="choose one that `trms list study` shows",
         )
     name = model_of_choice(composition)
-    return StabilityRequest(
-        study, Subject(model_of(config), name, _loop_of(composition)), page=config["page"]
-    )
+    return StabilityRequest(study, Subject(model_of(config), name, _loop_of(composition)), page)
 
 
 def _loop_of(composition: Composition) -> LoopParts | None:
