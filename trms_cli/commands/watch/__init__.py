@@ -159,9 +159,9 @@ def _begin(run: RunFollower, log: Path, begin: float | None) -> None:
 
 def _watch_sweep(sweep: SweepFollower, given: Any) -> int:
     from trms_cli.commands.watch.screen import show, show_once
-    from trms_cli.commands.watch.sweep import WatchedSweep
+    from trms_cli.commands.watch.sweep import SweepPlayer
 
-    shown = WatchedSweep(sweep, plain=_plain(given))
+    shown = SweepPlayer(sweep, plain=_plain(given))
     if given.once:
         show_once(shown)
         return EXIT_OK

@@ -163,7 +163,7 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
-class WatchedSweep:
+class SweepPlayer:
     """A sweep on the screen; see :class:`trms_cli.commands.watch.screen.WatchScreen`."""
 
     _LOOK = 0.5  # s between two looks at its folder
