@@ -14,8 +14,7 @@ from matplotlib.text import Text
 from trms_cli.cli import main
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.recordings.log_reader import read_log
-from trms_cli.reporting.plot import KINDS, absences, plot, size_of
-from trms_cli.reporting.plot_logs import names_of
+from trms_cli.reporting.plot import KINDS, absences, names_of, plot, size_of
 from trms_cli.reporting.style import house_style, thinned_to_extremes
 
 ALL = [kind for kind in KINDS if kind != "comparison"]

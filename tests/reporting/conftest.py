@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from trms_cli.reporting.reported import ReportedRun, RunEvent
+from trms_cli.reporting.signals import ReportedRun
+from trms_cli.scoring.tables import Series
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _QUIET = (
@@ -95,6 +96,34 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Opened]]:
         context.close()
 
 
+def logged(
+    columns: Mapping[str, Mapping[str, Any]],
+    times: Mapping[str, Any],
+    units: Mapping[str, Mapping[str, str]] | None = None,
+) -> dict[str, Series]:
+    """Columns by topic as a log has them."""
+    return {topic: Series(times[topic], of, (units or {}).get(topic, {}))
+            for topic, of in columns.items()}  # fmt: skip
+
+
+def with_columns(run: ReportedRun, topic: str, columns: Mapping[str, Any]) -> ReportedRun:
+    """A run with other signals of a topic."""
+    table = run.tables[topic]
+    other = Series(table.time, columns, table.units)
+    return replace(run, tables={**run.tables, topic: other})
+
+
+def events(*rows: tuple[float, str, str, str, float]) -> dict[str, Any]:
+    """Columns of events: time, kind, source, message and value of each."""
+    names = ("time", "kind", "source", "message", "value")
+    return {
+        name: np.array(
+            [row[i] for row in rows], dtype=float if name in ("time", "value") else object
+        )
+        for i, name in enumerate(names)
+    }
+
+
 def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.0) -> ReportedRun:
     """A run of both axes with everything that a log can hold."""
     time = np.arange(0.0, seconds, 0.05)
@@ -143,16 +172,15 @@ def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.
         for topic, c in columns.items()
     }
     units["/estimate"]["yaw_moment"] = "N*m"
+    columns["/event"] = events(
+        (5.0, "fault_injected", "plant", "yaw is frozen", np.nan),
+        (6.0, "saturation_begin", "u_v", "reached its limit", 2.5),
+        (6.5, "saturation_end", "u_v", "left its limit", 2.0),
+    )
+    times["/event"] = columns["/event"].pop("time")
     return ReportedRun(
         name=name,
-        times=times,
-        columns=columns,
-        units=units,
-        events=[
-            RunEvent(5.0, "fault_injected", "plant", "yaw is frozen"),
-            RunEvent(6.0, "saturation_begin", "u_v", "reached its limit", 2.5),
-            RunEvent(6.5, "saturation_end", "u_v", "left its limit", 2.0),
-        ],
+        tables=logged(columns, times, units),
         score={
             "channels": dict.fromkeys(angles, channel),
             "inputs": {"u_v": {"effort": 3.0, "unit": "V"}},

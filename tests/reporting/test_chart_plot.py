@@ -45,7 +45,7 @@ def test_curves_have_their_points_and_one_name_each_in_the_legend():
     assert unpacked(first["y"]).tolist() == [2.0, 3.0]
     assert first["line"]["color"] == "@vermilion" and first["line"]["dash"] == "dash"
     assert first["line"]["shape"] == "hv"
-    assert (first["showlegend"], second["showlegend"]) == (True, False)
+    assert "showlegend" not in first and second["showlegend"] is False
     assert plot.group == "time" and plot.caption == "Seen so."
     assert plot.layout["xaxis"]["title"]["text"] == "t [s]"
 

@@ -10,24 +10,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trms_cli.reporting.interactive import (
-    Fans,
-    Plot,
-    Variant,
-    band,
-    curve_style,
-    framed,
-    line,
+from trms_cli.core.chart import Axis, Band, Curve, Fans, Panel, page_look
+from trms_cli.reporting.chart_plot import (
     packed,
     packed_time,
     plot_text,
+    plots,
     script_json,
     thinned,
 )
+from trms_cli.reporting.run_panels import framed
 
 
 def unpacked(array):
     return np.frombuffer(base64.b64decode(array["bdata"]), dtype="<" + array["dtype"])
+
+
+def drawn(mark):
+    """The trace of a mark that is alone in its panel."""
+    ((trace,),) = [plot.traces for plot in plots([Panel(Axis("t", "s"), Axis("y"), [mark])])]
+    return trace
 
 
 @given(
@@ -113,7 +115,7 @@ def test_a_band_ends_at_gaps_and_covers_all_between_its_edges():
     time = np.arange(2000.0)
     low, high = -np.ones(2000), np.sin(time / 50) + 2
     high[900:1000] = np.nan
-    trace = band(time, low, high, "b", "@blue")
+    trace = drawn(Band(time, low, high, "b"))
     x, y = unpacked(trace["x"]), unpacked(trace["y"])
     assert len(x) == len(y)
     cuts = np.flatnonzero(np.isnan(x))
@@ -125,27 +127,32 @@ def test_a_band_ends_at_gaps_and_covers_all_between_its_edges():
 
 
 def test_a_band_of_nothing_is_empty():
-    trace = band([0, 1], [np.nan, np.nan], [1, 1], "b", "@blue")
+    trace = drawn(Band([0, 1], [np.nan, np.nan], [1, 1], "b"))
     assert not len(unpacked(trace["x"])) and not len(unpacked(trace["y"]))
 
 
 def test_the_range_is_of_what_happened():
     assert framed([]) is None and framed([np.array([np.nan])]) is None
-    assert framed([np.array([0.0, 1.0]), np.array([np.nan, -1.0])]) == [-1.16, 1.16]
+    assert framed([np.array([0.0, 1.0]), np.array([np.nan, -1.0])]) == pytest.approx((-1.16, 1.16))
     low, high = framed([np.array([3.0])])
     assert low < 3.0 < high
 
 
 def test_two_dozen_curves_are_told_apart():
-    assert len({curve_style(number) for number in range(24)}) == 24
+    assert len({tuple(page_look(number).values()) for number in range(24)}) == 24
 
 
 def test_a_plot_as_the_script_gets_it():
-    plot = Plot("t", [line([0, 1], [1, 2], "<x>", "@blue", steps=True)], group="time")
-    plot.variants = [Variant("other", [{"y": packed([3, 4])}], {"yaxis": "V"})]
-    plot.fans = Fans(times=[0.0], starts=[0, 2], pairs=[(0, 0)])
+    time = Axis("time", "s", linked="time")
+    fans = Fans([0.0, 1.0], [0, 1, np.nan, 1, 2, np.nan], [1, 2, np.nan, 2, 3, np.nan])
+    other = Panel(time, Axis("u", "V"), [Curve([0, 1], [3, 4], "<x>", held=True), fans])
+    panel = Panel(time, Axis("alpha"), [Curve([0, 1], [1, 2], "<x>", held=True), fans],
+                  variants={"other": other})  # fmt: skip
+    (plot,) = plots([panel])
     told = json.loads(script_json(plot.document()))
     assert told["group"] == "time" and told["traces"][0]["name"] == "&lt;x&gt;"
     assert told["traces"][0]["line"]["shape"] == "hv"
-    assert told["variants"][0]["titles"] == {"yaxis": "V"}
-    assert told["fans"] == {"times": [0.0], "starts": [0, 2], "pairs": [[0, 0]]}
+    (variant,) = told["variants"]
+    assert variant["titles"] == {"yaxis": "u [V]"}
+    assert [list(changed) for changed in variant["traces"]] == [["y"], [], []]
+    assert told["fans"] == {"times": [0.0, 1.0], "starts": [0, 3, 6], "pairs": [[1, 2]]}

@@ -7,15 +7,17 @@ import gzip
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from trms_cli.reporting.interactive import Plot
+from tests.reporting.conftest import events
+from trms_cli.reporting.chart_plot import Plot
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.report_comparison import comparison_page
 from trms_cli.reporting.report_run import run_page
 from trms_cli.reporting.report_sweep import sweep_page
-from trms_cli.reporting.reported import RunEvent
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
+from trms_cli.scoring.tables import Series
 
 #: What a stranger may have written anywhere.
 ATTACKS = (
@@ -59,7 +61,7 @@ def test_a_run_draws_and_its_axes_are_linked(opened, run):
     curves = "p => p.querySelector('.cartesianlayer path') !== null"
     assert page(f"[...document.querySelectorAll('div.plot')].every({curves})")
     before = page(RANGES)
-    assert len(before) >= 8 and all(r == [0, 19.95] for r in before)
+    assert len(before) >= 8 and all(r == [0, 20.0] for r in before)
 
     # a drag over a part of the first plot enlarges that part in all
     box = page.tab.locator("div.plot .nsewdrag").first.bounding_box()
@@ -70,10 +72,10 @@ def test_a_run_draws_and_its_axes_are_linked(opened, run):
     page.tab.wait_for_function(f"({RANGES})().every(r => r[1] - r[0] < 6)")
     after = page(RANGES)
     assert all(r == after[0] for r in after)
-    assert after[0] == pytest.approx([0.25 * 19.95, 0.5 * 19.95], abs=0.3)
+    assert after[0] == pytest.approx([0.25 * 20.0, 0.5 * 20.0], abs=0.3)
 
     page.tab.get_by_role("button", name="the whole time").first.click()
-    page.tab.wait_for_function(f"({RANGES})().every(r => r[0] === 0 && r[1] === 19.95)")
+    page.tab.wait_for_function(f"({RANGES})().every(r => r[0] === 0 && r[1] === 20.0)")
 
     # the slider chooses a prediction
     slider = page.tab.get_by_role("slider")
@@ -133,10 +135,10 @@ def test_a_sweep_sorts_filters_and_changes_its_figure(opened, sweep):
     assert page(title) == "rmse [rad]"
     page.tab.locator("select").first.select_option(label="effort [V² s]")
     page.tab.wait_for_function(f"({title})() === 'effort [V² s]'")
-    drawn = page("() => document.querySelectorAll('div.plot')[1]._fullData[0].x[0]")
-    assert drawn == 60.0
+    drawn = page("() => document.querySelectorAll('div.plot')[1]._fullData[0].median[0]")
+    assert drawn == 31.0
     kinds = page("[...document.querySelectorAll('div.plot')].flatMap(p => p.data.map(t => t.type))")
-    assert {"box", "histogram", "scatter", "heatmap"} <= set(kinds)
+    assert {"box", "scatter", "heatmap"} <= set(kinds)
     assert page.messages == []
 
 
@@ -163,9 +165,8 @@ def test_a_telephone_needs_no_sideways_scroll(opened, make_run, sweep, what):
 
 def test_prints_on_paper_in_light_colours_also_from_a_dark_room(opened, run):
     few = ("/reference", "/plant/state", "/command")
-    page = opened(
-        run_page(replace(run, columns={t: run.columns[t] for t in few})).html(), color_scheme="dark"
-    )
+    little = replace(run, tables={topic: run.tables[topic] for topic in few})
+    page = opened(run_page(little).html(), color_scheme="dark")
     ink = "() => document.querySelector('div.plot').layout.font.color"
     assert page(ink) == "#e6e6e6"
     page(
@@ -221,10 +222,21 @@ def test_plots_of_two_dimensions_need_no_more_than_the_policy_allows(opened, kin
 
 
 def test_hostile_text_runs_nothing(opened, run, sweep):
+    command = run.tables["/command"]
+    tables = {topic: run.tables[topic] for topic in ("/prediction",)} | {
+        topic: Series(
+            table.time,
+            {**table.columns, HOSTILE: np.resize(command.columns["u_v"], len(table.time))},
+            {**table.units, HOSTILE: HOSTILE},
+        )
+        for topic, table in run.tables.items()
+        if topic not in ("/prediction", "/event")
+    }
+    happened = events((1.0, HOSTILE, HOSTILE, HOSTILE, np.nan), (2.0, "fault", *2 * [HOSTILE], 1.0))
     hostile = replace(
         run,
         name=HOSTILE,
-        events=[RunEvent(1.0, HOSTILE, HOSTILE, HOSTILE), RunEvent(2.0, "fault", HOSTILE, HOSTILE)],
+        tables=tables | {"/event": Series(happened.pop("time"), happened), HOSTILE: command},
         problems=[HOSTILE],
         outcome=HOSTILE,
         choices={"controller": HOSTILE, "ref": HOSTILE, HOSTILE: HOSTILE},
@@ -232,12 +244,6 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
         command=HOSTILE,
         repeat=HOSTILE,
         config=HOSTILE,
-        times={**run.times, HOSTILE: run.times["/command"]},
-        columns={
-            topic: {**of, HOSTILE: run.columns["/command"]["u_v"]} if topic != "/prediction" else of
-            for topic, of in run.columns.items()
-        },
-        units={topic: {**of, HOSTILE: HOSTILE} for topic, of in run.units.items()},
         score={
             **run.score,
             "channels": {HOSTILE: {"rmse": 1.0, "unit": HOSTILE}},
@@ -293,7 +299,7 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
 
 def test_the_policy_stops_what_escaping_would_have_let_through(opened, run):
     """The second wall, should the first have a hole: markup in a page runs and fetches nothing."""
-    bare = replace(run, columns={"/plant/state": run.columns["/plant/state"]})
+    bare = replace(run, tables={"/plant/state": run.tables["/plant/state"]})
     html = (
         run_page(bare)
         .html()

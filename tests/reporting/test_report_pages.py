@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trms_cli.reporting.interactive import MOST_POINTS
+from tests.reporting.conftest import logged, with_columns
+from trms_cli.reporting.chart_plot import MOST_POINTS
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import Linked, RowColumn, relative_link, rows_html
 from trms_cli.reporting.page_scripts import policy
 from trms_cli.reporting.report_comparison import RankedCandidate, comparison_page
 from trms_cli.reporting.report_run import run_page
 from trms_cli.reporting.report_sweep import sweep_page
-from trms_cli.reporting.reported import ReportedRun
 from trms_cli.reporting.reported_sweep import (
     Correlation,
     Draws,
@@ -35,6 +35,7 @@ from trms_cli.reporting.reported_sweep import (
     SweepRun,
     undominated,
 )
+from trms_cli.reporting.signals import ReportedRun
 
 
 def plots_of(page):
@@ -141,8 +142,9 @@ class TestRun:
     def test_s_is_told_from_the_rate_of_its_axis(self, run):
         said = "S is the rate less what the other rotor"
         assert said not in run_page(run).html()
-        state = {**run.columns["/plant/state"], "S_h": np.zeros(len(run.times["/plant/state"]))}
-        assert said in run_page(replace(run, columns={**run.columns, "/plant/state": state})).html()
+        state = run.tables["/plant/state"]
+        more = {**state.columns, "S_h": np.zeros(len(state.time))}
+        assert said in run_page(with_columns(run, "/plant/state", more)).html()
 
     def test_lead_tells_tracking_misses_and_faults(self, run):
         lead = run_page(run).lead[0]
@@ -152,22 +154,22 @@ class TestRun:
     def test_all_plots_of_the_time_share_group_and_range(self, run):
         timed = [spec for spec in plots_of(run_page(run)).values() if spec["group"] == "time"]
         assert len(timed) >= 8
-        assert {tuple(spec["layout"]["xaxis"]["range"]) for spec in timed} == {(0.0, 19.95)}
+        assert {tuple(spec["layout"]["xaxis"]["range"]) for spec in timed} == {(0.0, 20.0)}
 
     def test_curves_are_the_samples(self, run):
         traces = plots_of(run_page(run))["yaw"]["traces"]
         by_name = {trace["name"]: trace for trace in traces}
         assert set(by_name) >= {"rig", "measured", "reference", "estimate ± 2 sd"}
         np.testing.assert_allclose(
-            unpacked(by_name["rig"]["y"]), run.columns["/plant/state"]["alpha_h"], rtol=1e-6
+            unpacked(by_name["rig"]["y"]), run.tables["/plant/state"].columns["alpha_h"], rtol=1e-6
         )
         np.testing.assert_allclose(
-            unpacked(by_name["rig"]["x"]), run.times["/plant/state"], rtol=1e-6
+            unpacked(by_name["rig"]["x"]), run.tables["/plant/state"].time, rtol=1e-6
         )
 
     def test_events_limits_and_saturation_are_drawn(self, run):
         plots = plots_of(run_page(run))
-        marks = next(t for t in plots["pitch"]["traces"] if t["name"] == "events")
+        marks = next(t for t in plots["pitch"]["traces"] if t["name"] == "event")
         assert unpacked(marks["x"]).tolist() == [5.0] and "yaw is frozen" in marks["text"][0]
         shapes = plots["commands"]["layout"]["shapes"]
         assert any(s["type"] == "rect" and (s["x0"], s["x1"]) == (6.0, 6.5) for s in shapes)
@@ -184,8 +186,9 @@ class TestRun:
         spec = plots_of(run_page(run))["predictions of yaw"]
         (every, chosen), starts = spec["fans"]["pairs"][0], spec["fans"]["starts"]
         x = unpacked(spec["traces"][every]["x"])
-        assert len(starts) == len(spec["fans"]["times"]) + 1 == len(run.times["/prediction"]) + 1
-        np.testing.assert_allclose([x[s] for s in starts[:-1]], run.times["/prediction"], rtol=1e-6)
+        made = run.tables["/prediction"].time
+        assert len(starts) == len(spec["fans"]["times"]) + 1 == len(made) + 1
+        np.testing.assert_allclose([x[s] for s in starts[:-1]], made, rtol=1e-6)
         assert not len(unpacked(spec["traces"][chosen]["x"]))
 
     def test_is_small_for_eighty_seconds_at_a_hundred_hertz(self, make_run):
@@ -205,8 +208,7 @@ class TestRun:
         page = run_page(
             ReportedRun(
                 name="rig",
-                times={topic: run.times[topic] for topic in kept},
-                columns={topic: run.columns[topic] for topic in kept},
+                tables={topic: run.tables[topic] for topic in kept},
                 duration=20.0,
             )
         )
@@ -216,29 +218,30 @@ class TestRun:
 
     def test_of_no_samples_it_says_so(self):
         page = run_page(
-            ReportedRun(
-                name="dead", times={}, columns={}, outcome="died", problems=("it holds no sample",)
-            )
+            ReportedRun(name="dead", tables={}, outcome="died", problems=("it holds no sample",))
         )
         assert "no sample of any signal" in page.html() and "it holds no sample" in page.lead[1]
 
     def test_gaps_and_damage_are_drawn_as_far_as_they_go(self, run):
-        columns = {topic: dict(of) for topic, of in run.columns.items()}
-        columns["/measurement"]["alpha_v"] = np.full(len(run.times["/measurement"]), np.nan)
-        columns["/estimate"] = {"alpha_v": np.full(len(run.times["/estimate"]), np.inf)}
-        columns["/controller"] = {"solve_time_s": np.full(len(run.times["/controller"]), np.nan)}
-        columns["/prediction"] = {"time": columns["/prediction"]["time"]}
-        hurt = replace(run, columns=columns, outcome="interrupted", score={})
+        measured = dict(run.tables["/measurement"].columns)
+        for topic, columns in (
+            ("/measurement", measured | {"alpha_v": np.full(len(measured["alpha_v"]), np.nan)}),
+            ("/estimate", {"alpha_v": np.full(len(run.tables["/estimate"].time), np.inf)}),
+            ("/controller", {"solve_time_s": np.full(len(run.tables["/controller"].time), np.nan)}),
+            ("/prediction", {"time": run.tables["/prediction"].columns["time"]}),
+        ):
+            run = with_columns(run, topic, columns)
+        hurt = replace(run, outcome="interrupted", score={})
         page = run_page(hurt)
         assert "pitch" in plots_of(page) and "was interrupted" in page.lead[1]
 
     def test_one_channel_of_other_names(self, run):
-        time = run.times["/measurement"]
+        time = run.tables["/measurement"].time
         one = {
             "/measurement": {"level": np.sin(time)},
             "/reference": {"level": np.zeros(len(time))},
         }
-        page = run_page(ReportedRun(name="tank", times=dict.fromkeys(one, time), columns=one))
+        page = run_page(ReportedRun(name="tank", tables=logged(one, dict.fromkeys(one, time))))
         assert {"level", "level against its rate"} == set(plots_of(page))
 
 
@@ -248,7 +251,7 @@ class TestComparison:
     def test_runs_lie_over_one_another_and_the_best_is_marked(self, make_run):
         page = comparison_page([make_run("one"), make_run("other", shift=0.2)])
         names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
-        assert names == ["one", "other", "reference"]
+        assert names == ["reference", "one", "other"]
         assert "**one** tracks best" in page.lead[0]
         row = re.search(r"pitch: RMSE \[rad\]</th>(.*?)</tr>", page.html())
         assert re.findall(r'class="(.*?)">', row[1]) == ["best number", " number"]
@@ -258,19 +261,20 @@ class TestComparison:
     def test_error_is_reference_minus_actual(self, make_run):
         run = make_run()
         trace = plots_of(comparison_page([run, run]))["tracking error of yaw"]["traces"][0]
-        expected = run.columns["/reference"]["alpha_h"] - run.columns["/plant/state"]["alpha_h"]
-        np.testing.assert_allclose(unpacked(trace["y"]), expected, atol=1e-7)
+        wanted, actual = (
+            run.tables[topic].columns["alpha_h"] for topic in ("/reference", "/plant/state")
+        )
+        np.testing.assert_allclose(unpacked(trace["y"]), wanted - actual, atol=1e-7)
 
     def test_different_references_are_drawn_each(self, make_run):
         other = make_run("other")
-        columns = {t: dict(of) for t, of in other.columns.items()}
-        columns["/reference"] = {n: v + 0.1 for n, v in columns["/reference"].items()}
-        page = comparison_page([make_run("one"), replace(other, columns=columns)])
+        higher = {n: v + 0.1 for n, v in other.tables["/reference"].columns.items()}
+        page = comparison_page([make_run("one"), with_columns(other, "/reference", higher)])
         names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
-        assert names == ["one", "other", "reference of one", "reference of other"]
+        assert names == ["reference of one", "reference of other", "one", "other"]
 
     def test_runs_without_anything_in_common(self, make_run):
-        empty = ReportedRun(name="dead", times={}, columns={}, outcome="died")
+        empty = ReportedRun(name="dead", tables={}, outcome="died")
         page = comparison_page([make_run("one"), empty], left_out=[("x.mcap", "damaged")])
         assert "**Incomplete**: dead" in page.lead[1] and "x.mcap" in page.html()
 
@@ -310,11 +314,9 @@ class TestSweep:
 
     def test_equal_draws_of_two_entrants_are_both_seen(self, drawn):
         [(_, spec)] = [(k, v) for k, v in plots_of(sweep_page(drawn)).items() if "over " in k]
-        marker = spec["traces"][0]["marker"]
-        assert set(zip(marker["symbol"], marker["size"], strict=True)) == {
-            ("circle", 8),
-            ("circle-open", 14),
-        }
+        dot, ring = (trace["marker"] for trace in spec["traces"])
+        assert (dot["symbol"], ring["symbol"]) == ("circle", "circle-open")
+        assert ring["size"] > 1.5 * dot["size"] and ring["coloraxis"] == dot["coloraxis"]
 
     def test_a_sweep_that_stopped_says_what_was_asked(self, sweep):
         lead = sweep_page(replace(sweep, asked=50)).lead
@@ -375,7 +377,10 @@ class TestSweep:
         )
         (trace,) = plots_of(page)["over a and b"]["traces"]
         assert trace["type"] == "heatmap" and trace["x"] == ["0", "1", "2"]
-        np.testing.assert_allclose(trace["z"], np.add.outer(np.arange(4), np.arange(3)) + 0.25)
+        assert trace["y"] == ["30", "20", "10", "0"]
+        np.testing.assert_allclose(
+            trace["z"], np.add.outer(np.arange(4)[::-1], np.arange(3)) + 0.25
+        )
 
     def test_the_front_is_drawn_as_the_sweep_names_it_or_worked_out(self, sweep):
         objectives = (Objective("rmse"), Objective("effort"))

@@ -9,27 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.reporting import painter as painter_module
-from trms_cli.reporting.painter import Painter, Snapshot
-from trms_cli.reporting.run_picture import draw_run
+from tests.reporting.conftest import events, logged
+from trms_cli.reporting import run_picture
+from trms_cli.reporting.run_picture import Painter, draw_run
 from trms_cli.scoring.score import Series, score_tables
 
 TIME = np.arange(500) * 0.02
 LIMITS = {"u_v": (-2.5, 2.5), "alpha_v": (-1.05, 1.05)}
 
 
-class Told:
-    """A history that is made up."""
-
-    def __init__(self, columns: dict[str, dict[str, Any]], events: list[Any] | None = None) -> None:
-        self._columns = columns
-        self.events = events or []
-
-    def times(self, topic: str) -> np.ndarray:
-        return TIME if topic in self._columns else np.zeros(0)
-
-    def columns(self, topic: str) -> dict[str, Any]:
-        return self._columns.get(topic, {})
+def told(columns: dict[str, dict[str, Any]], *happened: Any) -> dict[str, Series]:
+    """Signals that are made up, with their events."""
+    times = dict.fromkeys(columns, TIME)
+    if happened:
+        columns = {**columns, "/event": events(*happened)}
+        times["/event"] = columns["/event"].pop("time")
+    return logged(columns, times)
 
 
 def wave(lag: float = 0.0) -> np.ndarray:
@@ -56,9 +51,9 @@ def everything() -> dict[str, dict[str, Any]]:
     }
 
 
-def score(history: Told) -> dict[str, Any]:
-    tables = {t: Series(TIME, history.columns(t)) for t in everything() if history.columns(t)}
-    return score_tables(tables, limits=LIMITS, duration_s=10.0)
+def score(tables: dict[str, Series]) -> dict[str, Any]:
+    signals = {topic: table for topic, table in tables.items() if topic != "/event"}
+    return score_tables(signals, limits=LIMITS, duration_s=10.0)
 
 
 def size(picture: Path) -> tuple[int, int]:
@@ -86,7 +81,7 @@ def only(*topics: str) -> dict[str, dict[str, Any]]:
     ids=["all", "no observer", "recording", "no outputs", "one axis", "no numbers", "no time"],
 )
 def test_every_kind_of_run_is_drawn(tmp_path, columns):
-    history = Told(columns)
+    history = told(columns)
     path = tmp_path / "run.png"
     draw_run(history, score(history), path, title="x", limits=LIMITS)
     width, height = size(path)
@@ -97,7 +92,7 @@ def test_every_kind_of_run_is_drawn(tmp_path, columns):
 def test_more_axes_are_a_taller_picture(tmp_path):
     heights = []
     for reference in ({"alpha_v": wave()}, {"alpha_v": wave(), "alpha_h": wave()}):
-        history = Told({**everything(), "/reference": reference})
+        history = told({**everything(), "/reference": reference})
         draw_run(history, score(history), tmp_path / "run.png")
         heights.append(size(tmp_path / "run.png")[1])
     assert heights[1] > heights[0] + 150
@@ -106,7 +101,7 @@ def test_more_axes_are_a_taller_picture(tmp_path):
 def test_a_long_title_goes_on_in_another_line(tmp_path):
     heights = []
     for title in ("short", " · ".join(f"part {i} of it" for i in range(10))):
-        history = Told(everything())
+        history = told(everything())
         draw_run(history, score(history), tmp_path / "run.png", title=title)
         heights.append(size(tmp_path / "run.png")[1])
     assert heights[1] - heights[0] > 15
@@ -116,7 +111,7 @@ def test_torques_on_rotors_have_their_own_panel(tmp_path):
     heights = []
     rotors = {"main_motor": 0.001 * wave(), "sd_main_motor": np.full(500, 1e-4)}
     for more in ({}, rotors):
-        history = Told({**everything(), "/estimate": {**everything()["/estimate"], **more}})
+        history = told({**everything(), "/estimate": {**everything()["/estimate"], **more}})
         draw_run(history, score(history), tmp_path / "run.png")
         heights.append(size(tmp_path / "run.png")[1])
     assert heights[1] > heights[0] + 80
@@ -124,24 +119,24 @@ def test_torques_on_rotors_have_their_own_panel(tmp_path):
 
 def test_events_change_the_picture(tmp_path):
     pictures = set()
-    for events in (
+    for happened in (
         [],
-        [(2 * 10**9, "saturation_begin", "u_v", "", 3.0)],
+        [(2.0, "saturation_begin", "u_v", "", 3.0)],
         [
-            (2 * 10**9, "saturation_begin", "u_v", "", 3.0),
-            (4 * 10**9, "saturation_end", "u_v", "", 0),
+            (2.0, "saturation_begin", "u_v", "", 3.0),
+            (4.0, "saturation_end", "u_v", "", 0),
         ],
-        [(2 * 10**9, "fault", "controller", "", np.nan)],
-        [(2 * 10**9, "fault_end", "controller", "", np.nan)],
+        [(2.0, "fault", "controller", "", np.nan)],
+        [(2.0, "fault_end", "controller", "", np.nan)],
     ):
-        history = Told(everything(), events)
+        history = told(everything(), *happened)
         draw_run(history, score(history), tmp_path / "run.png")
         pictures.add((tmp_path / "run.png").read_bytes())
     assert len(pictures) == 4  # the end of a fault alone is no mark
 
 
 def test_equal_runs_are_equal_pictures_beside_or_in_line(tmp_path):
-    history = Told(everything())
+    history = told(everything())
     with Painter(beside=True) as beside, Painter(beside=False) as in_line:
         beside.draw(history, score(history), tmp_path / "a.png", title="x")
         in_line.draw(history, score(history), tmp_path / "b.png", title="x")
@@ -149,15 +144,15 @@ def test_equal_runs_are_equal_pictures_beside_or_in_line(tmp_path):
 
 
 def test_without_the_process_beside_the_picture_is_drawn_in_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(painter_module.sys, "executable", str(tmp_path / "no_python"))
-    history = Told(everything())
+    monkeypatch.setattr(run_picture.sys, "executable", str(tmp_path / "no_python"))
+    history = told(everything())
     with Painter(beside=True) as painter:
         painter.draw(history, score(history), tmp_path / "run.png")
     assert size(tmp_path / "run.png")
 
 
 def test_a_process_that_died_is_no_matter(tmp_path):
-    history = Told(everything())
+    history = told(everything())
     with Painter(beside=True) as painter:
         painter._process.kill()
         painter._process.wait()
@@ -175,13 +170,6 @@ def test_a_run_that_fails_leaves_no_process():
 
 
 def test_a_folder_that_is_gone_is_an_error_of_the_disk(tmp_path):
-    history = Told(everything())
+    history = told(everything())
     with Painter(beside=True) as painter, pytest.raises(OSError, match="nowhere"):
         painter.draw(history, score(history), tmp_path / "nowhere" / "run.png")
-
-
-def test_a_snapshot_holds_what_the_history_had():
-    snapshot = Snapshot.of(Told(everything()))
-    assert snapshot.columns("/command").keys() == {"u_v", "u_h"}
-    assert np.array_equal(snapshot.times("/command"), TIME)
-    assert len(snapshot.times("/controller")) == 500

@@ -1,12 +1,15 @@
-"""The panel of estimated torques: which they are, and that its lines can be read."""
+"""Panels of estimated torques: which they are, and that their lines can be read."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
-from trms_cli.reporting.torques import draw_torques, estimated_torques
+from trms_cli.reporting.run_panels import torque_panels
+from trms_cli.reporting.signals import RunSignals
+from trms_cli.scoring.tables import Series
 
 TIME = np.arange(2000) * 0.02
 
@@ -15,35 +18,38 @@ def column(value: float) -> np.ndarray:
     return np.full(len(TIME), value)
 
 
+def estimating(**columns: Any) -> RunSignals:
+    units = dict.fromkeys(columns, "N*m")
+    return RunSignals(tables={"/estimate": Series(TIME, columns, units)})
+
+
 def test_torques_by_where_they_act_without_those_that_nobody_estimates():
-    estimate = {
-        "alpha_v": column(0.1),
-        "sd_alpha_v": column(0.1),
-        "pitch_moment": column(0.0),
-        "sd_pitch_moment": column(1e-3),
-        "yaw_moment": column(0.0),
-        "sd_yaw_moment": column(0.0),
-        "tail_motor": column(0.0),
-        "sd_tail_motor": column(1e-3),
-        "main_motor": column(0.0),
-    }
-    assert estimated_torques(estimate) == {"axes": ["pitch_moment"], "rotors": ["tail_motor"]}
+    run = estimating(
+        alpha_v=column(0.1),
+        sd_alpha_v=column(0.1),
+        pitch_moment=column(0.0),
+        sd_pitch_moment=column(1e-3),
+        yaw_moment=column(0.0),
+        sd_yaw_moment=column(0.0),
+        tail_motor=column(0.0),
+        sd_tail_motor=column(1e-3),
+        main_motor=column(0.0),
+    )
+    assert run.torques() == {"axes": ["pitch_moment"], "rotors": ["tail_motor"]}
+    assert [panel.y.unit for panel in torque_panels(run)] == ["mN m", "mN m"]
 
 
 @pytest.mark.parametrize(("value", "sd"), [(0.005, 1e-4), (0.0, 1e-3), (-0.02, 2e-3)])
-def test_the_panel_reaches_as_far_as_the_line_and_its_band(value, sd):
-    panel = Figure().subplots()
+def test_a_panel_reaches_as_far_as_the_line_and_its_band(value, sd):
     torque, deviation = column(value), column(sd)
     torque[:50] = 1.0  # an observer that finds its feet
     deviation[:50] = 1.0
     torque[1000] = 5.0  # one outlier
-    draw_torques(panel, TIME, {"yaw_moment": torque, "sd_yaw_moment": deviation}, ["yaw_moment"])
-    low, high = panel.get_ylim()
+    (panel,) = torque_panels(estimating(yaw_moment=torque, sd_yaw_moment=deviation))
+    low, high = panel.y.limits
     assert low <= 1e3 * min(value - 2 * sd, 0) and high >= 1e3 * max(value + 2 * sd, 0)
     assert high - low < 1.2e3 * (abs(value) + 4 * sd)
 
 
-def test_without_torques_the_panel_stays_empty():
-    panel = Figure().subplots()
-    draw_torques(panel, TIME, {}, [])
-    assert panel.get_legend() is None
+def test_without_torques_there_is_no_panel():
+    assert torque_panels(RunSignals(tables={})) == []

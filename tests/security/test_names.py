@@ -90,7 +90,7 @@ def _page(word: str) -> str:
     from matplotlib.figure import Figure
 
     from trms_cli.core.findings import Judged
-    from trms_cli.reporting.interactive import Plot
+    from trms_cli.reporting.chart_plot import Plot
     from trms_cli.reporting.page import Page
     from trms_cli.reporting.page_rows import Linked, RowColumn
 

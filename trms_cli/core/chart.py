@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:  # findings without a chart are told before NumPy is loaded
@@ -39,11 +39,45 @@ Colour = Literal[
     "ink",
     "grey",
     "pale",
+    "measured",
     "alarm",
 ]
-Style = Literal["solid", "dashed", "dotted"]
+Style = Literal["solid", "dashed", "dotted", "dashdot", "dashdotdot", "long"]
 #: ``stable`` a filled disc, ``unstable`` a ring, ``saddle`` a half-filled diamond.
-Marker = Literal["stable", "unstable", "saddle", "star", "dot", "cross", "square", "triangle"]
+Marker = Literal[
+    "stable", "unstable", "saddle", "star", "dot", "cross", "square", "triangle", "down", "diamond",
+]  # fmt: skip
+#: The order in which curves take colours; dashes, where those are lost in print.
+CURVES: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange", "sky")
+STYLES: tuple[Style, ...] = ("solid", "dashed", "dotted", "dashdot", "dashdotdot", "long")
+#: What belongs to pitch and the main rotor has the first colour in every figure, yaw and the tail
+#: rotor the second.
+_PLACES = (("pitch", "main", "_v"), ("yaw", "tail", "_h"))
+
+
+def signal_place(name: str, number: int = 0) -> int:
+    """Place of a signal's colour: that of its axis, else the one that its number gives."""
+    for place, parts in enumerate(_PLACES):
+        if name.startswith(parts[:2]) or name.endswith(parts[2]):
+            return place
+    return number + len(_PLACES)
+
+
+def signal_colour(name: str, number: int = 0) -> Colour:
+    """Colour of a signal: the same in every figure for what belongs to an axis."""
+    return CURVES[signal_place(name, number) % len(CURVES)]
+
+
+def curve_look(place: int) -> dict[str, Any]:
+    """Colour and dashes of one of several curves in print: told apart without colour too."""
+    return {"colour": CURVES[place % len(CURVES)], "style": STYLES[place % len(STYLES)]}
+
+
+def page_look(place: int) -> dict[str, Any]:
+    """Colour and dashes of one of several curves on a page: dashes once the colours are used."""
+    styles: tuple[Style, ...] = ("solid", "dashed", "dotted", "dashdot")
+    style = styles[place // len(CURVES) % len(styles)]
+    return {"colour": CURVES[place % len(CURVES)], "style": style}
 
 
 @dataclass(frozen=True)
@@ -73,6 +107,8 @@ class Curve:
     arrow: bool = False  #: Whether an arrowhead on it tells its direction
     z: Values | None = None  #: (n,) or None; in a panel of three axes
     held: bool = False  #: Whether each value holds until the next, as a command does
+    opacity: float = 1.0  #: 0 to 1
+    filled: bool = False  #: Whether the area down to zero is shaded in its colour
 
 
 @dataclass(frozen=True)
@@ -87,6 +123,58 @@ class Points:
     names: Sequence[str] = ()  #: Written beside the points; empty for none
     size: float = 6.0  #: Points
     z: Values | None = None  #: (n,) or None; in a panel of three axes
+    told: Sequence[str] = ()  #: What a reader who points at one is told; empty: its place
+    opacity: float = 1.0  #: 0 to 1
+    joined: Literal["", "hv", "vh"] = ""  #: Steps from each point to the next, which way first
+    reach: tuple[Values, Values] | None = None  #: Whiskers along x, to the left and to the right
+    values: Values | None = None  #: (n,) or None; colours on a scale, for the colour that is given
+
+
+@dataclass(frozen=True)
+class Events:
+    """What happened when: triangles at the upper edge of a panel."""
+
+    times: Values  #: (n,)
+    label: str = ""
+    colour: Colour = "alarm"
+    told: Sequence[str] = ()  #: What a reader who points at one is told
+
+
+@dataclass(frozen=True)
+class Fans:
+    """Curves that each begin at a moment of their own, of which a page draws one bold."""
+
+    times: Sequence[float]  #: When each was made
+    x: Values  #: (n,); one behind another, NaN after each
+    y: Values  #: (n,)
+    label: str = "predictions"
+    colour: Colour = "orange"
+    held: bool = False  #: Whether each value holds until the next
+
+    @property
+    def starts(self) -> list[int]:
+        """Where each begins; one more at the end."""
+        ends = [i + 1 for i, value in enumerate(self.x) if math.isnan(value)]
+        return [0, *ends]
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Quartiles with whiskers, each at a place of an axis with categories."""
+
+    places: Values  #: (n,)
+    quantiles: Sequence[Sequence[float]]  #: (n, 5): end, quartile, median, quartile, end
+    label: str = ""
+    colours: Sequence[Colour] = ("blue",)  #: One each, or one for all
+    across: bool = True  #: Whether they lie, with their places on the vertical axis
+    width: float = 0.6  #: In the unit of the places
+
+
+@dataclass(frozen=True)
+class Heat:
+    """A map of values on two axes with categories: dark is large."""
+
+    values: npt.NDArray[np.float64]  #: (m, n); at ``(j, i)``; NaN where there is none
 
 
 @dataclass(frozen=True)
@@ -183,7 +271,10 @@ class Bars:
     notes: Sequence[str] = ()  #: Written on the right, one each
 
 
-Mark = Curve | Points | Flow | Contour | Region | Band | Span | Line | Note | Bars
+Mark = (
+    Curve | Points | Flow | Contour | Region | Band | Span | Line | Note | Bars
+    | Events | Fans | Boxes | Heat
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -197,6 +288,11 @@ class Panel:
     z: Axis | None = None  #: A third axis; curves and points only then
     equal: bool = False  #: One unit of x is as long as one of y
     row_height: float = 0.0  #: Of its row, relative to the others'; 0: as theirs
+    note: str = ""  #: A few words above it, on the right
+    caption: str = ""  #: Under it on a page, in place of the chart's
+    half: bool = False  #: On a page and in a plot of logs: it stands beside its neighbour
+    #: What else it can show, by what a reader chooses: the same marks with other data
+    variants: Mapping[str, Panel] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -233,14 +329,14 @@ def as_data(chart: Chart) -> dict[str, Any]:
 
 
 #: What a mark is called in JSON.
-_KINDS = {
-    kind: kind.__name__.lower()
-    for kind in (Curve, Points, Flow, Contour, Region, Band, Span, Line, Note, Bars)
-}
+_KINDS = {kind: kind.__name__.lower() for kind in Mark.__args__}
 
 
 #: Left out of the document where they are not set.
-_SILENT = ("held", "linked", "ticks", "categories", "row_height", "together")
+_SILENT = (
+    "held", "filled", "linked", "ticks", "categories", "row_height", "together", "told", "joined",
+    "reach", "values", "note", "caption", "half", "variants",
+)  # fmt: skip
 
 
 def _plain(value: Any) -> Any:
@@ -253,6 +349,14 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "__dataclass_fields__"):
         kind = {"kind": _KINDS[type(value)]} if type(value) in _KINDS else {}
         named = [f.name for f in fields(value)]
-        told = [name for name in named if name not in _SILENT or getattr(value, name)]
-        return kind | {name: _plain(getattr(value, name)) for name in told}
+        shown = {name: getattr(value, name) for name in named}
+        return kind | {
+            name: _plain(item) for name, item in shown.items() if not _is_silent(name, item)
+        }
     return value
+
+
+def _is_silent(name: str, item: Any) -> bool:
+    if name == "opacity":
+        return bool(item == 1.0)
+    return name in _SILENT and not (len(item) if hasattr(item, "__len__") else item)

@@ -122,7 +122,7 @@ class Run(Result):
         from trms_cli.reporting.run_picture import figure_of_run
 
         return figure_of_run(
-            _Drawn(self.logged), self.score, title=self.headline, limits=self._limits()
+            self.logged.tables, self.score, title=self.headline, limits=self._limits()
         )
 
     def again(
@@ -197,31 +197,6 @@ class Run(Result):
 
 def _three(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
-
-
-@dataclass(frozen=True)
-class _Drawn:
-    """A log as a picture wants it."""
-
-    log: LoggedRun
-
-    @property
-    def events(self) -> list[tuple[int, str, str, str, float]]:
-        table = self.log.tables.get("/event")
-        if table is None:
-            return []
-        columns = [table.columns[name] for name in ("kind", "source", "message", "value")]
-        return list(zip(table.time_ns.tolist(), *columns, strict=True))
-
-    def times(self, topic: str) -> Any:
-        import numpy as np
-
-        table = self.log.tables.get(topic)
-        return np.zeros(0) if table is None else table.time
-
-    def columns(self, topic: str) -> dict[str, Any]:
-        table = self.log.tables.get(topic)
-        return {} if table is None else table.columns
 
 
 def run_in(path: Path) -> Run:

@@ -1,26 +1,43 @@
 """A :class:`trms_cli.core.chart.Chart` for a page: what a reader zooms, pans and points at.
 
-The other back end is :mod:`trms_cli.reporting.chart_picture`: both draw the same data. Stream
-lines and level lines are worked out here, once, so that the browser draws plain curves.
+The other back end is :mod:`trms_cli.reporting.chart_picture`: both draw the same data. A
+:class:`Plot` is what plotly.js calls traces and a layout. Colours are named (``@blue``) and become
+those of a light or dark page, or of paper, in the reader's browser. Plots of the same `group` share
+their time axis there: zooming one zooms all. Stream lines and level lines are worked out here,
+once, so that the browser draws plain curves.
+
+Series are packed as single precision (seven digits) and base64, a third of their size as text.
+Longer ones than :data:`MOST_POINTS` are thinned: the time is cut into equal numbers of samples, of
+which the least and the largest stay, in their order. So no peak is lost, and a drawing up to half
+as many pixels wide is the same as one of all samples (Jugel et al., M4: a visualization-oriented
+time series data aggregation, VLDB 2014).
 """
 
 from __future__ import annotations
 
+import base64
+import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from trms_cli.core import wording
 from trms_cli.core.chart import (
     Axis,
     Band,
+    Bars,
+    Boxes,
     Chart,
     Contour,
     Curve,
+    Events,
+    Fans,
     Flow,
+    Heat,
     Line,
     Mark,
     Note,
@@ -29,17 +46,21 @@ from trms_cli.core.chart import (
     Region,
     Span,
 )
-from trms_cli.reporting.interactive import (
-    FloatArray,
-    Plot,
-    band,
-    packed,
-    plot_text,
-    significant,
-    thinned,
-)
 
-_DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot"}
+FloatArray = npt.NDArray[np.float64]
+
+#: Samples of a series that are drawn at most; of one that is no function of x, such as a phase
+#: portrait, and of single points.
+MOST_POINTS, _MOST_OF_A_PORTRAIT, _MOST_DOTS = 2_000, 3_000, 4_000
+#: Of a band, which has two edges and no fine detail worth bytes.
+_MOST_OF_A_BAND = 600
+#: Single precision tells times apart to a tenth of a millisecond up to here, s.
+_LARGEST_SINGLE_TIME = 1_000.0
+_LONGEST_TEXT = 200
+_DASHES = {
+    "solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot",
+    "dashdotdot": "3px,2px,1px,2px,1px,2px", "long": "longdash",
+}  # fmt: skip
 _SYMBOLS = {
     "stable": "circle",
     "unstable": "circle-open",
@@ -49,11 +70,47 @@ _SYMBOLS = {
     "cross": "x",
     "square": "square",
     "triangle": "triangle-up",
+    "down": "triangle-down",
+    "diamond": "diamond",
 }
 #: Pixels for an inch of paper.
 _PIXELS = 80
 _ARROW = 9.0  # pixels
-_HOVER = "%{x:.4g}, %{y:.4g}"
+#: What a curve or a point tells, of a place and over the time.
+_HOVER, _HOVER_OVER_TIME = "%{x:.4g}, %{y:.4g}", "%{y:.4g}"
+#: Colours of values: dark is large.
+_SCALE = {"colorscale": "Viridis", "reversescale": True, "colorbar": {"thickness": 12}}
+
+
+@dataclass
+class Plot:
+    """A plot."""
+
+    title: str
+    traces: list[dict[str, Any]] = field(default_factory=list)  #: As plotly has them
+    #: As plotly has it, laid over the look of the house
+    layout: dict[str, Any] = field(default_factory=dict)
+    caption: str = ""  #: Under the plot; also told to who cannot see it
+    group: str = ""  #: Plots of one group share their x axis; "" for none
+    height: int = 260  #: Pixels
+    half: bool = False  #: Two of them stand side by side where there is room
+    #: What else it can show: what the reader chooses, per trace the keys that change, and by axis
+    #: its title then; a choice appears over the first plot of a section that has some
+    variants: list[dict[str, Any]] = field(default_factory=list)
+    #: Predictions of which a slider chooses one: when each was made, where each begins in the trace
+    #: of all, and pairs of that trace and of the one that shows the chosen
+    fans: dict[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """What the page's script gets."""
+        told = {
+            "group": self.group,
+            "height": self.height,
+            "traces": self.traces,
+            "layout": self.layout,
+        }
+        told |= {"variants": self.variants} if self.variants else {}
+        return told | ({"fans": self.fans} if self.fans else {})
 
 
 def plots_of(chart: Chart) -> list[Plot] | None:
@@ -61,10 +118,32 @@ def plots_of(chart: Chart) -> list[Plot] | None:
     if any(panel.z is not None for panel in chart.panels):
         return None
     half = chart.columns > 1 and len(chart.panels) > 1
-    plots = [_Drawing(panel).plot(half, chart.height) for panel in chart.panels]
-    if plots:
+    plots = [_plot(panel, half or panel.half, chart.height) for panel in chart.panels]
+    if plots and not plots[-1].caption:
         plots[-1].caption = chart.caption
     return plots
+
+
+def plots(panels: Sequence[Panel]) -> list[Plot]:
+    """Panels of a page, one under the other, or by halves where they say so."""
+    return plots_of(Chart("", panels, columns=1)) or []
+
+
+def _plot(panel: Panel, half: bool, height: float) -> Plot:
+    plot = _Drawing(panel).plot(half, height * (panel.row_height or 1.0))
+    for label, other in panel.variants.items():
+        changed = _Drawing(other).plot(half, height)
+        titles = {
+            axis: changed.layout[axis]["title"]["text"]
+            for axis in ("xaxis", "yaxis")
+            if changed.layout[axis]["title"] != plot.layout[axis]["title"]
+        }
+        traces = [
+            {key: new[key] for key in new if new[key] != old.get(key)}
+            for old, new in zip(plot.traces, changed.traces, strict=True)
+        ]
+        plot.variants.append({"label": plot_text(label), "traces": traces, "titles": titles})
+    return plot
 
 
 @dataclass
@@ -76,6 +155,16 @@ class _Drawing:
     shapes: list[dict[str, Any]] = field(default_factory=list)
     notes: list[dict[str, Any]] = field(default_factory=list)
     named: set[str] = field(default_factory=set)
+    more: dict[str, Any] = field(default_factory=dict)
+    fans: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def curves(self) -> set[str]:
+        return {mark.label for mark in self.panel.marks if isinstance(mark, Curve)}
+
+    @property
+    def hover(self) -> str:
+        return _HOVER_OVER_TIME if self.panel.x.linked else _HOVER
 
     def plot(self, half: bool, height: float) -> Plot:
         for mark in self.panel.marks:
@@ -86,20 +175,26 @@ class _Drawing:
             "shapes": self.shapes,
             "annotations": self.notes,
             "showlegend": bool(self.named),
-        }
+        } | self.more
         if self.panel.equal:
             layout["yaxis"] |= {"scaleanchor": "x"}
+        if self.panel.y.categories:
+            layout["yaxis"] |= {"range": [len(self.panel.y.categories) - 0.3, -0.7]}
         pixels = max(round(_PIXELS * height), 220) + 20 * math.ceil(len(self.named) / 3)
         return Plot(
-            self.panel.title, self.traces, layout, half=half, height=pixels,
-            group=self.panel.x.linked,
+            self.panel.title, self.traces, layout, self.panel.caption, self.panel.x.linked, pixels,
+            half, fans=self.fans,
         )  # fmt: skip
 
     def _draw(self, mark: Mark) -> None:
         match mark:
             case Curve():
-                x, y = thinned(mark.x, mark.y)
-                self._line(x, y, mark, mark.width, held=mark.held, arrows=_third(x, y, mark))
+                x, y = _kept(mark.x, mark.y)
+                trace = self._line(x, y, mark, mark.width, held=mark.held,
+                                   arrows=_third(x, y, mark))  # fmt: skip
+                trace |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
+                if mark.filled:
+                    trace |= {"fill": "tozeroy", "fillcolor": f"@{mark.colour}"}
             case Points():
                 self._points(mark)
             case Flow():
@@ -115,8 +210,7 @@ class _Drawing:
             case Region():
                 self._region(mark)
             case Band():
-                shaded = band(mark.x, mark.lower, mark.upper, mark.label, f"@{mark.colour}")
-                self.traces.append(shaded | self._legend(mark) | {"opacity": mark.opacity})
+                self.traces.append(_band(mark) | self._legend(mark))
             case Span():
                 self.shapes.append(
                     {
@@ -136,15 +230,28 @@ class _Drawing:
                         "yanchor": "bottom", "font": {"color": f"@{mark.colour}", "size": 11},
                     }
                 )  # fmt: skip
+            case Events():
+                self._events(mark)
+            case Fans():
+                self._fans(mark)
+            case Bars():
+                self._bars(mark)
+            case Boxes():
+                self._boxes(mark)
+            case Heat():
+                self._heat(mark)
 
     def _legend(self, mark: Mark) -> dict[str, Any]:
         """Its name, which stands in the legend once; a click hides all of that name."""
         label = getattr(mark, "label", "")
         first = bool(label) and label not in self.named
-        if label:
+        if isinstance(mark, Band) and label in self.curves:
+            first = False  # the curve stands for both
+        elif label:
             self.named.add(label)
         shown = plot_text(label)
-        return {"name": shown, "legendgroup": shown, "showlegend": first}
+        group = {"name": shown} | ({"legendgroup": shown} if label else {})
+        return group if first else group | {"showlegend": False}
 
     def _line(
         self, x: FloatArray, y: FloatArray, mark: Any, width: float, *,
@@ -154,10 +261,10 @@ class _Drawing:
         trace: dict[str, Any] = {
             "type": "scatter",
             "mode": "lines",
-            "x": packed(x),
+            "x": packed_time(x),
             "y": packed(y),
             "line": {"color": f"@{mark.colour}", "width": width + 0.2, "dash": dash},
-            "hovertemplate": _HOVER,
+            "hovertemplate": self.hover,
         } | self._legend(mark)
         if held:
             trace["line"]["shape"] = "hv"
@@ -173,18 +280,25 @@ class _Drawing:
         return trace
 
     def _points(self, mark: Points) -> None:
+        x, y = np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float)
+        if self.panel.x.linked and not mark.told:
+            x, y = thinned(x, y, _MOST_DOTS)
+        marker: dict[str, Any] = {
+            "color": f"@{mark.colour}",
+            "size": 1.4 * mark.size,
+            "symbol": _SYMBOLS[mark.marker],
+        }
+        marker |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
         trace: dict[str, Any] = {
             "type": "scatter",
             "mode": "markers",
-            "x": packed(mark.x),
-            "y": packed(mark.y),
-            "marker": {
-                "color": f"@{mark.colour}",
-                "size": 1.4 * mark.size,
-                "symbol": _SYMBOLS[mark.marker],
-            },
-            "hovertemplate": _HOVER,
+            "x": packed_time(x),
+            "y": packed(y),
+            "marker": marker,
+            "hovertemplate": self.hover,
         } | self._legend(mark)
+        if mark.label and mark.size < 3:  # specks could not be told apart in the legend
+            self.more["legend"] = {"itemsizing": "constant"}
         if any(mark.names):
             trace |= {
                 "mode": "markers+text",
@@ -192,7 +306,107 @@ class _Drawing:
                 "textposition": "top right",
                 "cliponaxis": False,
             }
+        if mark.told:
+            trace |= {"text": [plot_text(text) for text in mark.told]}
+            place = "%{x:.4g}" if self.panel.y.categories else "%{x:.4g}, %{y:.4g}"
+            trace["hovertemplate"] = f"%{{text}}: {place}<extra></extra>"
+        if mark.joined:
+            line = {"color": f"@{mark.colour}", "width": 1.2, "shape": mark.joined}
+            trace |= {"mode": "lines+markers", "line": line}
+        if mark.reach is not None:
+            left, right = (np.asarray(ends, dtype=float).tolist() for ends in mark.reach)
+            trace["error_x"] = {"type": "data", "symmetric": False, "array": right,
+                                "arrayminus": left, "color": f"@{mark.colour}"}  # fmt: skip
+        if mark.values is not None:
+            trace["marker"] |= {
+                "color": [significant(float(value)) for value in mark.values],
+                "coloraxis": "coloraxis",
+            }
+            self.more["coloraxis"] = _SCALE
+            trace["hovertemplate"] = "%{text}: %{marker.color:.4g}<extra></extra>"
         self.traces.append(trace)
+
+    def _events(self, mark: Events) -> None:
+        """At the upper edge whatever the range of the other curves is: on an axis of their own."""
+        look = {"color": f"@{mark.colour}", "width": 1, "dash": "dot"}
+        for time in np.asarray(mark.times, dtype=float).tolist():
+            ends = {"xref": "x", "x0": time, "x1": time, "yref": "paper", "y0": 0, "y1": 1}
+            self.shapes.append({"type": "line", "layer": "below", "line": look} | ends)
+        self.more["yaxis2"] = {
+            "overlaying": "y", "range": [0, 1], "visible": False, "fixedrange": True,
+        }  # fmt: skip
+        self.traces.append(
+            {
+                "type": "scatter", "mode": "markers", "x": packed_time(mark.times),
+                "y": packed(np.full(len(mark.times), 0.97)), "yaxis": "y2",
+                "marker": {"color": f"@{mark.colour}", "size": 9, "symbol": "triangle-down"},
+                "text": [plot_text(text) for text in mark.told],
+                "hovertemplate": "%{text}" if mark.told else "%{x:.4g}",
+            }
+            | self._legend(mark)
+        )  # fmt: skip
+
+    def _fans(self, mark: Fans) -> None:
+        number = len(self.traces)
+        every = self._line(
+            np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float),
+            Curve((), (), mark.label, "ink"), 0.4, held=mark.held,
+        )  # fmt: skip
+        name = plot_text(f"chosen {mark.label.removesuffix('s')}")
+        line = every["line"] | {"color": "@vermilion", "width": 3.0}
+        nothing = packed(np.zeros(0))
+        chosen = {"name": name, "legendgroup": name, "x": nothing, "y": nothing, "line": line}
+        every["hoverinfo"] = "skip"
+        del every["hovertemplate"]
+        self.traces.append(every | chosen)
+        self.fans = {
+            "times": [round(float(time), 6) for time in mark.times],
+            "starts": mark.starts,
+            "pairs": [[number, number + 1]],
+        }
+
+    def _bars(self, mark: Bars) -> None:
+        self.more["yaxis"] = _axis(self.panel.y) | _places(mark.names)
+        self.traces.append(
+            {
+                "type": "bar", "orientation": "h", "x": packed(mark.values),
+                "y": list(range(len(mark.names))), "hovertemplate": "%{x:.4g}<extra></extra>",
+                "marker": {"color": [f"@{name}" for name in mark.colours] or "@blue"},
+                "text": [plot_text(note) for note in mark.notes],
+            }
+        )  # fmt: skip
+
+    def _boxes(self, mark: Boxes) -> None:
+        own, quantity = ("y", "x") if mark.across else ("x", "y")
+        colours = list(mark.colours) * (len(mark.places) if len(mark.colours) == 1 else 1)
+        for place, quantiles, colour in zip(mark.places, mark.quantiles, colours, strict=True):
+            ends = ("lowerfence", "q1", "median", "q3", "upperfence")
+            known = {key: [significant(float(v))] for key, v in zip(ends, quantiles, strict=True)}
+            self.traces.append(
+                {
+                    "type": "box", "orientation": "h" if mark.across else "v", own: [float(place)],
+                    "line": {"color": f"@{colour}", "width": 1.4}, "hoverinfo": quantity,
+                    "width": mark.width,
+                }
+                | known
+                | self._legend(mark)
+            )  # fmt: skip
+
+    def _heat(self, mark: Heat) -> None:
+        rows = [[significant(v) for v in row] for row in np.asarray(mark.values, float).tolist()]
+        across, up = ([plot_text(name) for name in axis.categories]
+                      for axis in (self.panel.x, self.panel.y))  # fmt: skip
+        self.more = {
+            name: _axis(axis) | {"type": "category"}
+            for name, axis in (("xaxis", self.panel.x), ("yaxis", self.panel.y))
+        }
+        self.traces.append(
+            {
+                "type": "heatmap", "x": across, "y": up, "z": rows,
+                "hovertemplate": "%{x}, %{y}: %{z:.4g}<extra></extra>",
+            }
+            | _SCALE
+        )  # fmt: skip
 
     def _region(self, mark: Region) -> None:
         if not np.any(mark.inside):
@@ -229,18 +443,57 @@ class _Drawing:
 
 def _axis(axis: Axis) -> dict[str, Any]:
     told: dict[str, Any] = {"title": {"text": plot_text(wording.titled(axis.label, axis.unit))}}
+    told |= _places(axis.categories) if axis.categories else {}
+    if axis.ticks:  # figures as they are (0.1, 1, 10) instead of powers
+        told |= {"tickvals": list(axis.ticks)}
     if axis.log:
-        told |= {"type": "log", "exponentformat": "power"}
+        told |= {"type": "log", "exponentformat": "none" if axis.ticks else "power"}
     if axis.limits is not None:
         told["range"] = [
-            None if edge is None else significant(_place(edge, axis)) for edge in axis.limits
+            None if edge is None else significant(_place(edge, axis), 9) for edge in axis.limits
         ]
     return told
+
+
+def _places(names: Sequence[str]) -> dict[str, Any]:
+    """Names at the places 0, 1, … of an axis."""
+    return {"tickvals": list(range(len(names))), "ticktext": [plot_text(name) for name in names],
+            "zeroline": False}  # fmt: skip
 
 
 def _place(value: float, axis: Axis) -> float:
     """Where a value lies in the units of ranges and notes, which are powers on a log axis."""
     return math.log10(value) if axis.log and value > 0 else value
+
+
+def _kept(x: Any, y: Any) -> tuple[FloatArray, FloatArray]:
+    """A series with its peaks where x rises, else every k-th point of it."""
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    if len(x) > MOST_POINTS and np.any(np.diff(x) < 0):
+        step = math.ceil(len(x) / _MOST_OF_A_PORTRAIT)
+        return x[::step], y[::step]
+    return thinned(x, y)
+
+
+def _band(mark: Band) -> dict[str, Any]:
+    """An area between two curves; none where one of them is not finite."""
+    x, bottoms, tops = _outline(mark.x, mark.lower, mark.upper)
+    closed = [
+        piece
+        for bottom, top in zip(bottoms, tops, strict=True)
+        for piece in (top, bottom[::-1], np.array([np.nan]))
+    ]
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": packed_time(x),
+        "y": packed(np.concatenate([[], *closed])),
+        "line": {"width": 0},
+        "fill": "toself",
+        "fillcolor": f"@{mark.colour}",
+        "opacity": mark.opacity,
+        "hoverinfo": "skip",
+    }
 
 
 def _third(x: FloatArray, y: FloatArray, mark: Curve) -> list[int]:
@@ -292,3 +545,112 @@ def _level_lines(contour: Contour, level: float) -> tuple[FloatArray, FloatArray
     gap = np.full((1, 2), np.nan)
     points = np.concatenate([np.zeros((0, 2)), *(part for one in lines for part in (one, gap))])
     return points[:, 0], points[:, 1]
+
+
+def thinned(time: Any, values: Any, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+    """At most about `most` samples; of each piece the least and the largest, in their order.
+
+    Gaps (values that are not finite) stay: a piece that has one keeps it.
+    """
+    time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
+    count = min(len(time), len(values))
+    time, values = time[:count], values[:count]
+    if count <= most:
+        return time, values
+    size = math.ceil(2 * count / most)
+    pieces = math.ceil(count / size)
+    padded = np.full(pieces * size, np.nan)
+    padded[:count] = values
+    table = padded.reshape(pieces, size)
+    finite = np.isfinite(table)
+    least = np.argmin(np.where(finite, table, np.inf), axis=1)
+    largest = np.argmax(np.where(finite, table, -np.inf), axis=1)
+    within = np.arange(pieces * size).reshape(pieces, size) < count
+    hollow = ~finite & within
+    gap = np.where(hollow.any(axis=1), np.argmax(hollow, axis=1), least)
+    first = np.arange(pieces) * size
+    chosen = np.unique(np.concatenate([first + least, first + largest, first + gap]))
+    chosen = chosen[chosen < count]
+    return time[chosen], values[chosen]
+
+
+def packed(values: Any) -> dict[str, str]:
+    """An array as plotly reads it: single precision, base64."""
+    with np.errstate(over="ignore"):
+        single = np.asarray(values, dtype="<f4")
+    return {"dtype": "f4", "bdata": base64.b64encode(single.tobytes()).decode("ascii")}
+
+
+def packed_time(values: Any) -> dict[str, str]:
+    """Times, in double precision where single would blur them."""
+    times = np.asarray(values, dtype=float)
+    finite = times[np.isfinite(times)]
+    if not finite.size or np.abs(finite).max() <= _LARGEST_SINGLE_TIME:
+        return packed(times)
+    return {"dtype": "f8", "bdata": base64.b64encode(times.astype("<f8").tobytes()).decode("ascii")}
+
+
+def plot_text(text: Any) -> str:
+    """Text that plotly shows as it stands: it takes ``<b>`` and ``<a href>`` for markup else."""
+    shown = str(text)
+    if len(shown) > _LONGEST_TEXT:
+        shown = shown[: _LONGEST_TEXT - 1] + "…"
+    # A per cent sign before a brace would be a placeholder of a hover text.
+    shown = shown.replace("%{", "%\u200b{").replace("\n", " ")
+    return shown.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def script_json(value: Any) -> str:
+    """JSON that can stand inside a ``<script>`` element, whatever text it holds.
+
+    Nothing in it ends the element or opens a comment, and it is valid JavaScript too. What is not
+    finite is null.
+    """
+    text = json.dumps(_plain(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    for sign, code in (
+        ("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026"),
+        ("\u2028", "\\u2028"), ("\u2029", "\\u2029"),
+    ):  # fmt: skip
+        text = text.replace(sign, code)
+    # A lone surrogate, as a damaged text may hold, cannot be written as UTF-8.
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def significant(value: float, digits: int = 6) -> float:
+    """Rounded to significant digits."""
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _outline(
+    time: Any, low: Any, high: Any
+) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
+    """Pieces between gaps, thinned: their times there and back, and both edges."""
+    time, low, high = (np.asarray(each, dtype=float) for each in (time, low, high))
+    count = min(len(time), len(low), len(high))
+    size = max(1, math.ceil(count / _MOST_OF_A_BAND))
+    inside = np.isfinite(low[:count]) & np.isfinite(high[:count])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+    there: list[FloatArray] = []
+    bottoms, tops = [], []
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        cuts = np.arange(begin, end, size)
+        at = np.append(time[cuts], time[end - 1])
+        bottom = np.minimum.reduceat(low[:end], cuts)
+        top = np.maximum.reduceat(high[:end], cuts)
+        bottom, top = np.append(bottom, bottom[-1]), np.append(top, top[-1])
+        there += [at, at[::-1], np.array([np.nan])]
+        bottoms.append(bottom)
+        tops.append(top)
+    return np.concatenate([[], *there]), bottoms, tops

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Judged, Measure
-from trms_cli.reporting.interactive import Plot, script_json
+from trms_cli.reporting.chart_plot import Plot, script_json
 from trms_cli.reporting.page_rows import RowCell, RowColumn, rows_html
 from trms_cli.reporting.page_scripts import page_script, plotly_script, policy, text_digest
 

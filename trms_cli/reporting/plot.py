@@ -13,38 +13,68 @@ many there are.
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from trms_cli.core.chart import Bars, Panel
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.reporting import plot_panels, plot_views
-from trms_cli.reporting.plot_logs import Plotted, PlottedLog, names_of
-from trms_cli.reporting.plot_panels import Absent, LogPanel
+from trms_cli.reporting import run_panels
+from trms_cli.reporting.chart_picture import Handle, draw_panel
+from trms_cli.reporting.run_panels import Absent
+from trms_cli.reporting.signals import ReportedRun, limits_in
 from trms_cli.reporting.style import VARIANTS, Variant, house_style, letter_size, new_figure
 
-_Panels = Callable[[Sequence[Plotted]], list[LogPanel]]
+
+class PlottedLog(Protocol):
+    """What is drawn: :class:`trms_cli.recordings.log_reader.LoggedRun` is one."""
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        ...
+
+    @property
+    def tables(self) -> Mapping[str, Any]:
+        """:class:`~trms_cli.scoring.tables.Columns` by topic."""
+        ...
+
+    @property
+    def run(self) -> Mapping[str, str]:
+        """What the run says of itself."""
+        ...
+
+    @property
+    def score(self) -> Mapping[str, Any]:
+        """``trms.score/1``, or empty."""
+        ...
+
+
+_Panels = Callable[[Sequence[ReportedRun]], list[Panel]]
 #: The kinds of plots by name; the first line of each one's docstring says what it shows.
 KINDS: Mapping[str, _Panels] = MappingProxyType(
     {
-        "tracking": plot_panels.tracking,
-        "errors": plot_panels.errors,
-        "inputs": plot_panels.inputs,
-        "rates": plot_panels.rates,
-        "estimate": plot_panels.estimate,
-        "phase": plot_views.phase,
-        "prediction": plot_views.prediction,
-        "solver": plot_panels.solver,
-        "torques": plot_panels.torques,
-        "comparison": plot_views.comparison,
+        "tracking": run_panels.tracking,
+        "errors": run_panels.errors,
+        "inputs": run_panels.inputs,
+        "rates": run_panels.rates,
+        "estimate": run_panels.estimate,
+        "phase": run_panels.phase,
+        "prediction": run_panels.prediction,
+        "solver": run_panels.solver,
+        "torques": run_panels.torques,
+        "comparison": run_panels.comparison,
     }
 )
 DEFAULT_WHAT = ("tracking", "inputs")
@@ -62,8 +92,12 @@ _SIZE = re.compile(
 _UNITS = {"mm": 1.0, "cm": 10.0, "in": _INCH, "pt": _INCH / 72}
 #: Between two ticks, times a power of ten.
 _STEPS = (1, 2, 2.5, 5, 10)
-#: Mean width of a letter over the font's size.
-_LETTER = 0.56
+#: Mean width of a letter over the font's size, and letters in a line of a name beside its bar.
+_LETTER, _NAME_LETTERS = 0.56, 22
+#: Keys of a configuration that say where files go and how much is kept, not what was run.
+_ASIDE = ("out", "picture", "sim.prediction_every", "sim.scene_every")
+#: Options that follow from others, as a log's choices have them.
+_IMPLIED = ("@", "experiment")
 
 
 def plot(
@@ -168,7 +202,7 @@ def _plotted(
     start: float | None,
     end: float | None,
     names: Sequence[str] | None,
-) -> list[Plotted]:
+) -> list[ReportedRun]:
     given: list[Any] = list(logs) if isinstance(logs, Sequence) else [logs]
     if not given:
         raise ConfigurationError("no log was given", where="logs", remedy="name one or more")
@@ -201,7 +235,13 @@ def _plotted(
             where="start, end",
             remedy=told,
         )
-    return [Plotted(log, name, low, high) for log, name in zip(given, chosen, strict=True)]
+    return [
+        ReportedRun(
+            name=name, tables=log.tables, limits=limits_in(log), score=log.score,
+            window=(low, high),
+        )
+        for log, name in zip(given, chosen, strict=True)
+    ]  # fmt: skip
 
 
 def _kinds(what: str | Sequence[str]) -> list[str]:
@@ -215,7 +255,7 @@ def _kinds(what: str | Sequence[str]) -> list[str]:
     return list(dict.fromkeys(kinds))
 
 
-def _reasons(logs: Sequence[Plotted], kinds: Sequence[str]) -> dict[str, str]:
+def _reasons(logs: Sequence[ReportedRun], kinds: Sequence[str]) -> dict[str, str]:
     reasons = {}
     for kind in kinds:
         try:
@@ -225,9 +265,9 @@ def _reasons(logs: Sequence[Plotted], kinds: Sequence[str]) -> dict[str, str]:
     return reasons
 
 
-def _rows(panels: Sequence[LogPanel]) -> list[list[LogPanel]]:
+def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
     """Panels in rows: those of half a width by twos."""
-    rows: list[list[LogPanel]] = []
+    rows: list[list[Panel]] = []
     for panel in panels:
         if panel.half and rows and len(rows[-1]) == 1 and rows[-1][0].half:
             rows[-1].append(panel)
@@ -237,15 +277,16 @@ def _rows(panels: Sequence[LogPanel]) -> list[list[LogPanel]]:
 
 
 def _draw(
-    panels: Sequence[LogPanel],
-    logs: Sequence[Plotted],
+    panels: Sequence[Panel],
+    logs: Sequence[ReportedRun],
     width: float,
     height: float | None,
     style: Variant,
     title: str,
 ) -> Figure:
+    panels = [_folded(panel) for panel in panels]
     rows = _rows(panels)
-    heights = [max(panel.height for panel in row) for row in rows]
+    heights = [max(panel.row_height or 1.0 for panel in row) for row in rows]
     unit = _PANEL_HEIGHT[style]
     words = _wrapped(title, width, style)
     legend_room = 0.26 * unit * (1 + 0.5 * max(len(logs) - 2, 0) * (width < 120))
@@ -256,45 +297,50 @@ def _draw(
     pads.set(w_pad=0.02, h_pad=0.02, hspace=0.01, wspace=0.02)
     grid = figure.add_gridspec(len(rows), 2, height_ratios=heights)
     timed: list[Axes] = []
+    handles: dict[str, Handle] = {}
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
             place = grid[i, j] if panel.half else grid[i, :]
-            shared = timed[0] if panel.over_time and timed else None
+            shared = timed[0] if panel.x.linked and timed else None
             axes = figure.add_subplot(place, sharex=shared)
-            panel.draw(axes)
+            for label, handle in draw_panel(axes, panel).items():
+                handles.setdefault(label, handle)
             _settle(axes, panel, width, style)
-            if panel.over_time:
+            if panel.x.linked:
                 timed.append(axes)
-    _share_time(timed, logs)
+    for axes in timed[:-1]:
+        axes.tick_params(labelbottom=False)
+        axes.set_xlabel("")
     figure.align_ylabels([axes for axes in figure.axes if axes.get_ylabel()])
-    _legend(figure, width, style, "\n".join(words))
+    _legend(figure, handles, width, style, "\n".join(words))
     return figure
 
 
-def _settle(axes: Axes, panel: LogPanel, width: float, style: Variant) -> None:
+def _folded(panel: Panel) -> Panel:
+    """As it stands on paper: without the heading of a page, the names of bars in short lines."""
+    marks = [
+        replace(mark, names=[textwrap.fill(name, _NAME_LETTERS) for name in mark.names])
+        if isinstance(mark, Bars)
+        else mark
+        for mark in panel.marks
+    ]
+    names = [name for mark in marks if isinstance(mark, Bars) for name in mark.names]
+    lines = max((name.count("\n") for name in names), default=0)
+    height = (panel.row_height or 1.0) * (1 + 0.5 * lines)
+    return replace(panel, marks=marks, title="", row_height=height)
+
+
+def _settle(axes: Axes, panel: Panel, width: float, style: Variant) -> None:
     """As many ticks as fit beside each other."""
     room = width * (0.5 if panel.half else 1.0) / (2.2 if style == "slides" else 1.0)
     if axes.get_xscale() == "linear":
         count = max(3, int(room / (18 if panel.half else 13)))
         axes.xaxis.set_major_locator(MaxNLocator(count, steps=_STEPS))
-    bars = not panel.over_time and panel.half and len(axes.patches) > 0
+    bars = any(isinstance(mark, Bars) for mark in panel.marks)
     if axes.get_yscale() == "linear" and not bars:
-        count = 4 if panel.height < 1.5 else 6
-        axes.yaxis.set_major_locator(MaxNLocator(count, steps=_STEPS, min_n_ticks=2))
-
-
-def _share_time(timed: Sequence[Axes], logs: Sequence[Plotted]) -> None:
-    """One time below, from the window's or the logs' beginning to the end."""
-    if not timed:
-        return
-    for axes in timed[:-1]:
-        axes.tick_params(labelbottom=False)
-    timed[-1].set_xlabel("time [s]")
-    spans = [_span(log.log) for log in logs]
-    begin = max(min(span[0] for span in spans), min(log.start for log in logs))
-    end = min(max(span[1] for span in spans), max(log.end for log in logs))
-    if begin < end:
-        timed[-1].set_xlim(begin, end)
+        count = 4 if (panel.row_height or 1.0) < 1.5 else 6
+        whole = panel.y.label == "iterations"
+        axes.yaxis.set_major_locator(MaxNLocator(count, steps=_STEPS, min_n_ticks=2, integer=whole))
 
 
 def _span(log: PlottedLog) -> tuple[float, float]:
@@ -311,12 +357,10 @@ def _interval(time: Any) -> float:
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
-def _legend(figure: Figure, width: float, style: Variant, title: str) -> None:
+def _legend(
+    figure: Figure, handles: Mapping[str, Handle], width: float, style: Variant, title: str
+) -> None:
     """One legend for all panels, over them, under the title; each curve once."""
-    handles: dict[str, Any] = {}
-    for axes in figure.axes:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
     if not handles:
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
@@ -327,7 +371,8 @@ def _legend(figure: Figure, width: float, style: Variant, title: str) -> None:
     widest = max(len(part) for label in wrapped for part in label.split("\n"))
     columns = max(1, int(line // ((widest * _LETTER + 4.2) * size)))
     figure.legend(
-        list(handles.values()), wrapped, loc="outside upper left", ncols=min(columns, len(wrapped)),
+        [each.artist for each in handles.values()], wrapped, loc="outside upper left",
+        ncols=min(columns, len(wrapped)),
         handlelength=2.4, columnspacing=1.2, borderaxespad=0.1, borderpad=0.1, labelspacing=0.25,
         title=title or None, alignment="left", title_fontproperties={"weight": "bold"},
     )  # fmt: skip
@@ -339,3 +384,60 @@ def _wrapped(title: str, width: float, style: Variant) -> list[str]:
         return []
     size = 1.2 * letter_size(style)
     return textwrap.wrap(title, max(int(width / _INCH * 72 / (0.62 * size)), 12))
+
+
+def names_of(logs: Sequence[PlottedLog]) -> list[str]:
+    """What tells logs apart: the options and values in which they differ, else their folders."""
+    if len(logs) == 1:
+        return [_place(logs[0])]
+    told = [_told(log) for log in logs]
+    keys = dict.fromkeys(key for one in told for key in one)
+    differing = [key for key in keys if len({one.get(key) for one in told}) > 1]
+    names = []
+    for one in told:
+        parts = [
+            str(one.get(key)) if _names_itself(key) else f"{key} {one.get(key)}"
+            for key in differing
+            if one.get(key) not in (None, "none")
+        ]
+        names.append(", ".join(parts))
+    if len(set(names)) == len(names) and all(names):
+        return names
+    places = [_place(log) for log in logs]
+    if len(set(places)) < len(places):
+        places = [str(log.path) for log in logs]
+    return places
+
+
+def _told(log: PlottedLog) -> dict[str, str]:
+    """Options and typed values of a run; empty for a log without such words."""
+    try:
+        choices = json.loads(log.run.get("choices", "{}"))
+        typed = json.loads(log.run.get("overrides", "[]"))
+        told = {
+            key: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+            for key, value in choices.items()
+            if value not in (None, []) and not any(sign in key for sign in _IMPLIED)
+        }
+        for word in typed:
+            key, equals, value = str(word).lstrip("+").partition("=")
+            if equals and "." in key and key not in _ASIDE and "@" not in key:
+                told[key.rpartition(".")[2]] = value
+    except (AttributeError, TypeError, ValueError):
+        return {}
+    if log.run.get("seed"):
+        told["seed"] = str(log.run["seed"])
+    if log.run.get("recording.file"):
+        told["recording"] = Path(log.run["recording.file"]).name
+    return told
+
+
+def _names_itself(key: str) -> bool:
+    """Whether an option is told by its name alone: `lqr` is a controller, `3` may be anything."""
+    return key in ("controller", "observer", "model", "effect", "fault", "recording")
+
+
+def _place(log: PlottedLog) -> str:
+    """Where a log lies: its folder's name for ``run.mcap``, its own otherwise."""
+    path = Path(log.path)
+    return path.resolve().parent.name if path.name == "run.mcap" else path.stem

@@ -8,35 +8,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-
+from trms_cli.core.chart import Axis, Panel, Points, page_look
 from trms_cli.core.findings import Cell, Judged
-from trms_cli.reporting.interactive import (
-    INK,
-    Plot,
-    curve_style,
-    framed,
-    level,
-    line,
-    plot_text,
-    significant,
-    time_plot,
-)
+from trms_cli.reporting import run_panels
+from trms_cli.reporting.chart_plot import plots
 from trms_cli.reporting.page import Page
-from trms_cli.reporting.report_phase import phase_plots
-from trms_cli.reporting.report_run import HOW_TO_TURN, THINNED, ended
-from trms_cli.reporting.report_signals import axis_title, label_of, whole_time
-from trms_cli.reporting.report_solver import solver_overlay
-from trms_cli.reporting.reported import FloatArray, ReportedRun, numbers
+from trms_cli.reporting.report_run import HOW_TO_TURN, THINNED, ended, phases_of
+from trms_cli.reporting.signals import ReportedRun
 from trms_cli.scoring.figures import finite, part
 from trms_cli.scoring.findings import compared_rows
-
-_MOST_POINTS = 1_500
-_NEAR = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,33 +66,29 @@ def comparison_page(
     names = [run.name for run in runs]
     page = Page(title or f"Comparison of {_listed(names)}", _lead(runs), _facts(runs))
     followed = _tracking(runs)
-    commands = _commands(runs)
-    solver = solver_overlay(runs)
-    timed = [*followed, *commands, *solver]
-    whole_time(timed, min(run.begin for run in runs), max(run.end for run in runs))
+    commands = _where_there(run_panels.inputs, runs)
+    solver = _where_there(run_panels.solver, runs)
+    boxes = run_panels.time_boxes(runs)
     if differences:
         page.section("How they differ")
         page.table(["", *names], [[key, *values] for key, values in differences])
     if followed:
-        page.section(
-            "Tracking",
-            HOW_TO_TURN,
-        )
-        page.plots(followed)
+        page.section("Tracking", HOW_TO_TURN)
+        page.plots(plots(followed))
     if commands:
         page.section("Commands")
-        page.plots(commands)
+        page.plots(plots(commands))
     rows = compared_rows([run.score for run in runs])
     if rows:
         page.section("Score")
         page.table(["", *names], rows, "A star: the best, where it differs by more than 0.1 %.")
     if solver:
         page.section("Solver")
-        page.plots(solver)
-    phases = phase_plots(runs)
+        page.plots(plots([*([boxes] if boxes is not None else []), *solver]))
+    phases = phases_of(runs, runs[0].channels())
     if phases:
         page.section("Phase plots", folded=True)
-        page.plots(phases)
+        page.plots(plots(phases))
     add_ranking(page, ranking, rule)
     if left_out:
         page.section("Not read")
@@ -122,9 +102,9 @@ def add_ranking(page: Page, ranking: Sequence[RankedCandidate], rule: str) -> No
     if not ranking:
         return
     page.section("Ranking", rule)
-    plot = ratio_plot(ranking)
-    if plot is not None:
-        page.plots([plot])
+    panel = ratio_panel(ranking)
+    if panel is not None:
+        page.plots(plots([panel]))
     heads = list(dict.fromkeys(head for entrant in ranking for head in entrant.figures))
     rows: list[list[Cell]] = [
         [
@@ -149,139 +129,39 @@ def add_ranking(page: Page, ranking: Sequence[RankedCandidate], rule: str) -> No
     page.table([*columns, *heads], rows, heads=2)
 
 
-def ratio_plot(ranking: Sequence[RankedCandidate]) -> Plot | None:
+def ratio_panel(ranking: Sequence[RankedCandidate]) -> Panel | None:
     """Ratios as dots with their intervals; None with fewer than two."""
-    told = [e for e in ranking if e.ratio is not None and np.isfinite(e.ratio)]
+    told = [e for e in ranking if e.ratio is not None and math.isfinite(e.ratio)]
     if len(told) < 2:
         return None
-    plot = Plot("error over the best's", height=70 + 26 * min(len(told), 60))
-    ratios = [significant(float(e.ratio or 0)) for e in told]
-    below = [
-        0.0 if e.low is None else significant(max(r - e.low, 0.0))
-        for e, r in zip(told, ratios, strict=True)
-    ]
-    above = [
-        0.0 if e.high is None else significant(max(e.high - r, 0.0))
-        for e, r in zip(told, ratios, strict=True)
-    ]
-    plot.traces.append(
-        {
-            "type": "scatter", "mode": "markers", "x": ratios,
-            "y": [plot_text(e.name) for e in told],
-            "marker": {"color": "@blue", "size": 9},
-            "error_x": {"type": "data", "symmetric": False, "array": above, "arrayminus": below,
-                        "color": "@blue"},
-            "hovertemplate": "%{y}: %{x:.4g}<extra></extra>", "name": "ratio",
-        }
+    ratios = [float(e.ratio or 0.0) for e in told]
+    pairs = list(zip(told, ratios, strict=True))
+    below = [0.0 if e.low is None else max(ratio - e.low, 0.0) for e, ratio in pairs]
+    above = [0.0 if e.high is None else max(e.high - ratio, 0.0) for e, ratio in pairs]
+    names = [e.name for e in told]
+    dots = Points(ratios, range(len(told)), "", "dot", "blue", told=names, reach=(below, above))
+    return Panel(
+        Axis("error over the best's in the same conditions"), Axis("", categories=names), [dots],
+        "error over the best's", row_height=(70 + 26 * min(len(told), 60)) / 256,
     )  # fmt: skip
-    plot.layout = {
-        "xaxis": {"title": {"text": "error over the best's in the same conditions"}},
-        "yaxis": {"autorange": "reversed", "type": "category"},
-        "showlegend": False,
-    }
-    return plot
 
 
-def _tracking(runs: Sequence[ReportedRun]) -> list[Plot]:
+def _tracking(runs: Sequence[ReportedRun]) -> list[Panel]:
     """Per channel: where all runs were, and by how much they missed."""
-    plots = []
-    for channel in dict.fromkeys(c for run in runs for c in run.channels()):
-        unit = next((u for run in runs if (u := run.unit("/measurement", channel))), "rad")
-        words = label_of(channel)
-        where = time_plot(words, axis_title(words, unit), height=300)
-        error = time_plot(
-            f"tracking error of {words}", axis_title("reference − actual", unit), height=220
-        )
-        seen: list[FloatArray] = []
-        missed: list[FloatArray] = []
-        for number, run in enumerate(runs):
-            colour, dash = curve_style(number)
-            found, difference = run.actual(channel), run.error(channel)
-            if found is not None:
-                time, values, _ = found
-                where.traces.append(_curve(time, values, run.name, colour, dash))
-                seen.append(values)
-            if difference is not None:
-                error.traces.append(_curve(*difference, run.name, colour, dash))
-                missed.append(difference[1])
-        seen += _references(where, runs, channel)
-        for plot, drawn in ((where, seen), (error, missed)):
-            found_range = framed(drawn)
-            if plot.traces and found_range is not None:
-                plot.layout["yaxis"]["range"] = found_range
-                plots.append(plot)
-    return plots
+    where = _where_there(run_panels.tracking, runs)
+    errors = _where_there(run_panels.errors, runs)
+    ordered = []
+    for panel in where:
+        ordered += [panel, *(each for each in errors if each.title.endswith(panel.title))]
+    return ordered
 
 
-def _references(plot: Plot, runs: Sequence[ReportedRun], channel: str) -> list[FloatArray]:
-    """One dashed line for a reference that all share, else one each in the run's colour."""
-    told = [
-        (number, run.time("/reference"), numbers(run.topic("/reference")[channel]))
-        for number, run in enumerate(runs)
-        if channel in run.topic("/reference")
-    ]
-    if not told:
+def _where_there(draw: Callable[..., list[Panel]], runs: Sequence[ReportedRun]) -> list[Panel]:
+    """Panels of runs, in the colours of a page; none where no run has what they show."""
+    try:
+        return draw(runs, page_look)
+    except run_panels.Absent:
         return []
-    _, time, values = told[0]
-    shared = all(
-        np.array_equal(values[: len(v)], v[: len(values)])
-        and np.array_equal(time[: len(t)], t[: len(time)])
-        for _, t, v in told
-    )
-    if shared:
-        _, time, values = max(told, key=lambda each: len(each[1]))
-        plot.traces.append(
-            line(
-                time,
-                values,
-                "reference",
-                INK,
-                dash="dash",
-                steps=True,
-                width=1.1,
-                most=_MOST_POINTS,
-            )
-        )
-        return [values]
-    for number, time, values in told:
-        colour, _ = curve_style(number)
-        name = f"reference of {runs[number].name}"
-        plot.traces.append(
-            line(time, values, name, colour, dash="dash", steps=True, width=0.9, most=_MOST_POINTS)
-        )
-    return [values for _, _, values in told]
-
-
-def _commands(runs: Sequence[ReportedRun]) -> list[Plot]:
-    plots = []
-    for name in dict.fromkeys(n for run in runs for n in run.inputs()):
-        unit = next((run.unit("/command", name) for run in runs if name in run.inputs()), "")
-        label = name if label_of(name) == name else f"{label_of(name)} {name}"
-        plot = time_plot(label, axis_title(label, unit), height=220)
-        seen = []
-        for number, run in enumerate(runs):
-            if name in run.topic("/command"):
-                colour, dash = curve_style(number)
-                values = numbers(run.topic("/command")[name])
-                trace = _curve(run.time("/command"), values, run.name, colour, dash)
-                trace["line"]["shape"] = "hv"
-                plot.traces.append(trace)
-                seen.append(values)
-        found = framed(seen)
-        if found is None:
-            continue
-        reach = max(map(abs, found))
-        bounds = {b for run in runs for b in run.limits.get(name, ()) if abs(b) < _NEAR * reach}
-        plot.shapes([level(float(bound)) for bound in sorted(bounds)])
-        plot.layout["yaxis"]["range"] = found
-        plots.append(plot)
-    return plots
-
-
-def _curve(
-    time: FloatArray, values: FloatArray, name: str, colour: str, dash: str
-) -> dict[str, Any]:
-    return line(time, values, name, colour, dash=dash, width=1.5, most=_MOST_POINTS)
 
 
 def _lead(runs: Sequence[ReportedRun]) -> list[str]:

@@ -11,22 +11,16 @@ From a notebook, with a log's path: :func:`trms_cli.library.report.pages.report_
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 
 from trms_cli.core import wording
-from trms_cli.reporting.interactive import MOST_POINTS
+from trms_cli.core.chart import Panel, page_look
+from trms_cli.reporting import run_panels
+from trms_cli.reporting.chart_plot import MOST_POINTS, plots
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import RowCell, RowColumn
-from trms_cli.reporting.report_phase import fan_plots, phase_plots
-from trms_cli.reporting.report_signals import (
-    angle_plots,
-    command_plot,
-    innovation_plots,
-    state_plots,
-    torque_plots,
-    whole_time,
-)
-from trms_cli.reporting.report_solver import solver_plots
-from trms_cli.reporting.reported import ReportedRun
+from trms_cli.reporting.signals import ReportedRun, RunSignals
 from trms_cli.scoring.findings import answer, measures_of, tables_of, warnings_of
 
 _MOST_EVENTS = 500
@@ -59,21 +53,23 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
         Default: what ran against what, and the run's name.
     """
     page = Page(title or title_of(run), _lead(run), _facts(run), measures_of(run.score))
-    first = angle_plots(run) + command_plot(run)
-    inner = state_plots(run) + torque_plots(run)
-    innovations = innovation_plots(run)
-    predictions = fan_plots(run)
-    solver = solver_plots(run)
+    channels, commands = run.channels(), run_panels.command_panel(run)
+    first = [run_panels.channel_panel(run, name, detail=True) for name in channels]
+    first += [commands] if commands is not None else []
+    if first:
+        marks = run_panels.event_marks(run)
+        first[0] = replace(first[0], marks=[*first[0].marks, *marks])
+    torques = [replace(panel, half=True) for panel in run_panels.torque_panels(run)]
+    inner = [*run_panels.state_panels(run), *torques]
+    innovations = run_panels.innovation_panels(run)
+    predictions = run_panels.fan_panels(run)
+    solver = run_panels.solver_panels(run)
     timed = [*first, *inner, *innovations, *predictions, *solver]
-    whole_time(timed, run.begin, run.end)
     if not timed:
         page.section("Nothing to draw", "The log holds no sample of any signal.")
     if first:
-        page.section(
-            "Angles and commands",
-            HOW_TO_TURN,
-        )
-        page.plots(first)
+        page.section("Angles and commands", HOW_TO_TURN)
+        page.plots(plots(first))
     tables = tables_of(run.score)
     if tables:
         page.section("Score", [f"{words}." for words in warnings_of(run.score)])
@@ -81,7 +77,7 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
             page.table(table.columns, table.rows, table.caption, heads=table.heads)
     if inner:
         page.section("Speeds, rates and torques")
-        page.plots(inner)
+        page.plots(plots(inner))
     if innovations:
         page.section(
             "Innovations",
@@ -89,21 +85,21 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
             "the band for 95 % of the samples, without a pattern.",
             folded=True,
         )
-        page.plots(innovations)
-    phases = phase_plots([run])
+        page.plots(plots(innovations))
+    phases = phases_of([run], channels)
     if phases:
         page.section("Phase plots", folded=True)
-        page.plots(phases)
+        page.plots(plots(phases))
     if predictions:
         page.section(
             "Predictions",
             "What the controller expected, each from the moment it was made. The slider chooses "
             "the bold one.",
         )
-        page.plots(predictions)
+        page.plots(plots(predictions))
     if solver:
         page.section("Solver")
-        page.plots(solver)
+        page.plots(plots(solver))
     _events(page, run)
     page.section("How this page was made", THINNED, folded=True)
     if run.command:
@@ -114,11 +110,20 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
     return page
 
 
+def phases_of(runs: Sequence[RunSignals], channels: Sequence[str]) -> list[Panel]:
+    """Each of the first channels against its rate, and the first two against each other."""
+    panels = run_panels.phase_panels(runs, channels[:4], page_look)
+    path = None
+    if len(channels) > 1:
+        path = run_panels.path_panel(runs, channels[1], channels[0], page_look)
+    return [*panels, path] if path is not None else panels
+
+
 def title_of(run: ReportedRun) -> str:
     """``newton_mpc on square: first``; without choices the name alone."""
     controller, reference = run.choices.get("controller", ""), run.choices.get("ref", "")
     what = controller
-    if controller and reference and "/reference" in run.times:
+    if controller and reference and "/reference" in run.tables:
         what = f"{controller} on {reference}"
     return f"{what}: {run.name}" if what else run.name
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trms_cli.core.findings import Cell
+from trms_cli.reporting.chart_plot import plots
 from trms_cli.reporting.page import Page
 from trms_cli.reporting.page_rows import MOST_ROWS, Linked, RowCell, RowColumn
 from trms_cli.reporting.report_comparison import RankedCandidate, add_ranking
@@ -24,9 +25,9 @@ from trms_cli.reporting.report_draws import (
 )
 from trms_cli.reporting.report_sweep_plots import (
     chosen_words,
-    key_plots,
-    pareto_plots,
-    spread_plots,
+    key_panels,
+    pareto_panels,
+    spread_panels,
 )
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
 
@@ -64,17 +65,17 @@ def sweep_page(
     if sweep.draws:
         add_failure_shares(page, sweep.draws)
         add_correlations(page, sweep.draws)
-    spread = spread_plots(sweep, figures)
+    spread = spread_panels(sweep, figures)
     if spread:
         page.section("How figures spread", "Of the runs that ended.")
-        page.plots(spread)
-    keys = key_plots(sweep, figures)
+        page.plots(plots(spread))
+    keys = key_panels(sweep, figures)
     if keys:
         page.section(
             "What they depend on",
             f"Each dot is a run; pointing at it tells which.{chosen_words(sweep)}",
         )
-        page.plots(keys)
+        page.plots(plots(keys))
     _failures(page, sweep)
     _all_runs(page, sweep)
     return page
@@ -162,7 +163,7 @@ def _objectives(page: Page, sweep: ReportedSweep) -> None:
         "Objectives",
         f"Sought: {', '.join(map(_sought, sweep.objectives))}.",
     )
-    page.plots(pareto_plots(sweep))
+    page.plots(plots(pareto_panels(sweep)))
     first = sweep.objectives[0]
     front.sort(key=lambda run: run.figures.get(first.figure, math.inf))
     keys = [key for key in sweep.keys if any(run.values.get(key) is not None for run in front)]

@@ -5,68 +5,88 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from trms_cli.reporting.interactive import (
-    GREY,
-    Plot,
-    Variant,
-    curve_style,
-    line,
-    packed,
-    plot_text,
-    significant,
+from trms_cli.core.chart import (
+    Axis,
+    Boxes,
+    Colour,
+    Curve,
+    Heat,
+    Mark,
+    Panel,
+    Points,
+    page_look,
 )
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
+from trms_cli.reporting.run_panels import histogram
+from trms_cli.reporting.signals import FloatArray
 
 #: More entrants than this are not told apart by colour; their boxes still stand side by side.
 _MOST_COLOURS, _MOST_BOXES = 8, 60
-_MOST_KEYS, _MOST_CATEGORIES, _MOST_CELLS = 8, 40, 60
+_MOST_KEYS, _MOST_CATEGORIES, _MOST_CELLS, _BINS = 8, 40, 60, 30
 #: Runs of a box that are drawn as dots too.
 _MOST_DOTS = 300
 #: Entrants that are told apart by rings around one another.
 _MOST_RINGS = 4
 _OTHER = "all runs"
+#: Each dot of a box has a place beside it by its number times this, modulo one (the golden ratio).
+_SCATTER = 0.618
+#: A whisker reaches this many times the distance of the quartiles at most.
+_WHISKER = 1.5
 
 
-def spread_plots(sweep: ReportedSweep, figures: Sequence[str]) -> list[Plot]:
+def spread_panels(sweep: ReportedSweep, figures: Sequence[str]) -> list[Panel]:
     """Boxes of a figure for each entrant, and a histogram; the reader chooses the figure."""
     if not figures:
         return []
-    entrants = _groups(sweep, _MOST_BOXES)
-    boxes = Plot("by who ran", height=90 + 34 * len(entrants))
+    entrants, groups = _groups(sweep, _MOST_BOXES), _groups(sweep, 4)
     few = max((len(runs) for _, runs in entrants), default=0) <= _MOST_DOTS
-    for number, (name, runs) in enumerate(entrants):
-        colour, _ = curve_style(number if len(entrants) <= _MOST_COLOURS else 0)
-        boxes.traces.append(
-            {
-                "type": "box", "orientation": "h", "name": plot_text(name),
-                "x": _column(runs, figures[0]), "y": [plot_text(name)] * len(runs),
-                "text": [plot_text(run.name) for run in runs],
-                "boxpoints": "all" if few else "outliers", "pointpos": 0, "jitter": 0.4,
-                "marker": {"color": colour, "size": 4, "opacity": 0.55},
-                "line": {"color": colour, "width": 1.4}, "hoveron": "points" if few else "boxes",
-                "hovertemplate": "%{text}: %{x:.4g}<extra></extra>" if few else None,
-            }
-        )  # fmt: skip
-    boxes.layout = {
-        "xaxis": {"title": {"text": plot_text(sweep.title(figures[0]))}},
-        "yaxis": {"autorange": "reversed", "type": "category"},
-        "showlegend": False,
-        "margin": {"l": 90},
-    }
-    boxes.variants = _variants(
-        sweep, figures, lambda name: [{"x": _column(runs, name)} for _, runs in entrants], "xaxis"
-    )
-    boxes.caption = (
-        "Box: quartiles and median. A dot is a run." if few else "Box: quartiles and median."
-    )
-    return [boxes, _histogram(sweep, figures)]
+    colours = [_colour(i if len(entrants) <= _MOST_COLOURS else 0) for i in range(len(entrants))]
+    who = Axis("", categories=[name for name, _ in entrants])
+    caption = "Box: quartiles and median." + (" A dot is a run." if few else "")
+
+    def boxes(figure: str) -> Panel:
+        quantiles = [_quartiles(_numbers(runs, figure)) for _, runs in entrants]
+        marks: list[Mark] = [Boxes(range(len(entrants)), quantiles, colours=colours)]
+        for place, (_, runs) in enumerate(entrants):
+            low, high = quantiles[place][0], quantiles[place][-1]
+            shown = [
+                (i, value, run.name)
+                for i, (run, value) in enumerate(zip(runs, _numbers(runs, figure), strict=True))
+                if few or value < low or value > high
+            ]
+            beside = [place + 0.3 * (i * _SCATTER % 1.0 - 0.5) for i, _, _ in shown]
+            marks.append(
+                Points([value for _, value, _ in shown], beside, colour=colours[place], size=3,
+                       told=[name for _, _, name in shown], opacity=0.55)
+            )  # fmt: skip
+        height = (90 + 34 * len(entrants)) / 256
+        return Panel(Axis(sweep.title(figure)), who, marks, "by who ran", caption=caption,
+                     row_height=height)  # fmt: skip
+
+    def counts(figure: str) -> Panel:
+        values = [np.array(_numbers(runs, figure)) for _, runs in groups]
+        known = np.concatenate([[], *values])
+        known = known[np.isfinite(known)]
+        low, high = (known.min(), known.max()) if len(known) else (0.0, 1.0)
+        edges = np.linspace(low, high if high > low else low + 1e-9, _BINS + 1)
+        several = len(groups) > 1
+        marks = [
+            histogram(own, edges, name if several else "", _colour(number),
+                      opacity=0.6 if several else 0.9)
+            for number, ((name, _), own) in enumerate(zip(groups, values, strict=True))
+        ]  # fmt: skip
+        return Panel(Axis(sweep.title(figure)), Axis("runs"), marks, "distribution")
+
+    return [_chosen(sweep, figures, boxes), _chosen(sweep, figures, counts)]
 
 
-def key_plots(sweep: ReportedSweep, figures: Sequence[str]) -> list[Plot]:
+def key_panels(sweep: ReportedSweep, figures: Sequence[str]) -> list[Panel]:
     """A figure against each key that was varied: dots over numbers, boxes over options."""
     if not figures:
         return []
@@ -78,11 +98,12 @@ def key_plots(sweep: ReportedSweep, figures: Sequence[str]) -> list[Plot]:
         and not sweep.names_entrants(key)  # their spread is drawn already
         and 1 < _distinct(sweep, key) <= _MOST_CATEGORIES
     ]
-    plots = [_scatter(sweep, key, figures) for key in chosen[:_MOST_KEYS]]
-    plots += [_categories(sweep, key, figures) for key in others[:_MOST_KEYS]]
+    panels = [_chosen(sweep, figures, partial(_scatter, sweep, key)) for key in chosen[:_MOST_KEYS]]
+    for key in others[:_MOST_KEYS]:
+        panels.append(_chosen(sweep, figures, partial(_categories, sweep, key)))
     if len(chosen) >= 2:
-        plots.append(_map(sweep, chosen[0], chosen[1], figures))
-    return plots
+        panels.append(_chosen(sweep, figures, partial(_map, sweep, chosen[0], chosen[1])))
+    return panels
 
 
 def chosen_words(sweep: ReportedSweep) -> str:
@@ -105,151 +126,90 @@ def _numeric(sweep: ReportedSweep) -> list[str]:
     return [key for key in varied if not key.endswith("seed")] or varied
 
 
-def pareto_plots(sweep: ReportedSweep) -> list[Plot]:
+def pareto_panels(sweep: ReportedSweep) -> list[Panel]:
     """Each pair of objectives: all runs, and those that nothing beats."""
     pairs = list(itertools.combinations(sweep.objectives, 2))[:6]
     front = sweep.front()
-    plots = [_pareto(sweep, front, one, other, len(pairs) > 1) for one, other in pairs]
-    return plots + _history(sweep)
+    panels = [_pareto(sweep, front, one, other, len(pairs) > 1) for one, other in pairs]
+    return panels + _history(sweep)
 
 
-def _history(sweep: ReportedSweep) -> list[Plot]:
+def _history(sweep: ReportedSweep) -> list[Panel]:
     """The best so far over the trials: whether more of them would have helped."""
     if sum(value is not None for value in sweep.history) < 2:
         return []
     several = len(sweep.objectives) > 1
     words = "volume dominated by the front" if several else sweep.title(sweep.objectives[0].figure)
-    plot = Plot("the best so far", height=240)
-    numbers = range(1, len(sweep.history) + 1)
     values = [math.nan if value is None else float(value) for value in sweep.history]
-    plot.traces.append(line(numbers, values, "best so far", "@blue", steps=True))
-    plot.layout = {
-        "xaxis": {"title": {"text": "trials"}},
-        "yaxis": {"title": {"text": plot_text(words)}},
-    }
-    return [plot]
+    curve = Curve(range(1, len(values) + 1), values, held=True)
+    return [Panel(Axis("trials"), Axis(words), [curve], "the best so far")]
 
 
 def _pareto(
     sweep: ReportedSweep, front: Sequence[SweepRun], one: Objective, other: Objective, half: bool
-) -> Plot:
-    plot = Plot(f"{other.figure} against {one.figure}", height=400, half=half)
-    known = [
-        r for r in sweep.tried if not r.failed and {one.figure, other.figure} <= set(r.figures)
+) -> Panel:
+    both = {one.figure, other.figure}
+    known = [run for run in sweep.tried if not run.failed and both <= set(run.figures)]
+    best = sorted((run for run in front if both <= set(run.figures)),
+                  key=lambda run: run.figures[one.figure])  # fmt: skip
+
+    def dots(
+        runs: Sequence[SweepRun], label: str, colour: Colour, size: float, **more: Any
+    ) -> Mark:
+        x, y = (_numbers(runs, objective.figure) for objective in (one, other))
+        told = [run.name for run in runs]
+        return Points(x, y, label, colour=colour, size=size, told=told, **more)
+
+    # Between two runs of the front nothing is known to be had: steps, not a slope. With three
+    # objectives the front is a surface, and a line over it would say nothing.
+    steps = ("vh" if one.largest else "hv") if len(sweep.objectives) == 2 else ""
+    marks = [
+        dots(known, "trials" if sweep.trials else "runs", "grey", 4.5),
+        dots(best, "Pareto front", "vermilion", 6.5, joined=steps),
     ]
-    best = sorted(
-        (r for r in front if {one.figure, other.figure} <= set(r.figures)),
-        key=lambda run: run.figures[one.figure],
-    )
-    # With three objectives the front is a surface, and a line over it would say nothing.
-    joined = "lines+markers" if len(sweep.objectives) == 2 else "markers"
-    for runs, name, colour, size, mode in (
-        (known, "trials" if sweep.trials else "runs", GREY, 6, "markers"),
-        (best, "Pareto front", "@vermilion", 9, joined),
-    ):  # fmt: skip
-        plot.traces.append(
-            {
-                "type": "scatter", "mode": mode, "name": name, "x": _column(runs, one.figure),
-                "y": _column(runs, other.figure), "text": [plot_text(run.name) for run in runs],
-                "marker": {"color": colour, "size": size},
-                # Between two runs of the front nothing is known to be had: steps, not a slope.
-                "line": {"color": colour, "width": 1.2, "shape": "vh" if one.largest else "hv"},
-                "hovertemplate": "%{text}: %{x:.4g}, %{y:.4g}<extra></extra>",
-            }
-        )  # fmt: skip
-    titles = [
-        plot_text(f"{sweep.title(o.figure)}, {'largest' if o.largest else 'least'} sought")
+    across, up = (
+        Axis(f"{sweep.title(o.figure)}, {'largest' if o.largest else 'least'} sought")
         for o in (one, other)
-    ]
-    plot.layout = {
-        "xaxis": {"title": {"text": titles[0]}},
-        "yaxis": {"title": {"text": titles[1]}},
-    }
-    plot.caption = (
+    )
+    caption = (
         "Of the runs on the front none is as good as another in all objectives and better in one."
     )
-    return plot
+    return Panel(across, up, marks, f"{other.figure} against {one.figure}", caption=caption,
+                 half=half, row_height=1.55)  # fmt: skip
 
 
-def _histogram(sweep: ReportedSweep, figures: Sequence[str]) -> Plot:
-    groups = _groups(sweep, 4)
-    plot = Plot("distribution", height=260)
-    for number, (name, runs) in enumerate(groups):
-        colour, _ = curve_style(number)
-        plot.traces.append(
-            {
-                "type": "histogram", "x": _column(runs, figures[0]), "name": plot_text(name),
-                "nbinsx": 40, "opacity": 0.6 if len(groups) > 1 else 0.9,
-                "marker": {"color": colour},
-                "bingroup": "one", "hovertemplate": "%{x}: %{y}<extra></extra>",
-            }
-        )  # fmt: skip
-    plot.layout = {
-        "barmode": "overlay",
-        "xaxis": {"title": {"text": plot_text(sweep.title(figures[0]))}},
-        "yaxis": {"title": {"text": "runs"}},
-        "showlegend": len(groups) > 1,
-    }
-    plot.variants = _variants(
-        sweep, figures, lambda name: [{"x": _column(runs, name)} for _, runs in groups], "xaxis"
-    )
-    return plot
-
-
-def _scatter(sweep: ReportedSweep, key: str, figures: Sequence[str]) -> Plot:
+def _scatter(sweep: ReportedSweep, key: str, figure: str) -> Panel:
     groups = _groups(sweep, _MOST_COLOURS)
-    plot = Plot(f"against {key}", height=300, half=True)
-    size = 7 if len(sweep.runs) <= 200 else 4
-    for number, (name, runs) in enumerate(groups):
-        colour, _ = curve_style(number)
-        plot.traces.append(
-            {
-                "type": "scatter", "mode": "markers", "name": plot_text(name),
-                "x": packed([_float(run.values.get(key)) for run in runs]),
-                "y": _column(runs, figures[0]), "text": [plot_text(run.name) for run in runs],
-                "marker": {"color": colour, "size": size, "opacity": 0.7},
-                "hovertemplate": "%{text}: %{x:.4g}, %{y:.4g}<extra></extra>",
-            }
-        )  # fmt: skip
-    plot.layout = {
-        "xaxis": {"title": {"text": plot_text(key)}},
-        "yaxis": {"title": {"text": plot_text(sweep.title(figures[0]))}},
-        "showlegend": len(groups) > 1,
-    }
-    if _spans_decades([run.values.get(key) for run in sweep.runs]):
-        plot.layout["xaxis"] |= {"type": "log"}
-    plot.variants = _variants(
-        sweep, figures, lambda name: [{"y": _column(runs, name)} for _, runs in groups], "yaxis"
-    )
-    return plot
+    size = 5.0 if len(sweep.runs) <= 200 else 3.0
+    marks = [
+        Points([_float(run.values.get(key)) for run in runs], _numbers(runs, figure),
+               name if len(groups) > 1 else "", colour=_colour(number), size=size, opacity=0.7,
+               told=[run.name for run in runs])
+        for number, (name, runs) in enumerate(groups)
+    ]  # fmt: skip
+    across = Axis(key, log=_spans_decades([run.values.get(key) for run in sweep.runs]))
+    return Panel(across, Axis(sweep.title(figure)), marks, f"against {key}", half=True,
+                 row_height=1.2)  # fmt: skip
 
 
-def _categories(sweep: ReportedSweep, key: str, figures: Sequence[str]) -> Plot:
+def _categories(sweep: ReportedSweep, key: str, figure: str) -> Panel:
     groups = _groups(sweep, _MOST_COLOURS)
-    plot = Plot(f"by {key}", height=300, half=True)
+    words = list(dict.fromkeys(_word(run.values.get(key)) for _, runs in groups for run in runs))
+    width = 0.8 / len(groups)
+    marks = []
     for number, (name, runs) in enumerate(groups):
-        colour, _ = curve_style(number)
-        plot.traces.append(
-            {
-                "type": "box", "name": plot_text(name), "boxpoints": False,
-                "x": [plot_text(_word(run.values.get(key))) for run in runs],
-                "y": _column(runs, figures[0]), "marker": {"color": colour},
-                "line": {"color": colour, "width": 1.4},
-            }
-        )  # fmt: skip
-    plot.layout = {
-        "boxmode": "group",
-        "xaxis": {"title": {"text": plot_text(key)}, "type": "category"},
-        "yaxis": {"title": {"text": plot_text(sweep.title(figures[0]))}},
-        "showlegend": len(groups) > 1,
-    }
-    plot.variants = _variants(
-        sweep, figures, lambda name: [{"y": _column(runs, name)} for _, runs in groups], "yaxis"
-    )
-    return plot
+        own = [[r for r in runs if _word(r.values.get(key)) == word] for word in words]
+        places = [place + width * (number - 0.5 * (len(groups) - 1)) for place in range(len(words))]
+        quantiles = [_quartiles(_numbers(some, figure)) for some in own]
+        label = name if len(groups) > 1 else ""
+        marks.append(
+            Boxes(places, quantiles, label, [_colour(number)], across=False, width=0.8 * width)
+        )
+    across = Axis(key, categories=words)
+    return Panel(across, Axis(sweep.title(figure)), marks, f"by {key}", half=True, row_height=1.2)
 
 
-def _map(sweep: ReportedSweep, across: str, up: str, figures: Sequence[str]) -> Plot:
+def _map(sweep: ReportedSweep, across: str, up: str, figure: str) -> Panel:
     """A heat map of means where two keys make a grid, else dots coloured by the figure."""
     runs = [
         run
@@ -257,66 +217,44 @@ def _map(sweep: ReportedSweep, across: str, up: str, figures: Sequence[str]) -> 
         if not run.failed and run.values.get(across) is not None and run.values.get(up) is not None
     ]
     xs, ys = (sorted({_float(run.values[key]) for run in runs}) for key in (across, up))
-    plot = Plot(f"over {across} and {up}", height=400, half=True)
-    titles = {
-        "xaxis": {"title": {"text": plot_text(across)}},
-        "yaxis": {"title": {"text": plot_text(up)}},
-    }
-    is_grid = max(len(xs), len(ys)) <= _MOST_CELLS and len(xs) * len(ys) <= 4 * len(runs)
-    if is_grid:
-        plot.traces = [
-            {
-                "type": "heatmap", "x": [f"{v:g}" for v in xs], "y": [f"{v:g}" for v in ys],
-                "z": _cells(runs, across, up, xs, ys, figures[0]), "colorscale": "Viridis",
-                "reversescale": True, "hovertemplate": "%{x}, %{y}: %{z:.4g}<extra></extra>",
-                "colorbar": {"thickness": 12},
-            }
-        ]  # fmt: skip
-        for axis in titles.values():
-            axis["type"] = "category"  # type: ignore[assignment]
-        plot.caption = "Mean over the runs of a cell; empty where none ended well."
+    axes = (Axis(across), Axis(up))
+    marks: Sequence[Mark]
+    if max(len(xs), len(ys)) <= _MOST_CELLS and len(xs) * len(ys) <= 4 * len(runs):
+        ys = ys[::-1]  # the largest on top
+        axes = (Axis(across, categories=[f"{v:g}" for v in xs]),
+                Axis(up, categories=[f"{v:g}" for v in ys]))  # fmt: skip
+        marks = [Heat(_cells(runs, across, up, xs, ys, figure))]
+        caption = "Mean over the runs of a cell; empty where none ended well."
     else:
-        plot.traces = [
-            {
-                "type": "scatter", "mode": "markers", "name": "runs",
-                "x": packed([_float(run.values[across]) for run in runs]),
-                "y": packed([_float(run.values[up]) for run in runs]),
-                "text": [plot_text(run.name) for run in runs],
-                "marker": {"size": 8, "color": _values(runs, figures[0]), "colorscale": "Viridis",
-                           "reversescale": True, "showscale": True, "colorbar": {"thickness": 12}},
-                "hovertemplate": "%{text}: %{marker.color:.4g}<extra></extra>",
-            }
-        ]  # fmt: skip
-        plot.caption = "Colour: the figure; dark is large." + _ringed(plot, sweep, runs)
-    plot.layout = {**titles, "showlegend": False}
-
-    def changed(name: str) -> list[dict[str, Any]]:
-        if is_grid:
-            return [{"z": _cells(runs, across, up, xs, ys, name)}]
-        return [{"marker": {"color": _values(runs, name)}}]
-
-    plot.variants = _variants(sweep, figures, changed, "")
-    return plot
+        marks, words = _rings(sweep, runs, across, up, figure)
+        caption = f"Colour: the figure; dark is large.{words}"
+    return Panel(*axes, marks, f"over {across} and {up}", caption=caption, half=True,
+                 row_height=1.55)  # fmt: skip
 
 
-def _ringed(plot: Plot, sweep: ReportedSweep, runs: Sequence[SweepRun]) -> str:
-    """Draw entrants at equal draws as a dot and rings around it, so that all are seen; in words."""
+def _rings(
+    sweep: ReportedSweep, runs: Sequence[SweepRun], across: str, up: str, figure: str
+) -> tuple[list[Points], str]:
+    """Entrants at equal draws as a dot and rings around it, so that all are seen; in words."""
     entrants = [name for name in sweep.entrants if any(run.entrant == name for run in runs)]
-    if not 1 < len(entrants) <= _MOST_RINGS:
-        return ""
-    places = [entrants.index(run.entrant) for run in runs]
-    plot.traces[0]["marker"] |= {
-        "size": [8 + 6 * place for place in places],
-        "symbol": ["circle-open" if place else "circle" for place in places],
-        "line": {"width": [2.5 if place else 0 for place in places]},
-    }
-    plot.traces[0]["text"] = [plot_text(f"{run.name}, {run.entrant}") for run in runs]
-    return f" Dot: {entrants[0]}; rings, from the inside: {', '.join(entrants[1:])}."
+    ringed = 1 < len(entrants) <= _MOST_RINGS
+    marks = []
+    for place, entrant in enumerate(entrants if ringed else [""]):
+        own = [run for run in runs if not ringed or run.entrant == entrant]
+        x, y = ([_float(run.values[key]) for run in own] for key in (across, up))
+        told = [f"{run.name}, {entrant}" if ringed else run.name for run in own]
+        marks.append(
+            Points(x, y, marker="unstable" if place else "dot", size=5.7 + 4.3 * place, told=told,
+                   values=_numbers(own, figure))
+        )  # fmt: skip
+    if not ringed:
+        return marks, ""
+    return marks, f" Dot: {entrants[0]}; rings, from the inside: {', '.join(entrants[1:])}."
 
 
 def _cells(
     runs: Sequence[SweepRun], across: str, up: str, xs: list[float], ys: list[float], figure: str
-) -> list[list[float | None]]:
+) -> FloatArray:
     total, count = np.zeros((len(ys), len(xs))), np.zeros((len(ys), len(xs)))
     columns = {value: i for i, value in enumerate(xs)}
     rows = {value: i for i, value in enumerate(ys)}
@@ -326,27 +264,33 @@ def _cells(
             total[place] += run.figures[figure]
             count[place] += 1
     with np.errstate(invalid="ignore"):
-        means = total / count
-    return [[significant(v) if math.isfinite(v) else None for v in row] for row in means.tolist()]
+        return total / count
 
 
-def _variants(
-    sweep: ReportedSweep,
-    figures: Sequence[str],
-    traces: Callable[[str], list[dict[str, Any]]],
-    axis: str,
-) -> list[Variant]:
-    """The same plot for each figure; none where there is but one."""
+def _chosen(sweep: ReportedSweep, figures: Sequence[str], draw: Callable[[str], Panel]) -> Panel:
+    """A panel that shows the first figure, and any that the reader chooses."""
+    panel = draw(figures[0])
     if len(figures) < 2:
-        return []
-    return [
-        Variant(
-            plot_text(sweep.title(name)),
-            traces(name),
-            {axis: plot_text(sweep.title(name))} if axis else {},
-        )
-        for name in figures
-    ]
+        return panel
+    others = {sweep.title(figure): draw(figure) for figure in figures}
+    return replace(panel, variants=others)
+
+
+def _quartiles(values: Sequence[float]) -> list[float]:
+    """Whisker, quartile, median, quartile, whisker; NaN without a value."""
+    known = np.array(values, dtype=float)
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return [math.nan] * 5
+    first, middle, third = np.quantile(known, (0.25, 0.5, 0.75))
+    reach = _WHISKER * (third - first)
+    low, high = known[known >= first - reach].min(), known[known <= third + reach].max()
+    return [float(value) for value in (low, first, middle, third, high)]
+
+
+def _colour(number: int) -> Colour:
+    colour: Colour = page_look(number)["colour"]
+    return colour
 
 
 def _groups(sweep: ReportedSweep, most: int) -> list[tuple[str, list[SweepRun]]]:
@@ -354,14 +298,6 @@ def _groups(sweep: ReportedSweep, most: int) -> list[tuple[str, list[SweepRun]]]
     if len(sweep.entrants) > most:
         return [(_OTHER, [run for run in sweep.runs if not run.failed])]
     return [(name or _OTHER, sweep.of(name)) for name in sweep.entrants if sweep.of(name)]
-
-
-def _column(runs: Sequence[SweepRun], figure: str) -> dict[str, str]:
-    return packed(_numbers(runs, figure))
-
-
-def _values(runs: Sequence[SweepRun], figure: str) -> list[float | None]:
-    return [significant(v) if math.isfinite(v) else None for v in _numbers(runs, figure)]
 
 
 def _numbers(runs: Sequence[SweepRun], figure: str) -> list[float]:

@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rcParams
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -185,6 +185,12 @@ def letter_size(variant: Variant) -> float:
     return size
 
 
+def line_scale() -> float:
+    """How much thicker lines are in the present variant than on a screen."""
+    scale: float = rcParams["lines.linewidth"] / _SETTINGS["lines.linewidth"]
+    return scale
+
+
 def curve_look(place: int) -> dict[str, Any]:
     """Colour and dashes of one of several curves: told apart in colour, and without."""
     return {
@@ -233,9 +239,10 @@ def thinned_to_extremes(
     return time[chosen], values[chosen]
 
 
-def legend_above(panel: Axes, columns: int = 6) -> None:
+def legend_above(panel: Axes, columns: int = 6, **shown: Any) -> None:
     """The legend over the panel, where it hides nothing."""
     panel.legend(
+        **shown,
         loc="lower left",
         bbox_to_anchor=(0.0, 0.99),
         ncols=columns,

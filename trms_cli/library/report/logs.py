@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import shlex
 from collections.abc import Mapping
@@ -16,11 +15,10 @@ from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
-    from trms_cli.reporting.reported import ReportedRun, RunEvent
+    from trms_cli.reporting.signals import ReportedRun
 
 _MOST_TEXT = 2_000  # characters of a fact
 #: Packages whose versions are named on a page.
-_EVENT_FIELDS = ("value", "kind", "source", "message")
 _PACKAGES = ("trms", "python", "numpy", "casadi")
 
 
@@ -40,19 +38,15 @@ def read_run(path: Path, *, name: str = "") -> ReportedRun:
         If it cannot be read, is no log of a run, or is larger than what is read.
     """
     from trms_cli.recordings.log_reader import read_log
-    from trms_cli.reporting.reported import ReportedRun
+    from trms_cli.reporting.signals import ReportedRun, limits_in
 
     log = read_log(path)
     texts = {key: str(value) for key, value in log.run.items()}
-    limits = _limits(log)
     return ReportedRun(
         name=name or name_of(path),
-        times={topic: table.time for topic, table in log.tables.items()},
-        columns={topic: table.columns for topic, table in log.tables.items()},
-        units={topic: table.units for topic, table in log.tables.items()},
-        events=_events(log),
+        tables=log.tables,
         score=_score(log),
-        limits=limits,
+        limits=limits_in(log),
         outcome=log.outcome,
         duration=log.duration_s,
         problems=log.problems,
@@ -71,15 +65,6 @@ def name_of(path: Path) -> str:
     return path.stem
 
 
-def _limits(log: LoggedRun) -> dict[str, tuple[float, float]]:
-    from trms_cli.scoring.score import limits_of
-
-    try:
-        return limits_of(log)
-    except (ValueError, TypeError, AttributeError):
-        return {}
-
-
 def _score(log: LoggedRun) -> Mapping[str, Any]:
     """Scored afresh, as ``trms score`` does; what a log says of itself where that fails."""
     from trms_cli.scoring.score import score_log
@@ -88,25 +73,6 @@ def _score(log: LoggedRun) -> Mapping[str, Any]:
         return score_log(log)
     except (RecordingError, ValueError, KeyError, IndexError, TypeError, AttributeError):
         return log.score
-
-
-def _events(log: LoggedRun) -> list[RunEvent]:
-    from trms_cli.reporting.reported import RunEvent
-
-    table = log.tables.get("/event")
-    if table is None:
-        return []
-    count = len(table)
-
-    def column(name: str) -> list[Any]:
-        return list(table.columns.get(name, [""] * count))
-
-    return [
-        RunEvent(float(time), str(kind or ""), str(source or ""), str(said or ""), _number(value))
-        for time, value, kind, source, said in zip(
-            table.time, *map(column, _EVENT_FIELDS), strict=True
-        )
-    ]
 
 
 def _choices(texts: Mapping[str, str], config: str) -> dict[str, str]:
@@ -139,7 +105,3 @@ def _json(texts: Mapping[str, str], key: str) -> Any:
         return json.loads(texts.get(key, "null"))
     except (ValueError, RecursionError):
         return None
-
-
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, (int, float)) else math.nan

@@ -31,7 +31,7 @@ from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
     from trms_cli.reporting.page import Page
-    from trms_cli.reporting.reported import ReportedRun
+    from trms_cli.reporting.signals import ReportedRun
     from trms_cli.runs.query import QueryResult
 
 #: More runs than this are told as a sweep: curves over one another could not be told apart.

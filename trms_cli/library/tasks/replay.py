@@ -109,10 +109,10 @@ def perform(composition: Composition, listener: Listener) -> Done:
     )
     files = {"log": log.path}
     if config["picture"]:
-        from trms_cli.reporting.replay_picture import draw_replay
+        from trms_cli.reporting.run_picture import draw_replay
 
         files["picture"] = log.path.with_name(PICTURE_NAME)
-        draw_replay(replay.history, table, files["picture"], title=title)
+        draw_replay(assembly.tables_of(replay.history), table, files["picture"], title=title)
     tracking = [
         f"{wording.signal(name)} {wording.quantity(channel['rmse'], channel['unit'])}"
         for name, channel in score["channels"].items()

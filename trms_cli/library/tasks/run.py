@@ -111,7 +111,9 @@ def perform(composition: Composition, listener: Listener) -> Done:
             picture = log.path.with_name(PICTURE_NAME)
             try:
                 limits = assembly.limits_of(loop.plant, experiment.model)
-                painter.draw(loop.history, score, picture, title=title, limits=limits)
+                painter.draw(
+                    assembly.tables_of(loop.history), score, picture, title=title, limits=limits
+                )
                 files["picture"] = picture
             except OSError as error:  # the run is safe in its log: this much may fail
                 note(f"no picture: {error.strerror or error}")
@@ -184,7 +186,7 @@ def _tell_of_missing_compiler(composition: Composition) -> None:
 
 def _painter(composition: Composition) -> Any:
     """Who draws: beside the run, which hides the plotting library's start; in a sweep, in line."""
-    from trms_cli.reporting.painter import Painter
+    from trms_cli.reporting.run_picture import Painter
 
     wanted = bool(composition.config["picture"])
     return Painter(beside=wanted and composition.job is None)

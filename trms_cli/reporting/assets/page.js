@@ -1,17 +1,17 @@
 /* The script of an interactive page: draws its plots with plotly.js, links their time axes, lets
    tables be sorted and filtered. What stands in the page is data: it is only ever set as text,
-   and as numbers and names of colours in the specifications that reporting/interactive.py wrote. */
+   and as numbers and names of colours in the specifications that reporting/chart_plot.py wrote. */
 "use strict";
 (() => {
   const LIGHT = {
     blue: "#0072b2", vermilion: "#d55e00", green: "#009e73", purple: "#cc79a7", orange: "#c98a00",
-    sky: "#56b4e9", yellow: "#d9c91f", ink: "#222222", grey: "#777777", pale: "#dddddd", alarm: "#c1272d",
-    ground: "#ffffff", grid: "#e4e4e4",
+    sky: "#56b4e9", yellow: "#d9c91f", ink: "#222222", grey: "#777777", pale: "#dddddd",
+    measured: "#aaaaaa", alarm: "#c1272d", ground: "#ffffff", grid: "#e4e4e4",
   };
   const DARK = {
     blue: "#5aa9e6", vermilion: "#ff8a4c", green: "#3cc99b", purple: "#e39cc4", orange: "#f0b429",
-    sky: "#9ad4f5", yellow: "#f0e442", ink: "#e6e6e6", grey: "#9a9a9a", pale: "#4a4d52", alarm: "#ff6b6b",
-    ground: "#17191c", grid: "#33363b",
+    sky: "#9ad4f5", yellow: "#f0e442", ink: "#e6e6e6", grey: "#9a9a9a", pale: "#4a4d52",
+    measured: "#7d8187", alarm: "#ff6b6b", ground: "#17191c", grid: "#33363b",
   };
   const PAPER_WIDTH = 680; // pixels of an A4 sheet between its margins
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
