@@ -211,7 +211,7 @@ class TestAWholeSweep:
 PID = ["controller=pid", "observer=full_state"]
 LONG = [*PID, "sim.duration=16"]
 #: Longer than a worker takes to look whether the sweep is to stop: it is interrupted, not ended.
-LONGER = [*PID, "sim.duration=120"]
+LONGER = [*PID, "sim.duration=400"]
 
 
 def test_a_killed_worker_costs_one_attempt(started, tmp_path, begun):
