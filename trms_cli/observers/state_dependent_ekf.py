@@ -29,8 +29,9 @@ a thrust k ω|ω| becomes k|ω| times ω for an origin at ω₀ = 0, gravity G s
 G (sin Δα/Δα) Δα without a division by zero.
 
 The integrals are Gauss–Legendre sums: exact for polynomials up to degree 2·nodes, so for thrusts
-and drags, and to rounding for sines over the rig's travel. A ray that crosses ω = 0, where ω|ω| has
-a kink, leaves a small residual, which :meth:`StateDependentForm.residual` measures.
+and drags. Of the inertia, which goes by sines and cosines of the pitch, six nodes leave up to 2e-6
+of the largest rate at the ends of the rig's travel, and twelve nothing but rounding. A ray that
+crosses ω = 0, where ω|ω| has a kink, leaves more. :meth:`StateDependentForm.residual` measures it.
 
 In time steps of length T the coefficients are frozen,
 
@@ -104,8 +105,8 @@ class StateDependentForm:
     def residual(self, x: FloatArray, u: FloatArray, p: FloatArray) -> FloatArray:
         """What the form leaves of the model at a point without torques, shape (n_x,).
 
-        In the states' units per s (per step for a model that only steps). Zero to rounding but
-        where the ray from the origin crosses a kink.
+        In the states' units per s (per step for a model that only steps). It is what the sums leave
+        of the integrals, most where the ray from the origin crosses a kink.
         """
         at = self.model.symbols()
         follow = _equations(self.model)(*at)
