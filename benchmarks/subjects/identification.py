@@ -13,10 +13,9 @@ from benchmarks.options import Options
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.genetic import Genetic
-from trms_cli.identification.method import FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.population import SimulationCost
-from trms_cli.identification.problem import FitProblem, free_parameters
+from trms_cli.identification.problem import FitProblem, FitResult, Unwatched, free_parameters
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.multilevel import Multilevel
 from trms_cli.simulation.rollout import Rollout

@@ -12,11 +12,21 @@ import yaml
 
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.problem import FitProblem, Prior, free_parameters, with_values
-from trms_cli.identification.validation.options import ValidationOptions, WindowOptions
-from trms_cli.identification.validation.validate import ModelValidation, validate_all
+from trms_cli.identification.problem import (
+    FitProblem,
+    FitResult,
+    Prior,
+    Unwatched,
+    free_parameters,
+    with_values,
+)
+from trms_cli.identification.validation.validate import (
+    ModelValidation,
+    ValidationOptions,
+    WindowOptions,
+    validate_all,
+)
 from trms_cli.models.quanser_aero import QuanserAero
 
 STUDY = Path(__file__).with_name("study.yaml")

@@ -21,7 +21,7 @@ from experiments.chapter3.training_picture import (
     draw_structure,
 )
 from experiments.chapter3.trainings import Trained, recorded
-from trms_cli.identification.blackbox.regressors import predicted, sampled, simulated
+from trms_cli.identification.blackbox.prediction_error import predicted, sampled, simulated
 from trms_cli.identification.validation.residual_tests import residual_tests
 from trms_cli.models.network import NarxStructure, Network
 

@@ -13,10 +13,9 @@ from experiments.chapter3.methods import method, option
 from experiments.chapter3.recordings import cut_at_stops, recording
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
-from trms_cli.identification.blackbox.regressors import free_run, rms, sampled
+from trms_cli.identification.blackbox.prediction_error import free_run, rms, sampled
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import Progress
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, Progress
 from trms_cli.models.narx_file import NarxFile, write_narx_file
 from trms_cli.models.network import NarxStructure, Network
 

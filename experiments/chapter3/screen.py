@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from trms_cli.identification.method import Unwatched
+from trms_cli.identification.problem import Unwatched
 
 
 class Screen(Unwatched):

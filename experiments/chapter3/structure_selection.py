@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.identification.blackbox.narx import NarxFit
-from trms_cli.identification.method import FitResult, Progress
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, FitResult, Progress
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from experiments.chapter3.trainings import (
     run_job,
     settings,
 )
-from trms_cli.identification.method import Unwatched
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, Unwatched
 
 #: Where all members are trained; ``systems`` of a member says others.
 ONE_AXIS = ("horizontal", "vertical")

@@ -15,10 +15,15 @@ from experiments.chapter3.methods import method, option
 from experiments.chapter3.recordings import recording
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.plugins import build
-from trms_cli.identification.blackbox.regressors import Samples, predicted, rms, sampled, simulated
+from trms_cli.identification.blackbox.prediction_error import (
+    Samples,
+    predicted,
+    rms,
+    sampled,
+    simulated,
+)
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitResult, Unwatched
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, FitResult, Unwatched
 from trms_cli.models.model import Model
 from trms_cli.models.network import NarxStructure, Network
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from experiments.chapter4.cases import Case
 from trms_cli.identification.free_runs import error_figures, window_runs
-from trms_cli.identification.method import FitResult, Unwatched
-from trms_cli.identification.problem import with_values
+from trms_cli.identification.problem import FitResult, Unwatched, with_values
 
 
 @dataclass

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.coverage.rigs import recorded
-from trms_cli.identification.method import Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.problem import FitProblem, free_parameters
+from trms_cli.identification.problem import FitProblem, Unwatched, free_parameters
 from trms_cli.models.newtonian import Newtonian
 
 FloatArray = npt.NDArray[np.float64]

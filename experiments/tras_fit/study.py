@@ -15,12 +15,23 @@ from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extended
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.problem import FitProblem, Prior, free_parameters, with_values
-from trms_cli.identification.validation.options import ValidationOptions, WindowOptions
-from trms_cli.identification.validation.prediction import predict_one_step
-from trms_cli.identification.validation.validate import common_windows, free_runs, lead_samples
+from trms_cli.identification.problem import (
+    FitProblem,
+    FitResult,
+    Prior,
+    Unwatched,
+    free_parameters,
+    with_values,
+)
+from trms_cli.identification.validation.validate import (
+    ValidationOptions,
+    WindowOptions,
+    common_windows,
+    free_runs,
+    lead_samples,
+    predict_one_step,
+)
 from trms_cli.models.driven import DrivenModel
 from trms_cli.models.model import Model
 from trms_cli.models.tras import Tras

@@ -14,7 +14,7 @@ import pytest
 
 from trms_cli.gap.force.description import all_conditions, change_time, regions, rounded
 from trms_cli.gap.force.exogenous import exogenous
-from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.force.laws import ForceRecord
 
 from .recorded import STEP, coloured
 

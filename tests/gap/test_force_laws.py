@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from trms_cli.gap.force.description import description
-from trms_cli.gap.force.laws import explained_shares, hysteresis
-from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.force.laws import ForceRecord, explained_shares, hysteresis
 
 from .recorded import STEP, coloured
 

@@ -8,8 +8,7 @@ import pytest
 from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.fitting import nominal_parameters, refit
 from trms_cli.gap.problem import divide, quantum_of, with_noise
-from trms_cli.gap.race import EFFORTS, Checkpoint, Race, run_race
-from trms_cli.gap.separability import effect_traces
+from trms_cli.gap.race import EFFORTS, Checkpoint, Race, effect_traces, run_race
 from trms_cli.models.newtonian import Newtonian
 
 from .recorded import QUANTUM, SPEED_NOISE, effect, recording

@@ -14,6 +14,7 @@ import pytest
 
 from trms_cli.core.chart import Bars, RigDiagram
 from trms_cli.core.findings import Findings, Judged, Table, plain
+from trms_cli.gap.diagnose import sentence
 from trms_cli.gap.diagnosis import (
     LOCATIONS,
     Cause,
@@ -28,7 +29,6 @@ from trms_cli.gap.diagnosis import (
 )
 from trms_cli.gap.findings import findings, force_chart, gap_chart, race_chart, run_chart
 from trms_cli.gap.free_runs import Shrinkage
-from trms_cli.gap.summary import sentence
 from trms_cli.reporting.findings_page import page_of
 from trms_cli.reporting.rig_diagram import diagram
 

@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.excitation.band import band_of, linearised
 from trms_cli.identification.excitation.chirp import ChirpExcitation
-from trms_cli.identification.excitation.design import ExcitationDesign, ExcitationRequest, design
+from trms_cli.identification.excitation.design import (
+    ExcitationDesign,
+    ExcitationRequest,
+    band_of,
+    design,
+    linearised,
+)
 from trms_cli.identification.excitation.excitation import Plan, crest_factor
+from trms_cli.identification.excitation.findings import spectra_of, summary
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import (
     MultisineExcitation,
@@ -19,7 +25,6 @@ from trms_cli.identification.excitation.multisine import (
     schroeder_phases,
 )
 from trms_cli.identification.excitation.prbs import PrbsExcitation
-from trms_cli.identification.excitation.spectra import spectra_of, summary
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
 

@@ -15,9 +15,14 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitOutcome, FitResult, Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.problem import FitProblem, free_parameters
+from trms_cli.identification.problem import (
+    FitOutcome,
+    FitProblem,
+    FitResult,
+    Unwatched,
+    free_parameters,
+)
 from trms_cli.models.driven import DrivenModel
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian

@@ -10,7 +10,7 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.validation.prediction import measured_states
+from trms_cli.identification.validation.validate import measured_states
 from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
 

@@ -8,23 +8,50 @@ See ``docs/diagnose.md`` for what each stage does and why.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.errors import TrmsError
+from trms_cli.core.wording import listing, readable
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
-from trms_cli.gap.diagnosis import DiagnosisResult
-from trms_cli.gap.fitting import Metric, Refit, nominal_parameters, refit
-from trms_cli.gap.free_runs import sealed_comparison
+from trms_cli.gap.diagnosis import (
+    NO_EFFECT,
+    Cause,
+    Detectable,
+    DiagnosedRecording,
+    DiagnosisResult,
+    FittedParameter,
+    GapTest,
+    LocationShare,
+    NextExperiment,
+    NotTestable,
+    RaceEntry,
+    RegionShare,
+    SizeEstimate,
+    Traces,
+)
+from trms_cli.gap.fitting import FittedModel, Metric, Refit, nominal_parameters, refit
+from trms_cli.gap.force.description import description, regions
+from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.free_runs import (
+    SealedComparison,
+    Shrinkage,
+    history,
+    sealed_comparison,
+    start_states,
+)
 from trms_cli.gap.innovation_tests import innovation_tests
-from trms_cli.gap.location import locate, smoothed_forces
-from trms_cli.gap.posterior import calibration, posterior_of
+from trms_cli.gap.location import Location, locate, smoothed_forces
+from trms_cli.gap.next_experiment import advise
+from trms_cli.gap.posterior import Posterior, calibration, posterior_of
 from trms_cli.gap.problem import GapProblem, Parts, divide
-from trms_cli.gap.race import EFFORTS, Checkpoint, Race, run_race
-from trms_cli.gap.separability import EffectTraces, effect_traces
-from trms_cli.gap.summary import StageResults, result_of
-from trms_cli.identification.method import Progress, Unwatched
+from trms_cli.gap.race import EFFORTS, Checkpoint, EffectTraces, Race, effect_traces, run_race
+from trms_cli.identification.problem import Progress, Unwatched
+from trms_cli.models.model import Model, names
 
 #: Where on the way each stage begins, as a share of the whole.
 _BEGINS = {
@@ -164,3 +191,486 @@ def _traces(
         chosen,
         watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces"),
     )
+
+
+#: Causes less probable than this are not listed.
+_LEAST_PROBABILITY = 0.002
+#: Places with less of the gap than this are not listed.
+_LEAST_SHARE = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageResults:
+    """What the stages of a diagnosis have found."""
+
+    problem: GapProblem
+    parts: Parts
+    candidates: Mapping[str, CandidateEffect]
+    left_out: Mapping[str, str]  #: Why other effects cannot be the cause here
+    race: Race
+    place: Location
+    forces: Mapping[str, ForceRecord]  #: Smoothed missing force of each equation
+    tests: tuple[GapTest, ...]
+    posterior: Posterior
+    sealed: SealedComparison
+
+
+def result_of(stages: StageResults) -> DiagnosisResult:
+    """The diagnosis, without the times that it took."""
+    problem, posterior, refit = stages.problem, stages.posterior, stages.race.refit
+    shrinkage = stages.sealed.shrinkage
+    where: tuple[LocationShare, ...] = ()
+    region: list[RegionShare] = []
+    words: tuple[str, ...] = ()
+    if posterior.verdict not in ("no_gap", "parameters_only"):
+        where = _where(stages)
+        main = [w.location for w in where[:2] if w.location in stages.forces]
+        for location in main or _strongest(stages):
+            region += regions(stages.forces[location])
+            words = words or description(stages.forces[location])
+    unseen = _not_testable(stages)
+    parameters, causes = _parameters(stages), _causes(stages)
+    shares = zip(refit.metric.discrepancy.channels, refit.metric.shares.tolist(), strict=True)
+    return DiagnosisResult(
+        recordings=tuple(
+            DiagnosedRecording(
+                file=d.source,
+                sha256=d.sha256,
+                duration_s=d.duration,
+                sample_time_s=d.sample_time,
+                channels=(*names(d.inputs), *names(d.outputs)),
+            )
+            for d in problem.datasets
+        ),
+        model=problem.model_name,
+        seed=problem.seed,
+        versions={},
+        verdict=posterior.verdict,
+        where=where,
+        region=tuple(region),
+        causes=causes,
+        confusable=posterior.confusable,
+        not_testable=unseen,
+        detectable=_detectable(stages),
+        parameters=parameters,
+        gap=shrinkage.gap,
+        shrink=shrinkage.shrink,
+        next_experiment=_advice(stages, unseen),
+        sentence=sentence(posterior, causes, where, shrinkage, parameters),
+        tests=stages.tests,
+        race=_race(stages),
+        description=words,
+        warnings=(*problem.warnings, *_remarks(stages)),
+        worse=shrinkage.worse,
+        effort=problem.effort,
+        refit=refit.values,
+        evidence={
+            **posterior.features.as_json(),
+            "shares": {channel.location: s for channel, s in shares if channel.fixed is None},
+            "outside": posterior.outside,
+        },
+        traces=_report_traces(stages, [w.location for w in where]),
+    )
+
+
+def _where(stages: StageResults) -> tuple[LocationShare, ...]:
+    """Each place's share of the gap: by the causes where they are named, else by disturbances."""
+    place, posterior, candidates = stages.place, stages.posterior, stages.candidates
+    seed = stages.race.refit.structure.problem.seed
+    random = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+    m = place.together.size
+    whole = _shares(posterior.probabilities, place.share(), candidates)
+    drawn = [
+        _shares(p, place.share(random.integers(0, m, m)), candidates)
+        for p in posterior.resampled[:100]
+    ]
+    listed = []
+    for location, share in sorted(whole.items(), key=lambda item: -item[1]):
+        if share < _LEAST_SHARE:
+            continue
+        values = [d.get(location, 0.0) for d in drawn]
+        low, high = np.quantile(values, [0.025, 0.975]) if values else (share, share)
+        listed.append(
+            LocationShare(
+                location=location,
+                share=share,
+                ci95=(float(min(low, share)), float(max(high, share))),
+            )
+        )
+    return tuple(listed)
+
+
+def _shares(
+    probabilities: Mapping[tuple[str, ...], float],
+    by_disturbance: Mapping[str, float],
+    candidates: Mapping[str, CandidateEffect],
+) -> dict[str, float]:
+    total = sum(by_disturbance.values())
+    shares: dict[str, float] = {}
+    for effects, probability in probabilities.items():
+        if effects[0] in NO_EFFECT:
+            if effects[0] == "none_of_these" and total > 0:
+                for location, share in by_disturbance.items():
+                    shares[location] = shares.get(location, 0.0) + probability * share / total
+            continue
+        for name in effects:
+            places = candidates[name].locations
+            weights = np.array([by_disturbance.get(p, 0.0) + 1e-3 for p in places])
+            for location, weight in zip(places, weights / weights.sum(), strict=True):
+                part = probability * weight / len(effects)
+                shares[location] = shares.get(location, 0.0) + float(part)
+    return shares
+
+
+def _strongest(stages: StageResults) -> list[str]:
+    shares = {k: v for k, v in stages.place.share().items() if k in stages.forces}
+    return sorted(shares, key=lambda k: -shares[k])[:1]
+
+
+def _causes(stages: StageResults) -> tuple[Cause, ...]:
+    entries = {e.names: e for e in stages.race.entries}
+    causes = [
+        Cause(
+            effects=effects,
+            probability=probability,
+            parameters=_sizes(entries[effects]) if effects in entries else {},
+        )
+        for effects, probability in stages.posterior.probabilities.items()
+        if probability >= _LEAST_PROBABILITY or effects[0] in NO_EFFECT
+    ]
+    total = sum(cause.probability for cause in causes)
+    return tuple(
+        Cause(effects=c.effects, probability=c.probability / total, parameters=c.parameters)
+        for c in causes
+    )
+
+
+def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
+    fit, sd = entry.fit, entry.fit.sd
+    return {
+        free.name: SizeEstimate(value=float(fit.theta[i]), sd=float(sd[i]), unit=free.unit)
+        for i, free in enumerate(entry.structure.problem.free)
+        if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
+    }
+
+
+def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
+    entry = stages.posterior.corrected or stages.race.refit
+    structure, fit, sd = entry.structure, entry.fit, entry.fit.sd
+    own = set(stages.race.refit.structure.problem.names)
+    return {
+        free.name: FittedParameter(
+            prior=float(stages.problem.model.parameters[free.name].value),
+            fitted=float(fit.theta[i]),
+            sd=float(sd[i]),
+            unit=free.unit,
+            moved=None
+            if not free.prior_sd
+            else float((fit.theta[i] - free.prior_mean) / free.prior_sd),
+        )
+        for i, free in enumerate(structure.problem.free)
+        if free.name in own
+    }
+
+
+def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
+    """Everyone, and those without an effect to compare with."""
+    race, features = stages.race, stages.posterior.features
+    refit = race.refit
+    own = refit.fit.predictive
+    finite = features.scores[np.isfinite(features.scores)]
+    most = max(features.behind, float(np.max(finite, initial=0.0)), 1e-9)
+
+    def row(
+        effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
+    ) -> RaceEntry:
+        apart = predictive - own
+        error = np.std(apart, ddof=1) * np.sqrt(len(apart)) if len(apart) > 1 else 0.0
+        given = {"explained": 0.0, **more}
+        return RaceEntry(
+            effects=effects, score=float(apart.sum()), se=float(error), moved=moved, **given
+        )
+
+    moved = _moved(race, refit)
+    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=moved)]
+    if refit.raw.evidence is not None:
+        rows.append(row(("no_gap",), refit.raw.predictive, 0.0))
+    for entry in race.entries:
+        if entry.fit.evidence is None or not np.isfinite(entry.fit.predictive).all():
+            continue
+        gained = float(np.clip((entry.fit.predictive - own).sum() / most, 0.0, 1.0))
+        rows.append(
+            row(
+                entry.names,
+                entry.fit.predictive,
+                _moved(race, entry),
+                explained=gained,
+                parameters=_sizes(entry),
+            )
+        )
+    return tuple(sorted(rows, key=lambda row: -row.score))
+
+
+def _moves(race: Race, entry: FittedModel) -> dict[str, float]:
+    """Size of the move of each nominal parameter that has a prior, in its standard deviations."""
+    own = set(race.refit.structure.problem.names)
+    return {
+        free.name: float(abs(entry.fit.theta[i] - free.prior_mean) / free.prior_sd)
+        for i, free in enumerate(entry.structure.problem.free)
+        if free.name in own and free.prior_sd
+    }
+
+
+def _moved(race: Race, entry: FittedModel) -> float:
+    return max(_moves(race, entry).values(), default=0.0)
+
+
+def _detectable(stages: StageResults) -> dict[str, Detectable]:
+    signs, sizes = stages.race.signatures, {}
+    for name in dict.fromkeys(signs.names):
+        least = signs.least_size(name)
+        if least is not None:
+            unit = stages.candidates[name].free[0].unit
+            sizes[name] = Detectable(minimum_size=least, unit=unit)
+    return sizes
+
+
+def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
+    race = stages.race
+    rows = [NotTestable(effect=name, reason=why) for name, why in stages.left_out.items()]
+    known = set(race.signatures.names)
+    for name, candidate in stages.candidates.items():
+        if not candidate.simulated:
+            continue
+        if name not in known:
+            rows.append(NotTestable(effect=name, reason="no simulation with it stays finite"))
+        elif race.signatures.least_size(name) is None:
+            rows.append(NotTestable(effect=name, reason=why_not_testable(race, candidate)))
+    return tuple(rows)
+
+
+def _remarks(stages: StageResults) -> tuple[str, ...]:
+    parts, race = stages.parts, stages.race
+    remarks = list(dict.fromkeys(r for d in (*parts.whole, *parts.fitted) for r in d.remarks))
+    proxies = [
+        f"{name} had to move {move:.1f} standard deviations of its prior in the refit: "
+        "rather a proxy of what is missing than an explanation"
+        for name, move in _moves(race, race.refit).items()
+        if move > 3.0
+    ]
+    return (*remarks, *proxies)
+
+
+def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperiment | None:
+    """What to record next: what parts those that are not told apart, else what shows the unseen."""
+    race, posterior, candidates = stages.race, stages.posterior, stages.candidates
+    best = posterior.best
+    apart: list[str] = []
+    values: dict[str, float] = {}
+    shares = None
+    if best is not None and posterior.confusable and best.names[0] not in NO_EFFECT:
+        apart = list(dict.fromkeys(n for group in posterior.confusable for n in group))
+        for entry in race.entries:
+            values = {**entry.values, **values}
+        shares = best.metric.shares
+    try:
+        return advise(
+            refit=race.refit,
+            candidates=candidates,
+            model_name=stages.problem.model_name,
+            apart=apart,
+            untested=[row.effect for row in unseen if row.effect in candidates],
+            values=values,
+            shares=shares,
+        )
+    except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
+        return None  # an experiment that cannot be predicted is no reason to lose a diagnosis
+
+
+#: Probability from which a cause that is not told apart is worth its name.
+_LEAST_ALIKE = 0.01
+#: s. The horizon that a sentence tells.
+_TOLD_AT = "2.0"
+#: Times the floor from which on a refitted model is said to leave something unexplained.
+_MUCH = 5.0
+
+
+def sentence(
+    posterior: Posterior,
+    causes: Sequence[Cause],
+    where: Sequence[LocationShare],
+    shrinkage: Shrinkage,
+    parameters: Mapping[str, FittedParameter],
+) -> str:
+    """What a colleague would say."""
+    top = causes[0]
+    place = f"the {readable(where[0].location)}" if where else "no single place"
+    if posterior.verdict == "no_gap":
+        return (
+            "The model as it is explains these recordings down to their noise: no gap was found, "
+            f"with probability {top.probability:.2f}."
+        )
+    if posterior.verdict == "parameters_only":
+        moved = sorted(
+            (name for name, p in parameters.items() if p.moved is not None),
+            key=lambda name: -abs(parameters[name].moved or 0.0),
+        )
+        return (
+            "No effect is missing: other values of the parameters explain these recordings, with "
+            f"probability {top.probability:.2f}; {', '.join(moved[:3])} moved most."
+            + _left_over(shrinkage)
+        )
+    if posterior.verdict == "none_of_these":
+        return (
+            f"Something is missing that is none of the effects known here, with probability "
+            f"{top.probability:.2f}; it acts mostly on {place}."
+        )
+    if posterior.verdict == "undecided":
+        listed = ", ".join(
+            f"{_effects(c.effects)} ({c.probability:.2f})"
+            for c in causes[:3]
+            if c.probability > 0.05
+        )
+        return f"These recordings do not decide what causes the gap: {listed}."
+    sizes = ", ".join(
+        f"{key.split('.', 1)[1]} {size.value:.3g} ± {size.sd:.1g} {size.unit.replace('*', ' ')}"
+        for key, size in list(top.parameters.items())[:3]
+    )
+    text = (
+        f"The gap lies in {place}, and {_effects(top.effects)} causes it, with probability "
+        f"{top.probability:.2f}" + (f" ({sizes})" if sizes else "")
+    )
+    if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
+        return text + "; it is estimated, not explained: the corrected model is the refitted one."
+    shrink = shrinkage.shrink.get("all", {}).get(_TOLD_AT)
+    if shrink is not None and shrink.fraction is not None:
+        # below the floor, by chance, is no more than all of it
+        share, ends = min(shrink.fraction, 1.0), shrink.ci95
+        text += f"; adding it closes {100 * share:.0f} % of the gap at 2 s"
+        if ends is not None:
+            text += f" ({100 * min(ends[0], 1.0):.0f} to {100 * min(ends[1], 1.0):.0f} %)"
+    likely = {n for cause in causes if cause.probability >= _LEAST_ALIKE for n in cause.effects}
+    alike = {name for group in posterior.confusable for name in group}
+    others = sorted((alike & likely) - set(top.effects))
+    if others:
+        text += f". These recordings do not tell it from {_effects(others, 'or')}"
+    return text + "."
+
+
+def _left_over(shrinkage: Shrinkage) -> str:
+    """What the refitted model still lacks on the sealed part, where that is much.
+
+    The verdict compares causes on the part that was fitted. A short recording can be fitted by
+    parameters that do not hold afterwards; who reads "parameters" has to be told.
+    """
+    shares = {
+        channel: (gaps[_TOLD_AT].refit / gaps[_TOLD_AT].floor, gaps[_TOLD_AT])
+        for channel, gaps in shrinkage.gap.items()
+        if _TOLD_AT in gaps and gaps[_TOLD_AT].floor > 0
+    }
+    worst = max(shares, key=lambda channel: shares[channel][0], default="")
+    if not worst or shares[worst][0] < _MUCH:
+        return ""
+    ratio, gap = shares[worst]
+    return (
+        f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
+        f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
+    )
+
+
+def why_not_testable(race: Race, candidate: CandidateEffect) -> str:
+    """Why recordings say nothing on an effect."""
+    signs = race.signatures
+    rows = signs.rows(candidate.name)
+    raw = float(np.sqrt(np.max(signs.energy[rows])))
+    absorbed = signs.absorbed(candidate.name)
+    if raw < 5.0:
+        return (
+            "what it does was not excited: at several times its typical size it would change the "
+            f"outputs by {raw:.1f} standard deviations of the noise"
+        )
+    return (
+        f"the nominal parameters can do {100 * absorbed:.1f} % of what it does within their "
+        "priors, and the rest is below the noise"
+    )
+
+
+def _effects(names: Iterable[str], word: str = "and") -> str:
+    return listing([readable(name) for name in names], word)
+
+
+#: Points of a picture's line at most.
+_POINTS = 1500
+#: s. Length of the free run that is shown.
+_SHOWN = 10.0
+
+
+def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
+    """Missing forces with what explains them, and free runs before and after."""
+    forces, corrected = stages.forces, stages.posterior.corrected
+    shown = [name for name in locations if name in forces] or list(forces)[:1]
+    explained: dict[str, FloatArray] = {}
+    if corrected is not None:
+        left = smoothed_forces(stages.race.refit, corrected)
+        explained = {name: forces[name].force - left[name].force for name in shown}
+    first = forces[shown[0]] if shown else None
+    rows = slice(None, None, 1 if first is None else max(1, len(first.time) // _POINTS))
+    force: dict[str, FloatArray] = {}
+    for name in shown:
+        force[name] = forces[name].force[rows]
+        force[f"{name}.sd"] = forces[name].sd[rows]
+    time, runs = _runs(stages.parts, stages.sealed)
+    return Traces(
+        force_time=np.zeros(0) if first is None else first.time[rows],
+        force=force,
+        force_unit={name: forces[name].unit for name in shown},
+        explained={name: value[rows] for name, value in explained.items()},
+        run_time=time,
+        runs=runs,
+    )
+
+
+def _runs(
+    parts: Parts, sealed: SealedComparison
+) -> tuple[FloatArray, dict[str, dict[str, FloatArray]]]:
+    """The free run over the sealed part in which most was gained."""
+    number, first, last = parts.sealed[0]
+    dataset = parts.whole[number]
+    step = dataset.sample_time
+    samples = min(round(_SHOWN / step), last - first - history(step) - 1)
+    begins = np.arange(max(first, history(step)), last - samples + 1, max(1, samples // 2))
+    if samples < 5 or not len(begins):
+        return np.zeros(0), {}
+    models: dict[str, Model] = {
+        "raw": sealed.raw,
+        "refit": sealed.refit,
+        "corrected": sealed.corrected,
+    }
+    if sealed.corrected is sealed.refit:
+        del models["corrected"]
+    simulated = {}
+    for name, model in models.items():
+        rollout = sealed.richer if name == "corrected" else sealed.plain
+        starts = start_states(model, rollout, dataset, begins)
+        count = np.full(len(begins), samples)
+        p = model.parameters.values
+        y = rollout.outputs(dataset.commands, begins, count, starts, p).y
+        simulated[name] = y.reshape(len(begins), samples, -1)
+    outputs = names(sealed.raw.outputs)
+    columns = [outputs.index(s.name) for s in dataset.outputs]
+    measured = dataset.measurements[begins[:, None] + np.arange(samples)]
+    after = simulated.get("corrected", simulated["refit"])[..., columns]
+    with np.errstate(all="ignore"):
+        worse = np.nansum((simulated["refit"][..., columns] - measured) ** 2, axis=1)
+        better = np.nansum((after - measured) ** 2, axis=1)
+        gained = np.nansum((worse - better) / np.maximum(dataset.noise_sd**2, 1e-18), axis=1)
+    best = int(np.argmax(gained)) if len(simulated) > 2 else int(np.argmax(worse.sum(axis=1)))
+    time = dataset.time[begins[best] : begins[best] + samples]
+    runs = {
+        signal.name: {
+            "measured": measured[best, :, i],
+            **{name: y[best, :, columns[i]] for name, y in simulated.items()},
+        }
+        for i, signal in enumerate(dataset.outputs)
+    }
+    return np.asarray(time - time[0] + float(time[0])), runs

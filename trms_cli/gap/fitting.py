@@ -24,8 +24,8 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.map_fit import Point, minimise
 from trms_cli.identification.greybox.objective import Quadratic, triangles
 from trms_cli.identification.greybox.windows import Residuals, Windows
-from trms_cli.identification.method import FitOutcome
 from trms_cli.identification.problem import (
+    FitOutcome,
     FitProblem,
     FreeParameter,
     free_parameters,

@@ -27,7 +27,7 @@ from trms_cli.gap.problem import HORIZONS, GapProblem, Parts
 from trms_cli.gap.race import Race
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
-from trms_cli.identification.greybox.starts import estimated_starts, spreads
+from trms_cli.identification.greybox.windows import estimated_starts, spreads
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 

@@ -22,7 +22,7 @@ from trms_cli.gap.discrepancy import (
     usual_channels,
 )
 from trms_cli.gap.fitting import FittedModel
-from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.models.model import Model, names
 
 #: A sensor of a rig without a gap errs by this share of what it reads.

@@ -20,15 +20,14 @@ from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
 from trms_cli.gap.fitting import CandidateFit, FittedModel, Metric, ModelStructure, Refit
-from trms_cli.gap.separability import Signatures, effect_traces, projected
+from trms_cli.gap.race import Signatures, effect_traces, projected
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.excitation.band import band_of, linearised
-from trms_cli.identification.excitation.design import lead_in
+from trms_cli.identification.excitation.design import band_of, lead_in, linearised
 from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import MultisineExcitation
 from trms_cli.identification.excitation.prbs import PrbsExcitation
-from trms_cli.identification.method import FitOutcome
+from trms_cli.identification.problem import FitOutcome
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.sawtooth import Sawtooth
@@ -353,7 +352,7 @@ def advise(
 
     Each is simulated with the refitted model; along that motion the traces of the effects asked
     after are projected and compared as those of the recordings are
-    (:mod:`trms_cli.gap.separability`). A second or two on one core where the models of the effects
+    (:mod:`trms_cli.gap.race`). A second or two on one core where the models of the effects
     are compiled, as they are after the race. None where no experiment can be predicted: in open
     loop the angles would not stay within their bounds at any amplitude.
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.free_runs import WindowRuns, window_runs
-from trms_cli.identification.method import FitResult
-from trms_cli.identification.problem import FitProblem, with_values
+from trms_cli.identification.problem import FitProblem, FitResult, with_values
 from trms_cli.models.model import Model
 
 #: What a method's details say of the parameters, and what the document says elsewhere.

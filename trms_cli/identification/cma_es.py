@@ -15,9 +15,8 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.identification.method import FitResult, Progress
 from trms_cli.identification.population import Box, search_fit
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, FitResult, Progress
 
 #: pycma takes no infinite costs; this is worse than any simulation that did not fail.
 _FAILED = 1e30
@@ -56,7 +55,7 @@ class CmaEs:
     fits_parameters: ClassVar[bool] = True
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
-        """Search; see :class:`trms_cli.identification.method.Method`."""
+        """Search; see :class:`trms_cli.identification.problem.Method`."""
         box = Box(problem, self.spread)
         search = CmaSearch(box.point(problem.starts), problem.seed, self)
         settings = asdict(self)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.starts import estimated_starts
+from trms_cli.identification.greybox.windows import estimated_starts
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
 from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.models.state_kinds import kinds_of_states

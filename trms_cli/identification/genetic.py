@@ -18,9 +18,8 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.identification.method import FitResult, Progress
 from trms_cli.identification.population import Box, search_fit
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, FitResult, Progress
 
 Crossover = Literal["simulated_binary", "uniform", "two_point"]
 Mutation = Literal["polynomial", "gaussian"]
@@ -60,7 +59,7 @@ class Genetic:
     fits_parameters: ClassVar[bool] = True
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
-        """Search; see :class:`trms_cli.identification.method.Method`."""
+        """Search; see :class:`trms_cli.identification.problem.Method`."""
         box, generator = Box(problem, self.spread), np.random.default_rng([problem.seed, 0])
         first = box.drawn(self.individuals, generator)
         if self.first == "even":

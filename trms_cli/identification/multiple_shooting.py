@@ -23,8 +23,13 @@ from trms_cli.identification.greybox.information import identifiability
 from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, Point, fit_from, profile
 from trms_cli.identification.greybox.objective import sizes
 from trms_cli.identification.greybox.windows import Windows
-from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import (
+    FitOutcome,
+    FitProblem,
+    FitResult,
+    HistoryPoint,
+    Progress,
+)
 from trms_cli.models.model import names
 
 #: Gaps between windows as a share of the starts' spread: a few mrad and 10 mrad/s when joined
@@ -53,7 +58,7 @@ class MultipleShooting:
     fits_parameters: ClassVar[bool] = True
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
-        """Fit the problem; see :class:`trms_cli.identification.method.Method`."""
+        """Fit the problem; see :class:`trms_cli.identification.problem.Method`."""
         begun = time.perf_counter()
         wanted = _profiled(self.profiles, problem)
         windows = Windows(problem)

@@ -39,8 +39,13 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.greybox.windows import Residuals, Windows
-from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import (
+    FitOutcome,
+    FitProblem,
+    FitResult,
+    HistoryPoint,
+    Progress,
+)
 
 
 class SimulationCost:

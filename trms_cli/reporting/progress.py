@@ -48,7 +48,7 @@ class ProgressLine:
 
 
 class FitProgress:
-    """Progress of a fit; see :class:`trms_cli.identification.method.Progress`.
+    """Progress of a fit; see :class:`trms_cli.identification.problem.Progress`.
 
     Within its ``with`` block the first Ctrl-C or SIGTERM asks the method to stop at the best so
     far, the second one interrupts it where it stands.
@@ -157,7 +157,7 @@ class FitProgress:
 
 
 class DiagnoseProgress(FitProgress):
-    """Progress of a diagnosis; see :class:`trms_cli.identification.method.Progress`.
+    """Progress of a diagnosis; see :class:`trms_cli.identification.problem.Progress`.
 
     A message is the name of a stage, and after a colon what is done in it. Within the ``with``
     block the first Ctrl-C or SIGTERM asks to stop at the next step, the second one interrupts where

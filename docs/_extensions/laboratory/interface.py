@@ -57,7 +57,7 @@ SUBJECTS: dict[str, Subject] = {
     "method": Subject(
         "Fit method",
         "What fits parameters or a network to recordings.",
-        ("trms_cli.identification.method",),
+        ("trms_cli.identification.problem",),
     ),
     "study": Subject(
         "Study",

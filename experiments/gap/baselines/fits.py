@@ -11,12 +11,12 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.diagnosis import FittedParameter, SizeEstimate
 from trms_cli.gap.problem import GapProblem, Parts, divide
-from trms_cli.identification.method import Unwatched
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import (
     PRIORS,
     FitProblem,
     FreeParameter,
+    Unwatched,
     free_parameters,
     with_values,
 )

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import compiled
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.starts import estimated_starts
+from trms_cli.identification.greybox.windows import estimated_starts
 from trms_cli.models.model import Model
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.simulation.rollout import Rollout

@@ -9,6 +9,13 @@ from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
+from trms_cli.identification.blackbox.prediction_error import (
+    free_run,
+    predicted,
+    rms,
+    sampled,
+    simulated,
+)
 from trms_cli.identification.blackbox.radial_fit import (
     Radial,
     clustered,
@@ -16,10 +23,8 @@ from trms_cli.identification.blackbox.radial_fit import (
     selected,
     with_linear_weights,
 )
-from trms_cli.identification.blackbox.regressors import free_run, predicted, rms, sampled, simulated
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitOutcome, Method, Unwatched
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitOutcome, FitProblem, Method, Unwatched
 from trms_cli.models.narx_file import read_narx_file, write_narx_file
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.newtonian import Newtonian

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.blackbox.prediction_error import MultiStepError, OneStepError
-from trms_cli.identification.blackbox.regressors import Samples, placed_rows, rows, scaling
+from trms_cli.identification.blackbox.prediction_error import (
+    MultiStepError,
+    OneStepError,
+    Samples,
+    placed_rows,
+    rows,
+    scaling,
+)
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.models.network import NarxStructure
 

@@ -10,8 +10,8 @@ import pytest
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.cma_es import CmaEs
 from trms_cli.identification.genetic import Genetic
-from trms_cli.identification.method import FitOutcome, Unwatched
 from trms_cli.identification.population import Box, SimulationCost
+from trms_cli.identification.problem import FitOutcome, Unwatched
 
 SMALL = Genetic(individuals=12, generations=8)
 

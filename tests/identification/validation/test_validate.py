@@ -19,16 +19,14 @@ from trms_cli.identification.validation.findings import (
     remarks_on,
     remarks_on_comparison,
 )
-from trms_cli.identification.validation.options import (
+from trms_cli.identification.validation.validate import (
+    ModelValidation,
     TestOptions,
     ValidationOptions,
     WindowOptions,
-)
-from trms_cli.identification.validation.prediction import measured_states
-from trms_cli.identification.validation.validate import (
-    ModelValidation,
     calibrated,
     matched_tail,
+    measured_states,
     validate_all,
 )
 from trms_cli.models.discrete import SteppedModel

@@ -15,8 +15,7 @@ import numpy as np
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.diagnosis import RegionShare
 from trms_cli.gap.force.exogenous import exogenous
-from trms_cli.gap.force.laws import LAWS, explained_shares
-from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.force.laws import LAWS, ForceRecord, explained_shares
 
 #: How many are told at most.
 MOST = 3

@@ -33,8 +33,7 @@ from itertools import pairwise
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
-from trms_cli.gap.force.laws import hysteresis
-from trms_cli.gap.force.record import ForceRecord
+from trms_cli.gap.force.laws import ForceRecord, hysteresis
 
 #: Ridge penalties, relative to the number of samples; features have unit variance.
 PENALTIES = (1e-3, 1e-2, 1e-1)

@@ -30,8 +30,7 @@ from trms_cli.identification.blackbox.training.training import (
     TrainingAlgorithm,
     train,
 )
-from trms_cli.identification.method import FitResult, Progress
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, FitResult, Progress
 
 Units = Annotated[int, Meta(ge=1, le=1000)]
 

@@ -11,8 +11,9 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.identification.blackbox.prediction_error import MultiStepError, OneStepError
-from trms_cli.identification.blackbox.regressors import (
+from trms_cli.identification.blackbox.prediction_error import (
+    MultiStepError,
+    OneStepError,
     Samples,
     Scaling,
     normalised_rms,
@@ -32,8 +33,13 @@ from trms_cli.identification.blackbox.training.training import (
 )
 from trms_cli.identification.blackbox.training.training import TrainingOutcome as Ending
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import FitOutcome, FitResult, HistoryPoint, Progress
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import (
+    FitOutcome,
+    FitProblem,
+    FitResult,
+    HistoryPoint,
+    Progress,
+)
 from trms_cli.models.model import Signal, names
 from trms_cli.models.narx_file import NarxFile
 from trms_cli.models.network import NarxStructure, Network

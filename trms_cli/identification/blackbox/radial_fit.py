@@ -51,8 +51,7 @@ from trms_cli.identification.blackbox.training.training import (
     TrainingAlgorithm,
     TrainingOutcome,
 )
-from trms_cli.identification.method import FitResult, Progress
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, FitResult, Progress
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from trms_cli.identification.greybox.objective import (
     sizes,
 )
 from trms_cli.identification.greybox.windows import Windows
-from trms_cli.identification.method import FitOutcome
+from trms_cli.identification.problem import FitOutcome
 
 #: First damping, in the scaled units: as strong as the priors.
 _FIRST_DAMPING = 1.0

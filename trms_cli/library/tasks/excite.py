@@ -26,8 +26,7 @@ _MOST_SAMPLES = 1_000_000
 def perform(composition: Composition, listener: Listener) -> Done:
     """Design what a configuration asks for."""
     from trms_cli.identification.excitation.design import design
-    from trms_cli.identification.excitation.findings import findings
-    from trms_cli.identification.excitation.spectra import spectra_of, summary
+    from trms_cli.identification.excitation.findings import findings, spectra_of, summary
     from trms_cli.runs.run_folder import write_document, write_whole
 
     begin = perf_counter()

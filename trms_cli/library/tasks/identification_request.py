@@ -15,10 +15,10 @@ from trms_cli.core.plugins import TARGET, build
 from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.method import Method
 from trms_cli.identification.problem import (
     FitProblem,
     FreeParameter,
+    Method,
     Prior,
     acting_parameters,
     free_parameters,

@@ -21,9 +21,8 @@ from trms_cli.identification.assessment import Assessment, at_bounds
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.findings import findings, in_short
 from trms_cli.identification.free_runs import WindowRuns, error_figures
-from trms_cli.identification.method import FitOutcome as Ended
-from trms_cli.identification.method import FitResult
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitOutcome as Ended
+from trms_cli.identification.problem import FitProblem, FitResult
 from trms_cli.library.tasks import files
 from trms_cli.library.tasks.identification_request import Identification, identification_of
 from trms_cli.library.tasks.task import Done, Listener

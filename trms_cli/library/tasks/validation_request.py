@@ -15,7 +15,7 @@ from trms_cli.core.plugins import TARGET, build
 from trms_cli.identification.admission import Admission, admit, together
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.validation.options import ValidationOptions
+from trms_cli.identification.validation.validate import ValidationOptions
 from trms_cli.library.tasks.subject import driven_model, driven_recordings, model_of, several
 from trms_cli.library.tasks.validated_models import shown_names
 from trms_cli.models.model import Model
@@ -23,7 +23,7 @@ from trms_cli.models.model import Model
 if TYPE_CHECKING:
     from trms_cli.identification.validation.validate import ModelValidation
 
-_OPTIONS = "trms_cli.identification.validation.options.ValidationOptions"
+_OPTIONS = "trms_cli.identification.validation.validate.ValidationOptions"
 #: What a channel without declared noise is given, so that filters stay invertible.
 _NO_NOISE = 1e-6
 #: Keys of the configuration that make up a :class:`ValidationOptions`.
