@@ -29,7 +29,7 @@ from trms_cli.gap.diagnosis import (
 )
 from trms_cli.gap.findings import findings, force_chart, gap_chart, race_chart, run_chart
 from trms_cli.gap.free_runs import Shrinkage
-from trms_cli.reporting.findings_page import page_of
+from trms_cli.reporting.page import page_html
 from trms_cli.reporting.rig_diagram import diagram
 
 from .diagnosis_case import FRICTION, diagnosis, traces
@@ -62,7 +62,7 @@ def rows(told: Findings, head: str) -> list[list]:
 def test_says_what_was_found_in_one_file(tmp_path) -> None:
     case = diagnosis()
     told = findings(case, ["12 samples of alpha_h are missing"], tmp_path)
-    text = page_of(told, interactive=False).html()
+    text = page_html(told, interactive=False)
     said = words_of(text)
     for expected in (
         case.sentence,
@@ -110,7 +110,7 @@ def test_the_gap_is_told_in_numbers_of_the_document() -> None:
 def test_every_verdict_has_a_page(changes: dict) -> None:
     case = diagnosis(**changes)
     told = findings(case)
-    said = words_of(page_of(told, interactive=False).html())
+    said = words_of(page_html(told, interactive=False))
     assert case.sentence in said
     for line in case.description:
         assert (line in said) == (case.verdict in ("none_of_these", "undecided"))
@@ -124,7 +124,7 @@ def test_what_could_not_be_told_is_a_dash() -> None:
         shrink={"alpha_v": {"2.0": Shrink(fraction=None, ci95=None)}},
         **PLAIN,
     )
-    assert "pitch [mrad] 2 – ∞ – 1 –" in words_of(page_of(findings(case), interactive=False).html())
+    assert "pitch [mrad] 2 – ∞ – 1 –" in words_of(page_html(findings(case), interactive=False))
 
 
 def test_nothing_corrected_is_not_called_closed() -> None:
@@ -154,7 +154,7 @@ class TestNothingContradicts:
         beyond = LocationShare(location="yaw_moment", share=4.56, ci95=(1.82, 4.56))
         shrink = {"all": {"2.0": Shrink(fraction=1.3, ci95=(-9.0, 1.4))}}
         told = findings(diagnosis(where=(beyond,), region=(), shrink=shrink, **PLAIN))
-        said = words_of(page_of(told, interactive=False).html())
+        said = words_of(page_html(told, interactive=False))
         assert not re.search(r"[1-9]\d\d %|[−-]\d+ %", said.replace("100 %", ""))
         assert rows(told, "share of the gap")[0][1] == "all"
 

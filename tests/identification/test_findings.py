@@ -19,7 +19,7 @@ from trms_cli.identification.findings import (
 )
 from trms_cli.models.model import Signal
 from trms_cli.reporting.chart_picture import picture_of
-from trms_cli.reporting.findings_page import page_of
+from trms_cli.reporting.page import page_html
 from trms_cli.reporting.style import house_style
 
 
@@ -120,7 +120,7 @@ def test_errors_doubts_and_recordings_are_told(document):
         assert any(words in doubt for doubt in doubts), words
     (rows,) = (t.rows for t in told.tables if "at a bound" in t.columns)
     assert [plain(row[-1]) for row in rows] == ["", "", "lower", ""]
-    page = page_of(told, interactive=False).html()
+    page = page_html(told, interactive=False)
     for words in ("different optima", "3 samples missing", "yaw_coulomb_friction", "abababab"):
         assert words in page, words
     assert "<b>.csv" not in page

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from tests.reporting.conftest import events
-from trms_cli.reporting.chart_plot import Plot
-from trms_cli.reporting.page import Page
-from trms_cli.reporting.report_comparison import comparison_page
-from trms_cli.reporting.report_run import run_page
-from trms_cli.reporting.report_sweep import sweep_page
+from trms_cli.core.chart import Axis, Chart, Curve, Panel
+from trms_cli.core.findings import Findings, Section, Table
+from trms_cli.reporting.chart_plot import Plot, script_json
+from trms_cli.reporting.page import page_html
+from trms_cli.reporting.report_comparison import findings_of_comparison
+from trms_cli.reporting.report_run import findings_of_run
+from trms_cli.reporting.report_sweep import findings_of_sweep
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
 from trms_cli.scoring.tables import Series
 
@@ -57,7 +59,7 @@ def sweep() -> ReportedSweep:
 
 
 def test_a_run_draws_and_its_axes_are_linked(opened, run):
-    page = opened(run_page(run).html())
+    page = opened(page_html(findings_of_run(run)))
     curves = "p => p.querySelector('.cartesianlayer path') !== null"
     assert page(f"[...document.querySelectorAll('div.plot')].every({curves})")
     before = page(RANGES)
@@ -98,7 +100,7 @@ def test_a_run_draws_and_its_axes_are_linked(opened, run):
 
 
 def test_a_sweep_sorts_filters_and_changes_its_figure(opened, sweep):
-    page = opened(sweep_page(sweep).html())
+    page = opened(page_html(findings_of_sweep(sweep)))
 
     def column(number):
         return page(
@@ -146,11 +148,11 @@ def test_a_sweep_sorts_filters_and_changes_its_figure(opened, sweep):
 def test_a_telephone_needs_no_sideways_scroll(opened, make_run, sweep, what):
     long = make_run("a_rather_long_name_of_a_folder_without_any_space_in_it_" + 3 * "0123456789")
     pages = {
-        "run": lambda: run_page(long),
-        "comparison": lambda: comparison_page([long, make_run("other")]),
-        "sweep": lambda: sweep_page(sweep),
+        "run": lambda: findings_of_run(long),
+        "comparison": lambda: findings_of_comparison([long, make_run("other")]),
+        "sweep": lambda: findings_of_sweep(sweep),
     }
-    page = opened(pages[what]().html(), width=375, is_mobile=True, has_touch=True)
+    page = opened(page_html(pages[what]()), width=375, is_mobile=True, has_touch=True)
     assert page("document.documentElement.scrollWidth") == 375
     wide = (
         "[...document.querySelectorAll('div.plot .svg-container')].every(p => p.offsetWidth <= 375)"
@@ -166,7 +168,7 @@ def test_a_telephone_needs_no_sideways_scroll(opened, make_run, sweep, what):
 def test_prints_on_paper_in_light_colours_also_from_a_dark_room(opened, run):
     few = ("/reference", "/plant/state", "/command")
     little = replace(run, tables={topic: run.tables[topic] for topic in few})
-    page = opened(run_page(little).html(), color_scheme="dark")
+    page = opened(page_html(findings_of_run(little)), color_scheme="dark")
     ink = "() => document.querySelector('div.plot').layout.font.color"
     assert page(ink) == "#e6e6e6"
     page(
@@ -182,21 +184,23 @@ def test_prints_on_paper_in_light_colours_also_from_a_dark_room(opened, run):
 
 
 def test_without_scripts_sentences_and_tables_stand(opened, sweep):
-    page = opened(sweep_page(sweep).html(), drawn=False, java_script_enabled=False)
+    page = opened(page_html(findings_of_sweep(sweep)), drawn=False, java_script_enabled=False)
     text = page.tab.locator("main").inner_text()
     assert "switched off here" in text and "it fell" in text
     assert page.tab.locator(".sortable tbody tr").count() == 61
 
 
 def test_a_browser_that_cannot_unpack_says_so(opened, run):
-    page = opened(run_page(run).html(), drawn=False, before="delete window.DecompressionStream")
+    page = opened(
+        page_html(findings_of_run(run)), drawn=False, before="delete window.DecompressionStream"
+    )
     page.tab.wait_for_selector("html[data-plots=missing]", state="attached")
     assert "no DecompressionStream" in page.tab.locator("p.no-plots").inner_text()
     assert page.tab.locator("tbody tr").count() > 5 and page.messages == []
 
 
 def test_a_damaged_script_is_told_and_not_run(opened, run):
-    text = run_page(run).html()
+    text = page_html(findings_of_run(run))
     (packed,) = re.findall('id="plotly">(.*?)<', text)
     foreign = base64.b64encode(gzip.compress(b"window.Plotly = {}; window.harmed = 1")).decode()
     for other, reason in ((packed[:1000], "could not be unpacked"), (foreign, "does not let it")):
@@ -208,14 +212,15 @@ def test_a_damaged_script_is_told_and_not_run(opened, run):
 
 @pytest.mark.parametrize("kind", ["contour", "heatmap", "histogram2d", "bar", "violin", "table"])
 def test_plots_of_two_dimensions_need_no_more_than_the_policy_allows(opened, kind):
-    page = Page("One")
     trace: dict[str, object] = {"type": kind, "x": [1, 2, 2], "y": [1, 1, 2]}
     if kind in ("contour", "heatmap"):
         trace["z"] = [[1, 2, 3], [2, 3, 5], [3, 4, 9]]
     if kind == "table":
         trace = {"type": kind, "header": {"values": ["a"]}, "cells": {"values": [[1, 2]]}}
-    page.plots([Plot("it", traces=[trace])])
-    shown = opened(page.html())
+    empty = Chart("one", [Panel(Axis("x"), Axis("y"), [Curve([], [])])])
+    html = page_html(Findings("One", [], [Section("", blocks=[empty])]))
+    data = script_json(Plot("it", traces=[trace]).document())
+    shown = opened(re.sub('(plot-data">).*?(</script>)', lambda m: m[1] + data + m[2], html))
     assert shown.tab.locator("div.plot svg").count() > 0
     assert [url for url in shown.requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert shown.messages == []
@@ -274,15 +279,15 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
         facts={HOSTILE: HOSTILE},
     )
     for made in (
-        run_page(hostile),
-        comparison_page(
+        findings_of_run(hostile),
+        findings_of_comparison(
             [hostile, run],
             differences=[(HOSTILE, [HOSTILE, HOSTILE])],
             left_out=[(HOSTILE, HOSTILE)],
         ),
-        sweep_page(many, title=HOSTILE),
+        findings_of_sweep(many, title=HOSTILE),
     ):
-        page = opened(made.html())
+        page = opened(page_html(made))
         for plot in page.tab.locator("div.plot .nsewdrag").all()[:3]:  # what is pointed at is told
             plot.hover(force=True)
         assert page("window.harmed") is None
@@ -300,15 +305,11 @@ def test_hostile_text_runs_nothing(opened, run, sweep):
 def test_the_policy_stops_what_escaping_would_have_let_through(opened, run):
     """The second wall, should the first have a hole: markup in a page runs and fetches nothing."""
     bare = replace(run, tables={"/plant/state": run.tables["/plant/state"]})
-    html = (
-        run_page(bare)
-        .html()
-        .replace(
-            "</main>",
-            "<script>window.harmed = 1</script>"
-            "<img src='http://127.0.0.1:9/x' onerror='window.harmed = 1'>"
-            "</main>",
-        )
+    html = page_html(findings_of_run(bare)).replace(
+        "</main>",
+        "<script>window.harmed = 1</script>"
+        "<img src='http://127.0.0.1:9/x' onerror='window.harmed = 1'>"
+        "</main>",
     )
     page = opened(html)
     assert page("window.harmed") is None
@@ -316,6 +317,6 @@ def test_the_policy_stops_what_escaping_would_have_let_through(opened, run):
 
 
 def test_pages_of_other_commands_complain_of_nothing(opened):
-    plain = Page("Plain", "A page without plots.")
-    plain.table(["a"], [[1.0]])
-    assert opened(plain.html(), drawn=False).messages == []
+    table = Section("", blocks=[Table(["a"], [[1.0]])])
+    plain = Findings("Plain", ["A page without plots."], [table])
+    assert opened(page_html(plain), drawn=False).messages == []

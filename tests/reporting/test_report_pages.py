@@ -19,13 +19,14 @@ import numpy as np
 import pytest
 
 from tests.reporting.conftest import logged, with_columns
+from trms_cli.core.findings import Findings, Judged, Section, Table
+from trms_cli.library.report.sweeps import relative_link
 from trms_cli.reporting.chart_plot import MOST_POINTS
-from trms_cli.reporting.page import Page
-from trms_cli.reporting.page_rows import Linked, RowColumn, relative_link, rows_html
+from trms_cli.reporting.page import page_html
 from trms_cli.reporting.page_scripts import policy
-from trms_cli.reporting.report_comparison import RankedCandidate, comparison_page
-from trms_cli.reporting.report_run import run_page
-from trms_cli.reporting.report_sweep import sweep_page
+from trms_cli.reporting.report_comparison import findings_of_comparison
+from trms_cli.reporting.report_run import findings_of_run
+from trms_cli.reporting.report_sweep import findings_of_sweep
 from trms_cli.reporting.reported_sweep import (
     Correlation,
     Draws,
@@ -36,13 +37,16 @@ from trms_cli.reporting.reported_sweep import (
     undominated,
 )
 from trms_cli.reporting.signals import ReportedRun
+from trms_cli.scoring.comparison.compared_run import ComparedRun, State
+from trms_cli.scoring.comparison.grouping import group
+from trms_cli.scoring.comparison.ranking import rank
 
 
 def plots_of(page):
     """Specifications in a page by their headings."""
     found = re.findall(
         r'<figure class="plot[^>]*>\n(?:<h3>(.*?)</h3>)?.*?class="plot-data">(.*?)</script>',
-        page.html(),
+        page_html(page),
         re.DOTALL,
     )
     return {unescape(title): json.loads(data) for title, data in found}
@@ -50,6 +54,13 @@ def plots_of(page):
 
 def unpacked(array):
     return np.frombuffer(base64.b64decode(array["bdata"]), dtype="<" + array["dtype"])
+
+
+def rows_html(rows) -> str:
+    """The page of a table that is sorted and filtered."""
+    columns = ["a", "b"][: len(rows[0])]
+    table = Table(columns, rows, keys=columns)
+    return page_html(Findings("Rows", [], [Section("", blocks=[table])]))
 
 
 def swept(number, entrant="pid", *, k_g=0.1, rmse=0.2, **more):
@@ -110,12 +121,32 @@ def drawn() -> ReportedSweep:
     )
 
 
+@pytest.fixture(scope="module")
+def ranking():
+    """Two controllers on six rigs; `lqr` misses by a tenth to six tenths more."""
+    return rank(
+        group(
+            [
+                ComparedRun(
+                    path=f"{who}{rig}",
+                    coordinates={"controller": who, "plant": str(rig)},
+                    state=State.DONE,
+                    score={"channels": {"alpha_h": {"rmse": 0.1 + more * rig}}},
+                    message="",
+                )
+                for rig in range(1, 7)
+                for who, more in (("pid", 0.0), ("lqr", 0.01))
+            ]
+        )
+    )
+
+
 class TestRun:
     """The page of one run."""
 
     def test_has_every_part(self, run):
-        page = run_page(run)
-        text = page.html()
+        page = findings_of_run(run)
+        text = page_html(page)
         for heading in (
             "Angles and commands",
             "Speeds, rates and torques",
@@ -141,23 +172,25 @@ class TestRun:
 
     def test_s_is_told_from_the_rate_of_its_axis(self, run):
         said = "S is the rate less what the other rotor"
-        assert said not in run_page(run).html()
+        assert said not in page_html(findings_of_run(run))
         state = run.tables["/plant/state"]
         more = {**state.columns, "S_h": np.zeros(len(state.time))}
-        assert said in run_page(with_columns(run, "/plant/state", more)).html()
+        assert said in page_html(findings_of_run(with_columns(run, "/plant/state", more)))
 
     def test_lead_tells_tracking_misses_and_faults(self, run):
-        lead = run_page(run).lead[0]
+        lead = findings_of_run(run).lead[0]
         assert "**newton_mpc** followed pitch to 0.1 rad and yaw to 0.1 rad" in lead
         assert "**1 deadline missed**" in lead and "1 fault injected" in lead and "10 %" in lead
 
     def test_all_plots_of_the_time_share_group_and_range(self, run):
-        timed = [spec for spec in plots_of(run_page(run)).values() if spec["group"] == "time"]
+        timed = [
+            spec for spec in plots_of(findings_of_run(run)).values() if spec["group"] == "time"
+        ]
         assert len(timed) >= 8
         assert {tuple(spec["layout"]["xaxis"]["range"]) for spec in timed} == {(0.0, 20.0)}
 
     def test_curves_are_the_samples(self, run):
-        traces = plots_of(run_page(run))["yaw"]["traces"]
+        traces = plots_of(findings_of_run(run))["yaw"]["traces"]
         by_name = {trace["name"]: trace for trace in traces}
         assert set(by_name) >= {"rig", "measured", "reference", "estimate ± 2 sd"}
         np.testing.assert_allclose(
@@ -168,7 +201,7 @@ class TestRun:
         )
 
     def test_events_limits_and_saturation_are_drawn(self, run):
-        plots = plots_of(run_page(run))
+        plots = plots_of(findings_of_run(run))
         marks = next(t for t in plots["pitch"]["traces"] if t["name"] == "event")
         assert unpacked(marks["x"]).tolist() == [5.0] and "yaw is frozen" in marks["text"][0]
         shapes = plots["commands"]["layout"]["shapes"]
@@ -177,13 +210,15 @@ class TestRun:
         assert levels == [-0.5, 0.5]
 
     def test_missed_deadlines_and_fall_backs_are_marked(self, run):
-        traces = {t["name"]: t for t in plots_of(run_page(run))["time of a control step"]["traces"]}
+        traces = {
+            t["name"]: t for t in plots_of(findings_of_run(run))["time of a control step"]["traces"]
+        }
         assert unpacked(traces["deadline missed"]["x"]).tolist() == [5.0]
         assert unpacked(traces["deadline missed"]["y"]).tolist() == [200.0]
         assert len(unpacked(traces["fall-back"]["x"])) == 1
 
     def test_a_prediction_begins_where_it_was_made(self, run):
-        spec = plots_of(run_page(run))["predictions of yaw"]
+        spec = plots_of(findings_of_run(run))["predictions of yaw"]
         (every, chosen), starts = spec["fans"]["pairs"][0], spec["fans"]["starts"]
         x = unpacked(spec["traces"][every]["x"])
         made = run.tables["/prediction"].time
@@ -193,8 +228,8 @@ class TestRun:
 
     def test_is_small_for_eighty_seconds_at_a_hundred_hertz(self, make_run):
         # ten times the samples of the example are those of 80 s at 200 Hz
-        page = run_page(make_run(seconds=800.0))
-        assert len(page.html().encode()) < 3e6
+        page = findings_of_run(make_run(seconds=800.0))
+        assert len(page_html(page).encode()) < 3e6
         longest = max(
             len(unpacked(t["y"]))
             for s in plots_of(page).values()
@@ -205,7 +240,7 @@ class TestRun:
 
     def test_without_reference_controller_and_truth_it_is_a_recording(self, run):
         kept = ("/measurement", "/command")
-        page = run_page(
+        page = findings_of_run(
             ReportedRun(
                 name="rig",
                 tables={topic: run.tables[topic] for topic in kept},
@@ -214,13 +249,15 @@ class TestRun:
         )
         assert set(plots_of(page)) >= {"pitch", "yaw", "commands", "pitch against yaw"}
         assert "without a reference to follow" in page.lead[0]
-        assert "<h2>Solver</h2>" not in page.html() and "<h2>Predictions</h2>" not in page.html()
+        assert "<h2>Solver</h2>" not in page_html(page) and "<h2>Predictions</h2>" not in page_html(
+            page
+        )
 
     def test_of_no_samples_it_says_so(self):
-        page = run_page(
+        page = findings_of_run(
             ReportedRun(name="dead", tables={}, outcome="died", problems=("it holds no sample",))
         )
-        assert "no sample of any signal" in page.html() and "it holds no sample" in page.lead[1]
+        assert "no sample of any signal" in page_html(page) and "it holds no sample" in page.lead[1]
 
     def test_gaps_and_damage_are_drawn_as_far_as_they_go(self, run):
         measured = dict(run.tables["/measurement"].columns)
@@ -232,7 +269,7 @@ class TestRun:
         ):
             run = with_columns(run, topic, columns)
         hurt = replace(run, outcome="interrupted", score={})
-        page = run_page(hurt)
+        page = findings_of_run(hurt)
         assert "pitch" in plots_of(page) and "was interrupted" in page.lead[1]
 
     def test_one_channel_of_other_names(self, run):
@@ -241,7 +278,9 @@ class TestRun:
             "/measurement": {"level": np.sin(time)},
             "/reference": {"level": np.zeros(len(time))},
         }
-        page = run_page(ReportedRun(name="tank", tables=logged(one, dict.fromkeys(one, time))))
+        page = findings_of_run(
+            ReportedRun(name="tank", tables=logged(one, dict.fromkeys(one, time)))
+        )
         assert {"level", "level against its rate"} == set(plots_of(page))
 
 
@@ -249,18 +288,18 @@ class TestComparison:
     """Several runs over one another."""
 
     def test_runs_lie_over_one_another_and_the_best_is_marked(self, make_run):
-        page = comparison_page([make_run("one"), make_run("other", shift=0.2)])
+        page = findings_of_comparison([make_run("one"), make_run("other", shift=0.2)])
         names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
         assert names == ["reference", "one", "other"]
         assert "**one** tracks best" in page.lead[0]
-        row = re.search(r"pitch: RMSE \[rad\]</th>(.*?)</tr>", page.html())
-        assert re.findall(r'class="(.*?)">', row[1]) == ["best number", " number"]
-        iae = re.search(r"pitch: IAE \[rad s\]</th>(.*?)</tr>", page.html())
+        row = re.search(r"pitch: RMSE \[rad\]</th>(.*?)</tr>", page_html(page))
+        assert re.findall(r'class="(.*?)">', row[1]) == ["best number", "number"]
+        iae = re.search(r"pitch: IAE \[rad s\]</th>(.*?)</tr>", page_html(page))
         assert "best" not in iae[1]  # alike
 
     def test_error_is_reference_minus_actual(self, make_run):
         run = make_run()
-        trace = plots_of(comparison_page([run, run]))["tracking error of yaw"]["traces"][0]
+        trace = plots_of(findings_of_comparison([run, run]))["tracking error of yaw"]["traces"][0]
         wanted, actual = (
             run.tables[topic].columns["alpha_h"] for topic in ("/reference", "/plant/state")
         )
@@ -269,59 +308,60 @@ class TestComparison:
     def test_different_references_are_drawn_each(self, make_run):
         other = make_run("other")
         higher = {n: v + 0.1 for n, v in other.tables["/reference"].columns.items()}
-        page = comparison_page([make_run("one"), with_columns(other, "/reference", higher)])
+        page = findings_of_comparison([make_run("one"), with_columns(other, "/reference", higher)])
         names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
         assert names == ["reference of one", "reference of other", "one", "other"]
 
     def test_runs_without_anything_in_common(self, make_run):
         empty = ReportedRun(name="dead", tables={}, outcome="died")
-        page = comparison_page([make_run("one"), empty], left_out=[("x.mcap", "damaged")])
-        assert "**Incomplete**: dead" in page.lead[1] and "x.mcap" in page.html()
+        page = findings_of_comparison([make_run("one"), empty], left_out=[("x.mcap", "damaged")])
+        assert "**Incomplete**: dead" in page.lead[1] and "x.mcap" in page_html(page)
 
-    def test_ranking_has_intervals(self, make_run):
-        ranking = [
-            RankedCandidate(name="a", rank=1, ratio=1.0, low=1.0, high=1.0, figures={"runs": 3}),
-            RankedCandidate(
-                name="b", rank=2, ratio=1.2, low=1.1, high=1.4, different=True, figures={}
-            ),
-        ]
-        page = comparison_page([make_run("a"), make_run("b")], ranking=ranking, rule="by tracking")
+    def test_ranking_has_intervals(self, make_run, ranking):
+        page = findings_of_comparison([make_run("a"), make_run("b")], ranking=ranking)
         (trace,) = plots_of(page)["error over the best's"]["traces"]
-        np.testing.assert_allclose(trace["error_x"]["array"], [0.0, 0.2], atol=1e-6)
-        np.testing.assert_allclose(trace["error_x"]["arrayminus"], [0.0, 0.1], atol=1e-6)
+        first, second = ranking.standings
+        ends = second.interval.low, second.interval.high
+        assert first.interval.low == first.ratio == 1.0 and ends[0] < second.ratio < ends[1]
+        found = [trace["error_x"][side] for side in ("arrayminus", "array")]
+        wanted = [[0.0, abs(end - second.ratio)] for end in ends]
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
+        assert f"{ends[0]:.3f}–{ends[1]:.3f}" in page_html(page)
 
 
 class TestSweep:
     """Many runs."""
 
     def test_draws_show_failures_correlations_and_limits(self, drawn):
-        text = sweep_page(drawn).html()
+        text = page_html(findings_of_sweep(drawn))
         failures = text.partition("Failures among the draws</h2>")[2].partition("</section>")[0]
         assert "rmse ≤ 0.2" in failures and "25.0 %" in failures and "0.6" in failures
         table = text.partition("Sensitivities</h2>")[2].partition("</section>")[0]
         assert table.index("-0.90") < table.index("+0.80") and "k_9" in table
-        assert "lqr **1 of 4** (25.0 %" in sweep_page(drawn).lead[1]
+        assert "lqr **1 of 4** (25.0 %" in findings_of_sweep(drawn).lead[1]
 
     def test_of_many_drawn_values_the_strongest_are_plotted_and_it_says_so(self, drawn):
-        page = sweep_page(drawn)
+        page = findings_of_sweep(drawn)
         found = plots_of(page)
         assert "against k_9" in found and "against k_0" not in found
-        assert "Of 12 values that were varied 8 are here: those with the largest" in page.html()
+        assert "Of 12 values that were varied 8 are here: those with the largest" in page_html(page)
         assert "12 drawn values" in page.lead[-1] and "k_9" not in page.lead[-1]
-        heads = re.findall(r"<th[^>]*>(.*?)</th>", page.html().partition("All runs</h2>")[2])
+        heads = re.findall(r"<th[^>]*>(.*?)</th>", page_html(page).partition("All runs</h2>")[2])
         told = re.sub("<.*?>", "", " ".join(heads))
         assert told.index("rmse") < told.index("k_9")  # what came of it before what was drawn
 
     def test_equal_draws_of_two_entrants_are_both_seen(self, drawn):
-        [(_, spec)] = [(k, v) for k, v in plots_of(sweep_page(drawn)).items() if "over " in k]
+        [(_, spec)] = [
+            (k, v) for k, v in plots_of(findings_of_sweep(drawn)).items() if "over " in k
+        ]
         dot, ring = (trace["marker"] for trace in spec["traces"])
         assert (dot["symbol"], ring["symbol"]) == ("circle", "circle-open")
         assert ring["size"] > 1.5 * dot["size"] and ring["coloraxis"] == dot["coloraxis"]
 
     def test_a_sweep_that_stopped_says_what_was_asked(self, sweep):
-        lead = sweep_page(replace(sweep, asked=50)).lead
+        lead = findings_of_sweep(replace(sweep, asked=50)).lead
         assert lead[0].startswith("20 of 50 runs completed; **1 failed**, **29 not begun**")
-        assert sweep_page(replace(sweep, asked=5)).lead[0].startswith("20 of 21 runs")
+        assert findings_of_sweep(replace(sweep, asked=5)).lead[0].startswith("20 of 21 runs")
 
     @pytest.mark.parametrize(
         ("ratio", "words"),
@@ -332,25 +372,24 @@ class TestSweep:
             (1.2345, "by 1.23 times as much"),
         ],
     )
-    def test_the_second_never_misses_by_one_times_as_much(self, sweep, ratio, words):
-        ranking = [
-            RankedCandidate(name="pid", rank=1, ratio=1.0, figures={}),
-            RankedCandidate(name="lqr", rank=2, ratio=ratio, against_first=ratio, figures={}),
-        ]
-        assert words in sweep_page(sweep, ranking=ranking).lead[1]
+    def test_the_second_never_misses_by_one_times_as_much(self, sweep, ranking, ratio, words):
+        first, second = ranking.standings
+        standings = (first, replace(second, against_first=ratio))
+        ranking = replace(ranking, standings=standings)
+        assert words in findings_of_sweep(sweep, ranking=ranking).lead[1]
 
     def test_lead_counts_and_names_the_best(self, sweep):
-        lead = sweep_page(sweep).lead
+        lead = findings_of_sweep(sweep).lead
         assert lead[0] == "20 of 21 runs completed; **1 failed**."
         assert "rmse [rad] of a run is 0.1: 0 " in lead[-1]
 
     def test_every_run_is_in_the_table_and_failures_have_their_reason(self, sweep):
-        text = sweep_page(sweep).html()
+        text = page_html(findings_of_sweep(sweep))
         assert text.count("<tr><td>") == 21
         assert "the rig &lt;fell&gt;" in text and "<fell>" not in text
 
     def test_each_figure_can_be_chosen_in_each_plot(self, sweep):
-        plots = plots_of(sweep_page(sweep))
+        plots = plots_of(findings_of_sweep(sweep))
         assert set(plots) == {"by who ran", "distribution", "against plant.parameters.k_g"}
         for spec in plots.values():
             assert [v["label"] for v in spec["variants"]] == ["rmse [rad]", "effort [V² s]"]
@@ -372,7 +411,7 @@ class TestSweep:
             for j in range(4)
             for k in (0, 1)
         ]
-        page = sweep_page(
+        page = findings_of_sweep(
             ReportedSweep(name="grid", runs=runs, keys=["a", "b"], figures={"rmse": "rad"})
         )
         (trace,) = plots_of(page)["over a and b"]["traces"]
@@ -385,7 +424,7 @@ class TestSweep:
     def test_the_front_is_drawn_as_the_sweep_names_it_or_worked_out(self, sweep):
         objectives = (Objective("rmse"), Objective("effort"))
         named = replace(sweep, objectives=objectives, pareto=[3, 5, 99])
-        front = plots_of(sweep_page(named))["effort against rmse"]["traces"][1]
+        front = plots_of(findings_of_sweep(named))["effort against rmse"]["traces"][1]
         assert front["text"] == ["3", "5"]
         runs = [*sweep.runs, swept(21, rmse=0.5)]  # effort falls with rmse: all are on the front
         runs.append(replace(swept(22), figures={"rmse": 0.6, "effort": 9.0}))
@@ -394,15 +433,17 @@ class TestSweep:
 
     def test_three_objectives_are_drawn_in_pairs(self, sweep):
         runs = [replace(r, figures={**r.figures, "x": 1.0 * i}) for i, r in enumerate(sweep.runs)]
-        page = sweep_page(
+        page = findings_of_sweep(
             replace(sweep, runs=runs, objectives=[Objective(n) for n in ("rmse", "effort", "x")])
         )
         assert {"effort against rmse", "x against rmse", "x against effort"} <= set(plots_of(page))
 
     def test_one_run_and_none(self):
-        one = sweep_page(ReportedSweep(name="one", runs=[swept(0)]))
-        assert "1 of 1 runs completed" in one.html()
-        assert "0 of 0 runs completed" in sweep_page(ReportedSweep(name="none", runs=[])).html()
+        one = findings_of_sweep(ReportedSweep(name="one", runs=[swept(0)]))
+        assert "1 of 1 runs completed" in page_html(one)
+        assert "0 of 0 runs completed" in page_html(
+            findings_of_sweep(ReportedSweep(name="none", runs=[]))
+        )
 
     def test_thousands_of_runs_stay_in_bounds(self):
         generator = np.random.default_rng(0)
@@ -415,14 +456,16 @@ class TestSweep:
             )
             for i in range(12_000)
         ]
-        text = sweep_page(
-            ReportedSweep(
-                name="big",
-                runs=runs,
-                keys=["controller", "plant.parameters.k_g"],
-                figures={"rmse": "rad", "effort": "V² s"},
+        text = page_html(
+            findings_of_sweep(
+                ReportedSweep(
+                    name="big",
+                    runs=runs,
+                    keys=["controller", "plant.parameters.k_g"],
+                    figures={"rmse": "rad", "effort": "V² s"},
+                )
             )
-        ).html()
+        )
         assert text.count("<tr><td>") == 10_000 and "first 10000 of 12000" in text
         assert len(text) < 8e6
 
@@ -436,7 +479,7 @@ class TestSafety:
     """Nothing of strangers runs, and nothing is fetched."""
 
     def test_the_policy_names_the_scripts_that_the_page_carries(self, run):
-        text = run_page(run).html()
+        text = page_html(findings_of_run(run))
         told = unescape(re.search(r'Content-Security-Policy" content="(.*?)"', text)[1])
         (ours,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
         (packed,) = re.findall(r'<script type="application/gzip;base64" id="plotly">(.*?)<', text)
@@ -449,9 +492,7 @@ class TestSafety:
         assert f"; script-src {' '.join(named)}; " in told
 
     def test_a_page_of_rows_alone_carries_no_plotly(self):
-        page = Page("Rows")
-        page.rows([RowColumn("a", "a")], [["x"]])
-        text = page.html()
+        text = rows_html([["x"]])
         assert text.count("<script>") == 1 and 'id="plotly"' not in text and len(text) < 40_000
 
     def test_a_page_without_plots_lets_no_script_run(self):
@@ -486,7 +527,7 @@ class TestSafety:
         assert ":" not in link.partition("/")[0]
 
     def test_cells_are_escaped_and_cut(self):
-        columns = [RowColumn("a", "a"), RowColumn("b", "b", number=True)]
-        html = rows_html(columns, [[Linked("<x>", './"y'), float("nan")], ["<" * 1000, 1e400]])
-        assert "<x>" not in html and './"' not in html and "<<" not in html
-        assert len(html) < 2200 and "∞" in html
+        html = rows_html([[Judged("<x>", link='./"y'), float("nan")], ["<" * 1000, 1e400]])
+        body = html.partition("<tbody>")[2].partition("</tbody>")[0]
+        assert "<x>" not in body and './"' not in body and "<<" not in body
+        assert len(body) < 2200 and "∞" in body

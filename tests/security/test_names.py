@@ -87,26 +87,37 @@ class _Elements(HTMLParser):
 
 def _page(word: str) -> str:
     """A page with every kind of block, and a word wherever one can stand."""
-    from matplotlib.figure import Figure
+    from trms_cli.core.chart import Axis, Chart, Curve, Panel
+    from trms_cli.core.findings import (
+        Details,
+        Findings,
+        Judged,
+        Measure,
+        NextCommand,
+        Remarks,
+        Section,
+        Table,
+    )
+    from trms_cli.reporting.page import page_html
 
-    from trms_cli.core.findings import Judged
-    from trms_cli.reporting.chart_plot import Plot
-    from trms_cli.reporting.page import Page
-    from trms_cli.reporting.page_rows import Linked, RowColumn
-
-    page = Page(word, [word, word], {word: word})
-    page.section(word, word)
-    page.text(word)
-    page.points([word, Judged(word)])
-    page.command(word)
-    page.table([word], [[word], [Judged(word)]], word)
-    figure = Figure()
-    figure.add_subplot(title="drawn").plot([0, 1], [0, 1], label="curve")
-    page.figure(figure, word, alternative=word)
-    page.plots([Plot(word, [{"name": word, "x": [0, 1], "y": [0, 1]}], {"t": word}, word)])
-    page.rows([RowColumn(word, word)], [[word], [Linked(word, word)]], word, example=word)
-    page.details(word, word)
-    return page.html()
+    marks = [Curve([0.0, 1.0], [0.0, 1.0], word)]
+    deep = [Curve([0.0, 1.0], [0.0, 1.0], z=[0.0, 1.0])]
+    plot = Panel(Axis(word, word), Axis("y"), marks, word, caption=word)
+    picture = Panel(Axis("x"), Axis("y"), deep, "drawn", z=Axis("z"))
+    blocks = [
+        Remarks([word, Judged(word)]),
+        NextCommand(word, word),
+        Table([word], [[word], [Judged(word)]], word),
+        Chart("plot", [plot], word),
+        Chart("picture", [picture], word),
+        Table([word], [[word], [Judged(word, link=word)]], word, keys=[word], example=word),
+        Details(word, word),
+    ]
+    measures = [Measure(word, word, word, note=word)]
+    return page_html(
+        Findings(word, [word, word], [Section(word, [word, word], blocks)], warnings=[word],
+                 measures=measures, facts={word: word})
+    )  # fmt: skip
 
 
 def test_a_page_has_the_same_elements_whatever_it_shows() -> None:

@@ -72,8 +72,8 @@ def document(report: Report, path: Path) -> dict[str, Any]:
         "file": str(path),
         "bytes": path.stat().st_size,
         "kind": report.kind,
-        "title": report.page.title,
-        "lead": [paragraph.replace("**", "") for paragraph in report.page.lead],
+        "title": report.findings.title,
+        "lead": [paragraph.replace("**", "") for paragraph in report.findings.lead],
         "runs": list(report.runs),
         "left_out": [{"path": file, "problem": why} for file, why in report.left_out],
     }
@@ -81,8 +81,8 @@ def document(report: Report, path: Path) -> dict[str, Any]:
 
 def _say(report: Report, path: Path) -> None:
     """What it is of, in its own sentences, where it is, and what to do next."""
-    print(printable(report.page.title))
-    for paragraph in report.page.lead:
+    print(printable(report.findings.title))
+    for paragraph in report.findings.lead:
         print(f"  {printable(paragraph.replace('**', '').replace('`', ''))}")
     print()
     count = len(report.runs)

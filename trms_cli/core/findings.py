@@ -30,6 +30,7 @@ class Judged:
     judgement: Judgement = ""  #: How it is coloured
     sd: float | None = None  #: Standard deviation, to whose second digit the value is shown
     bar: float | None = None  #: 0 to 1: how much of the cell a bar behind the value fills
+    link: str = ""  #: Address of a file that a page leads to, from its folder
 
 
 Cell = Value | Judged
@@ -44,6 +45,10 @@ class Table:
     caption: str = ""
     heads: int = 1  #: Columns on the left that name the row
     on_screen: bool = True  #: Whether the terminal shows it; page and document always have it
+    #: What its columns are called in a filter (``rmse_yaw<0.05``), of a table of many rows that the
+    #: reader of a page sorts and filters; empty for others
+    keys: Sequence[str] = ()
+    example: str = ""  #: Such a filter, shown where one is typed
 
 
 @dataclass(frozen=True)

@@ -1,37 +1,45 @@
-"""One self-contained HTML page: text, tables and figures in one file, nothing fetched.
+"""Findings as one self-contained HTML page: text, tables and figures in one file, nothing fetched.
 
-::
-
-    page = Page("Validation", lead="newtonian foretells pitch to 12 mrad over 2 s.")
-    page.section("Errors", "RMS over the windows of each horizon.")
-    page.table(["channel", "RMS [rad]"], [["pitch", 0.012]], caption="Free run, 2 s.")
-    page.figure(figure, "Measured and simulated.")
-    page.write(folder / "validation.html")
-
-It reads well on a telephone, in a dark room (the browser's own setting) and on paper. Text is
-escaped; ``**bold**`` and ```code``` are understood in it, and nothing else. A page with
-:meth:`Page.plots` or :meth:`Page.rows` carries the scripts that it needs
-(:mod:`~trms_cli.reporting.page_scripts`); others carry none.
+One page for every command: who has something to tell makes
+:class:`~trms_cli.core.findings.Findings` of it, and this is how a browser shows them: the answer,
+its figures first, what limits it, what proves it, what to type. It reads well on a telephone, in a
+dark room (the browser's own setting) and on paper. Text is escaped; ``**bold**`` and ```code``` are
+understood in it, and nothing else. A page with plots, or with rows to filter, carries the scripts
+that it needs (:mod:`~trms_cli.reporting.page_scripts`); others carry none.
 """
 
 from __future__ import annotations
 
 import base64
 import io
-import os
+import math
 import re
-import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cache
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Cell, Judged, Measure
-from trms_cli.reporting.chart_plot import Plot, script_json
-from trms_cli.reporting.page_rows import RowCell, RowColumn, rows_html
+from trms_cli.core.chart import Chart, RigDiagram
+from trms_cli.core.findings import (
+    Block,
+    Cell,
+    Details,
+    Findings,
+    Judged,
+    NextCommand,
+    Remarks,
+    Section,
+    Table,
+    plain,
+)
+from trms_cli.core.notes import note
+from trms_cli.core.whole_file import replace_whole
+from trms_cli.reporting.chart_picture import picture_of
+from trms_cli.reporting.chart_plot import plots_of, script_json
 from trms_cli.reporting.page_scripts import page_script, plotly_script, policy, text_digest
+from trms_cli.reporting.rig_diagram import diagram
+from trms_cli.reporting.style import house_style, save_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,259 +47,186 @@ if TYPE_CHECKING:
 #: A drawing with more points in its curves than this is embedded as pixels instead.
 _MOST_POINTS = 4_000
 _PIXELS_PER_INCH = 144
-
-#: Letters up to which a cell stays on one line.
-_SHORT = 24
-
-
-@dataclass
-class _Block:
-    kind: str
-    content: dict[str, Any]
+#: Letters up to which a cell stays on one line; of a table with a filter those that it has at most.
+_SHORT, _LONGEST_CELL = 24, 300
+#: Rows of a table with a filter: more are slow to lay out.
+MOST_ROWS = 10_000
 
 
-@dataclass
-class _Section:
-    heading: str
-    text: str
-    anchor: str
-    folded: bool = False
-    blocks: list[_Block] = field(default_factory=list)
-
-    @property
-    def has_plots(self) -> bool:
-        """Whether a reader has something to turn in it."""
-        return any(block.kind == "plots" for block in self.blocks)
-
-
-class Page:
-    """A page under construction: sections in the order in which they are added.
+def write_page(
+    findings: Findings,
+    path: Path,
+    subject: str = "",
+    *,
+    pictures: bool = True,
+    interactive: bool = True,
+) -> Path | None:
+    """Write the page, whole or not at all; None, and a note, if that fails: the numbers are safe.
 
     Parameters
     ----------
-    title : str
-    lead : str or sequence of str
-        What a colleague would say of it, in a sentence or a few; stands on top. Several are
-        paragraphs.
-    facts : mapping of str to str
-        Circumstances (model, recording, date), a name and a value each; folded at the end.
-    measures : sequence of Measure
-        The few figures that come first.
+    subject : str
+        What was studied, behind the title.
+    pictures : bool
+        Whether each chart is written beside it as a PNG too.
+    interactive : bool
+        Whether a reader can zoom in; else charts are drawings, and the page carries no script.
     """
+    folder = path.parent if pictures else None
+    try:
+        text = page_html(findings, subject, folder, interactive=interactive)
+        replace_whole(path, text.encode())
+    except OSError as error:
+        note(f"no page: {error.strerror or error}")
+        return None
+    return path
 
-    def __init__(
-        self,
-        title: str,
-        lead: str | Sequence[str] = "",
-        facts: Mapping[str, str] | None = None,
-        measures: Sequence[Measure] = (),
-    ) -> None:
-        self.title = title
-        self.lead = [lead] if isinstance(lead, str) else list(lead)
-        self.facts = dict(facts or {})
-        self.measures = measures
-        self._sections: list[_Section] = []
 
-    def section(
-        self, heading: str, text: str | Sequence[str] = "", *, folded: bool = False
-    ) -> None:
-        """Begin a section; tables and figures that follow stand in it.
+def page_html(
+    findings: Findings,
+    subject: str = "",
+    pictures: Path | None = None,
+    *,
+    interactive: bool = True,
+) -> str:
+    """The page as text; `pictures`: the folder that each chart is written into as a PNG too."""
+    from markupsafe import Markup
 
-        Parameters
-        ----------
-        text : str or sequence of str
-            Paragraphs.
-        folded : bool
-            Whether the heading alone is shown until a reader opens it.
-        """
-        anchor = re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-")
-        taken = [section.anchor for section in self._sections]
-        if anchor in taken:
-            anchor = f"{anchor}-{len(taken) + 1}"
-        self._sections.append(_Section(heading, "", anchor, folded))
-        self.text(text)
-
-    def text(self, text: str | Sequence[str]) -> None:
-        """Paragraphs in the present section."""
-        for paragraph in [text] if isinstance(text, str) else text:
-            if paragraph:
-                self._add("text", {"text": paragraph})
-
-    def points(self, items: Sequence[str | Judged]) -> None:
-        """A list of sentences, each with a judgement where it is ``Judged``."""
-        judged = [item if isinstance(item, Judged) else Judged(item) for item in items]
-        self._add("points", {"items": [(str(item.value), item.judgement) for item in judged]})
-
-    def command(self, text: str) -> None:
-        """A line to be typed, in a box of its own."""
-        self._add("command", {"text": text})
-
-    def table(
-        self,
-        columns: Sequence[str],
-        rows: Sequence[Sequence[Cell]],
-        caption: str = "",
-        *,
-        heads: int = 1,
-    ) -> None:
-        """A table; figures are shown with three digits, None as a dash.
-
-        Parameters
-        ----------
-        columns : sequence of str
-            Heads with units: ``RMS [rad]``.
-        rows : sequence of sequences
-            Text, numbers, None, or :class:`~trms_cli.core.findings.Judged`.
-        heads : int
-            Columns on the left that name the row.
-        """
-        shown = []
-        for row in rows:
-            cells = [cell if isinstance(cell, Judged) else Judged(cell) for cell in row]
-            shown.append(
-                [
-                    {
-                        "text": wording.cell(cell.value, cell.sd),
-                        "mark": cell.judgement,
-                        "number": isinstance(cell.value, (int, float)) or cell.value is None,
-                        "short": len(wording.cell(cell.value, cell.sd)) <= _SHORT,
-                        "bar": None if cell.bar is None else round(100 * cell.bar, 1),
-                    }
-                    for cell in cells
-                ]
-            )
-        numeric = [
-            all(row[i]["number"] for row in shown) if shown else False for i in range(len(columns))
-        ]
-        self._add(
-            "table",
+    sections = list(findings.sections)
+    if findings.warnings:
+        limits = Remarks([Judged(warning, "doubtful") for warning in findings.warnings])
+        sections.insert(0, Section("What limits this", blocks=[limits]))
+    if findings.next:
+        sections.append(Section("Next", blocks=findings.next))
+    with house_style():
+        shown = [_section(section, pictures, interactive) for section in sections]
+    for number, section in enumerate(shown):
+        taken = [other["anchor"] for other in shown[:number]]
+        section["anchor"] += f"-{number + 1}" if section["anchor"] in taken else ""
+    kinds = {block["kind"] for section in shown for block in section["blocks"]}
+    script = page_script() if kinds & {"plots", "rows"} else ""
+    plotly = plotly_script() if "plots" in kinds else None
+    digests = [text_digest(script)] if script else []
+    text: str = _template().render(
+        policy=policy([*digests, plotly.digest] if plotly else digests),
+        script=Markup(script),
+        plotly=plotly.packed if plotly else "",
+        title=f"{findings.title}: {subject}" if subject else findings.title,
+        lead=[paragraph for paragraph in findings.lead if paragraph],
+        facts=findings.facts,
+        measures=[
             {
-                "columns": list(zip(columns, numeric, strict=True)),
-                "rows": shown,
-                "caption": caption,
-                "heads": heads,
-            },
-        )
+                "label": measure.label,
+                "value": wording.cell(measure.value),
+                "unit": wording.unit(measure.unit),
+                "mark": measure.judgement,
+                "note": measure.note,
+            }
+            for measure in findings.measures
+        ],
+        sections=shown,
+    )
+    # A file's name may hold what is no text; the page does.
+    return text.encode("utf-8", "replace").decode("utf-8")
 
-    def figure(self, figure: Figure, caption: str = "", *, alternative: str = "") -> None:
-        """A drawing, as curves where they are few, else as pixels.
 
-        Parameters
-        ----------
-        alternative : str
-            What it shows, for who cannot see it; default the caption.
-        """
+def _section(section: Section, pictures: Path | None, interactive: bool) -> dict[str, Any]:
+    return {
+        "heading": section.heading,
+        "anchor": re.sub(r"[^a-z0-9]+", "-", section.heading.lower()).strip("-") or "top",
+        "folded": section.folded,
+        "text": [paragraph for paragraph in section.text if paragraph],
+        "blocks": [_block(block, pictures, interactive) for block in section.blocks],
+    }
+
+
+def _block(block: Block, pictures: Path | None, interactive: bool) -> dict[str, Any]:
+    """What the template shows of a block, by its kind."""
+    match block:
+        case Table():
+            return _table(block)
+        case Remarks():
+            judged = [item if isinstance(item, Judged) else Judged(item) for item in block.items]
+            return {"kind": "points", "points": [(str(i.value), i.judgement) for i in judged]}
+        case NextCommand():
+            return {"kind": "command", "why": block.why, "text": block.text}
+        case Details():
+            return {"kind": "details", "summary": block.summary, "text": block.text}
+        case Chart() | RigDiagram():
+            return _chart(block, pictures, interactive)
+
+
+def _chart(chart: Chart | RigDiagram, pictures: Path | None, interactive: bool) -> dict[str, Any]:
+    """Plots that a reader can turn; a drawing where that cannot be, or is not wanted."""
+    from markupsafe import Markup
+
+    plots = plots_of(chart) if isinstance(chart, Chart) and interactive else None
+    if plots is None or pictures is not None:
+        figure = diagram(chart) if isinstance(chart, RigDiagram) else picture_of(chart)
+    if pictures is not None:
+        save_png(figure, pictures / f"{chart.name}.png", colours=256)
+    if plots is None:
         kind, content = embedded(figure)
-        width = float(figure.get_size_inches()[0])
-        self._add(
-            "figure",
-            {
-                "source": f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}",
-                "caption": caption,
-                "alternative": alternative or caption,
-                "width": round(width * 96),
-            },
-        )
+        source = f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+        return {"kind": "figure", "source": source, "caption": chart.caption}
+    shown = [(plot, Markup(script_json(plot.document()))) for plot in plots]
+    return {"kind": "plots", "plots": shown}
 
-    def plots(self, plots: Sequence[Plot]) -> None:
-        """Interactive plots, below one another; halves side by side where there is room."""
-        from markupsafe import Markup
 
-        if plots:
-            told = [
-                {
-                    "title": plot.title,
-                    "caption": plot.caption,
-                    "half": plot.half,
-                    "data": Markup(script_json(plot.document())),
-                }
-                for plot in plots
-            ]
-            self._add("plots", {"plots": told})
+def _table(table: Table) -> dict[str, Any]:
+    """Figures with three digits, None as a dash, all escaped."""
+    from markupsafe import Markup
 
-    def rows(
-        self,
-        columns: Sequence[RowColumn],
-        rows: Sequence[Sequence[RowCell]],
-        caption: str = "",
-        *,
-        example: str = "",
-    ) -> None:
-        """A table of many rows, which the reader sorts and filters.
+    sortable, count = bool(table.keys), len(table.columns)
+    rows = table.rows[:MOST_ROWS] if sortable else table.rows
+    numeric = [bool(rows) and all(_is_number(row[i]) for row in rows) for i in range(count)]
+    heads = [i < table.heads and not sortable for i in range(count)]
+    body = "\n".join(
+        f"<tr>{''.join(_cell(*each, sortable) for each in zip(row, numeric, heads, strict=True))}"
+        "</tr>"
+        for row in rows
+    )
+    return {
+        "kind": "rows" if sortable else "table",
+        "columns": list(zip(table.columns, numeric, table.keys or table.columns, strict=True)),
+        "body": Markup(body),
+        "caption": table.caption,
+        "example": table.example,
+    }
 
-        Parameters
-        ----------
-        example : str
-            A filter by a column, shown where one is typed: ``rmse<0.1``.
-        """
-        from markupsafe import Markup
 
-        content = {"columns": list(columns), "caption": caption, "example": example}
-        self._add("rows", content | {"body": Markup(rows_html(columns, rows))})
+def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str:
+    judged = cell if isinstance(cell, Judged) else Judged(cell)
+    value, text = judged.value, wording.cell(judged.value, judged.sd)
+    if isinstance(value, bool):
+        text = "yes" if value else "no"
+    if is_sortable and len(text) > _LONGEST_CELL:
+        text = text[: _LONGEST_CELL - 1] + "…"
+    shown = escape(text)
+    if judged.link:
+        shown = f'<a href="{escape(judged.link)}">{shown}</a>'
+    if is_head:
+        return f'<th scope="row">{shown}</th>'
+    is_number = is_numeric or (_is_number(value) and value is not None)
+    short = "" if is_sortable or len(text) > _SHORT else "short"
+    names = [judged.judgement, "number" if is_number else short, "bar" * (judged.bar is not None)]
+    looks = " ".join(filter(None, names))
+    attributes = f' class="{looks}"' if looks else ""
+    if judged.bar is not None:
+        attributes += f' style="--part: {round(100 * judged.bar, 1)}%"'
+    if is_sortable and isinstance(value, int | float) and math.isfinite(value):
+        attributes += f' data-v="{value:.6g}"'  # for sorting and filtering
+    return f"<td{attributes}>{shown}</td>"
 
-    def details(self, summary: str, text: str) -> None:
-        """Text as it stands (a configuration), folded away until it is asked for."""
-        self._add("details", {"summary": summary, "text": text})
 
-    def html(self) -> str:
-        """The page as text."""
-        from markupsafe import Markup
-
-        kinds = {block.kind for section in self._sections for block in section.blocks}
-        script = page_script() if kinds & {"plots", "rows"} else ""
-        plotly = plotly_script() if "plots" in kinds else None
-        digests = [text_digest(script)] if script else []
-        text: str = _template().render(
-            policy=policy([*digests, plotly.digest] if plotly else digests),
-            script=Markup(script),
-            plotly=plotly.packed if plotly else "",
-            title=self.title,
-            lead=[paragraph for paragraph in self.lead if paragraph],
-            facts=self.facts,
-            measures=[
-                {
-                    "label": measure.label,
-                    "value": wording.cell(measure.value),
-                    "unit": wording.unit(measure.unit),
-                    "mark": measure.judgement,
-                    "note": measure.note,
-                }
-                for measure in self.measures
-            ],
-            sections=self._sections,
-        )
-        # A file's name may hold what is no text; the page does.
-        return text.encode("utf-8", "replace").decode("utf-8")
-
-    def write(self, path: Path) -> None:
-        """Write the page, whole or not at all.
-
-        Raises OSError if the disk does not take it.
-        """
-        text = self.html()
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(name, 0o666 & ~umask)
-            os.replace(name, path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-
-    def _add(self, kind: str, content: dict[str, Any]) -> None:
-        if not self._sections:
-            self._sections.append(_Section("", "", "top"))
-        self._sections[-1].blocks.append(_Block(kind, content))
+def _is_number(cell: Cell) -> bool:
+    value = plain(cell)
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
 def embedded(figure: Figure) -> tuple[str, bytes]:
     """Media type and bytes of a drawing; equal figures give equal bytes."""
     import numpy as np
-
-    from trms_cli.reporting.style import house_style
 
     drawn = io.BytesIO()
     lines = [line for axes in figure.axes for line in axes.lines]

@@ -1,11 +1,11 @@
-"""The page of one run: a sentence, facts, time plots with linked axes, solver, score.
+"""What a page tells of one run: a sentence, time plots with linked axes, solver, score.
 
 ::
 
-    page = run_page(run)          # a ReportedRun
-    page.write(folder / "report.html")
+    findings = findings_of_run(run)          # a ReportedRun
+    write_page(findings, folder / "report.html", pictures=False)
 
-From a notebook, with a log's path: :func:`trms_cli.library.report.pages.report_page`.
+From a notebook, with a log's path: :func:`trms_cli.library.report.pages.report_of`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from trms_cli.core import wording
-from trms_cli.core.chart import Panel, page_look
+from trms_cli.core.chart import Chart, Panel, page_look
+from trms_cli.core.findings import (
+    Block,
+    Column,
+    Details,
+    Findings,
+    Judged,
+    NextCommand,
+    Section,
+    table,
+)
 from trms_cli.reporting import run_panels
-from trms_cli.reporting.chart_plot import MOST_POINTS, plots
-from trms_cli.reporting.page import Page
-from trms_cli.reporting.page_rows import RowCell, RowColumn
-from trms_cli.reporting.signals import ReportedRun, RunSignals
+from trms_cli.reporting.chart_plot import MOST_POINTS
+from trms_cli.reporting.signals import ReportedRun, RunEvent, RunSignals
 from trms_cli.scoring.findings import answer, measures_of, tables_of, warnings_of
 
 _MOST_EVENTS = 500
@@ -37,22 +45,16 @@ THINNED = (
     "and the largest sample are kept, so that no peak is lost. The log has all of them."
 )
 
+#: The heading of what stands at the end.
+MADE = "How this page was made"
 HOW_TO_TURN = (
     "Drag over a time to enlarge it, or use the buttons: all plots follow. A double click goes "
     "back; a click on a name hides its curve."
 )
 
 
-def run_page(run: ReportedRun, *, title: str = "") -> Page:
-    """The page of a run, ready to be written.
-
-    Parameters
-    ----------
-    run : ReportedRun
-    title : str
-        Default: what ran against what, and the run's name.
-    """
-    page = Page(title or title_of(run), _lead(run), _facts(run), measures_of(run.score))
+def findings_of_run(run: ReportedRun, *, title: str = "") -> Findings:
+    """What a page tells of a run; its `title` is by default what ran against what, and its name."""
     channels, commands = run.channels(), run_panels.command_panel(run)
     first = [run_panels.channel_panel(run, name, detail=True) for name in channels]
     first += [commands] if commands is not None else []
@@ -60,54 +62,45 @@ def run_page(run: ReportedRun, *, title: str = "") -> Page:
         marks = run_panels.event_marks(run)
         first[0] = replace(first[0], marks=[*first[0].marks, *marks])
     torques = [replace(panel, half=True) for panel in run_panels.torque_panels(run)]
-    inner = [*run_panels.state_panels(run), *torques]
-    innovations = run_panels.innovation_panels(run)
-    predictions = run_panels.fan_panels(run)
-    solver = run_panels.solver_panels(run)
-    timed = [*first, *inner, *innovations, *predictions, *solver]
-    if not timed:
-        page.section("Nothing to draw", "The log holds no sample of any signal.")
-    if first:
-        page.section("Angles and commands", HOW_TO_TURN)
-        page.plots(plots(first))
-    tables = tables_of(run.score)
-    if tables:
-        page.section("Score", [f"{words}." for words in warnings_of(run.score)])
-        for table in tables:
-            page.table(table.columns, table.rows, table.caption, heads=table.heads)
-    if inner:
-        page.section("Speeds, rates and torques")
-        page.plots(plots(inner))
-    if innovations:
-        page.section(
+    sections = [
+        plotted("Angles and commands", first, HOW_TO_TURN),
+        Section("Score", [f"{words}." for words in warnings_of(run.score)], tables_of(run.score)),
+        plotted("Speeds, rates and torques", [*run_panels.state_panels(run), *torques]),
+        plotted(
             "Innovations",
+            run_panels.innovation_panels(run),
             "Measured minus foretold by the observer. Those of a consistent observer stay within "
             "the band for 95 % of the samples, without a pattern.",
             folded=True,
-        )
-        page.plots(plots(innovations))
-    phases = phases_of([run], channels)
-    if phases:
-        page.section("Phase plots", folded=True)
-        page.plots(plots(phases))
-    if predictions:
-        page.section(
+        ),
+        plotted("Phase plots", phases_of([run], channels), folded=True),
+        plotted(
             "Predictions",
+            run_panels.fan_panels(run),
             "What the controller expected, each from the moment it was made. The slider chooses "
             "the bold one.",
-        )
-        page.plots(plots(predictions))
-    if solver:
-        page.section("Solver")
-        page.plots(plots(solver))
-    _events(page, run)
-    page.section("How this page was made", THINNED, folded=True)
-    if run.command:
-        page.text("What was typed:")
-        page.command(run.command)
-    if run.config:
-        page.details("The whole configuration", _cut(run.config))
-    return page
+        ),
+        plotted("Solver", run_panels.solver_panels(run)),
+        _events(run),
+    ]
+    sections = [section for section in sections if section.blocks]
+    if not any(isinstance(block, Chart) for section in sections for block in section.blocks):
+        sections.insert(0, Section("Nothing to draw", ["The log holds no sample of any signal."]))
+    made: list[Block] = [NextCommand(run.command, "What was typed:")] if run.command else []
+    made += [Details("The whole configuration", _cut(run.config))] if run.config else []
+    sections.append(Section(MADE, [THINNED], made, folded=True))
+    return Findings(
+        title or title_of(run), _lead(run), sections, measures=measures_of(run.score),
+        facts=_facts(run),
+    )  # fmt: skip
+
+
+def plotted(
+    heading: str, panels: Sequence[Panel], text: str = "", *, folded: bool = False
+) -> Section:
+    """A section with panels under one another; without a block where there are none."""
+    name = heading.lower().replace(" ", "_")
+    return Section(heading, [text], [Chart(name, panels, columns=1)] if panels else [], folded)
 
 
 def phases_of(runs: Sequence[RunSignals], channels: Sequence[str]) -> list[Panel]:
@@ -163,28 +156,25 @@ def _facts(run: ReportedRun) -> dict[str, str]:
     return facts
 
 
-def _events(page: Page, run: ReportedRun) -> None:
-    if not run.events:
-        return
-    counts = Counter(event.kind for event in run.events)
-    page.section(
-        "Events",
-        "; ".join(f"{kind} {count}" for kind, count in counts.most_common(20)) + ".",
-        folded=True,
-    )
+def _events(run: ReportedRun) -> Section:
+    counts = Counter(event.kind for event in run.events).most_common(20)
     columns = [
-        RowColumn("time [s]", "time", number=True, decimals=2),
-        RowColumn("what", "what"),
-        RowColumn("where", "where"),
-        RowColumn("in words", "words"),
-        RowColumn("value", "value", number=True),
+        Column("time [s]", _time),
+        Column("what", "kind"),
+        Column("where", "source"),
+        Column("in words", "message"),
+        Column("value", "value"),
     ]
-    rows: list[list[RowCell]] = [
-        [e.time, e.kind, e.source, e.message, e.value] for e in run.events[:_MOST_EVENTS]
-    ]
-    left = len(run.events) - len(rows)
-    more = f"The first {_MOST_EVENTS}; {left} more are in the log." if left else ""
-    page.rows(columns, rows, more, example="what=fault")
+    left = len(run.events) - _MOST_EVENTS
+    more = f"The first {_MOST_EVENTS}; {left} more are in the log." if left > 0 else ""
+    keys = ("time", "what", "where", "words", "value")
+    rows = table(run.events[:_MOST_EVENTS], columns, more, keys=keys, example="what=fault")
+    words = "; ".join(f"{kind} {count}" for kind, count in counts)
+    return Section("Events", [f"{words}."], [rows] if run.events else [], folded=True)
+
+
+def _time(event: RunEvent) -> Judged:
+    return Judged(event.time, sd=0.1)  # to a hundredth of a second
 
 
 def _cut(text: str) -> str:

@@ -1,84 +1,69 @@
-"""The page of many runs: who won, how figures spread and on what they depend, what failed.
+"""What a page tells of many runs: who won, how figures spread and on what they depend, failures.
 
 ::
 
-    page = sweep_page(ReportedSweep(name="sweep", runs=[SweepRun(name="0", …), …], …))
+    findings_of_sweep(ReportedSweep(name="sweep", runs=[SweepRun(name="0", …), …], …))
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from trms_cli.core.findings import Cell
-from trms_cli.reporting.chart_plot import plots
-from trms_cli.reporting.page import Page
-from trms_cli.reporting.page_rows import MOST_ROWS, Linked, RowCell, RowColumn
-from trms_cli.reporting.report_comparison import RankedCandidate, add_ranking
-from trms_cli.reporting.report_draws import (
-    add_correlations,
-    add_failure_shares,
-    failures_sentence,
-)
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, table
+from trms_cli.reporting.page import MOST_ROWS
+from trms_cli.reporting.report_comparison import ranked
+from trms_cli.reporting.report_run import plotted
 from trms_cli.reporting.report_sweep_plots import (
     chosen_words,
     key_panels,
     pareto_panels,
     spread_panels,
 )
-from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
+from trms_cli.reporting.reported_sweep import (
+    Draws,
+    FailureShare,
+    Objective,
+    ReportedSweep,
+    SweepRun,
+)
+from trms_cli.scoring.comparison.ranking import Ranking
 
 _MOST_REASONS, _LONGEST_REASON = 50, 300
 _MOST_OF_A_FRONT = 100
 _MOST_NAMES = _MOST_NAMED = 6
 #: Figures that the reader can choose for the plots.
 _MOST_CHOICES = 14
+_MOST_CORRELATIONS = 30
+#: Of p values that are adjusted for their number.
+_LEVEL = 0.05
 
 
-def sweep_page(
-    sweep: ReportedSweep,
-    *,
-    ranking: Sequence[RankedCandidate] = (),
-    rule: str = "",
-    title: str = "",
-) -> Page:
-    """The page of many runs, ready to be written.
-
-    Parameters
-    ----------
-    sweep : ReportedSweep
-    ranking : sequence of RankedCandidate
-        As ``trms compare`` has it; empty where nobody can be ranked.
-    rule : str
-        How the rank comes about.
-    title : str
-    """
+def findings_of_sweep(
+    sweep: ReportedSweep, *, ranking: Ranking | None = None, title: str = ""
+) -> Findings:
+    """What a page tells of many runs; `ranking`: as ``trms compare`` has it."""
     figures = _telling(sweep)
-    page = Page(title or f"Sweep {sweep.name}", _lead(sweep, ranking), dict(sweep.facts))
-    if len(sweep.objectives) >= 1:
-        _objectives(page, sweep)
-    if len(ranking) > 1:
-        add_ranking(page, ranking, rule)
-    if sweep.draws:
-        add_failure_shares(page, sweep.draws)
-        add_correlations(page, sweep.draws)
-    spread = spread_panels(sweep, figures)
-    if spread:
-        page.section("How figures spread", "Of the runs that ended.")
-        page.plots(plots(spread))
-    keys = key_panels(sweep, figures)
-    if keys:
-        page.section(
-            "What they depend on",
-            f"Each dot is a run; pointing at it tells which.{chosen_words(sweep)}",
-        )
-        page.plots(plots(keys))
-    _failures(page, sweep)
-    _all_runs(page, sweep)
-    return page
+    several = ranking is not None and len(ranking.standings) > 1
+    varied = f"Each dot is a run; pointing at it tells which.{chosen_words(sweep)}"
+    sections = [
+        _objectives(sweep),
+        ranked(ranking if several else None),
+        *(_draws(sweep.draws) if sweep.draws else ()),
+        plotted("How figures spread", spread_panels(sweep, figures), "Of the runs that ended."),
+        plotted("What they depend on", key_panels(sweep, figures), varied),
+        _failures(sweep),
+        _all_runs(sweep),
+    ]
+    return Findings(
+        title or f"Sweep {sweep.name}",
+        _lead(sweep, ranking),
+        [section for section in sections if section.blocks],
+        facts=sweep.facts,
+    )
 
 
 def _telling(sweep: ReportedSweep) -> list[str]:
@@ -92,7 +77,7 @@ def _telling(sweep: ReportedSweep) -> list[str]:
     return found[:_MOST_CHOICES]
 
 
-def _lead(sweep: ReportedSweep, ranking: Sequence[RankedCandidate]) -> list[str]:
+def _lead(sweep: ReportedSweep, ranking: Ranking | None) -> list[str]:
     outcomes = Counter(run.outcome for run in sweep.runs)
     completed = outcomes.pop("completed", 0)
     others = ", ".join(f"**{count} {outcome}**" for outcome, count in outcomes.most_common())
@@ -102,18 +87,16 @@ def _lead(sweep: ReportedSweep, ranking: Sequence[RankedCandidate]) -> list[str]
         begun = f"**{never} not begun**: the sweep stopped before its end"
         others = f"{others}, {begun}" if others else begun
     sentences = [f"{completed} of {wanted} runs completed{'; ' + others if others else ''}."]
-    first = next((entrant for entrant in ranking if entrant.rank == 1), None)
-    second = next((entrant for entrant in ranking if entrant.rank == 2), None)
-    if first is not None and second is not None:
+    if ranking is not None and len(ranking.ranked) > 1:
+        first, second = ranking.ranked[:2]
         sentence = f"**{first.name}** tracks best"
-        if second.against_first:
+        if second.against_first > 0:
             sentence += f"; {second.name} misses by {_times(second.against_first)}"
             if second.different is False:
                 sentence += ", which these runs cannot tell from equal"
         sentences.append(sentence + ".")
-    failed = failures_sentence(sweep.draws) if sweep.draws else ""
-    if failed:
-        sentences.append(failed)
+    if sweep.draws:
+        sentences += _failures_sentence(sweep.draws)
     best = _best(sweep)
     if best is not None:
         run, value, name = best
@@ -156,25 +139,21 @@ def _where(sweep: ReportedSweep, run: SweepRun) -> str:
     return f" ({', '.join(parts)})" if parts else ""
 
 
-def _objectives(page: Page, sweep: ReportedSweep) -> None:
+def _objectives(sweep: ReportedSweep) -> Section:
+    if not sweep.objectives:
+        return Section("Objectives")
     front = sweep.front()
     names = [objective.figure for objective in sweep.objectives]
-    page.section(
-        "Objectives",
-        f"Sought: {', '.join(map(_sought, sweep.objectives))}.",
-    )
-    page.plots(plots(pareto_panels(sweep)))
-    first = sweep.objectives[0]
-    front.sort(key=lambda run: run.figures.get(first.figure, math.inf))
+    words = f"Sought: {', '.join(map(_sought, sweep.objectives))}."
+    section = plotted("Objectives", pareto_panels(sweep), words)
+    front.sort(key=lambda run: run.figures.get(names[0], math.inf))
     keys = [key for key in sweep.keys if any(run.values.get(key) is not None for run in front)]
-    rows: list[list[Cell]] = []
-    for run in front[:_MOST_OF_A_FRONT]:
-        figures = [run.figures.get(name) for name in names]
-        rows.append([run.name, *figures, *(_cell(run.values.get(key)) for key in keys)])
-    if rows:
-        kind = _kind(sweep)
-        what = f"Each {kind} that none beats in all objectives." if len(names) > 1 else "The best."
-        page.table([kind, *map(sweep.title, names), *keys], rows, what)
+    kind = _kind(sweep)
+    columns = [Column(kind, "name"), *(Column(sweep.title(n), _figure(n)) for n in names)]
+    columns += [Column(key, _value(key)) for key in keys]
+    what = f"Each {kind} that none beats in all objectives." if len(names) > 1 else "The best."
+    best = table(front[:_MOST_OF_A_FRONT], columns, what)
+    return Section("Objectives", section.text, [*section.blocks, *([best] if front else [])])
 
 
 def _kind(sweep: ReportedSweep) -> str:
@@ -185,64 +164,129 @@ def _sought(objective: Objective) -> str:
     return f"the {'largest' if objective.largest else 'least'} {objective.figure}"
 
 
-def _failures(page: Page, sweep: ReportedSweep) -> None:
-    failed = [run for run in sweep.runs if run.failed]
-    if failed or sweep.left_out:
-        page.section("What failed")
+def _draws(draws: Draws) -> list[Section]:
+    """How often drawn runs fail, and what their figures hang on: the strongest correlations."""
+    columns = [
+        Column("who", "who"),
+        Column("draws", "draws"),
+        Column("failures", "count"),
+        Column("share", lambda each: _percent(each.share)),
+        Column("95 % interval", _interval),
+    ]
+    counted = (
+        f"Counted is a draw whose run ended in an error{_beyond(draws)}. The interval of 95 % is "
+        "that of Clopper and Pearson for independent draws."
+    )
+    failures = [table(draws.failures, columns)] if draws.failures else []
+    told = [each for each in draws.correlations if each.p is not None and each.p < _LEVEL]
+    shown = (told or draws.correlations[:5])[:_MOST_CORRELATIONS]
+    words = (
+        "Spearman's rank correlation of each drawn value with each figure, the strongest first: "
+        f"{len(told)} of {len(draws.correlations)} are more than chance explains (p < {_LEVEL:g}, "
+        "adjusted for their number by Benjamini and Hochberg)"
+    )
+    if not told:
+        words += "; the strongest are here, and may be chance"
+    elif len(told) > len(shown):
+        words += f"; the first {len(shown)} are here"
+    columns = [
+        Column("figure", "figure"),
+        Column("who", "who"),
+        Column("drawn value", "key"),
+        Column("correlation", lambda each: f"{each.rho:+.2f}"),
+        Column("adjusted p", "p"),
+    ]
+    correlations = [table(shown, columns, heads=3)] if shown else []
+    return [
+        Section("Failures among the draws", [counted], failures),
+        Section("Sensitivities", [f"{words}."], correlations),
+    ]
+
+
+def _failures_sentence(draws: Draws) -> list[str]:
+    """How often draws failed, for the head of the page; none where none did, or nobody counted."""
+    failed = [each for each in draws.failures if each.count]
+    if not failed:
+        return []
+    told = ", ".join(
+        f"{each.who} **{each.count} of {each.draws}** ({_percent(each.share)}, 95 % interval "
+        f"{_interval(each)})"
+        for each in failed[:6]
+    )
+    more = f", and {len(failed) - 6} more" if len(failed) > 6 else ""
+    return [f"Draws that failed{_beyond(draws)}: {told}{more}."]
+
+
+def _beyond(draws: Draws) -> str:
+    limits = ", ".join(f"{name} ≤ {bound:g}" for name, bound in draws.limits.items())
+    return f", or that did not hold a limit ({limits})" if limits else ""
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.1f} %"
+
+
+def _interval(told: FailureShare) -> str:
+    if told.low is None or told.high is None:
+        return "–"
+    return f"{100 * told.low:.1f}\u2060–\u2060{100 * told.high:.1f} %"
+
+
+def _failures(sweep: ReportedSweep) -> Section:
     reasons: dict[str, list[SweepRun]] = {}
-    for run in failed:
-        reason = (run.problem or run.outcome).strip().splitlines() or [run.outcome]
-        reasons.setdefault(reason[0][:_LONGEST_REASON], []).append(run)
-    rows: list[list[Cell]] = []
-    for why, runs in sorted(reasons.items(), key=lambda item: -len(item[1]))[:_MOST_REASONS]:
-        names = [run.name for run in runs[:_MOST_NAMES]]
-        names += ["…"] if len(runs) > _MOST_NAMES else []
-        rows.append([len(runs), why, ", ".join(names)])
-    if rows:
-        more = len(reasons) - len(rows)
-        page.table(
-            ["runs", "why", "which"],
-            rows,
-            f"{more} more reasons are in the table below." if more > 0 else "",
-        )
-    if sweep.left_out:
-        page.table(
-            ["file that cannot be read", "why"],
-            [[file, why[:_LONGEST_REASON]] for file, why in sweep.left_out[:_MOST_REASONS]],
-        )
+    for run in sweep.runs:
+        if run.failed:
+            reason = (run.problem or run.outcome).strip().splitlines() or [run.outcome]
+            reasons.setdefault(reason[0][:_LONGEST_REASON], []).append(run)
+    often = sorted(reasons.items(), key=lambda item: -len(item[1]))[:_MOST_REASONS]
+    columns = [
+        Column("runs", lambda each: len(each[1])),
+        Column("why", lambda each: each[0]),
+        Column("which", lambda each: _names(each[1])),
+    ]
+    more = len(reasons) - len(often)
+    caption = f"{more} more reasons are in the table below." if more > 0 else ""
+    failed = [table(often, columns, caption)] if often else []
+    columns = [
+        Column("file that cannot be read", lambda each: each[0]),
+        Column("why", lambda each: each[1][:_LONGEST_REASON]),
+    ]
+    unread = [table(sweep.left_out[:_MOST_REASONS], columns)] if sweep.left_out else []
+    return Section("What failed", blocks=[*failed, *unread])
 
 
-def _all_runs(page: Page, sweep: ReportedSweep) -> None:
-    page.section("All runs", _how_to_filter(sweep))
+def _names(runs: Sequence[SweepRun]) -> str:
+    return ", ".join([run.name for run in runs[:_MOST_NAMES]] + ["…"] * (len(runs) > _MOST_NAMES))
+
+
+def _all_runs(sweep: ReportedSweep) -> Section:
     figures, alike = _apart(sweep)
     keys = [key for key in sweep.keys if key not in sweep.drawn_keys]
     drawn = [key for key in sweep.keys if key in sweep.drawn_keys]
-    has_entrants = len(sweep.entrants) > 1 and not _said_by_a_key(sweep)
-    columns = [RowColumn("run", "run")]
-    columns += [RowColumn("who", "who")] if has_entrants else []
-    columns += [RowColumn(key, key.lower(), number=key in sweep.numeric_keys) for key in keys]
-    columns += [RowColumn("outcome", "outcome")]
-    columns += [RowColumn(sweep.title(name), name.lower(), number=True) for name in figures]
+    columns = [("run", Column("run", lambda run: Judged(run.name, link=run.page)))]
+    # A key that alone names who ran would say it twice.
+    if len(sweep.entrants) > 1 and not any(map(sweep.names_entrants, sweep.keys)):
+        columns.append(("who", Column("who", "entrant")))
+    columns += [(key, Column(key, _value(key))) for key in keys]
+    columns.append(("outcome", Column("outcome", "outcome")))
+    columns += [(name, Column(sweep.title(name), _figure(name))) for name in figures]
     # They are many, and would push what came of them off the screen.
-    columns += [RowColumn(key, key.lower(), number=key in sweep.numeric_keys) for key in drawn]
-    told = any(run.problem for run in sweep.runs)
-    columns += [RowColumn("why it failed", "problem")] if told else []
-    rows: list[list[RowCell]] = []
-    for run in sweep.runs[:MOST_ROWS]:
-        row: list[RowCell] = [Linked(run.name, run.page)]
-        row += [run.entrant] if has_entrants else []
-        row += [run.values.get(key) for key in keys]
-        row += [run.outcome, *(run.figures.get(name) for name in figures)]
-        row += [run.values.get(key) for key in drawn]
-        row += [run.problem] if told else []
-        rows.append(row)
+    columns += [(key, Column(key, _value(key))) for key in drawn]
+    if any(run.problem for run in sweep.runs):
+        columns.append(("problem", Column("why it failed", "problem")))
     caption = "A click on a head sorts. On paper stand the first 200 rows."
     if alike:
         same = ", ".join(f"{sweep.title(name)} {value:.4g}" for name, value in alike.items())
         caption += f" The same for all that have it: {same}."
     if len(sweep.runs) > MOST_ROWS:
         caption += f" The first {MOST_ROWS} of {len(sweep.runs)} runs."
-    page.rows(columns, rows, caption, example=_example(sweep))
+    example = _example(sweep)
+    text = f"Filter by words and by columns, `{example}` for instance; all that is typed has to "
+    rows = table(
+        sweep.runs[:MOST_ROWS], [column for _, column in columns], caption,
+        keys=[key.lower() for key, _ in columns], example=example,
+    )  # fmt: skip
+    return Section("All runs", [f"{text}hold."], [rows])
 
 
 def _apart(sweep: ReportedSweep) -> tuple[list[str], dict[str, float]]:
@@ -257,13 +301,6 @@ def _apart(sweep: ReportedSweep) -> tuple[list[str], dict[str, float]]:
     return apart, alike
 
 
-def _how_to_filter(sweep: ReportedSweep) -> str:
-    return (
-        f"Filter by words and by columns, `{_example(sweep)}` for instance; all that is typed has "
-        "to hold."
-    )
-
-
 def _example(sweep: ReportedSweep) -> str:
     """A condition that about half of the runs fulfil."""
     for name in sweep.figures:
@@ -273,14 +310,13 @@ def _example(sweep: ReportedSweep) -> str:
     return "outcome=failed"
 
 
-def _said_by_a_key(sweep: ReportedSweep) -> bool:
-    """Whether one key alone names who ran: a column of its own would say it twice."""
-    return any(map(sweep.names_entrants, sweep.keys))
-
-
 def _shown(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _cell(value: object) -> Cell:
-    return value if isinstance(value, (str, float, int)) or value is None else str(value)
+def _value(key: str) -> Callable[[SweepRun], Cell]:
+    return lambda run: run.values.get(key)
+
+
+def _figure(name: str) -> Callable[[SweepRun], Cell]:
+    return lambda run: run.figures.get(name)

@@ -2,9 +2,9 @@
 
 ::
 
-    from trms_cli.library.report.pages import report_page
-    report = report_page(["first", "second/run.mcap"])
-    report.page.write(Path("report.html"))
+    from trms_cli.library.report.pages import report_of
+    report = report_of(["first", "second/run.mcap"])
+    write_page(report.findings, Path("report.html"), pictures=False)
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.library.report.draws import drawn_keys
@@ -30,9 +30,10 @@ from trms_cli.library.report.sweeps import (
 from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.page import Page
+    from trms_cli.core.findings import Findings
     from trms_cli.reporting.signals import ReportedRun
     from trms_cli.runs.query import QueryResult
+    from trms_cli.scoring.comparison.ranking import Ranking
 
 #: More runs than this are told as a sweep: curves over one another could not be told apart.
 MOST_OVERLAID = 8
@@ -41,9 +42,9 @@ _MOST_DIFFERENCES = 60
 
 @dataclass(frozen=True)
 class Report:
-    """A page, and what it is of."""
+    """What a page tells, and what it is of."""
 
-    page: Page  #: Ready to be written
+    findings: Findings
     kind: Literal["run", "comparison", "sweep"]  #: ``run``, ``comparison`` or ``sweep``
     runs: tuple[str, ...]  #: Logs or folders of the runs in it
     folder: Path  #: Where it is written if nobody says otherwise
@@ -68,16 +69,18 @@ def write_report(
     remedy = "--force replaces it; --out FILE.html names another"
     if out is not None and not force:
         refuse_overwrite(out, remedy)
-    report = report_page(paths, title=title, out=out, quiet=quiet)
+    from trms_cli.reporting.page import page_html
+
+    report = report_of(paths, title=title, out=out, quiet=quiet)
     path = out if out is not None else report.folder / PAGE_NAME
     if not force:
         refuse_overwrite(path, remedy)
     with whole_file(path, force=force) as temporary:
-        temporary.write_text(report.page.html(), encoding="utf-8")
+        temporary.write_text(page_html(report.findings), encoding="utf-8")
     return report, path
 
 
-def report_page(
+def report_of(
     paths: Sequence[str | os.PathLike[str]],
     *,
     title: str = "",
@@ -133,11 +136,11 @@ def _of_logs(
     logs: Sequence[Path], folder: Path, title: str, left_out: Sequence[tuple[str, str]]
 ) -> Report:
     if len(logs) == 1:
-        from trms_cli.reporting.report_run import run_page
+        from trms_cli.reporting.report_run import findings_of_run
 
-        page = run_page(read_run(logs[0]), title=title)
-        return Report(page, "run", (str(logs[0]),), folder, tuple(left_out))
-    from trms_cli.reporting.report_comparison import comparison_page
+        findings = findings_of_run(read_run(logs[0]), title=title)
+        return Report(findings, "run", (str(logs[0]),), folder, tuple(left_out))
+    from trms_cli.reporting.report_comparison import findings_of_comparison
 
     names = _names(logs)
     runs: list[ReportedRun] = []
@@ -151,31 +154,29 @@ def _of_logs(
         raise RecordingError(
             f"none of the {len(logs)} logs can be read: {trouble[0][1]}", where=trouble[0][0]
         )
-    ranking, rule = _ranking(logs)
-    page = comparison_page(
-        runs, ranking=ranking, rule=rule, differences=_differences(runs), left_out=trouble,
-        title=title,
-    )  # fmt: skip
-    return Report(page, "comparison", tuple(map(str, logs)), folder, tuple(trouble))
+    findings = findings_of_comparison(
+        runs, ranking=_ranking(logs), differences=_differences(runs), left_out=trouble, title=title
+    )
+    return Report(findings, "comparison", tuple(map(str, logs)), folder, tuple(trouble))
 
 
 def _of_sweep(
     given: Sequence[Path], found: QueryResult, folder: Path, page_folder: Path, title: str
 ) -> Report:
-    from trms_cli.reporting.report_sweep import sweep_page
+    from trms_cli.reporting.report_sweep import findings_of_sweep
 
     sweep = read_sweep(given, found, page_folder)
     # A search tries each set of weights once or a few times: its own objectives say which is best.
     drawn = drawn_keys(sweep_document(given[0])) if len(given) == 1 else []
-    ranking, rule = ([], "") if sweep.objectives else ranking_of(compared(found, drawn))
-    page = sweep_page(sweep, ranking=ranking, rule=rule, title=title)
+    ranking = None if sweep.objectives else ranking_of(compared(found, drawn))
+    findings = findings_of_sweep(sweep, ranking=ranking, title=title)
     runs = tuple(str(row["path"]) for row in found.runs)
-    return Report(page, "sweep", runs, folder, tuple(found.unreadable))
+    return Report(findings, "sweep", runs, folder, tuple(found.unreadable))
 
 
 def _of_scores(given: Sequence[Path], found: QueryResult, folder: Path, title: str) -> Report:
     """Folders without a log: scores alone, as tournaments leave them."""
-    from trms_cli.reporting.report_sweep import sweep_page
+    from trms_cli.reporting.report_sweep import findings_of_sweep
     from trms_cli.scoring.comparison.gathering import gather
 
     if found.unreadable:
@@ -184,22 +185,20 @@ def _of_scores(given: Sequence[Path], found: QueryResult, folder: Path, title: s
             f"no run here can be read: {problem}", where=file, remedy="a report is drawn from logs"
         )
     gathered = gather(given)
-    sweep = from_scores(gathered, given)
-    ranking, rule = ranking_of(gathered.runs)
-    page = sweep_page(sweep, ranking=ranking, rule=rule, title=title)
-    return Report(
-        page, "sweep", tuple(run.path for run in gathered.runs), folder, tuple(gathered.left_out)
-    )
+    sweep, ranking = from_scores(gathered, given), ranking_of(gathered.runs)
+    runs = tuple(run.path for run in gathered.runs)
+    findings = findings_of_sweep(sweep, ranking=ranking, title=title)
+    return Report(findings, "sweep", runs, folder, tuple(gathered.left_out))
 
 
-def _ranking(logs: Sequence[Path]) -> tuple[Any, str]:
-    """The ranking of a few runs; empty where they are not of one contest."""
+def _ranking(logs: Sequence[Path]) -> Ranking | None:
+    """The ranking of a few runs; None where they are not of one contest."""
     from trms_cli.scoring.comparison.gathering import gather
 
     try:
         return ranking_of(gather(logs).runs)
     except RecordingError:  # imported recordings have no score
-        return [], ""
+        return None
 
 
 def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
@@ -262,4 +261,4 @@ def _names(logs: Sequence[Path]) -> list[str]:
     return [f"{name} ({i})" if shown.count(name) > 1 else name for i, name in enumerate(shown)]
 
 
-__all__ = ["MOST_OVERLAID", "PAGE_NAME", "Report", "report_page"]
+__all__ = ["MOST_OVERLAID", "PAGE_NAME", "Report", "report_of"]

@@ -8,30 +8,26 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.library.report.sweeps import keys_of, typed_of, value_of
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.report_comparison import RankedCandidate
     from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.compared_run import ComparedRun
+    from trms_cli.scoring.comparison.ranking import Ranking
 
 #: Coordinates that every ranking looks at, also where runs do not differ in them.
 _DRAW = "draw"
 _RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
 
 
-def ranking_of(runs: Sequence[ComparedRun]) -> tuple[list[RankedCandidate], str]:
-    """The ranking that ``trms compare`` prints, and its rule; empty where nobody can be ranked."""
-    from trms_cli.library.tasks.compare import ordered
-    from trms_cli.scoring.comparison.document import rule
+def ranking_of(runs: Sequence[ComparedRun]) -> Ranking | None:
+    """The ranking that ``trms compare`` prints; None where nobody can be ranked."""
     from trms_cli.scoring.comparison.grouping import group
     from trms_cli.scoring.comparison.ranking import rank
 
     contest = group(runs)
     # Who differs from the others in draws or seeds alone is luckier, not better.
     if contest.by and set(contest.by) <= {_DRAW, "seed"}:
-        return [], ""
+        return None
     ranking = rank(contest)
-    if not ranking.best:
-        return [], ""
-    return [_entrant(s, ranking.metric) for s in ordered(ranking, "rank")], rule(ranking)
+    return ranking if ranking.best else None
 
 
 def compared(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparedRun]:
@@ -100,32 +96,3 @@ def _score(row: Mapping[str, Any]) -> dict[str, Any]:
             "deadline_misses": row.get("deadline_misses"),
         },
     }
-
-
-def _entrant(standing: Any, metric: str) -> RankedCandidate:
-    from trms_cli.reporting.report_comparison import RankedCandidate
-    from trms_cli.scoring.comparison.figures import figures_of
-
-    told, unit = figures_of(standing, metric), "rad"
-    interval = standing.interval
-    return RankedCandidate(
-        name=standing.name,
-        rank=standing.rank,
-        ratio=standing.ratio,
-        low=None if interval is None else interval.low,
-        high=None if interval is None else interval.high,
-        against_first=standing.against_first if standing.rank != 1 else None,
-        different=standing.different,
-        figures={
-            "runs": told.runs,
-            "failed": told.failed,
-            f"{metric.upper()}, mean [{unit}]": told.error_mean,
-            f"{metric.upper()}, worst [{unit}]": told.error_worst,
-            "effort [V² s]": told.effort,
-            "Σ|Δu| [V]": told.variation,
-            "step [ms]": told.step_ms,
-            "step p99 [ms]": told.step_p99_ms,
-            "fall-backs": told.fallbacks,
-            "missed": told.missed,
-        },
-    )

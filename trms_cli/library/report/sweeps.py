@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from trms_cli.library.report.draws import drawn_keys, draws_of, short_names
 from trms_cli.library.report.search import (
@@ -229,7 +230,6 @@ def _swept(
     row: Mapping[str, Any], typed: Mapping[str, Any], keys: Sequence[str], by: Sequence[str],
     figures: Mapping[str, str], root: Path, page_folder: Path,
 ) -> SweepRun:  # fmt: skip
-    from trms_cli.reporting.page_rows import relative_link
     from trms_cli.reporting.reported_sweep import SweepRun
     from trms_cli.runs.columns import ALIASES
 
@@ -254,6 +254,12 @@ def _swept(
         page=relative_link(str(own), str(page_folder)) if own_page else "",
         number=int(path.name) if path.name.isascii() and path.name.isdigit() else None,
     )
+
+
+def relative_link(target: str, folder: str) -> str:
+    """A file's address from a folder, as a link: never one of another kind than of a file."""
+    path = os.path.relpath(target, folder)
+    return "./" + quote(path.encode("utf-8", "surrogateescape"))
 
 
 def _completed(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -429,7 +429,7 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     files["model"] = write_models(request, origin, diagnosis, folder)
     result = findings(diagnosis, request.remarks, folder)
     if request.options.page:
-        from trms_cli.reporting.findings_page import write_page
+        from trms_cli.reporting.page import write_page
 
         facts = {**result.facts, "command": f"`{command_line()}`"}
         page = write_page(

@@ -51,7 +51,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
     then = [NextCommand(_play(document, folder, composition))]
     told = findings(document, designed, spectra, then)
     if config["picture"]:
-        from trms_cli.reporting.findings_page import write_page
+        from trms_cli.reporting.page import write_page
 
         page = write_page(told, folder / PAGE_NAME, interactive=False)
         files |= {"picture": folder / "excitation.png", "page": page} if page else {}

@@ -66,7 +66,7 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     then = _next(composition, request, document, folder)
     told = findings(document, fitted, then)
     if composition.config["picture"]:
-        from trms_cli.reporting.findings_page import write_page
+        from trms_cli.reporting.page import write_page
 
         page = write_page(told, folder / PAGE_NAME, interactive=False)
         written |= {"page": page} if page else {}

@@ -44,7 +44,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
         facts = {"model": document["model"], "command": f"`{document['command']}`"}
         facts["versions"] = ", ".join(f"{name} {v}" for name, v in document["versions"].items())
         if request.page:
-            from trms_cli.reporting.findings_page import write_page
+            from trms_cli.reporting.page import write_page
 
             line.tell("figures")
             page = write_page(replace(findings, facts=facts), folder / PAGE_NAME, subject)

@@ -44,7 +44,7 @@ def perform(
         files = {"figures": folder / DOCUMENT_NAME}
         write_document(document, files["figures"])
         if request.page:
-            from trms_cli.reporting.findings_page import write_page
+            from trms_cli.reporting.page import write_page
 
             line.tell("page")
             whole = findings.findings(document, validations)
