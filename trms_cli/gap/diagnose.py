@@ -107,11 +107,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     free = nominal_parameters(problem.model)
     nominal = refit(problem.model, free, parts.fitted, parts.block)
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
-    simulated = {
-        name: s
-        for name, s in candidates.items()
-        if not s.stochastic and not name.endswith("quantisation")
-    }
+    simulated = {name: candidate for name, candidate in candidates.items() if candidate.simulated}
     watch.enter("separability")
     traces = _traces(nominal, simulated, problem.jobs, watch)
     watch.enter("race")

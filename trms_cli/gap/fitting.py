@@ -22,7 +22,13 @@ from trms_cli.gap.discrepancy import (
 from trms_cli.gap.kalman import FilterGains
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.map_fit import Point, minimise
-from trms_cli.identification.greybox.objective import Quadratic, triangles
+from trms_cli.identification.greybox.objective import (
+    PosteriorObjective,
+    Quadratic,
+    huber_roots,
+    huber_squares,
+    triangles,
+)
 from trms_cli.identification.greybox.windows import Residuals, Windows
 from trms_cli.identification.problem import (
     FitOutcome,
@@ -56,20 +62,8 @@ class Metric:
 
     def losses(self, z: FloatArray) -> FloatArray:
         """Half the robust squares of innovations (m, c, n_y), by window, shape (m,)."""
-        loss = z**2
-        if self.robust is not None:
-            size = np.abs(z)
-            far = size > self.robust
-            loss = np.where(far, 2 * self.robust * size - self.robust**2, loss)
-        total: FloatArray = 0.5 * loss.sum(axis=(1, 2))
+        total: FloatArray = 0.5 * huber_squares(z, self.robust).sum(axis=(1, 2))
         return total
-
-    def roots(self, z: FloatArray) -> FloatArray:
-        """Factors of innovations and slopes whose squares make the losses' parabola."""
-        if self.robust is None:
-            return np.ones_like(z)
-        roots: FloatArray = np.sqrt(self.robust / np.maximum(np.abs(z), self.robust))
-        return roots
 
 
 #: Slopes per scaled unit beyond this say nothing; in the outputs' units.
@@ -77,52 +71,24 @@ _STEEPEST = 1e8
 
 
 @dataclass
-class InnovationObjective:
-    """Maximum a posteriori in a metric; the same face as a grey-box fit's objective."""
+class InnovationObjective(PosteriorObjective):
+    """Maximum a posteriori in a metric of the same windows, whose model may differ."""
 
-    #: Of the model that is fitted: the same windows as the metric's, whose model may differ
-    windows: Windows
     metric: Metric
     centres: FloatArray  #: (m, n_x) array; of the starts' priors
 
-    def __post_init__(self) -> None:
-        problem = self.windows.problem
-        self.scales = problem.scales
-        self.means, self.precisions = problem.prior_means, problem.prior_precisions
-
-    # A search tries parameters with which a simulation runs away: that is a cost, not a warning.
-
     @np.errstate(all="ignore")
     def by_window(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
-        """Each window's part of the cost with its start's prior, shape (m,)."""
-        r = self._simulated(theta, starts, slopes=False).r
+        r = self.simulated(theta, starts, slopes=False).r
         if not np.isfinite(r).all():
             fine = np.asarray(np.isfinite(r).all(axis=(1, 2)))
             parts = self._losses(np.where(fine[:, None, None], r, 0.0), starts)
             return np.where(fine, parts, np.inf)
         return self._losses(r, starts)
 
-    def cost(self, theta: FloatArray, starts: FloatArray) -> float:
-        """Its value; infinite where the simulation is not finite."""
-        return float(self.by_window(theta, starts).sum()) + self.of_parameters(theta)
-
-    def better_starts(
-        self, theta: FloatArray, one: FloatArray, other: FloatArray
-    ) -> tuple[float, FloatArray]:
-        """The cost with the better of two starts in every window, and those starts."""
-        parts = np.array([self.by_window(theta, starts) for starts in (one, other)])
-        chosen = np.argmin(parts, axis=0)
-        total = float(parts.min(axis=0).sum()) + self.of_parameters(theta)
-        return total, np.where((chosen == 0)[:, None], one, other)
-
-    def of_parameters(self, theta: FloatArray) -> float:
-        """What the priors of the parameters add, nats."""
-        return 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
-
     @np.errstate(all="ignore")
     def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
-        """Its value, and the parabola in scaled changes."""
-        residuals = self._simulated(theta, starts, slopes=True)
+        residuals = self.simulated(theta, starts, slopes=True)
         m, gaps = len(self.windows), (starts - self.centres) / self.windows.spread
         cost, made = np.inf, np.zeros((m, 1, self.windows.n_x + len(theta) + 1))
         if residuals.finite:
@@ -130,7 +96,7 @@ class InnovationObjective:
             z = columns[..., -1]
             cost = float(self.metric.losses(z).sum() + 0.5 * np.sum(gaps**2))
             cost += self.of_parameters(theta)
-            columns = columns * self.metric.roots(z)[..., None]
+            columns = columns * huber_roots(z, self.metric.robust)[..., None]
             flat = columns.reshape(m, -1, columns.shape[-1])
             made = triangles(flat[..., :-1], flat[..., -1])
         roots = np.sqrt(self.precisions)
@@ -150,10 +116,6 @@ class InnovationObjective:
         gaps = (starts - self.centres) / self.windows.spread
         parts: FloatArray = self.metric.losses(z) + 0.5 * np.sum(gaps**2, axis=1)
         return parts
-
-    def _simulated(self, theta: FloatArray, starts: FloatArray, slopes: bool) -> Residuals:
-        p = self.windows.problem.all_values(theta)
-        return self.windows.residuals(p, starts, slopes=slopes)
 
 
 #: Slopes beyond this, per scaled unit, are those of a simulation that runs away.
@@ -383,7 +345,7 @@ class ModelStructure:
             objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))
             searches.append(
                 minimise(
-                    objective,  # type: ignore[arg-type]
+                    objective,
                     Point(theta, starts, np.inf),
                     bounds=bounds,
                     iterations=iterations,

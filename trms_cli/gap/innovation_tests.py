@@ -20,6 +20,7 @@ from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.fitting import FittedModel, InnovationObjective, Metric, ModelStructure
 from trms_cli.gap.problem import quantum_of
+from trms_cli.identification.validation.residual_tests import holm
 from trms_cli.models.model import names
 
 #: s. Longest lag of the tests, and samples at least and at most.
@@ -59,7 +60,7 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     outputs = names(structure.problem.model.outputs)
     keys = list(observed)
     p = np.array([_tail(observed[key], np.array(drawn[key])) for key in keys])
-    corrected = _holm(p)
+    corrected = holm(p)
     return tuple(
         GapTest(
             name=name,
@@ -177,12 +178,3 @@ def _tail(value: float, drawn: FloatArray) -> float:
     """Probability of a statistic so large, by a gamma law with the mean and spread of the draws."""
     mean, variance = float(drawn.mean()), max(float(drawn.var(ddof=1)), 1e-12)
     return float(stats.gamma.sf(value, mean**2 / variance, scale=variance / mean))
-
-
-def _holm(p: FloatArray) -> FloatArray:
-    """Corrected for their number (Holm 1979, Scand. J. Stat. 6)."""
-    order = np.argsort(p)
-    raised = np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p))))
-    corrected = np.empty_like(p)
-    corrected[order] = np.minimum(raised, 1.0)
-    return corrected

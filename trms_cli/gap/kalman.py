@@ -11,7 +11,7 @@ over samples is C (``kalman.c``); without a compiler NumPy runs it over all wind
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -59,15 +59,8 @@ def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> 
     library = _library()
     if library is None:
         return _gains_of_arrays(system, q, p)
-    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
-    failed = library.trms_gains(
-        *_sizes(m, c),
-        n,
-        n_y,
-        *map(_pointer, (system.f, system.h, seen, system.r, _c(q), system.start, k, root, logdet)),
-        None if p is None else _pointer(p),
-    )
-    if failed:
+    arrays = (system.r, _c(q), system.start, k, root, logdet, p)
+    if _run(library.trms_gains, system, arrays):
         raise FloatingPointError("a covariance of the filter is not positive")
     return FilterGains(k, root, logdet, p)
 
@@ -78,21 +71,12 @@ def whiten(system: LinearSystem, filter_: FilterGains, columns: FloatArray) -> F
     ``columns``, (m, c, n_y, k) array. Returns (m, c, n_y, k) array: zero where nothing was
     measured.
     """
-    m, c, n_y, count = columns.shape
-    n = system.f.shape[-1]
     columns = _c(columns)
     out = np.empty_like(columns)
     library = _library()
     if library is None:
         return _whitened_arrays(system, filter_, columns)
-    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
-    library.trms_whiten(
-        *_sizes(m, c),
-        n,
-        n_y,
-        count,
-        *map(_pointer, (system.f, system.h, seen, filter_.k, filter_.root, columns, out)),
-    )
+    _run(library.trms_whiten, system, (filter_.k, filter_.root, columns, out), columns.shape[-1])
     return out
 
 
@@ -106,15 +90,13 @@ def scores(
 
     ``z``, (m, c, n_y) array: whitened innovations. Returns ``squares, variances``, (n,) arrays.
     """
-    m, c, n_y, n = system.h.shape
+    n = system.h.shape[-1]
     e = np.asarray(np.linalg.solve(filter_.root, z[..., None])[..., 0], dtype=np.float64)
     library = _library()
     if library is None:
         return _scores_of_arrays(system, filter_, e)
     squares, variances = np.empty(n), np.empty(n)
-    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
-    arrays = (system.f, system.h, seen, filter_.k, filter_.root, _c(e), squares, variances)
-    library.trms_scores(*_sizes(m, c), n, n_y, *map(_pointer, arrays))
+    _run(library.trms_scores, system, (filter_.k, filter_.root, _c(e), squares, variances))
     return squares, variances
 
 
@@ -226,14 +208,16 @@ def _library() -> ctypes.CDLL | None:
     return compiled_source("trms_kalman", source)
 
 
-def _sizes(m: int, c: int) -> tuple[Any, Any]:
+def _run(function: Any, system: LinearSystem, arrays: Sequence[Any], *sizes: int) -> Any:
+    """Call a compiled loop over all windows: sizes, the system's matrices, then other arrays."""
+    m, c, n_y, n = system.h.shape
     counts = np.full(m, c, dtype=np.int64)
-    return ctypes.c_longlong(m), _pointer(counts)
-
-
-def _pointer(array: Any) -> ctypes.c_void_p:
-    pointer: ctypes.c_void_p = array.ctypes.data_as(ctypes.c_void_p)  # keeps the array alive
-    return pointer
+    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
+    pointers = [  # each keeps its array alive
+        None if array is None else array.ctypes.data_as(ctypes.c_void_p)
+        for array in (counts, system.f, system.h, seen, *arrays)
+    ]
+    return function(ctypes.c_longlong(m), pointers[0], n, n_y, *sizes, *pointers[1:])
 
 
 def _c(array: FloatArray) -> FloatArray:

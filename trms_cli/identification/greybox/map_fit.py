@@ -28,6 +28,7 @@ from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.identification.greybox.information import Information, information
 from trms_cli.identification.greybox.objective import (
     MapObjective,
+    PosteriorObjective,
     Quadratic,
     ResidualWeights,
     reduced,
@@ -60,7 +61,7 @@ class SearchEnd(NamedTuple):
 
 
 def minimise(
-    objective: MapObjective,
+    objective: PosteriorObjective,
     point: Point,
     *,
     bounds: tuple[FloatArray, FloatArray],

@@ -26,7 +26,8 @@ along the chain, as in a square-root information filter (Bierman 1977).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -59,12 +60,7 @@ class ResidualWeights:
 
     def costs(self, r: FloatArray) -> FloatArray:
         """The same by window, shape (m,)."""
-        z = self.whitened(r)
-        loss = z**2
-        if self.robust is not None:
-            size = np.abs(z)
-            far = size > self.robust
-            loss = np.where(far, 2 * self.robust * size - self.robust**2, loss)
+        loss = huber_squares(self.whitened(r), self.robust)
         costs: FloatArray = 0.5 * (loss.sum(axis=1) @ self.trust)
         return costs
 
@@ -74,12 +70,23 @@ class ResidualWeights:
         Iteratively reweighted least squares: the parabola touches the cost at ``r`` and lies
         above it elsewhere.
         """
-        factors = np.sqrt(self.trust) / self.sd[:, None]
-        if self.robust is None:
-            return np.broadcast_to(factors, r.shape)
-        size = np.abs(self.whitened(r))
-        roots: FloatArray = factors * np.sqrt(self.robust / np.maximum(size, self.robust))
-        return roots
+        roots: FloatArray = np.sqrt(self.trust) / self.sd[:, None]
+        return roots * huber_roots(self.whitened(r), self.robust)
+
+
+def huber_squares(z: FloatArray, robust: float | None) -> FloatArray:
+    """Squares of whitened residuals, linear beyond ``robust`` standard deviations (None: never)."""
+    if robust is None:
+        return z**2
+    size = np.abs(z)
+    return np.where(size > robust, 2 * robust * size - robust**2, z**2)
+
+
+def huber_roots(z: FloatArray, robust: float | None) -> FloatArray:
+    """Factors of whitened residuals whose squares make the parabola of :func:`huber_squares`."""
+    if robust is None:
+        return np.ones_like(z)
+    return np.sqrt(robust / np.maximum(np.abs(z), robust))
 
 
 def sizes(r: FloatArray, measured: BoolArray, declared: FloatArray) -> FloatArray:
@@ -268,30 +275,31 @@ def _gaps(joint: Joint, dx: FloatArray, dtheta: FloatArray) -> FloatArray:
 
 
 @dataclass
-class MapObjective:
-    """Maximum a posteriori: half the sum of squares of residuals and of deviations from priors."""
+class PosteriorObjective(ABC):
+    """Minus the logarithm of a posterior, nats, as a least-squares search lowers it.
 
-    windows: Windows
-    weights: ResidualWeights
-    centres: FloatArray  #: (m, n_x) array; of the starts' priors
-    #: Standard deviation of the gaps between windows, as a share of the starts' spread; None:
-    #: windows know nothing of each other
-    joined: float | None = None
-    #: Simulations of all windows so far; with slopes they count once as well
-    evaluations: int = field(default=0)
+    A search tries parameters with which a simulation runs away: that is a cost, not a warning.
+    """
+
+    windows: Windows  #: Of the model that is fitted
 
     def __post_init__(self) -> None:
         problem = self.windows.problem
         self.scales = problem.scales
         self.means, self.precisions = problem.prior_means, problem.prior_precisions
+        #: Simulations of all windows so far; with slopes they count once as well
+        self.evaluations = 0
 
-    # A search tries parameters with which a simulation runs away: that is a cost, not a warning.
+    @abstractmethod
+    def by_window(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        """Each window's part of the cost with its start's prior, shape (m,)."""
 
-    @np.errstate(all="ignore")
-    def cost(self, theta: FloatArray, starts: FloatArray) -> float:
-        """Its value; infinite where the simulation is not finite."""
-        residuals = self._simulated(theta, starts, slopes=False)
-        return self._cost(theta, starts, residuals)
+    @abstractmethod
+    def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
+        """Its value, and the parabola in scaled changes.
+
+        Starts are scaled by their spread, parameters by their scales.
+        """
 
     def better_starts(
         self, theta: FloatArray, one: FloatArray, other: FloatArray
@@ -300,22 +308,53 @@ class MapObjective:
 
         Given the parameters, windows have nothing to do with each other. Dry friction puts a kink
         into the cost wherever a beam just moves or just rests; a step that is good for most
-        windows need not fail because one start fell on the wrong side. Joined windows are taken
-        together: one or the other for all.
+        windows need not fail because one start fell on the wrong side.
         """
-        if self.joined is not None:
-            costs = [self.cost(theta, starts) for starts in (one, other)]
-            best = int(np.argmin(costs))
-            return costs[best], (one, other)[best]
-        parts = np.array([self._of_windows(theta, starts) for starts in (one, other)])
+        parts = np.array([self.by_window(theta, starts) for starts in (one, other)])
         chosen = np.argmin(parts, axis=0)
-        total = float(parts.min(axis=0).sum()) + self._of_parameters(theta)
+        total = float(parts.min(axis=0).sum()) + self.of_parameters(theta)
         return total, np.where((chosen == 0)[:, None], one, other)
 
+    def of_parameters(self, theta: FloatArray) -> float:
+        """What the priors of the parameters add, nats."""
+        return 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
+
+    def simulated(self, theta: FloatArray, starts: FloatArray, *, slopes: bool) -> Residuals:
+        """The windows' residuals."""
+        self.evaluations += 1
+        p = self.windows.problem.all_values(theta)
+        return self.windows.residuals(p, starts, slopes=slopes)
+
+
+@dataclass
+class MapObjective(PosteriorObjective):
+    """Maximum a posteriori: half the sum of squares of residuals and of deviations from priors."""
+
+    weights: ResidualWeights
+    centres: FloatArray  #: (m, n_x) array; of the starts' priors
+    #: Standard deviation of the gaps between windows, as a share of the starts' spread; None:
+    #: windows know nothing of each other
+    joined: float | None = None
+
     @np.errstate(all="ignore")
-    def _of_windows(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
-        """Each window's part of the cost with its start's prior, shape (m,)."""
-        r = self._simulated(theta, starts, slopes=False).r
+    def cost(self, theta: FloatArray, starts: FloatArray) -> float:
+        """Its value; infinite where the simulation is not finite."""
+        residuals = self.simulated(theta, starts, slopes=False)
+        return self._cost(theta, starts, residuals)
+
+    def better_starts(
+        self, theta: FloatArray, one: FloatArray, other: FloatArray
+    ) -> tuple[float, FloatArray]:
+        """Joined windows are taken together: one or the other of two starts for all."""
+        if self.joined is None:
+            return super().better_starts(theta, one, other)
+        costs = [self.cost(theta, starts) for starts in (one, other)]
+        best = int(np.argmin(costs))
+        return costs[best], (one, other)[best]
+
+    @np.errstate(all="ignore")
+    def by_window(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        r = self.simulated(theta, starts, slopes=False).r
         parts = self.weights.costs(r)
         parts += 0.5 * np.sum(((starts - self.centres) / self.windows.spread) ** 2, axis=1)
         return np.where(np.isfinite(parts), parts, np.inf)
@@ -323,18 +362,11 @@ class MapObjective:
     def of_priors(self, theta: FloatArray, starts: FloatArray) -> float:
         """What the priors of parameters and starts add to the cost, nats."""
         gaps = (starts - self.centres) / self.windows.spread
-        return self._of_parameters(theta) + 0.5 * float(np.sum(gaps**2))
-
-    def _of_parameters(self, theta: FloatArray) -> float:
-        return 0.5 * float(np.sum(self.precisions * (theta - self.means) ** 2))
+        return self.of_parameters(theta) + 0.5 * float(np.sum(gaps**2))
 
     @np.errstate(all="ignore")
     def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
-        """Its value, and the parabola in scaled changes.
-
-        Starts are scaled by their spread, parameters by their scales.
-        """
-        residuals = self._simulated(theta, starts, slopes=True)
+        residuals = self.simulated(theta, starts, slopes=True)
         cost = self._cost(theta, starts, residuals)
         assert residuals.j is not None
         roots = self.weights.roots(residuals.r) * self.windows.measured
@@ -353,11 +385,6 @@ class MapObjective:
         """Slopes per scaled unit of starts and parameters."""
         slopes: FloatArray = j * np.concatenate([self.windows.spread, self.scales])
         return slopes
-
-    def _simulated(self, theta: FloatArray, starts: FloatArray, slopes: bool) -> Residuals:
-        self.evaluations += 1
-        p = self.windows.problem.all_values(theta)
-        return self.windows.residuals(p, starts, slopes=slopes)
 
     def _cost(self, theta: FloatArray, starts: FloatArray, residuals: Residuals) -> float:
         if not residuals.finite:
