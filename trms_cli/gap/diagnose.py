@@ -166,10 +166,7 @@ def _answered(
 
 
 def _traces(
-    nominal: Refit,
-    simulated: Mapping[str, CandidateEffect],
-    jobs: int,
-    watch: _Watch,
+    nominal: Refit, simulated: Mapping[str, CandidateEffect], jobs: int, watch: _Watch
 ) -> EffectTraces:
     """Traces of all candidates; their models are compiled side by side, which takes longest."""
     from concurrent.futures import ThreadPoolExecutor
@@ -183,9 +180,7 @@ def _traces(
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
     return effect_traces(
-        nominal,
-        chosen,
-        watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces"),
+        nominal, chosen, watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces")
     )
 
 

@@ -581,12 +581,7 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
             }
     for horizon, shrink in diagnosis.shrink.get("all", {}).items():
         blank = dict.fromkeys(("as it was", "refitted", "corrected", "floor"), "")
-        yield {
-            "output": "all channels",
-            _LENGTH: f"{float(horizon):g}",
-            **blank,
-            **_closed(shrink),
-        }
+        yield {"output": "all channels", _LENGTH: f"{float(horizon):g}", **blank, **_closed(shrink)}
 
 
 def _closed(shrink: Shrink | None) -> dict[str, Cell]:

@@ -404,10 +404,7 @@ def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
 
 
 def refit(
-    model: Model,
-    free: Sequence[FreeParameter],
-    datasets: Sequence[Dataset],
-    block: float,
+    model: Model, free: Sequence[FreeParameter], datasets: Sequence[Dataset], block: float
 ) -> Refit:
     """Fit the nominal model and the size of its discrepancy in turn.
 

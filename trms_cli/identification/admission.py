@@ -152,10 +152,7 @@ _SAMPLES_A_PERIOD = 6.0
 
 
 def admit(
-    datasets: Sequence[Dataset],
-    model: Model,
-    free_parameters: int = 0,
-    purpose: Purpose = "fit",
+    datasets: Sequence[Dataset], model: Model, free_parameters: int = 0, purpose: Purpose = "fit"
 ) -> Admission:
     """Check recordings against what is to be done with them.
 

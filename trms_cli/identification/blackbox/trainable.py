@@ -160,9 +160,7 @@ class Mlp:
         return result + z @ w["A"].T if self.direct else result
 
 
-def layout_of(
-    shapes: dict[str, tuple[int, ...]],
-) -> dict[str, tuple[slice, tuple[int, ...]]]:
+def layout_of(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[slice, tuple[int, ...]]]:
     """Place in one vector and shape of named blocks, one after another."""
     layout, first = {}, 0
     for name, shape in shapes.items():

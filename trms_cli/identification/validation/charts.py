@@ -8,17 +8,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core import wording
-from trms_cli.core.chart import (
-    Axis,
-    Band,
-    Chart,
-    Colour,
-    Curve,
-    Line,
-    Mark,
-    Panel,
-    Points,
-)
+from trms_cli.core.chart import Axis, Band, Chart, Colour, Curve, Line, Mark, Panel, Points
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.findings import near
 from trms_cli.identification.validation.characteristics import (

@@ -10,10 +10,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.findings import json_data
-from trms_cli.identification.validation.characteristics import (
-    Characteristics,
-    characteristics_of,
-)
+from trms_cli.identification.validation.characteristics import Characteristics, characteristics_of
 from trms_cli.identification.validation.metrics import (
     BlockSums,
     fit_percent,

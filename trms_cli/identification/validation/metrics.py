@@ -251,10 +251,5 @@ def _table(
     if np.any(counts == 0):
         return None
     return RegionTable(
-        channel,
-        variable,
-        edges,
-        np.sqrt(sums / counts),
-        counts / counts.sum(),
-        sums / sums.sum(),
+        channel, variable, edges, np.sqrt(sums / counts), counts / counts.sum(), sums / sums.sum()
     )

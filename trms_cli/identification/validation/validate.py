@@ -426,11 +426,7 @@ def _errors(
     measured = dataset.measurements[first[:, None] + np.arange(samples)]
     known = _filled(dataset.measurements)[np.maximum(first - 1, 0)]
     return WindowErrors(
-        names(dataset.outputs),
-        first,
-        measured - simulated,
-        measured,
-        measured - known[:, None, :],
+        names(dataset.outputs), first, measured - simulated, measured, measured - known[:, None, :]
     )
 
 
@@ -610,10 +606,7 @@ def validate_all(
 
 
 def tests_of(
-    model: Model,
-    datasets: Sequence[Dataset],
-    steps: Sequence[OneStep],
-    options: ValidationOptions,
+    model: Model, datasets: Sequence[Dataset], steps: Sequence[OneStep], options: ValidationOptions
 ) -> ResidualTests:
     """Residual tests over all recordings at once, of the channels that move."""
     step_s = datasets[0].sample_time
