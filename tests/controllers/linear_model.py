@@ -29,10 +29,7 @@ class DoubleMass(Model):
         k, d = p[0], p[1]
         spring = k * (x[2] - x[0])
         return ca.vertcat(
-            x[1],
-            spring - k * x[0] - d * x[1] + u[0] + w[0],
-            x[3],
-            -spring - d * x[3] + u[1] + w[1],
+            x[1], spring - k * x[0] - d * x[1] + u[0] + w[0], x[3], -spring - d * x[3] + u[1] + w[1]
         )
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:

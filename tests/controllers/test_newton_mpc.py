@@ -37,11 +37,7 @@ from .linear_model import DoubleMass, matrices
 MODEL = Newtonian()
 SQUARE = squares(MODEL, 5.0)
 CONVERGED = {"max_iterations": 60, "tolerance": 1e-7}
-SHORT: dict[str, Any] = {
-    "prediction_horizon": 20,
-    "move_blocks": (1,) * 20,
-    "max_iterations": 1,
-}
+SHORT: dict[str, Any] = {"prediction_horizon": 20, "move_blocks": (1,) * 20, "max_iterations": 1}
 QUICK: dict[str, Any] = {
     "prediction_horizon": 24,
     "move_blocks": (1, 1, 1, 1, 2, 2, 4, 4, 8),

@@ -60,10 +60,7 @@ class TestCoordinates:
         """In the speed the gain vanishes at standstill; in the thrust it does not."""
         small = regulation.angles(np.full(2, 0.05))
         gains = {}
-        for key, one in (
-            ("thrust", regulation),
-            ("speed", regulation_of(thrust_inputs=())),
-        ):
+        for key, one in (("thrust", regulation), ("speed", regulation_of(thrust_inputs=()))):
             aim = one.aim_at(np.zeros(2))
             region = one.region_of(aim.target, np.abs(small) + 0.02)
             coefficients = one.coefficients.over(aim.target, region)

@@ -28,9 +28,7 @@ def test_free_motion_keeps_energy_and_the_momentum_about_the_vertical(shields: s
     c = {p.name: p.value for p in model.parameters}
     rig = energies(bodies(c, shields), c["g"])  # type: ignore[arg-type]
     total = ca.Function(
-        "E",
-        [rig.angles, rig.rates],
-        [rig.kinetic + rig.potential, (rig.inertia @ rig.rates)[0]],
+        "E", [rig.angles, rig.rates], [rig.kinetic + rig.potential, (rig.inertia @ rig.rates)[0]]
     )
     start = {"alpha_v": 0.4, "S_v": 1.0, "S_h": 3.0}
     states = simulate(model, lambda t: [0.0, 0.0], 20.0, 0.002, start=start)

@@ -67,13 +67,7 @@ def prior_of(observer: Observer) -> tuple[np.ndarray, np.ndarray]:
     ],
     ids=[
         *("ukf", "ukf, narrow", "ekf", "sd-ekf", "sd-ekf, far origin", "kalman"),
-        *(
-            "kalman, elsewhere",
-            "mhe, long",
-            "mhe, one sample",
-            "mhe, iterated",
-            "mhe on ekf",
-        ),
+        *("kalman, elsewhere", "mhe, long", "mhe, one sample", "mhe, iterated", "mhe on ekf"),
     ],
 )
 def test_every_filter_is_the_kalman_filter(observer: Observer) -> None:

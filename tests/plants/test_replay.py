@@ -212,8 +212,7 @@ class TestWhatIsRefused:
             load(write(), input_scale={"u_x": 2.0})
 
     @pytest.mark.parametrize(
-        "keys",
-        [{"input_scale": {"u_v": 0.0}}, {"sensors": Sensors(loss_probability=0.1)}],
+        "keys", [{"input_scale": {"u_v": 0.0}}, {"sensors": Sensors(loss_probability=0.1)}]
     )
     def test_nonsense_in_the_configuration(self, keys):
         with pytest.raises(ConfigurationError):

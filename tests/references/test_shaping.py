@@ -32,10 +32,7 @@ def shaping(given: tuple[float | None, float | None, float | None], **more: floa
 
 @settings(max_examples=60, deadline=None)
 @given(
-    limits,
-    st.sampled_from(["square", "prbs", "sine"]),
-    st.floats(0.01, 1.0),
-    st.floats(-0.5, 0.5),
+    limits, st.sampled_from(["square", "prbs", "sine"]), st.floats(0.01, 1.0), st.floats(-0.5, 0.5)
 )
 def test_limits_are_kept(
     given_limits: tuple[float | None, ...], kind: str, amplitude: float, initial: float

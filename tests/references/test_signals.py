@@ -43,8 +43,7 @@ SIGNALS: dict[str, ReferenceSignal] = {
     ),
     "sum": Sum(terms=[Constant(offset=0.2), Sine(amplitude=0.3, frequency=0.5, start=2.0)]),
     "schedule": Schedule(
-        pieces=[Piece(start=2.0, signal=Sine(amplitude=0.3, frequency=0.5, offset=0.2))],
-        offset=0.2,
+        pieces=[Piece(start=2.0, signal=Sine(amplitude=0.3, frequency=0.5, offset=0.2))], offset=0.2
     ),
 }
 every_signal = pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)

@@ -421,11 +421,7 @@ class Horizon:
         return inputs + ca.dot(at["s"], ca.sum2(self._moves(at) ** 2))
 
     def _merit(
-        self,
-        objective: ca.MX,
-        trajectory: ca.MX,
-        residual: ca.MX,
-        at: Mapping[str, ca.MX],
+        self, objective: ca.MX, trajectory: ca.MX, residual: ca.MX, at: Mapping[str, ca.MX]
     ) -> tuple[ca.MX, ca.MX]:
         prices = at["prices"]
         merit, violation = objective, ca.MX(0)

@@ -36,13 +36,7 @@ from typing import Literal
 
 import numpy as np
 
-from trms_cli.controllers.controller import (
-    Command,
-    ControlSample,
-    ControlSetup,
-    Prediction,
-    Status,
-)
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Prediction, Status
 from trms_cli.controllers.fallback import NOT_FINITE, Policy, fall_back
 from trms_cli.controllers.horizon import (
     HorizonSettings,

@@ -22,13 +22,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.controllers.controller import (
-    Command,
-    ControlSample,
-    ControlSetup,
-    Prediction,
-    Status,
-)
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Prediction, Status
 from trms_cli.controllers.fallback import NOT_FINITE, Policy, fall_back
 from trms_cli.controllers.horizon import (
     Horizon,
@@ -297,10 +291,7 @@ def _tracking(model: Model, given: Mapping[str, float], sizes: FloatArray) -> Ma
     """
     if any(name in given for name in model.controlled):
         return given
-    return {
-        **given,
-        **{name: sizes[model.state_index(name)] ** -2.0 for name in model.controlled},
-    }
+    return {**given, **{name: sizes[model.state_index(name)] ** -2.0 for name in model.controlled}}
 
 
 def _shift_matrix(blocks: IntArray) -> FloatArray:

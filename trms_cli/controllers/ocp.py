@@ -97,12 +97,7 @@ class InteriorPoint:
         library = _library(ocp, method) if machine_code else None
         # A name of a library in place of the problem: its functions are loaded from there.
         self._solve = ca.nlpsol("nmpc", method, str(library) if library else ocp.nlp, options)
-        self._bounds = {
-            "lbx": ocp.lower,
-            "ubx": ocp.upper,
-            "lbg": ocp.g_lower,
-            "ubg": ocp.g_upper,
-        }
+        self._bounds = {"lbx": ocp.lower, "ubx": ocp.upper, "lbg": ocp.g_lower, "ubg": ocp.g_upper}
 
     def solve(
         self, guess: FloatArray, multipliers: tuple[FloatArray, FloatArray] | None = None

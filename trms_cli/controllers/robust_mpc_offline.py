@@ -290,11 +290,7 @@ class RobustMpcOffline(RegulationDesign):
             message = message or "outside of all ellipsoids; the outermost law is cut to the limits"
         cost = family.rings.gammas[max(ring, 0)] * level * state.share**2
         return Command(
-            u,
-            status,
-            objective=cost,
-            message=message,
-            out_of_reach=aim.steady.projected,
+            u, status, objective=cost, message=message, out_of_reach=aim.steady.projected
         )
 
 

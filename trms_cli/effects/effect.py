@@ -288,10 +288,7 @@ def require_quantities(model: Model, *wanted: str) -> None:
 
 
 def resisting_impulse(
-    at: EffectContext,
-    part: str,
-    torque: ca.SX | Callable[[ca.SX], ca.SX] | None,
-    duration: float,
+    at: EffectContext, part: str, torque: ca.SX | Callable[[ca.SX], ca.SX] | None, duration: float
 ) -> ca.SX:
     """States after dry friction on an axis or rotor; see :mod:`trms_cli.models.dry_friction`.
 

@@ -34,10 +34,7 @@ DISTURBANCES = {
     "main_motor": Signal("main_motor", "N*m", "torque on the main rotor"),
     "tail_motor": Signal("tail_motor", "N*m", "torque on the tail rotor"),
 }
-_AXES = {
-    "pitch": RigAxis("alpha_v", "pitch_moment"),
-    "yaw": RigAxis("alpha_h", "yaw_moment"),
-}
+_AXES = {"pitch": RigAxis("alpha_v", "pitch_moment"), "yaw": RigAxis("alpha_h", "yaw_moment")}
 _ROTORS = {"pitch": ("main", "u_v"), "yaw": ("tail", "u_h")}
 
 

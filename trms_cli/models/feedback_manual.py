@@ -116,8 +116,4 @@ class FeedbackManual(BeamRig):
             rate_v,
             (tau_v - lagged) / c["T_p"],
         )
-        return rows, {
-            "inertia_pitch": c["I_1"],
-            "inertia_yaw": c["I_2"],
-            "gravity_moment": gravity,
-        }
+        return rows, {"inertia_pitch": c["I_1"], "inertia_yaw": c["I_2"], "gravity_moment": gravity}

@@ -335,10 +335,7 @@ class TrimSolver:
 
         def balance(z: FloatArray) -> tuple[FloatArray, FloatArray]:
             rates, slope, _ = (np.array(value) for value in self._equations(z, held.p))
-            return (
-                np.concatenate([rates[:, 0], pins @ z - held.values]),
-                np.vstack([slope, pins]),
-            )
+            return (np.concatenate([rates[:, 0], pins @ z - held.values]), np.vstack([slope, pins]))
 
         start = np.concatenate([guess.x[self._unknowns], guess.u])
         z = newton(balance, start, _FLAT, iterations=60, patience=6)

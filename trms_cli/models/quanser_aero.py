@@ -133,12 +133,7 @@ class QuanserAero(BeamRig):
             + w[1]
         )
         rows = ca.vertcat(
-            speeding_h,
-            moment_h / inertia_h,
-            rate_h,
-            speeding_v,
-            moment_v / beam,
-            rate_v,
+            speeding_h, moment_h / inertia_h, rate_h, speeding_v, moment_v / beam, rate_v
         )
         return rows, {
             "thrust_main": c["K_mp"] * square_v,

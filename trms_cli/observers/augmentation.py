@@ -221,10 +221,7 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
         *(names(model.disturbances)[i] for i in equations),
     )
     pushes = kinds_of_disturbances(model)
-    kinds = (
-        *(*kinds_of_states(model), *("past" for _ in shown)),
-        *(pushes[i] for i in equations),
-    )
+    kinds = (*(*kinds_of_states(model), *("past" for _ in shown)), *(pushes[i] for i in equations))
     noise_sd = _noise_sd(setup, options.measurement_noise)
     sd = by_state(options.initial_sd, kinds, augmented, "initial_sd.states")
     for i, channel in _read_at_first(setup):
@@ -236,9 +233,7 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
         if augmented[row] not in options.process_noise.states:
             intensity[row] = driven[row] / np.sqrt(setup.sample_time)
     start = resting_state(
-        model,
-        dict(zip(setup.outputs, setup.first_measurement, strict=True)),
-        setup.first_command,
+        model, dict(zip(setup.outputs, setup.first_measurement, strict=True)), setup.first_command
     )
     settled = discrete.initial(start, setup.first_command)
     # A command that is remembered is known: its variance is the floor, or there is no root.

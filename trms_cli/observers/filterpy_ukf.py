@@ -75,10 +75,7 @@ class _FilterpyStep:
 
     def _step(self) -> None:
         m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate = self.inputs
-        for function, values in (
-            (self._advance, (memory, u, p, known)),
-            (self._measure, (u, p)),
-        ):
+        for function, values in ((self._advance, (memory, u, p, known)), (self._measure, (u, p))):
             for argument, value in zip(function.inputs[1:], values, strict=True):
                 argument[:] = value
         peer = self._filter

@@ -17,13 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.controllers.controller import (
-    Command,
-    Controller,
-    ControlSample,
-    ControlSetup,
-    Status,
-)
+from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.models.estimate import Estimate
@@ -249,12 +243,7 @@ class Loop:
                 known[:, equations.index(equation)] = torque
         return np.column_stack(list(given.values())), known
 
-    def _control(
-        self,
-        sample: ControlSample,
-        count: int,
-        deadline: float,
-    ) -> FloatArray:
+    def _control(self, sample: ControlSample, count: int, deadline: float) -> FloatArray:
         """One control step: its command within the limits, its words in the log."""
         now_ns = self._now_ns
         every = self.experiment.prediction_every

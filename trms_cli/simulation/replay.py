@@ -89,10 +89,7 @@ class Replay:
                 history.flush()
                 if progress is not None:
                     surprise = np.abs(estimate.innovation[angles])
-                    progress(
-                        self.done * rig.sample_time,
-                        float(np.nanmax(surprise, initial=0.0)),
-                    )
+                    progress(self.done * rig.sample_time, float(np.nanmax(surprise, initial=0.0)))
         history.flush()
 
 

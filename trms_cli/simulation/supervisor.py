@@ -182,10 +182,7 @@ class WatchingRun:
             samples(config.land_after),
         )
         self._forget = min(1.0, setup.sample_time / config.innovation_window)
-        self._limit, self._frozen_limit = (
-            config.innovation_limit**2,
-            config.frozen_innovation**2,
-        )
+        self._limit, self._frozen_limit = (config.innovation_limit**2, config.frozen_innovation**2)
         n = len(setup.outputs)
         self._last: list[float] = [math.nan] * n
         self._missed, self._same = [0] * n, [0] * n
