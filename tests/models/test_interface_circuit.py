@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.models.interface_circuit import interface_of
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
+from trms_cli.models.static_curve import interface_of
 
 from .simulate import rates
 

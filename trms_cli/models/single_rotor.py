@@ -13,10 +13,10 @@ import casadi as ca
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.beam_rig import DISTURBANCES, INPUTS, STATES
-from trms_cli.models.interface_circuit import interface_of
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.motor import Motor
 from trms_cli.models.parameters import ParameterSet, parameter_file
+from trms_cli.models.static_curve import interface_of
 from trms_cli.models.twin_rotor import Currents
 
 _AXIS_OF_ROTOR = {"main": "v", "tail": "h"}

@@ -31,7 +31,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -41,23 +40,6 @@ from trms_cli.models.beam_rig import STATES, BeamRig
 from trms_cli.models.model import FloatArray, Signal
 from trms_cli.models.parameters import ParameterSet, parameter_file
 from trms_cli.models.static_curve import RisingSpline, read_static_curve, rising_spline
-
-
-class Rotor(Protocol):
-    """The steady behaviour of a rotor, as expressions."""
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Parameters that it takes from the model's set."""
-        ...
-
-    def held_by(self, omega: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
-        """The command H⁻¹(ω) that holds a speed, in the input's unit."""
-        ...
-
-    def thrust(self, omega: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
-        """F(ω), N."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -71,15 +53,18 @@ class ParametricRotor:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
+        """Parameters that it takes from the model's set."""
         a = self.axis
         return (f"h1_{a}", f"h2_{a}p", f"h2_{a}n", f"h3_{a}", f"k_f{a}p", f"k_f{a}n")
 
     def held_by(self, omega: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
+        """The command H⁻¹(ω) that holds a speed, in the input's unit."""
         a = self.axis
         quadratic = ca.if_else(omega >= 0, c[f"h2_{a}p"], c[f"h2_{a}n"])
         return omega * (c[f"h1_{a}"] + quadratic * ca.fabs(omega) + c[f"h3_{a}"] * omega**2)
 
     def thrust(self, omega: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
+        """F(ω), N."""
         a = self.axis
         return ca.if_else(omega >= 0, c[f"k_f{a}p"], c[f"k_f{a}n"]) * omega * ca.fabs(omega)
 
@@ -100,6 +85,10 @@ class MeasuredRotor:
 
     def thrust(self, omega: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
         return self.thrusting(omega)
+
+
+#: The steady behaviour of a rotor, as expressions.
+Rotor = ParametricRotor | MeasuredRotor
 
 
 def rotor_of(axis: str, table: str | None, where: str) -> Rotor:

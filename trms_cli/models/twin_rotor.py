@@ -16,10 +16,10 @@ import numpy as np
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.beam_rig import INPUTS, STATES, BeamRig
-from trms_cli.models.interface_circuit import InterfaceCircuit, interface_of
 from trms_cli.models.model import FloatArray, names
 from trms_cli.models.motor import Motor
 from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
+from trms_cli.models.static_curve import InterfaceCircuit, interface_of
 
 Freedom = Literal["both", "vertical", "horizontal"]
 Currents = Literal["quasi_static", "dynamic"]
@@ -77,7 +77,7 @@ class TwinRotor(BeamRig):
         Other values for some parameters, in SI.
     main_interface, tail_interface : str or None
         Path of a measured curve in place of the gain; see
-        :mod:`trms_cli.models.interface_circuit`.
+        :mod:`trms_cli.models.static_curve`.
     main_voltage_limit, tail_voltage_limit : float or None
         Where the interface saturates, V.
     """
