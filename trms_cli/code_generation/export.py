@@ -6,6 +6,7 @@ held against.
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -119,23 +120,15 @@ class Export:
 
     def readme(self, command: str, measured: Measured | None) -> str:
         """Markdown: what it is, how to call it, signals, memory, times if they were measured."""
-        name = self.name
-        sections = [
-            f"# {name}: a Newton MPC in C\n",
-            f"Made by\n\n    {command}\n",
-            "C99 without any library but `libm` (and `memcpy`, `memset` of the C library), without "
-            "`malloc` and without recursion. All that changes is in a struct of the caller.\n",
-            _files(name),
-            _call(self),
-            _signals(self),
-            _settings(name),
-            _guarantees(name),
-            _figures(self, measured),
-            "## Licences\n\n"
-            f"`{name}.c` contains an extract of DAQP (MIT, © 2022 Daniel Arnström, its text is in "
-            "the source) and helpers that CasADi generates (MIT-0).\n",
-        ]
-        return "\n".join(sections)
+        text = named(_template("readme.md").replace("MPC_CALL", _call(self)), self.name)
+        text = re.sub(r"\bmpc\b", self.name, text)
+        for token, part in {
+            "SIGNALS": _signals(self),
+            "FIGURES": _figures(self, measured),
+            "COMMAND": command,
+        }.items():
+            text = text.replace(f"{self.name.upper()}_{token}", part)
+        return text
 
     def document(self, command: str, measured: Measured | None) -> dict[str, Any]:
         """The same figures for programs."""
@@ -198,54 +191,13 @@ def _template(file: str) -> str:
     return (_TEMPLATES / file).read_text(encoding="utf-8")
 
 
-def _files(name: str) -> str:
-    return f"""\
-| file | what it is |
-|---|---|
-| `{name}.c`, `{name}.h` | the controller: these two go to the rig |
-| `{name}_example.c` | drives it through a table of samples, compares, takes times |
-| `example.csv` | samples of a simulated loop with the commands of the Python controller |
-| `Makefile` | `make check` builds and runs the example |
-| `controller.json` | the figures of this page for programs |
-"""
-
-
 def _call(export: Export) -> str:
-    name, upper = export.name, export.name.upper()
+    """How the functions are called, with the observer where there is one."""
     if export.observer is None:
-        return f"""\
-## Calling it
-
-```c
-static {name}_ctx controller;           /* zero-cost to place: static, or any memory */
-{name}_init(&controller);               /* or {name}_init_at(&controller, u_in_force) */
-for (;;) {{                              /* every {upper}_PERIOD = {export.source.period:g} s */
-    {name}_info info;
-    {name}_step(&controller, x_hat, w_hat, reference, u_previous, u, &info);
-    /* apply u; u_previous is what was applied, after any limit of the drive */
-}}
-```
-"""
+        return _template("readme_call.md").replace("MPC_SECONDS", f"{export.source.period:g}")
     period = export.observer.period
-    ratio = round(export.source.period / period)
-    return f"""\
-## Calling it
-
-```c
-static {name}_ctx controller;
-static {name}_observer observer;
-double x_hat[{upper}_N_X], w_hat[{upper}_N_W], u[{upper}_N_U] = {{0}};
-{name}_init(&controller);
-{name}_observer_init(&observer, y, u);  /* y: the first measurement */
-for (k = 0;; k++) {{                     /* every {upper}_OBSERVER_PERIOD = {period:g} s */
-    /* read y; NaN, or 0 in a mask, where a sample is missing */
-    {name}_observe(&observer, u, y, NULL, x_hat, w_hat);
-    if (k % {ratio} == 0)
-        {name}_step(&controller, x_hat, w_hat, reference, u, u, &info);
-    /* apply u, and write back into it what the drive made of it */
-}}
-```
-"""
+    text = _template("readme_observer.md").replace("MPC_SECONDS", f"{period:g}")
+    return text.replace("MPC_RATIO", str(round(export.source.period / period)))
 
 
 def _signals(export: Export) -> str:
@@ -278,34 +230,6 @@ def _signals(export: Export) -> str:
         f"ahead. Limits of the commands: {limits}.\n"
     )
     return "\n".join(lines)
-
-
-def _settings(name: str) -> str:
-    return f"""\
-## Changing it
-
-Parameters, weights, limits, prices, tolerance and iterations stand in `controller.settings`
-(`{name}_settings` in the header, with units) and may be changed between two steps. What has a
-size (horizon, blocks, which states have weights or limits, preview) and the sample time are
-fixed: export again. The typical sizes of states that scale the terminal constraint are not
-computed anew from changed parameters.
-"""
-
-
-def _guarantees(name: str) -> str:
-    return f"""\
-## What holds in every step
-
-- `u` is finite and within the limits, whatever the arguments are; a step without a usable solution
-  returns `FAILED` and says in `info.fallback` what acted.
-- Newton iterations, changes of the active set and iterations of the search for the steady state
-  are bounded. The search is the least even part: a reference that is out of reach, or a torque
-  that cannot be held, costs several hundred of its iterations in that one step
-  (`info.steady_iterations`).
-- Two contexts never share anything: `{name}_step` may run in several threads on several contexts.
-- A quadratic program whose Hessian is too ill-conditioned (about 1e13; DAQP in Python regularises
-  it) counts as failed.
-"""
 
 
 def _figures(export: Export, measured: Measured | None) -> str:
