@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
-from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
-from trms_cli.controllers.newton_step import NewtonResult
+from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState, NewtonResult
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate

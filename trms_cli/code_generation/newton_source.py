@@ -22,7 +22,6 @@ from trms_cli.code_generation.observer_source import ObserverSource
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.reference_forecast import smooth_rates
-from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.qp import Daqp
 from trms_cli.models.model import names
@@ -78,7 +77,7 @@ class SettingField:
 def sizes_of(state: Any, preview: int) -> dict[str, tuple[int, str]]:
     """Sizes by macro (without prefix), each with what it counts."""
     model, horizon = state.model, state.newton.horizon
-    rates = np.isfinite(_largest_moves(state))
+    rates = np.isfinite(state.newton.largest_moves)
     terminal = model.n_x if horizon.terminal is not None else 0
     n_z, n_rate = horizon.n_z, int(rates.sum()) * horizon.n_blocks
     rows, soft = terminal + n_rate, len(horizon.limited) * horizon.n_periods
@@ -135,7 +134,7 @@ def tables(state: Any) -> str:
         "mpc_memory_unknown": [steady.unknowns.index(row) for row in model.path_memory],
     }
     whole = [whole_table(name, values) for name, values in rows.items()]
-    rates = np.isfinite(_largest_moves(state))
+    rates = np.isfinite(state.newton.largest_moves)
     if rates.any():
         whole.append(whole_table("mpc_rate_limited", rates.astype(int)))
     return "\n".join(
@@ -152,7 +151,7 @@ def settings(state: Any) -> list[SettingField]:
     model, horizon, config = state.model, state.newton.horizon, state.config
     at = horizon.arguments
     lower, upper = model.input_bounds()
-    moves = np.where(np.isfinite(_largest_moves(state)), _largest_moves(state), 0.0)
+    moves = np.where(np.isfinite(state.newton.largest_moves), state.newton.largest_moves, 0.0)
     inputs, n = names(model.inputs), len(horizon.weighted)
     tracked = ", ".join(model.controlled)
     stops = [model.stops.get(name, np.inf) for name in model.controlled]
@@ -224,13 +223,6 @@ def _forecast(state: Any) -> int:
     if config.preview_horizon:
         return 0
     return min(config.forecast_horizon, config.prediction_horizon)
-
-
-def _largest_moves(state: Any) -> FloatArray:
-    """V in a control period, infinite where the rate is free."""
-    limits = state.config.input_rate_limits
-    rates = [limits.get(name, np.inf) for name in names(state.model.inputs)]
-    return np.array(rates) * state.discrete.step_length
 
 
 def _units(signals: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,11 @@ from trms_cli.models.steady_state import Target
 Policy = Literal["shifted_plan", "hold", "steady_input", "stop"]
 
 NOT_FINITE = "the estimate or the reference is not finite"
+
+
+def are_finite(*vectors: FloatArray) -> bool:
+    """Whether no component of any is NaN or infinite; a sum of a few numbers shows either."""
+    return math.isfinite(sum(sum(vector.ravel().tolist()) for vector in vectors))
 
 
 def fall_back(

@@ -51,8 +51,8 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
-from trms_cli.controllers.fallback import NOT_FINITE, held
-from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
+from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
@@ -65,8 +65,6 @@ from trms_cli.models.steady_state import SteadyState, Target
 #: Part of the largest thrust that a reference may ask for; the rest is left to the feedback.
 _FOR_REFERENCE = 0.9
 _LAGS = 3  # on the reference
-_AXES = ("pitch", "yaw")
-ROTOR_OF_AXIS = {"pitch": "main", "yaw": "tail"}
 #: Below this part of the largest speed the inverse of the thrust has a finite slope.
 _STANDING = 0.06
 #: Largest acceleration of an axis by another's rotor, as a share of its own rotor's.
@@ -348,8 +346,8 @@ class FeedbackLinearisation:
     def __post_init__(self) -> None:
         for key, given in (("poles", self.poles), ("reference_lag", self.reference_lag)):
             for name in given:
-                require_known(name, _AXES, f"{name!r} is not an axis", key)
-            for name in _AXES:
+                require_known(name, ROTOR_OF_AXIS, f"{name!r} is not an axis", key)
+            for name in ROTOR_OF_AXIS:
                 if name not in given:
                     raise ConfigurationError(
                         f"nothing given for {name}", where=f"{key}.{name}", remedy="give both axes"
@@ -384,8 +382,7 @@ class FeedbackLinearisation:
     ) -> Command:
         x, previous = sample.estimate.x, sample.previous_command
         reference = sample.reference[0]
-        given = x.tolist() + sample.estimate.disturbance.tolist() + reference.tolist()
-        if not math.isfinite(sum(given)):
+        if not are_finite(x, sample.estimate.disturbance, reference):
             return held(previous, NOT_FINITE)
         w = sample.estimate.disturbance * float(self.use_disturbance)
         axes = state.parts.axes

@@ -37,7 +37,7 @@ from typing import Literal
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Prediction, Status
-from trms_cli.controllers.fallback import NOT_FINITE, Policy, fall_back
+from trms_cli.controllers.fallback import NOT_FINITE, Policy, are_finite, fall_back
 from trms_cli.controllers.horizon import (
     HorizonSettings,
     NotNegative,
@@ -402,8 +402,7 @@ class LinearMpcState:
         if self.age is not None:
             self.age += 1
         x, w = sample.estimate.x, sample.estimate.disturbance
-        values = x.tolist() + w.tolist() + sample.reference.ravel().tolist()
-        if not math.isfinite(sum(values)):
+        if not are_finite(x, w, sample.reference):
             return NOT_FINITE
         n_x = self.model.n_x
         if self._started and len(self._full) > n_x:

@@ -19,7 +19,6 @@ Source: Anderson & Moore, "Optimal Control: Linear Quadratic Methods", 1990.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -27,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
-from trms_cli.controllers.fallback import NOT_FINITE, held
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
@@ -154,7 +153,7 @@ class Lqr:
         estimate, previous = sample.estimate, sample.previous_command
         reference = sample.reference[0]
         w = estimate.disturbance
-        if not math.isfinite(sum(estimate.x.tolist()) + sum(w.tolist()) + sum(reference.tolist())):
+        if not are_finite(estimate.x, w, reference):
             return held(previous, NOT_FINITE)
         message = self._aim(state, reference, w)
         x, x_s, target = estimate.x, state.target.x, state.target

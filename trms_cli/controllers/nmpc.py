@@ -144,9 +144,7 @@ class NmpcState:
     def __init__(self, config: Nmpc, setup: ControlSetup) -> None:
         self.config = config
         self.shared = NewtonMpcState(config.problem(), setup)
-        rates = [config.input_rate_limits.get(s.name, np.inf) for s in setup.model.inputs]
-        self._largest_moves = np.array(rates) * setup.sample_time
-        self.ocp = build(self.shared.newton.horizon, self._largest_moves)
+        self.ocp = build(self.shared.newton.horizon, self.shared.newton.largest_moves)
         self.solver = InteriorPoint(
             self.ocp, config.solver, config.max_iterations, config.tolerance, config.machine_code
         )
@@ -211,18 +209,14 @@ class NmpcState:
 
     def _within_rates(self, plan: FloatArray) -> FloatArray:
         limited = np.array(plan)
-        if np.isfinite(self._largest_moves).any():
+        if np.isfinite(self.shared.newton.largest_moves).any():
             self.shared.newton.limit_rates(limited)
         return limited
 
     def words(self, status: Status, message: str) -> str:
         """What a person should know of a sample."""
-        words = [status.meaning] if status is not Status.OK else []
-        if not self.shared.target_is_held:
-            words.append("no input holds the estimated disturbance; the last target goes on")
-        elif self.shared.target is not None and self.shared.target.projected:
-            words.append("the reference is out of reach; the nearest steady state is the target")
-        return "; ".join([*words, *([message] if message else [])])
+        solved = [status.meaning] if status is not Status.OK else []
+        return "; ".join([*solved, *self.shared.target_words(), *([message] if message else [])])
 
     def fall_back(self, reason: str) -> Command:
         """The declared command of a sample that has no solution."""

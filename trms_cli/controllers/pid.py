@@ -41,8 +41,8 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.controllers.fallback import NOT_FINITE, held
-from trms_cli.controllers.pid_feed_forward import PiecewiseLinear
-from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, AxisDesign, AxisMargins, Gains, PidDesign
+from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
+from trms_cli.controllers.pid_tuning import AxisDesign, AxisMargins, Gains, PidDesign
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive

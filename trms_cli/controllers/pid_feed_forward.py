@@ -25,6 +25,8 @@ from trms_cli.models import steady_state
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target
 
+#: Which rotor holds which axis.
+ROTOR_OF_AXIS = {"pitch": "main", "yaw": "tail"}
 #: Inputs of the curve are this part of the range apart. It also is the cell in which the infinite
 #: slope at a standing rotor is replaced by a finite one.
 _CELL = 0.06

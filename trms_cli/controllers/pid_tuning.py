@@ -35,6 +35,7 @@ import numpy as np
 
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
+    ROTOR_OF_AXIS,
     PiecewiseLinear,
     RotorTables,
     decoupling,
@@ -63,8 +64,6 @@ _EFFORT = 0.05
 #: A, B and C of the rig at one operating point, its inputs torques.
 _System = tuple[FloatArray, FloatArray, FloatArray]
 
-#: Which rotor holds which axis.
-ROTOR_OF_AXIS = {"pitch": "main", "yaw": "tail"}
 #: ρ where none is given, s.
 _SMOOTHNESS = 3.0
 #: Part by which a mode may grow in a period before a loop counts as unstable: an axis that nothing

@@ -23,7 +23,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.fallback import NOT_FINITE, held
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
 from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
 from trms_cli.controllers.robust.polytope import StateBox, box
 from trms_cli.controllers.robust.regulation import (
@@ -125,7 +125,7 @@ class RobustMpc(RegulationDesign):
         regulation = state.regulation
         x, w = sample.estimate.x, sample.estimate.disturbance
         last = regulation.limited(sample.previous_command)
-        if not regulation.is_finite(sample):
+        if not are_finite(x, w, sample.reference):
             return held(last, NOT_FINITE)
         if not self.disturbance_compensation:
             w = np.zeros_like(w)

@@ -20,7 +20,6 @@ that share, since laws and inequalities are homogeneous in the state.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,7 +30,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.fallback import NOT_FINITE, held
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
 from trms_cli.controllers.robust import lmi, polytope
 from trms_cli.controllers.robust import regulation as regulation_
 from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
@@ -271,8 +270,7 @@ class RobustMpcOffline(RegulationDesign):
         """One sample: target, lookup, command."""
         regulation, family = state.regulation, state.family
         x, w = sample.estimate.x, sample.estimate.disturbance
-        total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
-        if not math.isfinite(total):
+        if not are_finite(x, w, sample.reference):
             return held(regulation.limited(sample.previous_command), NOT_FINITE)
         if not self.disturbance_compensation:
             w = np.zeros_like(w)

@@ -31,6 +31,17 @@ def gain_stage(n: int, n_y: int) -> ca.Function:
     return ca.Function("gain", [cross, S], [ca.densify(gain)])
 
 
+def joseph(left: ca.MX, gain: ca.MX, variances: ca.MX, floor: ca.MX) -> ca.MX:
+    """``left + K R Kᵀ`` and the least variances, symmetric: the covariance after an update.
+
+    ``left``: (n, n); what is left of the prior's. ``gain``: K, (n, n_y). ``variances``: (n_y, 1);
+    the diagonal of R.
+    """
+    noise = (gain * ca.repmat(variances.T, gain.shape[0], 1)) @ gain.T
+    P = left + noise + diagonal(floor)
+    return (P + P.T) / 2
+
+
 def gated(mask: ca.MX, innovation: ca.MX, variance: ca.MX, gate: ca.MX) -> ca.MX:
     """1 for each channel that is there and within its gate, else 0, (n_y, 1).
 
@@ -91,12 +102,7 @@ def kalman_step(
     gain = gain_stage(n, n_y)(cross * ca.repmat(believed.T, n, 1), S)
     m_next = m_prior + gain @ innovation
     left = ca.MX.eye(n) - gain @ H
-    P_next = (
-        left @ P_prior @ left.T
-        + (gain * ca.repmat((believed * r).T, n, 1)) @ gain.T
-        + diagonal(floor)
-    )
-    P_next = (P_next + P_next.T) / 2
+    P_next = joseph(left @ P_prior @ left.T, gain, believed * r, floor)
     sd = ca.sqrt(ca.diag(P_next))
     told = m_next if restate is None else restate(m_next, memory_next, u, p, known)
     health = ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P_next))

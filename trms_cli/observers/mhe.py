@@ -44,7 +44,13 @@ from trms_cli.core.ranges import Positive
 from trms_cli.models.estimate import Estimate
 from trms_cli.observers.augmentation import Augmentation, FilterOptions, augment
 from trms_cli.observers.ekf import Ekf
-from trms_cli.observers.kalman_step import diagonal, exact_measurement, exact_transition, gain_stage
+from trms_cli.observers.kalman_step import (
+    diagonal,
+    exact_measurement,
+    exact_transition,
+    gain_stage,
+    joseph,
+)
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState, RecursiveFilter
 from trms_cli.observers.ukf import Ukf
@@ -122,15 +128,11 @@ def _forward(n: int, n_y: int) -> ca.Function:
     gain = gain_stage(n, n_y)(cross, H @ cross + diagonal(believed * r + (1 - believed)))
     m_next = m_prior + gain @ (believed * (y - seen - H_all @ (m_prior - z_next)))
     left = ca.MX.eye(n) - gain @ H
-    P_next = (
-        left @ P_prior @ left.T
-        + (gain * ca.repmat((believed * r).T, n, 1)) @ gain.T
-        + diagonal(floor)
-    )
+    P_next = joseph(left @ P_prior @ left.T, gain, believed * r, floor)
     return ca.Function(
         "forward",
         [m, P, z, moved, A, z_next, seen, H_all, y, believed, q, r, floor],
-        [m_prior, P_prior, m_next, (P_next + P_next.T) / 2],
+        [m_prior, P_prior, m_next, P_next],
     )
 
 

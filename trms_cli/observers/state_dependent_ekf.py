@@ -50,7 +50,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import FloatArray, gauss_legendre
 from trms_cli.core.errors import ModelError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.process_cache import kept
@@ -147,7 +147,7 @@ def state_dependent(
     )
     no_w = ca.SX.zeros(model.n_w)
     A, B = ca.SX(model.n_x, model.n_x), ca.SX(model.n_x, model.n_u)
-    for place, weight in zip(*_unit_interval(nodes), strict=True):
+    for place, weight in zip(*gauss_legendre(nodes), strict=True):
         A += weight * slope_x(x_0 + place * (x - x_0), u_0, p, no_w)
         B += weight * slope_u(x, u_0 + place * (u - u_0), p, no_w)
     at_origin = ca.Function("at_origin", [x, u, p, w], [follow])(x_0, u_0, p, no_w)
@@ -167,12 +167,6 @@ def _equations(model: Model) -> ca.Function:
     at = model.symbols()
     follow = model.dynamics if model.sample_time is None else model.transition
     return ca.Function("equations", list(at), [follow(*at)])
-
-
-def _unit_interval(nodes: int) -> tuple[list[float], list[float]]:
-    """Places and weights of a Gauss–Legendre sum over [0, 1]."""
-    places, weights = np.polynomial.legendre.leggauss(nodes)
-    return ((places + 1.0) / 2.0).tolist(), (weights / 2.0).tolist()
 
 
 def _phi_1(z: ca.SX, stiff: bool) -> ca.SX:

@@ -35,7 +35,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import kept
 from trms_cli.core.ranges import NotNegative
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel, InitialSd, ProcessNoise
-from trms_cli.observers.kalman_step import diagonal, disturbances, gain_stage, gated
+from trms_cli.observers.kalman_step import diagonal, disturbances, gain_stage, gated, joseph
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS, RecursiveFilter
 from trms_cli.observers.recursive_filter import FilterState as UkfState
@@ -194,12 +194,7 @@ def _update_stage(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function
     gain = gain_stage(n, n_y)(_weighted(off_x, points) @ off_y.T, S)
     m_next = m + gain @ innovation
     left = off_x - gain @ off_y
-    P = (
-        _weighted(left, points) @ left.T
-        + (gain * ca.repmat((believed * r).T, n, 1)) @ gain.T
-        + diagonal(floor)
-    )
-    P = (P + P.T) / 2
+    P = joseph(_weighted(left, points) @ left.T, gain, believed * r, floor)
     sd = ca.sqrt(ca.diag(P))
     return ca.Function(
         "update",

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.controllers.robust.coordinates import Coordinates, ThrustDemand
-from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray, gauss_legendre
 from trms_cli.core.compilation import BufferedFunction
 
 _BATCH = 128
@@ -140,7 +140,7 @@ class Coefficients:
         self.coordinates, self.demands = coordinates, demands
         self._scale_z, self._scale_v = scale_z, scale_v
         self._step = BufferedFunction(coordinates.step.map(_BATCH))
-        self._places, self._weights = _unit_interval(_NODES)
+        self._places, self._weights = gauss_legendre(_NODES)
         self._band = band
         self._cube = _cube(points, coordinates.n + coordinates.m)
         self._limits = coordinates.model.input_bounds()
@@ -246,8 +246,3 @@ def _cube(points: int, dimensions: int) -> FloatArray:
 
 def _batches(z: FloatArray, v: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     return [(z[k : k + _BATCH], v[k : k + _BATCH]) for k in range(0, len(z), _BATCH)]
-
-
-def _unit_interval(nodes: int) -> tuple[list[float], list[float]]:
-    places, weights = np.polynomial.legendre.leggauss(nodes)
-    return ((places + 1.0) / 2.0).tolist(), (weights / 2.0).tolist()

@@ -189,12 +189,6 @@ class Regulation:
         """Commands (n_u,) cut to their limits."""
         return np.minimum(np.maximum(u, self.lower), self.upper)
 
-    def is_finite(self, sample: ControlSample) -> bool:
-        """Whether estimate and references are numbers."""
-        x, w = sample.estimate.x, sample.estimate.disturbance
-        total = sum(x.tolist()) + sum(w.tolist()) + float(sample.reference.sum())
-        return math.isfinite(total)
-
     def input_bounds(self, aim: Aim) -> FloatArray:
         """What the limits leave around the steady inputs, in units of the scales, shape (m,)."""
         u = aim.steady.u

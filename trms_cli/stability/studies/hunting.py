@@ -11,7 +11,8 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.pid import Pid
-from trms_cli.controllers.pid_tuning import ROTOR_OF_AXIS, Gains
+from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS
+from trms_cli.controllers.pid_tuning import Gains
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Findings
 from trms_cli.models.model import Model, names
