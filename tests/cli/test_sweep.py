@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from trms_cli.library.tasks.sweep_screen import say_outcome
 from trms_cli.recordings.log_reader import read_log
+from trms_cli.reporting.sweep_screen import say_outcome
 from trms_cli.sweeps.outcome import outcome_of
 
 SHORT = ["controller=pid", "observer=full_state", "plant=ideal", "sim.duration=0.5"]

@@ -11,7 +11,8 @@ from PIL import Image
 
 from tests.sweeps.samplers.test_optimise import SPACE, TWO, bowls, searched
 from tests.sweeps.test_robustness import told
-from trms_cli.library.tasks.sweep_screen import draw_summary as draw
+from trms_cli.reporting.sweep_charts import summary_charts
+from trms_cli.reporting.sweep_screen import draw_summary as draw
 from trms_cli.sweeps.findings import summary_findings
 from trms_cli.sweeps.samplers.optimise import Optimise
 
@@ -60,29 +61,26 @@ class TestSearch:
         assert Image.open(tmp_path / "pareto.png").width > 1200
 
     @pytest.mark.parametrize("objectives", [TWO, ("rmse_yaw",)])
-    def test_trials_that_are_not_shown_are_counted(self, tmp_path, monkeypatch, objectives):
-        from trms_cli.reporting import search_picture
-
-        figures = []
-        monkeypatch.setattr(search_picture, "save_png", lambda figure, path: figures.append(figure))
+    def test_trials_that_are_not_shown_are_counted(self, objectives):
         summary = summary_of(trials=20, objectives=objectives)
         seldom = [t for t in summary["trials"][1:] if t["trial"] not in summary["pareto"]]
         for trial in seldom[:3]:
             trial["figures"]["rmse_alpha_h"] = 1e6
         seldom[3]["figures"] = {}
-        draw(tmp_path, summary)
-        [figure] = figures
-        [panel] = figure.axes
+        [chart] = summary_charts(summary)
+        [panel] = chart.panels
         names = [each["name"] for each in summary["objectives"]]
+        ends = [axis.limits or (-np.inf, np.inf) for axis in (panel.x, panel.y)]
         outside = 0
         for trial in summary["trials"]:
             if trial["figures"]:
                 at = [trial["figures"][name] for name in names]
-                x, y = at if len(at) == 2 else (trial["trial"], at[0])
-                limits = (*panel.get_xlim(), *panel.get_ylim())
-                outside += not (limits[0] <= x <= limits[1] and limits[2] <= y <= limits[3])
+                at = at if len(at) == 2 else [trial["trial"], *at]
+                outside += not all(
+                    low <= v <= high for v, (low, high) in zip(at, ends, strict=True)
+                )
         assert outside >= 3
-        first, second = figure.get_suptitle().splitlines()
+        first, second = panel.title.splitlines()
         assert first.startswith("20 trials by tpe")
         assert second == f"not shown: {outside} outside the frame, 1 failed"
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from trms_cli.commands.execution import execute, study
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.library.tasks.task import termination
+from trms_cli.reporting.progress import termination
 from trms_cli.runs.run_folder import log_of
 
 SUMMARY = "close the loop: simulate or replay, log, score, draw"

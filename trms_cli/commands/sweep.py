@@ -73,7 +73,7 @@ def sweep(request: ComposeRequest, primary: str, task: Task, *, as_json: bool = 
 
 
 def _shown(drive: Callable[..., SweepOutcome], *, as_json: bool) -> int:
-    from trms_cli.library.tasks.sweep_screen import on_screen
+    from trms_cli.reporting.sweep_screen import on_screen
 
     return EXIT_OK if on_screen(drive, as_json=as_json).all_done else EXIT_WORSE
 
@@ -90,7 +90,7 @@ def resume_command(argv: Sequence[str]) -> int:
 
 def status_command(argv: Sequence[str]) -> int:
     """Tell how it stands."""
-    from trms_cli.library.tasks.sweep_screen import say_outcome
+    from trms_cli.reporting.sweep_screen import say_outcome
     from trms_cli.sweeps.outcome import outcome_of
 
     folder, settings, options = _read(argv, "status", ("--json",))

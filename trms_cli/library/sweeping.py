@@ -237,7 +237,7 @@ def load(path: str | PathLike[str]) -> Result:
 
 def _driven(words: str, drive: Callable[..., SweepOutcome], *, verbose: bool) -> SweepOutcome:
     """Drive a sweep to its end, as a call in `words`: shown as by the command, or in silence."""
-    from trms_cli.library.tasks.sweep_screen import on_screen
+    from trms_cli.reporting.sweep_screen import on_screen
 
     with turn(words), remarks(verbose):
         return on_screen(drive) if verbose else drive()

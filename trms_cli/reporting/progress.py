@@ -6,7 +6,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from types import FrameType, MappingProxyType
@@ -19,6 +20,23 @@ from trms_cli.core.notes import note
 STATE_NAME = "fit-state.json"
 #: In the folder of a diagnosis: the stages that are finished, and what was done when.
 STAGES_NAME, LOG_NAME = "diagnose-state.json", "log.txt"
+
+
+@contextmanager
+def termination() -> Iterator[None]:
+    """SIGTERM ends what runs inside as Ctrl-C does, where it runs in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+
+    def terminate(*_: Any) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class ProgressLine:

@@ -24,7 +24,7 @@ from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.core.invocation import called_as
 from trms_cli.library.tasks.git_revision import known_revision
-from trms_cli.library.tasks.task import termination
+from trms_cli.reporting.progress import termination
 from trms_cli.runs.columns import figures_of
 from trms_cli.runs.entry import STATUS_SCHEMA
 from trms_cli.runs.run_folder import SCORE_NAME

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import io
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, Terminated
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK
 
 if TYPE_CHECKING:
     from trms_cli.composition.composer import Composition, Outcome
@@ -138,20 +136,3 @@ def as_job(composition: Composition, task: Callable[..., Done], **how: Any) -> O
     done = task(composition, Listener(""), **how)
     show_job(done.findings, composition.job, composition.overrides or [done.findings.title])
     return Outcome(done.exit_code, done.objective, done.folder)
-
-
-@contextmanager
-def termination() -> Iterator[None]:
-    """SIGTERM ends what runs inside as Ctrl-C does, where it runs in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
-        return
-
-    def terminate(*_: Any) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -9,19 +9,17 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from trms_cli.core import wording
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.invocation import program
 from trms_cli.core.printable import print_json
-from trms_cli.library.tasks.task import termination
-from trms_cli.reporting.progress import ProgressLine
-from trms_cli.sweeps.findings import PICTURES, rate, sweep_findings
+from trms_cli.reporting.progress import ProgressLine, termination
+from trms_cli.sweeps.findings import rate, sweep_findings
 from trms_cli.sweeps.outcome import outcome_of
 
 if TYPE_CHECKING:
-    from trms_cli.library.tasks.sweep import SweepOutcome
     from trms_cli.sweeps.driver import SweepProgress
     from trms_cli.sweeps.space import RunResult
 
@@ -31,23 +29,35 @@ _MOST_LINES = 30
 _EVERY = 0.2  # s between two lines
 
 
-def on_screen(drive: Callable[..., SweepOutcome], *, as_json: bool = False) -> SweepOutcome:
+class _HasFolder(Protocol):
+    @property
+    def folder(self) -> Path: ...
+
+
+_Outcome = TypeVar("_Outcome", bound=_HasFolder)
+
+
+def on_screen(drive: Callable[..., _Outcome], *, as_json: bool = False) -> _Outcome:
     """Drive a sweep to its end; show how it goes and what came of it, or that as JSON.
 
     `drive` takes `tell` and `begun` of :func:`trms_cli.library.tasks.sweep.make_sweep`.
     """
-    screen = SweepScreen(as_json=as_json)
+    screen = SweepScreen()
     with screen:
         outcome = drive(tell=screen.tell, begun=screen.say_begun)
-    screen.say_ended(outcome.folder)
+    document = outcome_of(outcome.folder)
+    draw_summary(outcome.folder, document["summary"])
+    if as_json:
+        print_json(document)
+    else:
+        say_outcome(document)
     return outcome
 
 
 class SweepScreen:
-    """Progress on standard error if that is a terminal; the outcome on standard output."""
+    """Progress on standard error, if that is a terminal."""
 
-    def __init__(self, *, as_json: bool = False) -> None:
-        self._as_json = as_json
+    def __init__(self) -> None:
         self._line = ProgressLine()
         self._stack = ExitStack()
         self._last = -math.inf
@@ -89,15 +99,6 @@ class SweepScreen:
             self._last = here
             self._line.tell(line_of(progress))
 
-    def say_ended(self, folder: Path) -> None:
-        """The outcome, from the folder."""
-        document = outcome_of(folder)
-        draw_summary(folder, document["summary"])
-        if self._as_json:
-            print_json(document)
-        else:
-            say_outcome(document)
-
 
 def line_of(progress: SweepProgress) -> str:
     """``37 of 1000 done · 2 failed · 6.3 runs/s · 2 min 33 s left``."""
@@ -119,21 +120,17 @@ def line_of(progress: SweepProgress) -> str:
 
 def draw_summary(folder: Path, summary: Mapping[str, Any]) -> list[Path]:
     """Pictures of what a sampler said, into the folder of the sweep; none where there are none."""
-    kind = summary.get("kind")
-    if kind == "optimisation" and len(summary["trials"]) > 1:
-        from trms_cli.reporting import search_picture as pictures
+    from trms_cli.reporting.sweep_charts import summary_charts
 
-        several = len(summary["objectives"]) > 1
-        draw = pictures.draw_pareto if several else pictures.draw_search
-        path = folder / PICTURES[kind][0 if several else 1]
-        return [path] if draw(summary, path) else []
-    if kind == "robustness":
-        from trms_cli.reporting import robustness_picture
+    drawn = []
+    for chart in summary_charts(summary):
+        from trms_cli.reporting.chart_picture import picture_of
+        from trms_cli.reporting.style import house_style, save_png
 
-        draws = (robustness_picture.draw_robustness, robustness_picture.draw_sensitivity)
-        paths = [folder / name for name in PICTURES[kind]]
-        return [path for path, draw in zip(paths, draws, strict=True) if draw(summary, path)]
-    return []
+        drawn.append(folder / f"{chart.name}.png")
+        with house_style():
+            save_png(picture_of(chart), drawn[-1])
+    return drawn
 
 
 def say_outcome(document: Mapping[str, Any]) -> None:
