@@ -14,11 +14,11 @@ from matplotlib.colors import LogNorm
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, NullLocator
 
+from trms_cli.core.wording import SIGNALS
 from trms_cli.reporting.style import (
     ALARM,
     GREY,
     INK,
-    LABELS,
     MEASURED,
     PALE,
     PALETTE,
@@ -157,12 +157,12 @@ def draw_free_runs(
             for colour, (label, run) in zip(_ORDER[:1] + _ORDER[1:], runs.items(), strict=False):
                 panel.plot(*thinned(time, run[name]), color=PALETTE[colour], lw=1.0, label=label)
             _stay_near(panel, values)
-            panel.set_ylabel(f"{LABELS.get(name, name)}\n[{units[name]}]")
+            panel.set_ylabel(f"{SIGNALS.get(name, name)}\n[{units[name]}]")
         legend_above(panels[0])
         for colour, (name, values) in zip(_ORDER, commands.items(), strict=False):
             panels[-1].plot(
                 *thinned(time, values), color=PALETTE[colour], lw=0.8, drawstyle="steps-post",
-                label=LABELS.get(name, name),
+                label=SIGNALS.get(name, name),
             )  # fmt: skip
         panels[-1].set_ylabel("command\n[V]")
         if len(commands) > 1:

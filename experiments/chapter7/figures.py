@@ -10,11 +10,11 @@ import numpy as np
 
 from experiments.chapter7.runs import ANGLES, Outcome
 from experiments.chapter7.study import Study
+from trms_cli.core.wording import SIGNALS
 from trms_cli.reporting.style import (
     COLOURS,
     GREY,
     INK,
-    LABELS,
     PALETTE,
     house_style,
     legend_above,
@@ -50,7 +50,7 @@ def draw_cases(outcomes: Sequence[Outcome], path: Path) -> None:
                         traces["time"], traces[f"r_{angle}"], color=INK, lw=0.9, ls=(0, (4, 2)),
                         label="reference",
                     )  # fmt: skip
-                panel.set_title(f"{case}: {LABELS[angle]} [rad]")
+                panel.set_title(f"{case}: {SIGNALS[angle]} [rad]")
                 panel.margins(x=0)
         for panel in panels[-1]:
             panel.set_xlabel("time [s]")

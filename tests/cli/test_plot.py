@@ -15,7 +15,7 @@ from trms_cli.cli import main
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.reporting.plot import KINDS, absences, names_of, plot, size_of
-from trms_cli.reporting.style import house_style, thinned_to_extremes
+from trms_cli.reporting.style import house_style
 
 ALL = [kind for kind in KINDS if kind != "comparison"]
 LONG = "plant.prior_seed=3"
@@ -267,21 +267,6 @@ def test_a_scene_is_drawn_still_and_moving(folder, tmp_path):
 
     assert Image.open(still).size[0] > 200
     assert Image.open(moving).n_frames == 3  # type: ignore[attr-defined]
-
-
-def test_thinning_keeps_extremes_and_gaps():
-    time = np.arange(200_000) / 100.0
-    values = np.sin(time)
-    values[123_456] = 7.0
-    values[55_555] = -9.0
-    values[100_000:120_000] = np.nan
-    kept_time, kept = thinned_to_extremes(time, values, 500)
-    assert len(kept) <= 5 * 500
-    assert np.nanmax(kept) == 7.0 and np.nanmin(kept) == -9.0
-    gap = (kept_time >= 1000.0) & (kept_time < 1200.0)
-    assert np.isnan(kept[gap]).all() and gap.any()
-    short = thinned_to_extremes(time[:100], values[:100])
-    np.testing.assert_array_equal(short[1], values[:100])
 
 
 @pytest.mark.parametrize(

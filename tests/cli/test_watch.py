@@ -188,9 +188,9 @@ class TestFrame:
         assert "no sample for" not in text_of(run_frame(a_view(silent=1.0), 100, 24))
 
     def test_names_are_those_of_the_figures(self):
-        from trms_cli.reporting.style import LABELS
+        from trms_cli.core.wording import SIGNALS
 
-        assert {name: LABELS[name] for name in NAMES} == NAMES
+        assert {name: SIGNALS[name] for name in NAMES} == NAMES
 
     def test_what_a_run_is(self):
         choices = {"controller": "lqr", "ref": "sine", "observer": "ekf", "plant": "simulated",

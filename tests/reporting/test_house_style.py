@@ -82,8 +82,8 @@ def test_other_styles_are_found(source):
 
 def test_colours_of_the_style_are_distinct_when_printed_grey():
     """Curves that share a grey have other dashes: told apart without colour."""
-    from trms_cli.reporting.style import curve_look
+    from trms_cli.core.chart import curve_look
 
     looks = [curve_look(i) for i in range(6)]
-    assert len({str(look["linestyle"]) for look in looks}) == len(looks)
-    assert len({look["color"] for look in looks}) == len(looks)
+    assert len({look["style"] for look in looks}) == len(looks)
+    assert len({look["colour"] for look in looks}) == len(looks)

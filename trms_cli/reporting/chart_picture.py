@@ -47,7 +47,6 @@ from trms_cli.reporting.style import (
     GREY,
     GROUND,
     INK,
-    LINE_STYLES,
     MEASURED,
     PALE,
     PALETTE,
@@ -326,9 +325,9 @@ _DASHES: dict[str, Any] = {
     "solid": "-",
     "dashed": (0, (4.5, 2.2)),
     "dotted": (0, (1.2, 1.8)),
-    "dashdot": LINE_STYLES[3],
-    "dashdotdot": LINE_STYLES[4],
-    "long": LINE_STYLES[5],
+    "dashdot": (0, (6.0, 1.5, 1.2, 1.5)),
+    "dashdotdot": (0, (3.0, 1.2, 1.0, 1.2, 1.0, 1.2)),
+    "long": (0, (9.0, 2.5)),
 }
 _INKS = {"ink": INK, "grey": GREY, "pale": PALE, "measured": MEASURED, "alarm": ALARM}
 _SHAPES = {

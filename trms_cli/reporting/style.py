@@ -16,7 +16,6 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -43,50 +42,14 @@ PALETTE = MappingProxyType(
 )
 #: The order in which curves take them.
 COLOURS = tuple(PALETTE[name] for name in ("blue", "vermilion", "green", "purple"))
-#: The same where there are many; yellow is too pale for a line on white.
-MANY_COLOURS = (*COLOURS, PALETTE["orange"], PALETTE["sky"])
 INK, GREY, PALE = "#222222", "#777777", "#dddddd"
-#: Of what was measured, behind what is held against it; of what counts less; of empty ground.
-MEASURED, FAINT, GROUND = "#aaaaaa", "#b8b8b8", "#e4e4e4"
-PAPER, PALE_SKY = "#ffffff", "#cfdce6"
+#: Of what was measured, behind what is held against it; of empty ground.
+MEASURED, GROUND, PAPER = "#aaaaaa", "#e4e4e4", "#ffffff"
 #: Of a family of curves, from the first to the last; and of what there is little of, or some.
 SHADES = ("#c6dbef", "#9ecae1", "#4292c6", "#08519c")
 LITTLE, SOME = "#f4f4f4", "#f5d9c6"
-#: A curve's dashes by its place among others: where colours are lost in print, these are left.
-LINE_STYLES: tuple[Any, ...] = (
-    "solid",
-    (0, (5.0, 1.6)),
-    (0, (1.2, 1.3)),
-    (0, (6.0, 1.5, 1.2, 1.5)),
-    (0, (3.0, 1.2, 1.0, 1.2, 1.0, 1.2)),
-    (0, (9.0, 2.5)),
-)
 #: Of limits, faults and missed deadlines.
 ALARM = "#c1272d"
-
-#: What belongs to pitch and the main rotor has the first colour in every figure, yaw and the tail
-#: rotor the second.
-_PLACES = (("pitch", "main", "_v"), ("yaw", "tail", "_h"))
-
-
-def signal_place(name: str, number: int = 0) -> int:
-    """Place of a signal's colour: that of its axis, else the one that its number gives."""
-    for place, parts in enumerate(_PLACES):
-        if name.startswith(parts[:2]) or name.endswith(parts[2]):
-            return place
-    return number + len(_PLACES)
-
-
-LABELS = MappingProxyType(
-    {
-        "alpha_v": "pitch",
-        "alpha_h": "yaw",
-        "omega_v": "main rotor",
-        "omega_h": "tail rotor",
-        "u_v": "main rotor",
-        "u_h": "tail rotor",
-    }
-)
 
 #: pixels per inch of a PNG: sharp on a page of normal width, small on disk.
 DPI = 110
@@ -191,14 +154,6 @@ def line_scale() -> float:
     return scale
 
 
-def curve_look(place: int) -> dict[str, Any]:
-    """Colour and dashes of one of several curves: told apart in colour, and without."""
-    return {
-        "color": MANY_COLOURS[place % len(MANY_COLOURS)],
-        "linestyle": LINE_STYLES[place % len(LINE_STYLES)],
-    }
-
-
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure (inches) whose panels arrange themselves."""
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -210,33 +165,6 @@ def thinned(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
     """Every k-th sample, so that no more than :data:`MOST_POINTS` (twice) are drawn."""
     step = max(1, len(time) // MOST_POINTS)
     return np.asarray(time, dtype=float)[::step], np.asarray(values, dtype=float)[::step]
-
-
-def thinned_to_extremes(
-    time: Any, values: Any, columns: int = 1200
-) -> tuple[np.ndarray, np.ndarray]:
-    """First, least, greatest and last sample of each of `columns` stretches of a long curve.
-
-    Drawn at no more columns of dots than that, the curve looks as with all its samples (Jugel et
-    al. 2014, *M4*); a gap (NaN) stays one.
-    """
-    time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
-    n = len(time)
-    if n <= 4 * columns:
-        return time, values
-    edges = np.linspace(0, n, columns + 1).astype(int)
-    kept = {0, n - 1}
-    for begin, end in pairwise(edges.tolist()):
-        piece = values[begin:end]
-        kept.update((begin, end - 1))
-        known = np.isfinite(piece)
-        if not known.all():
-            kept.add(begin + int(np.argmin(known)))
-        if known.any():
-            kept.add(begin + int(np.nanargmin(np.where(known, piece, np.nan))))
-            kept.add(begin + int(np.nanargmax(np.where(known, piece, np.nan))))
-    chosen = np.array(sorted(kept))
-    return time[chosen], values[chosen]
 
 
 def legend_above(panel: Axes, columns: int = 6, **shown: Any) -> None:

@@ -84,11 +84,11 @@ def _plane(summary: Mapping[str, Any], one: Mapping[str, Any], other: Mapping[st
     if first:
         marks.append(_points(first, x, y, "as it was", "diamond", "vermilion", 7.0))
         marks += _again(first, one["name"], other["name"], "", "saddle", "vermilion")
-    axes = (
+    across, up = (
         Axis(column_title(each["name"], each["unit"]), limits=_near(summary, front + first, each))
         for each in (one, other)
     )
-    return Panel(*axes, marks)
+    return Panel(across, up, marks)
 
 
 def _search(summary: Mapping[str, Any]) -> Chart:
@@ -187,8 +187,11 @@ def _without_outliers(values: np.ndarray, maximised: bool) -> tuple[float, float
 
 
 def _is_inside(panel: Panel, x: float, y: float) -> bool:
-    ends = ((panel.x.limits, x), (panel.y.limits, y))
-    return all(limits is None or limits[0] <= value <= limits[1] for limits, value in ends)
+    for axis, value in ((panel.x, x), (panel.y, y)):
+        low, high = axis.limits or (None, None)
+        if (low is not None and value < low) or (high is not None and value > high):
+            return False
+    return True
 
 
 def _titled(panel: Panel, summary: Mapping[str, Any], words: Sequence[str], outside: int) -> Panel:
@@ -205,7 +208,7 @@ def _robustness(summary: Mapping[str, Any]) -> list[Chart]:
     """Share of the draws up to each value of a figure: a steep curve far left is robust."""
     groups, shares = summary["groups"], np.linspace(0, 100, 101)
     names = [name for name in summary["figures"] if any(name in g["figures"] for g in groups)]
-    panels = []
+    panels: list[Panel] = []
     for name in names:
         marks: list[Mark] = []
         for i, group in enumerate(groups):
