@@ -15,32 +15,32 @@ if TYPE_CHECKING:
     from trms_cli.core.errors import ConfigurationError as ConfigurationError
     from trms_cli.core.errors import RecordingError as RecordingError
     from trms_cli.core.errors import TrmsError as TrmsError
-    from trms_cli.library.calling import TrmsNote as TrmsNote
-    from trms_cli.library.choosing import build as build
-    from trms_cli.library.choosing import options as options
-    from trms_cli.library.findings import Diagnosis as Diagnosis
-    from trms_cli.library.findings import Excitation as Excitation
-    from trms_cli.library.findings import Fit as Fit
-    from trms_cli.library.findings import Stability as Stability
-    from trms_cli.library.findings import Validation as Validation
-    from trms_cli.library.judging import Comparison as Comparison
-    from trms_cli.library.judging import compare as compare
-    from trms_cli.library.judging import runs as runs
-    from trms_cli.library.judging import score as score
-    from trms_cli.library.running import Run as Run
-    from trms_cli.library.running import read_log as read_log
-    from trms_cli.library.running import run as run
-    from trms_cli.library.showing import plot as plot
-    from trms_cli.library.showing import report as report
-    from trms_cli.library.studying import diagnose as diagnose
-    from trms_cli.library.studying import excite as excite
-    from trms_cli.library.studying import identify as identify
-    from trms_cli.library.studying import stability as stability
-    from trms_cli.library.studying import validate as validate
-    from trms_cli.library.sweeping import Sweep as Sweep
-    from trms_cli.library.sweeping import load as load
-    from trms_cli.library.sweeping import sweep as sweep
+    from trms_cli.library.call import TrmsNote as TrmsNote
+    from trms_cli.library.comparison import Comparison as Comparison
+    from trms_cli.library.comparison import compare as compare
+    from trms_cli.library.comparison import runs as runs
+    from trms_cli.library.comparison import score as score
+    from trms_cli.library.options import build as build
+    from trms_cli.library.options import options as options
+    from trms_cli.library.run import Run as Run
+    from trms_cli.library.run import read_log as read_log
+    from trms_cli.library.run import run as run
+    from trms_cli.library.studies import Diagnosis as Diagnosis
+    from trms_cli.library.studies import Excitation as Excitation
+    from trms_cli.library.studies import Fit as Fit
+    from trms_cli.library.studies import Stability as Stability
+    from trms_cli.library.studies import Validation as Validation
+    from trms_cli.library.studies import diagnose as diagnose
+    from trms_cli.library.studies import excite as excite
+    from trms_cli.library.studies import identify as identify
+    from trms_cli.library.studies import stability as stability
+    from trms_cli.library.studies import validate as validate
+    from trms_cli.library.sweep import Sweep as Sweep
+    from trms_cli.library.sweep import load as load
+    from trms_cli.library.sweep import sweep as sweep
     from trms_cli.library.tasks.task import Interrupted as Interrupted
+    from trms_cli.library.views import plot as plot
+    from trms_cli.library.views import report as report
     from trms_cli.simulation.closed_loop import Experiment as Experiment
 
 #: Module of each name.
@@ -49,31 +49,31 @@ _HOMES = {
     "RecordingError": "core.errors",
     "TrmsError": "core.errors",
     "Interrupted": "library.tasks.task",
-    "TrmsNote": "library.calling",
-    "build": "library.choosing",
-    "options": "library.choosing",
-    "Diagnosis": "library.findings",
-    "Excitation": "library.findings",
-    "Fit": "library.findings",
-    "Stability": "library.findings",
-    "Validation": "library.findings",
-    "Comparison": "library.judging",
-    "compare": "library.judging",
-    "load": "library.sweeping",
-    "runs": "library.judging",
-    "score": "library.judging",
-    "Run": "library.running",
-    "read_log": "library.running",
-    "run": "library.running",
-    "plot": "library.showing",
-    "report": "library.showing",
-    "diagnose": "library.studying",
-    "excite": "library.studying",
-    "identify": "library.studying",
-    "stability": "library.studying",
-    "validate": "library.studying",
-    "Sweep": "library.sweeping",
-    "sweep": "library.sweeping",
+    "TrmsNote": "library.call",
+    "build": "library.options",
+    "options": "library.options",
+    "Diagnosis": "library.study_results",
+    "Excitation": "library.study_results",
+    "Fit": "library.study_results",
+    "Stability": "library.study_results",
+    "Validation": "library.study_results",
+    "Comparison": "library.comparison",
+    "compare": "library.comparison",
+    "load": "library.sweep",
+    "runs": "library.comparison",
+    "score": "library.comparison",
+    "Run": "library.run",
+    "read_log": "library.run",
+    "run": "library.run",
+    "plot": "library.views",
+    "report": "library.views",
+    "diagnose": "library.studies",
+    "excite": "library.studies",
+    "identify": "library.studies",
+    "stability": "library.studies",
+    "validate": "library.studies",
+    "Sweep": "library.sweep",
+    "sweep": "library.sweep",
     "Experiment": "simulation.closed_loop",
 }
 

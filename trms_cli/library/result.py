@@ -1,16 +1,52 @@
-"""What every call gives back (a folder, the document in it), and takes as paths of runs."""
+"""What every call gives back (a folder, its document, pandas frames), and takes as paths."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
+
+if TYPE_CHECKING:
+    import pandas  # type: ignore[import-untyped,unused-ignore]
+
+#: A path, or several.
+Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
+#: A run: its log, its folder, or what :func:`trms_cli.run` gave back.
+RunPath = str | PathLike[str]
+
+
+def frame_of(
+    columns: Mapping[Any, Any], units: Mapping[str, str], index: Any = None, name: str = ""
+) -> pandas.DataFrame:
+    """A pandas frame; the units of its columns go to ``frame.attrs["units"]``, `name` to its index.
+
+    Raises TrmsError if pandas is not installed: it is no dependency of this package.
+    """
+    frames = load_pandas()
+    made = frames.DataFrame(dict(columns), index=index)
+    if name:
+        made.index.name = name
+    made.attrs["units"] = dict(units)
+    return made
+
+
+def load_pandas() -> Any:
+    """The package pandas; raises TrmsError if it is not installed."""
+    from importlib import import_module
+    from importlib.util import find_spec
+
+    if find_spec("pandas") is None:
+        raise TrmsError(
+            "a frame needs pandas, which is not installed",
+            remedy="pip install 'trms-cli[notebook]', or pip install pandas",
+        )
+    return import_module("pandas")
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.library import html
-from trms_cli.library.calling import done, done_by, words_of
-from trms_cli.library.frames import frame_of
-from trms_cli.library.result import Result
+from trms_cli.library.call import done, done_by, words_of
+from trms_cli.library.result import Paths, Result, frame_of
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
@@ -211,10 +210,6 @@ def run_in(path: Path) -> Run:
             remedy="name a run.mcap, or the folder that a run wrote into",
         )
     return Run(log.parent, log)
-
-
-#: A path, or several.
-Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
 
 def run(

@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.library.calling import turn
-from trms_cli.library.result import run_paths
+from trms_cli.library.call import turn
+from trms_cli.library.result import RunPath, run_paths
 
 if TYPE_CHECKING:
     from trms_cli.reporting.notebook_figure import NotebookFigure
-
-#: A run: its log, its folder, or what :func:`trms_cli.run` gave back.
-RunPath = str | PathLike[str]
 
 
 def report(

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.composition.arguments import folders_of
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library import html
+from trms_cli.library.result import Paths
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-#: A path, or several.
-Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
 
 class Options(Mapping[str, str]):
@@ -87,7 +85,7 @@ def options(
     """
     from trms_cli.composition import catalogue
 
-    places = _folders(config_dir)
+    places = folders_of(config_dir, "config_dir")
     groups, about = catalogue.read_groups(places), catalogue.about(places)
     if group is None:
         if name is not None:
@@ -135,9 +133,9 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
     from trms_cli.composition.given_object import with_objects
     from trms_cli.core.plugins import build as built
     from trms_cli.core.plugins import nearest
-    from trms_cli.library.calling import turn, words_of
+    from trms_cli.library.call import turn, words_of
 
-    defaults = read_primary("run", _folders(config_dir)).defaults
+    defaults = read_primary("run", folders_of(config_dir, "config_dir")).defaults
     one = [key for key, option in defaults.items() if option and not isinstance(option, list)]
     if group not in one and group not in ("effect", "fault"):
         raise ConfigurationError(
@@ -149,9 +147,3 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
         if group not in one:
             return built(config[name], f"{group}.{name}")
         return built(config, group)
-
-
-def _folders(config_dir: Paths) -> tuple[Path, ...]:
-    from trms_cli.composition.arguments import folders_of
-
-    return folders_of(config_dir, "config_dir")

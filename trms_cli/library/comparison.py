@@ -11,14 +11,10 @@ from typing import TYPE_CHECKING, Any
 from trms_cli.composition.arguments import path_of
 from trms_cli.core.errors import RecordingError
 from trms_cli.library import html
-from trms_cli.library.frames import frame_of
-from trms_cli.library.result import run_paths
+from trms_cli.library.result import RunPath, frame_of, run_paths
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
-
-#: A run: its log, its folder, or what :func:`trms_cli.run` gave back.
-RunPath = str | PathLike[str]
 
 
 def score(*runs: RunPath, baseline: str | PathLike[str] | None = None) -> dict[str, Any]:

@@ -12,19 +12,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of, text_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.library import html
-from trms_cli.library.calling import remarks, turn, words_of
-from trms_cli.library.findings import Diagnosis, Excitation, Fit, Stability, Validation
-from trms_cli.library.judging import Comparison, compare
-from trms_cli.library.result import Result
-from trms_cli.library.running import Run, run_in
+from trms_cli.library.call import remarks, turn, words_of
+from trms_cli.library.comparison import Comparison, compare
+from trms_cli.library.result import Paths, Result
+from trms_cli.library.run import Run, run_in
+from trms_cli.library.studies import Diagnosis, Excitation, Fit, Stability, Validation
 
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
 
     from trms_cli.library.tasks.sweep import SweepOutcome
-
-#: A path, or several.
-Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
