@@ -66,7 +66,7 @@ def closed(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any], fl
     """Tables by topic, limits by name, and the length (s) of a run kept in memory."""
     from trms_cli.composition.composer import compose
     from trms_cli.library.tasks.experiment import experiment_of, topics_of
-    from trms_cli.scoring.tables import Series
+    from trms_cli.scoring.metrics import Series
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
 

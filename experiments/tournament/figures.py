@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from experiments.tournament.verdict import CLASS, Results, by_rig
-from trms_cli.scoring.comparison.figures import figures_of
-from trms_cli.scoring.comparison.ranking import Ranking, Standing
+from trms_cli.scoring.comparison.ranking import Ranking, Standing, figures_of
 
 NAMES = ("ratios.png", "effects.png", "cost.png")
 #: Where axes and colours of ratios end; what is beyond is drawn at the edge and said in words.

@@ -12,10 +12,9 @@ from experiments.page_tables import number
 from experiments.tournament.published import Beside
 from experiments.tournament.schedule import Criteria
 from experiments.tournament.verdict import Results, by_rig
-from trms_cli.scoring.comparison.compared_run import State
-from trms_cli.scoring.comparison.document import document, rule
-from trms_cli.scoring.comparison.figures import figures_of
-from trms_cli.scoring.comparison.ranking import Ranking, RatioInterval
+from trms_cli.scoring.comparison.findings import document, rule
+from trms_cli.scoring.comparison.ranking import Ranking, RatioInterval, figures_of
+from trms_cli.scoring.comparison.runs import State
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "tournament.md", ROOT / "docs" / "figures" / "tournament"

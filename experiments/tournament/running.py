@@ -29,7 +29,7 @@ from typing import Any
 from experiments.tournament.schedule import Run
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.whole_file import replace_whole
-from trms_cli.scoring.comparison.gathering import LOG, RUN_KEY, SCORE, STATUS
+from trms_cli.scoring.comparison.runs import LOG, RUN_KEY, SCORE, STATUS
 
 STATUS_SCHEMA = "trms.status/1"
 #: Runs that are waiting in the pool for each worker: few, so that a crash takes few with it.
@@ -195,7 +195,7 @@ def _logged(run: Run, folder: Path) -> tuple[dict[str, Any], int]:
     from dataclasses import replace
 
     from trms_cli.commands import run as command
-    from trms_cli.scoring.comparison.gathering import gather
+    from trms_cli.scoring.comparison.runs import gather
 
     draft = folder / "draft"
     composition = _composition(run.words)

@@ -11,11 +11,8 @@ import numpy as np
 
 from experiments.tournament.schedule import BLOCKS, FAULTS, MAIN, OBSERVERS, Criteria
 from trms_cli.core.errors import RecordingError
-from trms_cli.scoring.comparison.compared_run import ComparedRun, State
-from trms_cli.scoring.comparison.figures import figures_of
-from trms_cli.scoring.comparison.gathering import RunCollection, gather
-from trms_cli.scoring.comparison.grouping import group
-from trms_cli.scoring.comparison.ranking import Ranking, Standing, rank
+from trms_cli.scoring.comparison.ranking import Ranking, Standing, figures_of, group, rank
+from trms_cli.scoring.comparison.runs import ComparisonRun, RunCollection, State, gather
 
 #: What names an entrant here, also where all have one observer.
 BY = ("controller", "observer")
@@ -62,7 +59,7 @@ class Results:
         """How many different runs there are."""
         return len({_key(run) for run in self.all_runs()})
 
-    def all_runs(self) -> list[ComparedRun]:
+    def all_runs(self) -> list[ComparisonRun]:
         """Of all blocks; one that is in several stands several times."""
         return [run for found in self.gathered.values() for run in found.runs]
 
@@ -115,7 +112,7 @@ def by_rig(ranking: Ranking, name: str) -> dict[str, float]:
     return {rig: math.exp(float(np.mean(values))) for rig, values in logs.items()}
 
 
-def _ranked(runs: Sequence[ComparedRun]) -> Ranking:
+def _ranked(runs: Sequence[ComparisonRun]) -> Ranking:
     return rank(group(runs, BY))
 
 
@@ -247,23 +244,23 @@ def _faster(main: Ranking, criteria: Criteria) -> Aim:
     return Aim(words=words, met=theirs / own >= criteria.faster_by, figures=figures)
 
 
-def _disturbed(run: ComparedRun, criteria: Criteria) -> bool:
+def _disturbed(run: ComparisonRun, criteria: Criteria) -> bool:
     return run.coordinates[CLASS] in criteria.disturbed_classes
 
 
-def _all(gathered: dict[str, RunCollection]) -> list[ComparedRun]:
+def _all(gathered: dict[str, RunCollection]) -> list[ComparisonRun]:
     """Every run once."""
     found = {_key(run): run for each in gathered.values() for run in each.runs}
     return list(found.values())
 
 
-def _key(run: ComparedRun) -> tuple[str, ...]:
+def _key(run: ComparisonRun) -> tuple[str, ...]:
     return tuple(run.coordinates.get(key, "") for key in (*BY, REF, RIG))
 
 
-def _of(runs: Sequence[ComparedRun], key: str, value: str) -> list[ComparedRun]:
+def _of(runs: Sequence[ComparisonRun], key: str, value: str) -> list[ComparisonRun]:
     return [run for run in runs if run.coordinates.get(key) == value]
 
 
-def _values(runs: Sequence[ComparedRun], key: str) -> list[str]:
+def _values(runs: Sequence[ComparisonRun], key: str) -> list[str]:
     return list(dict.fromkeys(run.coordinates.get(key, "") for run in runs))

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from trms_cli.cli import main
 from trms_cli.library.tasks.scene import scene_of_log
 from trms_cli.recordings.export import export_log
-from trms_cli.recordings.foxglove.added_scene import scene_messages
+from trms_cli.recordings.foxglove.scene_log import scene_messages
 from trms_cli.recordings.foxglove.types import SCENE_TOPICS, layout
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.log_tail import LogTail

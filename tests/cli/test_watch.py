@@ -36,12 +36,12 @@ from trms_cli.commands.watch.frame import (
     run_frame,
     scale,
 )
-from trms_cli.commands.watch.player import Player
+from trms_cli.commands.watch.frame import Player
 from trms_cli.commands.watch.screen import keys_in
 from trms_cli.commands.watch.sweep import sweep_frame, sweep_line
 from trms_cli.runs.follower import AxisMoment, Event, Input, Moment, RunFollower, Solver
-from trms_cli.runs.latest import latest_run
-from trms_cli.runs.sweep_progress import SweepFollower, _values
+from trms_cli.runs.query import latest_run
+from trms_cli.sweeps.outcome import SweepFollower, _values
 from trms_cli.sweeps.record import driving
 
 ALTERNATE, NORMAL = b"\x1b[?1049h", b"\x1b[?1049l"
@@ -701,7 +701,7 @@ class TestSweep:
 
 
 def _seen(jobs):
-    from trms_cli.runs.sweep_progress import Job, SweepState
+    from trms_cli.sweeps.outcome import Job, SweepState
 
     made = tuple(
         Job(str(i), job["state"], ("a=1", f"b={i}"), job["objective"], "a problem " * 9, 100.0 + i)

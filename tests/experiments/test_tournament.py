@@ -25,8 +25,7 @@ from experiments.tournament.schedule import (
 from experiments.tournament.verdict import read_results
 from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.comparison.compared_run import State
-from trms_cli.scoring.comparison.gathering import gather
+from trms_cli.scoring.comparison.runs import State, gather
 
 PLAN = read_plan()
 

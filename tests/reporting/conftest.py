@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from trms_cli.reporting.signals import ReportedRun
-from trms_cli.scoring.tables import Series
+from trms_cli.scoring.metrics import Series
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _QUIET = (

@@ -19,7 +19,7 @@ from trms_cli.reporting.report_comparison import findings_of_comparison
 from trms_cli.reporting.report_run import findings_of_run
 from trms_cli.reporting.report_sweep import findings_of_sweep
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
-from trms_cli.scoring.tables import Series
+from trms_cli.scoring.metrics import Series
 
 #: What a stranger may have written anywhere.
 ATTACKS = (

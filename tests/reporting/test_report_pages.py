@@ -37,8 +37,8 @@ from trms_cli.reporting.reported_sweep import (
     undominated,
 )
 from trms_cli.reporting.signals import ReportedRun
-from trms_cli.scoring.comparison.compared_run import ComparedRun, State
-from trms_cli.scoring.comparison.grouping import group
+from trms_cli.scoring.comparison.runs import ComparisonRun, State
+from trms_cli.scoring.comparison.ranking import group
 from trms_cli.scoring.comparison.ranking import rank
 
 
@@ -127,7 +127,7 @@ def ranking():
     return rank(
         group(
             [
-                ComparedRun(
+                ComparisonRun(
                     path=f"{who}{rig}",
                     coordinates={"controller": who, "plant": str(rig)},
                     state=State.DONE,

@@ -9,7 +9,7 @@ import pytest
 
 from trms_cli.reporting.run_panels import torque_panels
 from trms_cli.reporting.signals import RunSignals
-from trms_cli.scoring.tables import Series
+from trms_cli.scoring.metrics import Series
 
 TIME = np.arange(2000) * 0.02
 

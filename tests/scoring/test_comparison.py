@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.comparison.compared_run import ComparedRun, State
-from trms_cli.scoring.comparison.coordinates import complete_coordinates, differences
-from trms_cli.scoring.comparison.figures import figures_of
-from trms_cli.scoring.comparison.grouping import group, matching
-from trms_cli.scoring.comparison.pair import pair
-from trms_cli.scoring.comparison.ranking import FAILED_RATIO, rank
+from trms_cli.scoring.comparison.findings import pair
+from trms_cli.scoring.comparison.ranking import FAILED_RATIO, figures_of, group, matching, rank
+from trms_cli.scoring.comparison.runs import ComparisonRun, State, complete_coordinates, differences
 
 
 def run(controller, rmse=0.1, ref="square", rig="nominal", **more):
@@ -27,7 +24,7 @@ def run(controller, rmse=0.1, ref="square", rig="nominal", **more):
         "constraint_violations": {},
         "degraded": {"share": {"degraded": 0.1, "landing": 0.05}},
     }
-    made = ComparedRun(
+    made = ComparisonRun(
         path=f"{controller}/{ref}/{rig}",
         coordinates={"controller": controller, "ref": ref, "rig": rig},
         score=score,

@@ -10,7 +10,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trms_cli.scoring.consistency import (
+from trms_cli.scoring.metrics import (
     LAGS,
     chi_square_interval,
     chi_square_tail,

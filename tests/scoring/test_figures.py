@@ -15,11 +15,9 @@ from trms_cli.reporting.screen import Terminal, show_table
 from trms_cli.runs.columns import COLUMNS, figures_of
 from trms_cli.scoring import figures, findings
 from trms_cli.scoring.baseline import Baseline, compare
-from trms_cli.scoring.comparison.compared_run import ComparedRun
-from trms_cli.scoring.comparison.findings import pair_findings, ranking_tables
-from trms_cli.scoring.comparison.grouping import group
-from trms_cli.scoring.comparison.pair import pair
-from trms_cli.scoring.comparison.ranking import rank
+from trms_cli.scoring.comparison.findings import pair, pair_findings, ranking_tables
+from trms_cli.scoring.comparison.ranking import group, rank
+from trms_cli.scoring.comparison.runs import ComparisonRun
 from trms_cli.scoring.figures import Figure, FigureTolerance
 from trms_cli.scoring.score import score_tables
 
@@ -53,7 +51,7 @@ def test_one_entry_is_a_figure_everywhere(
     assert any("error, 95th percentile [rad]" in map(plain, row) for row in tables[0].rows)
     # `trms runs`, comparisons and baselines
     assert figures_of(document)["error_p95_alpha_h"] == value
-    runs = [ComparedRun(path=p, coordinates={"controller": p}, score=document) for p in "ab"]
+    runs = [ComparisonRun(path=p, coordinates={"controller": p}, score=document) for p in "ab"]
     assert any(row.key == "channels.alpha_h.error_p95" for row in pair(*runs).rows)
     moved = json.loads(json.dumps(document))
     moved["channels"]["alpha_h"]["error_p95"] += 0.01
@@ -91,7 +89,7 @@ def test_a_comparison_of_long_names_loses_no_figure(width: int) -> None:
         "solver": {"time_ms": {"median": 1.23, "p99": 4.56, "max": 7.89}, "deadline_misses": 2},
     }
     runs = [
-        ComparedRun(path=name, coordinates={"controller": name, "seed": str(seed)}, score=score)
+        ComparisonRun(path=name, coordinates={"controller": name, "seed": str(seed)}, score=score)
         for name in NAMES
         for seed in range(6)
     ]
@@ -110,7 +108,7 @@ def test_a_comparison_of_long_names_loses_no_figure(width: int) -> None:
 
 def test_two_runs_are_told_with_what_differs() -> None:
     one, other = (
-        ComparedRun(
+        ComparisonRun(
             path=who, coordinates={"controller": who},
             score={"channels": {"alpha_v": {"rmse": rmse, "unit": "rad"}}},
         )

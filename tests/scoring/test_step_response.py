@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trms_cli.scoring.step_response import holds, steady_state_error, steps
+from trms_cli.scoring.metrics import holds, steady_state_error, steps
 
 TIME = np.arange(0, 30, 0.002)
 sizes = st.floats(0.05, 2.0).flatmap(lambda a: st.sampled_from([a, -a]))

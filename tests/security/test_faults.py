@@ -130,7 +130,7 @@ def test_nobody_without_a_home_can_run() -> None:
 def test_without_a_home_what_is_compiled_is_kept_for_the_process(monkeypatch) -> None:
     import casadi as ca
 
-    from trms_cli.core.allowed import allowed_for_good
+    from trms_cli.core.trust import allowed_for_good
     from trms_cli.core.compilation import BufferedFunction, cache_folder
 
     def nowhere() -> Path:

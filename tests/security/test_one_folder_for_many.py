@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from trms_cli.core.held_folder import hold, let_go
+from trms_cli.runs.run_folder import hold, let_go
 
 _MANY = 8
 #: What each begins with: a call that tells that it is ready, and waits for the file `go`.

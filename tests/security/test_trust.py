@@ -19,7 +19,7 @@ import pytest
 import trms_cli
 from trms_cli.composition.composer import compose
 from trms_cli.core import trust
-from trms_cli.core.allowed import allowed_for_good, allowed_for_now, write_allowed
+from trms_cli.core.trust import allowed_for_good, allowed_for_now, write_allowed
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import build, locate
 
@@ -148,8 +148,8 @@ def test_a_namesake_in_a_folder_replaces_nothing(lab: Path) -> None:
         "trms_cli.core.plugins.importlib.import_module",
         "trms_cli.core.trust.importlib",
         "trms_cli.core.whole_file.replace_whole",
-        "trms_cli.core.allowed.write_allowed",
-        "trms_cli.core.allowed.allow_for_now",
+        "trms_cli.core.trust.write_allowed",
+        "trms_cli.core.trust.allow_for_now",
         "trms_cli.runs.run_folder.new_folder",
         "trms_cli.library.tasks.git_revision.subprocess",
         "trms_cli.recordings.run_log.RunLog",

@@ -19,8 +19,7 @@ from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
 from trms_cli.recordings.csv_recording import write_csv
 from trms_cli.recordings.recording import Recording
-from trms_cli.scoring.innovations import innovation_table
-from trms_cli.scoring.score import Series
+from trms_cli.scoring.score import Series, innovation_table
 from trms_cli.simulation.closed_loop import estimate_row
 from trms_cli.simulation.history import History
 from trms_cli.simulation.replay import Replay

@@ -17,7 +17,7 @@ from trms_cli.sweeps.plugins import Attempt, Ended
 from trms_cli.sweeps.record import Record
 from trms_cli.sweeps.samplers.drawing import Planned
 from trms_cli.sweeps.space import RunResult, SweepPoint
-from trms_cli.sweeps.status import RunFolder
+from trms_cli.sweeps.record import RunFolder
 
 DEAD = subprocess.Popen(["true"])
 DEAD.wait()

@@ -13,7 +13,7 @@ from trms_cli.library.tasks.compare import METRICS, SORTS, ordered, ranking_of, 
 
 if TYPE_CHECKING:
     from trms_cli.core.findings import Findings
-    from trms_cli.scoring.comparison.gathering import RunCollection
+    from trms_cli.scoring.comparison.runs import RunCollection
 
 SUMMARY = "many runs ranked: tracking, effort, robustness, time of a step, failures"
 
@@ -76,8 +76,7 @@ def _ranking(gathered: RunCollection, given: Any) -> int:
 
 
 def _pair(gathered: RunCollection, *, as_json: bool) -> int:
-    from trms_cli.scoring.comparison.findings import pair_findings
-    from trms_cli.scoring.comparison.pair import pair
+    from trms_cli.scoring.comparison.findings import pair, pair_findings
 
     return _tell(pair_findings(pair(*gathered.runs)), as_json)
 

@@ -147,11 +147,10 @@ def compare(
     gathered = command.runs_from(paths, asked)
     keys = [by] if isinstance(by, str) else list(by)
     if len(gathered.runs) == 2 and not keys:
-        from trms_cli.scoring.comparison.document import pair_document
-        from trms_cli.scoring.comparison.pair import pair
+        from trms_cli.scoring.comparison.findings import pair, pair_document
 
         return Comparison(pair_document(pair(*gathered.runs)))
-    from trms_cli.scoring.comparison.document import document
+    from trms_cli.scoring.comparison.findings import document
 
     ranking = command.ranking_of(gathered, keys, metric, paths)
     return Comparison(document(ranking, gathered, command.ordered(ranking, sort)))

@@ -47,7 +47,7 @@ class PlottedLog(Protocol):
 
     @property
     def tables(self) -> Mapping[str, Any]:
-        """:class:`~trms_cli.scoring.tables.Columns` by topic."""
+        """:class:`~trms_cli.scoring.metrics.Columns` by topic."""
         ...
 
     @property

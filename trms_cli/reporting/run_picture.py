@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Self
 if TYPE_CHECKING:
     from trms_cli.core.chart import Panel
     from trms_cli.reporting.notebook_figure import NotebookFigure
-    from trms_cli.scoring.tables import Columns
+    from trms_cli.scoring.metrics import Columns
 
 #: Topics that a picture shows.
 _TOPICS = (

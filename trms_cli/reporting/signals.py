@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.scoring.tables import Columns
+from trms_cli.scoring.metrics import Columns
 
 FloatArray = npt.NDArray[np.float64]
 

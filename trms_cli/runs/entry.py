@@ -115,7 +115,7 @@ def _choices(head: LogHead, overrides: list[str]) -> dict[str, Any]:
     if isinstance(choices, Mapping) and choices:
         return dict(choices)
     from trms_cli.core.yaml_data import load_yaml
-    from trms_cli.scoring.comparison.coordinates import choices_of
+    from trms_cli.scoring.comparison.runs import choices_of
 
     config = load_yaml(head.config)
     return choices_of(config if isinstance(config, Mapping) else {}, overrides)

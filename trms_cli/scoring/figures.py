@@ -234,11 +234,8 @@ class Entry:
 def entries(score: Mapping[str, Any], *groups: Group) -> Iterator[Entry]:
     """Every figure of some groups (default: of all) that a score has, or could have.
 
-    Parameters
-    ----------
-    score : mapping
-        ``trms.score/1``, also one of an older version, or one that holds what it should not:
-        what is no finite number is None.
+    ``score``: ``trms.score/1``, also one of an older version, or one that holds what it should not:
+    what is no finite number is None.
     """
     wanted = {figure.group for figure in FIGURES if not groups or figure.group in groups}
     for group in dict.fromkeys(figure.group for figure in FIGURES):

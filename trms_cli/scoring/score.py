@@ -9,14 +9,14 @@ error. ``estimate`` also has ``nees_expected`` (the mean of a consistent filter)
 ``prediction_rmse`` (one step ahead, per output), which exist for replayed recordings too, and the
 ``units`` of both; its ``innovations`` hold, per output, the mean of (ν/σ)² and the correlation of
 each innovation with the next: how much it is that ``innovation_whiteness_p`` finds. ``degraded``
-says how much of the run the loop was not normal, and why (:mod:`trms_cli.scoring.degraded`).
+says how much of the run the loop was not normal, and why (:func:`degraded_figures`).
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -24,12 +24,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trms_cli.core.data_file import not_as_written
-from trms_cli.scoring import figures, metrics, step_response
-from trms_cli.scoring.degraded import degraded_figures
-from trms_cli.scoring.estimate import estimate_figures
-from trms_cli.scoring.metrics import Array
-from trms_cli.scoring.tables import Columns, floats, held, unit
-from trms_cli.scoring.tables import Series as Series
+from trms_cli.core.findings import json_data
+from trms_cli.scoring import figures, metrics
+from trms_cli.scoring.metrics import Array, Columns, floats, held, unit
+from trms_cli.scoring.metrics import Series as Series
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
@@ -43,12 +41,7 @@ Limits = Mapping[str, tuple[float, float]]
 def score_log(log: LoggedRun, *, limits: Limits | None = None) -> dict[str, Any]:
     """Score a log, complete or not.
 
-    Parameters
-    ----------
-    log : LoggedRun
-        As :func:`trms_cli.recordings.log_reader.read_log` gives it.
-    limits : mapping, optional
-        Lower and upper limit by input or channel; by default those written in the log.
+    ``limits``: lower and upper limit by input or channel; by default those written in the log.
     """
     with not_as_written(str(log.path)):
         return score_tables(
@@ -82,24 +75,12 @@ def score_tables(
 ) -> dict[str, Any]:
     """Score signals by topic: the core, which needs no file.
 
-    Parameters
-    ----------
-    tables : mapping of str to Columns
-        By topic, with the fields of a log: ``/reference``, ``/command``, ``/measurement``,
-        ``/plant/state``, ``/estimate``, ``/controller``. Any of them may be absent.
-    limits : mapping of str to (float, float)
-        Lower and upper limit of inputs and channels, in their units.
-    duration_s : float
-        Length of the run.
-    log : str
-        Path for the document.
-    complete : bool
-        Whether the run ended as it was meant to.
+    ``tables``: by topic, with the fields of a log: ``/reference``, ``/command``, ``/measurement``,
+    ``/plant/state``, ``/estimate``, ``/controller``; any of them may be absent. ``limits``: lower
+    and upper limit of inputs and channels, in their units. ``log``: path for the document.
+    ``complete``: whether the run ended as it was meant to.
 
-    Returns
-    -------
-    dict
-        ``trms.score/1``; only text, numbers, truth values, None, lists and dicts.
+    Returns ``trms.score/1``; only text, numbers, truth values, None, lists and dicts.
     """
     document = {
         "schema": SCHEMA,
@@ -113,7 +94,8 @@ def score_tables(
         "constraint_violations": _violations(tables, limits),
         "degraded": _degraded(tables),
     }
-    return _without_nan(document)
+    data: dict[str, Any] = json_data(document)
+    return data
 
 
 @dataclass(frozen=True)
@@ -130,14 +112,14 @@ class Tracked:
         return self.wanted - self.response
 
     @cached_property
-    def steps(self) -> list[step_response.StepMetrics]:
+    def steps(self) -> list[metrics.StepMetrics]:
         """Of the reference, in order; ``inf`` for what did not happen."""
-        return step_response.steps(self.time, self.wanted, self.response)
+        return metrics.steps(self.time, self.wanted, self.response)
 
     @cached_property
     def steady_state_error(self) -> float:
         """Mean over the last part of each hold."""
-        return step_response.steady_state_error(self.time, self.wanted, self.response)
+        return metrics.steady_state_error(self.time, self.wanted, self.response)
 
 
 @dataclass(frozen=True)
@@ -259,10 +241,213 @@ def _source_of(name: str, tables: Mapping[str, Columns]) -> str | None:
     return None
 
 
-def _without_nan(value: Any) -> Any:
-    """The same document with null for what is not a finite number."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, float) and not math.isfinite(value):
+#: Modes other than normal, as the log names them.
+MODES = ("degraded", "landing")
+
+
+def degraded_figures(time: Array, columns: Mapping[str, Any]) -> dict[str, Any] | None:
+    """How much of a run the loop was not normal, and why: from the modes its supervisor logged.
+
+    ``time``: (n,) s, of the control samples. ``columns``: with ``mode`` and ``reasons``, (n,)
+    texts; None for a run without. Gives the ``share`` of the control samples by mode;
+    ``reasons_s``: seconds by reason (``missing alpha_h``), which may overlap; ``first_s``, when it
+    first was not normal (None for never); ``landings``, how often the rig was landed.
+    """
+    if "mode" not in columns or len(time) == 0:
         return None
-    return value
+    modes = np.asarray(columns["mode"], dtype=object)
+    period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    seconds: dict[str, float] = {}
+    for text in columns["reasons"]:
+        for reason in filter(None, text.split("; ")):
+            seconds[reason] = seconds.get(reason, 0.0) + period
+    strange = np.flatnonzero(modes != "normal")
+    landing = modes == "landing"
+    return {
+        "share": {mode: float(np.mean(modes == mode)) for mode in MODES},
+        "reasons_s": {reason: round(value, 9) for reason, value in sorted(seconds.items())},
+        "first_s": float(time[strange[0]]) if strange.size else None,
+        "landings": int(np.count_nonzero(landing[1:] & ~landing[:-1]) + bool(landing[0])),
+    }
+
+
+#: Share of a run in which an observer may find its feet before its innovations are judged.
+_TRANSIENT = 0.1
+#: Kind of the events that tell of a sample that was not believed.
+_OUTLIER = "outlier"
+
+
+def estimate_figures(tables: Mapping[str, Columns]) -> dict[str, Any]:
+    """How good an observer was, and whether it believed the right amount of itself.
+
+    Samples that the observer rejected as outliers are counted, and left out of all that is said
+    of innovations.
+    """
+    estimate = tables.get("/estimate")
+    if estimate is None or len(estimate.time) == 0:
+        estimate = Series(np.zeros(0), {})
+    errors = _errors(estimate, tables.get("/plant/state"))
+    nees, states = _nees(estimate, errors)
+    rejected = _rejected(estimate, tables.get("/event"))
+    innovations, spreads, missing = _innovations(estimate, rejected)
+    settled = estimate.time >= _end_of_transient(estimate.time)
+    late = {name: values[settled] for name, values in innovations.items()}
+    p_values = {name: metrics.whiteness_p(values) for name, values in late.items()}
+    return {
+        "rmse": {name: metrics.rmse(error) for name, error in errors.items()},
+        "nees_mean": nees,
+        "nees_expected": states or math.nan,
+        **_nis(late, {name: values[settled] for name, values in spreads.items()}),
+        "innovation_whiteness_p": metrics.joint_p(list(p_values.values())),
+        "innovations": {
+            name: {
+                "normalised_square": metrics.normalised_square(values, spreads[name][settled]),
+                "correlation": metrics.neighbour_correlation(values),
+                "whiteness_p": p_values[name],
+                "missing": missing[name],
+                "rejected": int(np.count_nonzero(rejected[name])),
+            }
+            for name, values in late.items()
+        },
+        "missing_samples": sum(missing.values()),
+        "rejected_samples": sum(int(np.count_nonzero(which)) for which in rejected.values()),
+        "prediction_rmse": {name: metrics.rmse(values) for name, values in innovations.items()},
+        "units": {name: unit(estimate, name) for name in errors}
+        | {name: unit(estimate, f"innovation_{name}") for name in innovations},
+    }
+
+
+def _errors(estimate: Columns, truth: Columns | None) -> dict[str, Array]:
+    """Estimate less truth of each state that both have."""
+    if truth is None or len(truth.time) == 0:
+        return {}
+    return {
+        name: floats(estimate, name) - held(truth, name, estimate.time)
+        for name in truth.columns
+        if name in estimate.columns
+    }
+
+
+def _innovations(
+    estimate: Columns, rejected: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[str, Array], dict[str, int]]:
+    """Innovations that were believed, their expected deviations, and how many were missing."""
+    innovations, spreads, missing = {}, {}, {}
+    for name in rejected:
+        values = floats(estimate, f"innovation_{name}")
+        missing[name] = int(np.count_nonzero(np.isnan(values)))
+        innovations[name] = np.where(rejected[name], np.nan, values)
+        spread = f"innovation_sd_{name}"
+        known = spread in estimate.columns
+        spreads[name] = floats(estimate, spread) if known else np.full(values.shape, np.nan)
+    return innovations, spreads, missing
+
+
+def _rejected(estimate: Columns, events: Columns | None) -> dict[str, Array]:
+    """By measured channel: at which samples of the estimate it was taken for an outlier."""
+    channels = [
+        name.removeprefix("innovation_")
+        for name in estimate.columns
+        if name.startswith("innovation_") and not name.startswith("innovation_sd_")
+    ]
+    rejected = {name: np.zeros(len(estimate.time), dtype=bool) for name in channels}
+    if events is None or len(events.time) == 0:
+        return rejected
+    outlier = np.asarray(events.columns["kind"], dtype=object) == _OUTLIER
+    sources = np.asarray(events.columns["source"], dtype=object)
+    for name, which in rejected.items():
+        times = events.time[outlier & (sources == name)]
+        # An event has the time of its sample, to the nanosecond.
+        at = np.searchsorted(estimate.time, times - 1e-9)
+        which[at[at < which.size]] = True
+    return rejected
+
+
+def _nis(innovations: Mapping[str, Array], spreads: Mapping[str, Array]) -> dict[str, Any]:
+    """Normalised innovation squared, summed over the channels, of the samples that have all."""
+    figures: dict[str, Any] = {
+        "nis_mean": math.nan,
+        "nis_expected": math.nan,
+        "nis_interval": None,
+        "nis_share_inside": math.nan,
+    }
+    if not innovations:
+        return figures
+    normalised = [
+        values / np.where(spreads[name] > 0, spreads[name], np.nan)
+        for name, values in innovations.items()
+    ]
+    squares = np.sum(np.stack(normalised, axis=1) ** 2, axis=1)
+    squares = squares[~np.isnan(squares)]
+    if not squares.size:
+        return figures
+    low, high = metrics.chi_square_interval(len(normalised))
+    return {
+        "nis_mean": float(np.mean(squares)),
+        "nis_expected": len(normalised),
+        "nis_interval": [low, high],
+        "nis_share_inside": float(np.mean((low <= squares) & (squares <= high))),
+    }
+
+
+def _nees(estimate: Columns, errors: Mapping[str, Array]) -> tuple[float, int]:
+    """Mean NEES, and of how many states; only of those with a deviation above zero."""
+    columns = []
+    for name, error in errors.items():
+        if f"sd_{name}" in estimate.columns:
+            deviation = floats(estimate, f"sd_{name}")
+            if np.all(deviation[~np.isnan(deviation)] > 0) and not np.all(np.isnan(deviation)):
+                columns.append((error, deviation))
+    if not columns:
+        return math.nan, 0
+    error, deviation = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
+    values = metrics.nees(error, deviation)
+    present = values[~np.isnan(values)]
+    return (float(np.mean(present)) if present.size else math.nan), len(columns)
+
+
+def _end_of_transient(time: Array) -> float:
+    return float(time[0] + _TRANSIENT * (time[-1] - time[0])) if time.size else 0.0
+
+
+INNOVATIONS_SCHEMA = "trms.innovations/1"
+
+
+def innovation_table(
+    estimate: Columns, measurement: Columns, channels: Sequence[str], units: Sequence[str]
+) -> dict[str, Any]:
+    """How well an observer foresaw a recording, one sample ahead: the only truth that a rig tells.
+
+    Gives figures of every channel as :data:`INNOVATIONS_SCHEMA`; null for what there is not.
+
+    ``estimate``, ``measurement``: the topics of a log, on the same times. ``channels``, ``units``:
+    measured channels and their units. Per channel, of the innovations ν (measured minus predicted)
+    and the deviations σ expected of them:
+
+    - RMSE of ν, beside the RMSE of predicting that nothing changes (the last measured value stays):
+      a model earns its place by the ratio of the two;
+    - the mean of (ν/σ)², 1 for a filter that believes the right amount, and the share within ±2σ;
+    - whether ν is white: the correlation of neighbours, and the Ljung–Box test over 20 lags.
+    """
+    settled = slice(int(_TRANSIENT * len(estimate.time)), None)
+    document: dict[str, Any] = {"schema": INNOVATIONS_SCHEMA, "channels": {}}
+    for name, own_unit in zip(channels, units, strict=True):
+        innovation = floats(estimate, f"innovation_{name}")
+        deviation = floats(estimate, f"innovation_sd_{name}")
+        share = (innovation / deviation)[settled]
+        share = share[~np.isnan(share)]
+        measured = floats(measurement, name)
+        figures = {
+            "prediction_rmse": metrics.rmse(innovation),
+            "unchanged_rmse": metrics.rmse(np.diff(measured[~np.isnan(measured)])),
+            "normalised_square": metrics.normalised_square(innovation[settled], deviation[settled]),
+            "within_2sd": float(np.mean(np.abs(share) <= 2.0)) if share.size else math.nan,
+            "correlation": metrics.neighbour_correlation(innovation[settled]),
+            "whiteness_p": metrics.whiteness_p(innovation[settled]),
+        }
+        document["channels"][name] = {
+            "samples": int(np.count_nonzero(~np.isnan(innovation))),
+            **{key: value if math.isfinite(value) else None for key, value in figures.items()},
+            "unit": own_unit,
+        }
+    return document

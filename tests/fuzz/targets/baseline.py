@@ -33,7 +33,7 @@ def read(data: bytes, folder: Path) -> None:
     """A score held against the baseline, and the file as a run that is compared with others."""
     from trms_cli.core.errors import TrmsError
     from trms_cli.scoring.baseline import compare, read_baseline
-    from trms_cli.scoring.comparison.gathering import gather
+    from trms_cli.scoring.comparison.runs import gather
 
     path = folder / "baseline.json"
     path.write_bytes(data)

@@ -32,7 +32,7 @@ def read(data: bytes, folder: Path) -> None:
     """The row of the index and the state of the sweep."""
     from trms_cli.runs.entry import read_status
     from trms_cli.runs.index import FileStamp, LogReading, RunIndex
-    from trms_cli.runs.sweep_progress import SweepFollower
+    from trms_cli.sweeps.outcome import SweepFollower
 
     job = folder / "sweep" / "0"
     job.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,7 @@ from trms_cli.library.report.search import (
 if TYPE_CHECKING:
     from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun, Value
     from trms_cli.runs.query import QueryResult
-    from trms_cli.scoring.comparison.gathering import RunCollection
+    from trms_cli.scoring.comparison.runs import RunCollection
 
 STATUS_NAME = "status.json"
 SWEEP_NAME, PAGE_NAME = "sweep.json", "report.html"
@@ -124,8 +124,8 @@ def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> ReportedSwe
     """Runs of which there are scores alone, without a log."""
     from trms_cli.reporting.reported_sweep import ReportedSweep, SweepRun
     from trms_cli.runs.columns import ALIASES, COLUMNS, figures_of
-    from trms_cli.scoring.comparison.coordinates import differing
-    from trms_cli.scoring.comparison.grouping import controller_name, usual_entrants
+    from trms_cli.scoring.comparison.ranking import controller_name, usual_entrants
+    from trms_cli.scoring.comparison.runs import differing
 
     told = list(gathered.runs)
     keys = differing(told)[:_MOST_KEYS]
@@ -221,7 +221,7 @@ def keys_of(
 
 
 def _entrant_keys(keys: Sequence[str]) -> list[str]:
-    from trms_cli.scoring.comparison.grouping import OF_ENTRANTS
+    from trms_cli.scoring.comparison.ranking import OF_ENTRANTS
 
     return [key for key in keys if key.partition(".")[0].partition("@")[0] in OF_ENTRANTS]
 

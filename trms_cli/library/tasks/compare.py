@@ -10,9 +10,8 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.scoring.figures import metrics
 
 if TYPE_CHECKING:
-    from trms_cli.scoring.comparison.figures import Figures
-    from trms_cli.scoring.comparison.gathering import RunCollection
-    from trms_cli.scoring.comparison.ranking import Ranking, Standing
+    from trms_cli.scoring.comparison.ranking import Figures, Ranking, Standing
+    from trms_cli.scoring.comparison.runs import RunCollection
 
 METRICS = tuple(metrics())
 SORTS = ("rank", "tracking", "worst", "effort", "variation", "time", "failures", "name")
@@ -23,8 +22,8 @@ def runs_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> RunC
 
     Raises RecordingError if there is nothing to compare.
     """
-    from trms_cli.scoring.comparison.gathering import RunCollection, gather
-    from trms_cli.scoring.comparison.grouping import matching
+    from trms_cli.scoring.comparison.ranking import matching
+    from trms_cli.scoring.comparison.runs import RunCollection, gather
 
     gathered = gather(paths)
     if where:
@@ -45,8 +44,7 @@ def ranking_of(
 
     Raises RecordingError if nobody has a tracking error.
     """
-    from trms_cli.scoring.comparison.grouping import group
-    from trms_cli.scoring.comparison.ranking import rank
+    from trms_cli.scoring.comparison.ranking import group, rank
 
     ranking = rank(group(gathered.runs, by), metric)
     if not ranking.best:
@@ -60,7 +58,7 @@ def ranking_of(
 
 def ordered(ranking: Ranking, sort: str) -> list[Standing]:
     """The standings in the order of a column; those without a rank stay last."""
-    from trms_cli.scoring.comparison.figures import figures_of
+    from trms_cli.scoring.comparison.ranking import figures_of
 
     columns: dict[str, Callable[[Figures], float]] = {
         "worst": lambda told: told.ratio_worst,

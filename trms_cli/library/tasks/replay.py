@@ -27,8 +27,7 @@ from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 from trms_cli.runs.place import note_run
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
-from trms_cli.scoring.innovations import innovation_table
-from trms_cli.scoring.score import score_tables
+from trms_cli.scoring.score import innovation_table, score_tables
 from trms_cli.simulation.history import History
 from trms_cli.simulation.replay import Replay, time_offset
 

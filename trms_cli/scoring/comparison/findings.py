@@ -4,23 +4,198 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, table
-from trms_cli.scoring.comparison.compared_run import ComparedRun, State
-from trms_cli.scoring.comparison.document import document, pair_document, rule
-from trms_cli.scoring.comparison.figures import Figures, figures_of, worst_condition
-from trms_cli.scoring.comparison.gathering import RunCollection
-from trms_cli.scoring.comparison.grouping import OF_ENTRANTS
-from trms_cli.scoring.comparison.pair import Pair, PairRow
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.scoring.comparison import ranking as ranked
 from trms_cli.scoring.comparison.ranking import (
     FEWEST_CLUSTERS,
     LEVEL,
+    OF_ENTRANTS,
+    Figures,
     Ranking,
     RatioInterval,
     Standing,
+    figures_of,
+    mean,
+    worst_condition,
 )
-from trms_cli.scoring.figures import metrics
+from trms_cli.scoring.comparison.runs import ComparisonRun, RunCollection, State, differences
+from trms_cli.scoring.figures import Group, entries, metrics
+
+_GROUPS: tuple[Group, ...] = ("channels", "inputs", "solver", "run")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairRow:
+    """A figure of both runs; all are better when small."""
+
+    key: str  #: ``channels.alpha_v.rmse``
+    label: str  #: In words, with the channel
+    unit: str
+    one: float | None  #: in the row's unit
+    other: float | None  #: in the row's unit
+
+    @property
+    def change(self) -> float | None:
+        """(other − one)/one; None where it says nothing."""
+        if self.one is None or self.other is None or abs(self.one) < 1e-12:
+            return None
+        return (self.other - self.one) / abs(self.one)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """Two runs."""
+
+    one: ComparisonRun
+    other: ComparisonRun
+    #: Keys of the configuration that differ, with both values
+    settings: tuple[tuple[str, str, str], ...]
+    rows: tuple[PairRow, ...]
+
+
+def pair(one: ComparisonRun, other: ComparisonRun) -> Pair:
+    """Put two runs side by side."""
+    chosen = [
+        (key, one.coordinates.get(key, "–"), other.coordinates.get(key, "–"))
+        for key in dict.fromkeys([*one.coordinates, *other.coordinates])
+        if one.coordinates.get(key) != other.coordinates.get(key)
+    ]
+    # keys below an option that differs follow from the option
+    below = tuple(f"{key}." for key, _, _ in chosen if "." not in key)
+    named = {key for key, _, _ in chosen}
+    settings = [
+        row
+        for row in differences(one.config, other.config)
+        if row[0] not in named and not row[0].startswith(below)
+    ]
+    return Pair(one=one, other=other, settings=(*chosen, *settings), rows=tuple(_rows(one, other)))
+
+
+def _rows(one: ComparisonRun, other: ComparisonRun) -> Iterator[PairRow]:
+    """The figures of both that are better when small, where one of them has one."""
+    left, right = ({e.key: e for e in entries(run.score or {}, *_GROUPS)} for run in (one, other))
+    for key in dict.fromkeys([*left, *right]):
+        entry = left.get(key) or right[key]
+        values = [side[key].value if key in side else None for side in (left, right)]
+        of_all = entry.figure.group in ("solver", "run")
+        if of_all:
+            values = [None if value is None else float(value) for value in values]
+        if entry.figure.better == "less" and (of_all or any(v is not None for v in values)):
+            unit = entry.unit or (right[key].unit if key in right else "")
+            yield PairRow(key=key, label=entry.label, unit=unit, one=values[0], other=values[1])
+
+
+SCHEMA, PAIR_SCHEMA = "trms.compare/1", "trms.compare_pair/1"
+
+
+def rule(ranking: Ranking) -> str:
+    """How the rank comes about, in two sentences."""
+    name = ranking.metric.upper() if ranking.metric != "max_abs_error" else "largest error"
+    given = ", ".join(ranking.contest.given_by) or "condition"
+    return (
+        f"Ranked by tracking: the {name} of all channels added, over the best entrant's on the "
+        f"same {given}; geometric mean over the runs. A failed run counts as the worst of its "
+        f"condition, and at least as {ranked.FAILED_RATIO:g} times the best."
+    )
+
+
+def document(
+    ranking: Ranking, gathered: RunCollection, shown: Sequence[Standing]
+) -> dict[str, Any]:
+    """``trms.compare/1``, the entrants in the order in which they are shown."""
+    runs = gathered.runs
+    return json_data(
+        {
+            "schema": SCHEMA,
+            "rule": rule(ranking),
+            "metric": ranking.metric,
+            "by": list(ranking.contest.by),
+            "conditions_by": list(ranking.contest.given_by),
+            "runs": len(runs),
+            "conditions_left_out": ranking.left_out,
+            "conditions": [dict(told) for told in ranking.contest.conditions],
+            "interval": {
+                "of": "percentile bootstrap over rigs, paired",
+                "level": ranked.LEVEL,
+                "resamples": ranked.RESAMPLES,
+                "seed": ranked.SEED,
+                "rigs": ranking.clusters,
+                "fewest_rigs": ranked.FEWEST_CLUSTERS,
+            },
+            "entrants": [_entrant(standing, ranking) for standing in shown],
+            "failed": [_run_data(run) for run in runs if run.state is State.FAILED],
+            "incomplete": [_run_data(run) for run in runs if run.state is State.INCOMPLETE],
+            "left_out": [{"path": path, "problem": why} for path, why in gathered.left_out],
+        }
+    )
+
+
+def pair_document(pair: Pair) -> dict[str, Any]:
+    """``trms.compare_pair/1``."""
+    return json_data(
+        {
+            "schema": PAIR_SCHEMA,
+            "runs": [
+                {**_run_data(run), "state": run.state.value, "score": run.score}
+                for run in (pair.one, pair.other)
+            ],
+            "differences": [
+                {"key": key, "values": [left, right]} for key, left, right in pair.settings
+            ],
+            "figures": [asdict(row) for row in pair.rows],
+        }
+    )
+
+
+def _entrant(standing: Standing, ranking: Ranking) -> dict[str, Any]:
+    told = asdict(figures_of(standing, ranking.metric))
+    done = [run for run in standing.runs if run.state is State.DONE]
+    others = {m: mean(run.error(m) for run in done) for m in metrics() if m != ranking.metric}
+    errors = {name: told.pop(f"error_{name}") for name in ("mean", "p95", "worst")}
+    return {
+        "name": standing.name,
+        "rank": standing.rank,
+        "outside": standing.outside or None,
+        "tracking": {
+            "ratio": standing.ratio,
+            "interval": _pair(standing.interval),
+            "against_first": standing.against_first,
+            "against_first_interval": _pair(standing.against_interval),
+            "different_from_first": standing.different,
+            "shared_with_first": standing.shared,
+            "ratio_p95": told.pop("ratio_p95"),
+            "ratio_worst": told.pop("ratio_worst"),
+            "worst_condition": worst_condition(standing, ranking.contest.condition_name),
+            "error": errors,
+            "other_metrics_mean": others,
+        },
+        **told,
+        "by_condition": [
+            {
+                "condition": int(condition),
+                "error": run.error(ranking.metric),
+                "ratio": float(ratio),
+                "state": run.state.value,
+                "path": run.path,
+            }
+            for condition, ratio, run in zip(
+                standing.conditions, standing.ratios, standing.runs, strict=True
+            )
+        ],
+    }
+
+
+def _run_data(run: ComparisonRun) -> dict[str, Any]:
+    return {"path": run.path, "coordinates": dict(run.coordinates), "message": run.message}
+
+
+def _pair(interval: RatioInterval | None) -> list[float] | None:
+    return None if interval is None else [interval.low, interval.high]
+
 
 #: As many failed runs or settings are listed; JSON has all.
 _MOST_LISTED = 12
@@ -189,7 +364,7 @@ def _at_most(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     return Table(columns, [list(row) for row in rows[:_MOST_LISTED]], caption)
 
 
-def _reason(run: ComparedRun) -> str:
+def _reason(run: ComparisonRun) -> str:
     return run.message.splitlines()[0] if run.message else ""
 
 

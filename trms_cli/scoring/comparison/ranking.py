@@ -15,14 +15,167 @@ chapter 13.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.scoring.comparison.compared_run import ComparedRun, State
-from trms_cli.scoring.comparison.grouping import ComparisonGroup
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.scoring.comparison.runs import ComparisonRun, State, differing
+
+#: Coordinates of who ran; the others are of what was run in.
+OF_ENTRANTS = ("controller", "observer", "model", "supervisor", "qp_solver")
+#: The coordinate that is no rig's.
+REFERENCE = "ref"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonGroup:
+    """Entrants × conditions."""
+
+    by: tuple[str, ...]  #: Coordinates that name an entrant
+    given_by: tuple[str, ...]  #: Coordinates that name a condition, of those in which runs differ
+    entrants: tuple[str, ...]  #: Names
+    outside: tuple[str, ...]  #: Per entrant, why it is not ranked; "" if it is
+    conditions: tuple[Mapping[str, str], ...]  #: Coordinates of each condition
+    #: The runs of an entrant in a condition: one, or repetitions of one another
+    cells: Mapping[tuple[int, int], tuple[ComparisonRun, ...]]
+
+    def run(self, entrant: int, condition: int) -> ComparisonRun:
+        """One run of a cell: a failed one if there is one."""
+        runs = self.cells[entrant, condition]
+        return next((run for run in runs if run.state is State.FAILED), runs[0])
+
+    def errors(self, metric: str) -> npt.NDArray[np.float64]:
+        """Tracking errors (entrants, conditions): NaN where nobody ran, inf for a failed run."""
+        table = np.full((len(self.entrants), len(self.conditions)), np.nan)
+        for place, runs in self.cells.items():
+            values = [_error(run, metric) for run in runs]
+            table[place] = float(np.mean(values))
+        return table
+
+    def condition_name(self, condition: int) -> str:
+        """In what it differs from the others."""
+        told = self.conditions[condition]
+        parts = []
+        for key in self.given_by:
+            if told[key] not in ("", "–", "none"):
+                name = key.rpartition(".")[2]
+                parts.append(f"{name} {told[key]}" if "." in key or name == "seed" else told[key])
+        return ", ".join(parts) or "the same for all"
+
+    def clusters(self) -> npt.NDArray[np.int64]:
+        """Which rig each condition is of: all but the reference."""
+        rigs: dict[tuple[tuple[str, str], ...], int] = {}
+        found = []
+        for told in self.conditions:
+            key = tuple((name, told[name]) for name in self.given_by if not _of_reference(name))
+            found.append(rigs.setdefault(key, len(rigs)))
+        return np.array(found, dtype=np.int64)
+
+
+def group(runs: Sequence[ComparisonRun], by: Sequence[str] = ()) -> ComparisonGroup:
+    """Sort runs that count, which incomplete ones do not, by who ran and in what.
+
+    ``by``: coordinates that name an entrant; by default those of controller, observer and model in
+    which the runs differ, and where they do not, all in which they do. Raises ConfigurationError if
+    it names a coordinate that there is not.
+    """
+    counted = [run for run in runs if run.state.ranked]
+    differ = differing(counted)
+    for key in by:
+        _require_coordinate(key, counted, "--by")
+    known = {key for run in counted for key in run.coordinates}
+    chosen = tuple(by) or tuple(key for key in usual_entrants(differ) if key in known)
+    given = tuple(key for key in differ if key not in chosen)
+    entrants: dict[str, int] = {}
+    outside: list[str] = []
+    conditions: dict[tuple[str, ...], int] = {}
+    cells: dict[tuple[int, int], list[ComparisonRun]] = {}
+    for run in counted:
+        name = controller_name(run, chosen, given)
+        if name not in entrants:
+            entrants[name] = len(entrants)
+            outside.append(run.outside)
+        told = tuple(run.coordinates.get(key, "") for key in given)
+        place = entrants[name], conditions.setdefault(told, len(conditions))
+        cells.setdefault(place, []).append(run)
+    return ComparisonGroup(
+        by=chosen,
+        given_by=given,
+        entrants=tuple(entrants),
+        outside=tuple(outside),
+        conditions=tuple(dict(zip(given, told, strict=True)) for told in conditions),
+        cells={place: tuple(members) for place, members in cells.items()},
+    )
+
+
+def _require_coordinate(key: str, runs: Sequence[ComparisonRun], where: str) -> None:
+    known = dict.fromkeys(key for run in runs for key in run.coordinates)
+    if key not in known:
+        there = f"there are: {', '.join(known)}"
+        raise ConfigurationError(f"the runs have no {key!r}", where=where, remedy=there)
+
+
+def usual_entrants(differ: Sequence[str]) -> tuple[str, ...]:
+    """Coordinates that name who ran, of those in which runs differ."""
+    own = [key for key in differ if _stem(key) in OF_ENTRANTS]
+    # a setting is named with the option that has it
+    return tuple(dict.fromkeys(part for key in own for part in (_stem(key), key))) or tuple(differ)
+
+
+def controller_name(run: ComparisonRun, by: Sequence[str], given: Sequence[str] = ()) -> str:
+    """``newton_mpc + ukf``, and the settings in which it differs: ``max_iterations=1``."""
+    parts = []
+    for key in by:
+        value = run.coordinates.get(key, "")
+        if "." not in key:
+            parts.append(value if key in OF_ENTRANTS or not given else f"{key} {value}")
+        elif value not in ("", "–"):
+            parts.append(f"{key.partition('.')[2]}={value}")
+    return " + ".join(parts) or "all runs"
+
+
+def matching(
+    runs: Sequence[ComparisonRun], where: Mapping[str, Sequence[str]]
+) -> list[ComparisonRun]:
+    """The runs whose coordinates match patterns, as a shell matches file names.
+
+    Raises ConfigurationError if a coordinate is unknown, or nothing is left.
+    """
+    left = list(runs)
+    for key, patterns in where.items():
+        values = dict.fromkeys(run.coordinates.get(key, "") for run in left)
+        _require_coordinate(key, left, "--where")
+        left = [
+            run
+            for run in left
+            if any(fnmatchcase(run.coordinates.get(key, ""), pattern) for pattern in patterns)
+        ]
+        if not left:
+            raise ConfigurationError(
+                f"no run has {key} {', '.join(patterns)}",
+                where="--where",
+                remedy=f"there are: {', '.join(values)}",
+            )
+    return left
+
+
+def _error(run: ComparisonRun, metric: str) -> float:
+    if run.state is State.FAILED:
+        return math.inf
+    return run.error(metric)
+
+
+def _stem(key: str) -> str:
+    return key.partition(".")[0].partition("@")[0]
+
+
+def _of_reference(key: str) -> bool:
+    return _stem(key) == REFERENCE or key.partition("@")[2].partition(".")[0] == REFERENCE
+
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -56,7 +209,7 @@ class Standing:
     #: From 1; None for one that is outside the ranking, or was in too few conditions
     rank: int | None
     outside: str  #: Why it is outside; "" if it is not
-    runs: tuple[ComparedRun, ...]  #: Its runs that count, in the order of the conditions
+    runs: tuple[ComparisonRun, ...]  #: Its runs that count, in the order of the conditions
     conditions: npt.NDArray[np.int64]  #: (n,) int array; which conditions they were in
     ratios: FloatArray  #: (n,) array; error over the best ranked entrant's in that condition
     ratio: float  #: Their geometric mean
@@ -104,16 +257,7 @@ class Ranking:
 
 
 def rank(runs: ComparisonGroup, metric: str = "rmse", *, resamples: int = RESAMPLES) -> Ranking:
-    """Rank the entrants of a contest.
-
-    Parameters
-    ----------
-    runs : ComparisonGroup
-    metric : str
-        One of :func:`trms_cli.scoring.figures.metrics`.
-    resamples : int
-        Of the bootstrap.
-    """
+    """Rank the entrants by a metric of :func:`trms_cli.scoring.figures.metrics`."""
     errors = runs.errors(metric)  # (entrants, conditions), NaN where nobody ran, inf for failures
     inside = np.array([not outside for outside in runs.outside], dtype=bool)
     allowed = np.where(np.isfinite(errors) & inside[:, None], errors, np.inf)
@@ -228,3 +372,88 @@ def quantile(values: Sequence[float] | FloatArray, share: float) -> float:
     """A quantile of the finite values; NaN without any."""
     present = np.asarray([value for value in values if math.isfinite(value)], dtype=float)
     return float(np.quantile(present, share)) if present.size else math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """Figures of one entrant over its runs; NaN for what no run tells."""
+
+    runs: int  #: Those that count
+    #: ``error_mean``, ``error_p95``, ``error_worst``: Tracking error in the metric's unit, of the
+    #: runs that did not fail
+    error_mean: float
+    error_p95: float
+    error_worst: float
+    ratio_p95: float  #: Error over the best in the same condition
+    ratio_worst: float  #: a failed run counts as `FAILED_RATIO` or more
+    #: ``effort``, ``variation``: Mean of ∫u²dt (V² s) and of Σ|Δu| (V), both inputs added
+    effort: float
+    variation: float
+    #: ``step_ms``, ``step_p99_ms``: Time of a control step: median of the runs' medians, median of
+    #: their 99th percentiles, ms
+    step_ms: float
+    step_p99_ms: float
+    step_max_ms: float  #: The longest of all, ms
+    failed: int  #: Runs that ended in an error
+    non_finite: int | None  #: Commands that were not finite; None where nobody counted
+    fallbacks: int  #: Control samples on which the solver failed or a fall-back acted
+    #: ``degraded_s``, ``degraded_runs``: Time in which the loop was not normal, s in all runs, and
+    #: in how many
+    degraded_s: float
+    degraded_runs: int
+    missed: int  #: Deadlines
+    violations: int  #: Samples beyond a limit
+
+
+def figures_of(standing: Standing, metric: str = "rmse") -> Figures:
+    """Sum up the runs of an entrant."""
+    runs = standing.runs
+    ended = [run for run in runs if run.state is not State.FAILED]
+    errors = [run.error(metric) for run in ended]
+    counted = [run.non_finite for run in runs if run.non_finite is not None]
+    degraded = [run.of_run("degraded") for run in ended]
+    return Figures(
+        runs=len(runs),
+        error_mean=mean(errors),
+        error_p95=quantile(errors, 0.95),
+        error_worst=_largest(errors),
+        ratio_p95=quantile(standing.ratios, 0.95),
+        ratio_worst=_largest(standing.ratios),
+        effort=mean(run.input_sum("effort") for run in ended),
+        variation=mean(run.input_sum("total_variation") for run in ended),
+        step_ms=_median(ended, lambda run: run.step_time("median")),
+        step_p99_ms=_median(ended, lambda run: run.step_time("p99")),
+        step_max_ms=_largest([run.step_time("max") for run in ended]),
+        failed=len(runs) - len(ended),
+        non_finite=sum(counted) if counted else None,
+        fallbacks=_count(run.solver("failures") for run in ended),
+        degraded_s=math.fsum(value for value in degraded if math.isfinite(value)),
+        degraded_runs=sum(value > 0 for value in degraded),
+        missed=_count(run.solver("deadline_misses") for run in ended),
+        violations=_count(run.of_run("violations") for run in ended),
+    )
+
+
+def worst_condition(standing: Standing, names: Callable[[int], str]) -> str:
+    """Where its ratio is largest; "" without any."""
+    if not standing.ratios.size:
+        return ""
+    return names(int(standing.conditions[int(np.argmax(standing.ratios))]))
+
+
+def mean(values: Iterable[float]) -> float:
+    """Of the finite values; NaN without any."""
+    present = [value for value in values if math.isfinite(value)]
+    return math.fsum(present) / len(present) if present else math.nan
+
+
+def _median(runs: Sequence[ComparisonRun], figure: Callable[[ComparisonRun], float]) -> float:
+    return quantile([figure(run) for run in runs], 0.5)
+
+
+def _largest(values: Iterable[float]) -> float:
+    return max((float(value) for value in values if math.isfinite(value)), default=math.nan)
+
+
+def _count(values: Iterable[float]) -> int:
+    return int(math.fsum(value for value in values if math.isfinite(value)))
