@@ -11,10 +11,18 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.runs.driving import has_driver
-from trms_cli.sweeps.record import POINTS_NAME, Record, SweepPlan, driving
+from trms_cli.sweeps.record import (
+    POINTS_NAME,
+    Claim,
+    Record,
+    RunFolder,
+    SweepPlan,
+    driving,
+    has_driver,
+    is_alive,
+    lost,
+)
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space, SweepPoint
-from trms_cli.sweeps.status import Claim, RunFolder, is_alive, lost
 
 
 def test_of_many_that_claim_an_attempt_one_gets_it(tmp_path):

@@ -16,9 +16,8 @@ from trms_cli.sweeps.driver import Driver
 from trms_cli.sweeps.launchers.dask import DaskLauncher
 from trms_cli.sweeps.launchers.local import LocalLauncher
 from trms_cli.sweeps.launchers.slurm import SlurmLauncher, _said_by_slurm
-from trms_cli.sweeps.record import Record
+from trms_cli.sweeps.record import Record, RunFolder
 from trms_cli.sweeps.space import RunResult, SweepPoint
-from trms_cli.sweeps.status import RunFolder
 
 RUNS, DEADLY, ALWAYS_DEADLY = 14, 5, 9
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from trms_cli.sweeps.figures import canonical, figure_of
-from trms_cli.sweeps.robustness import Robustness
+from trms_cli.sweeps.samplers.drawing import Robustness
 from trms_cli.sweeps.samplers.random import Random
 from trms_cli.sweeps.space import Choice, PriorOfKey, RunResult, Space, short_keys
 

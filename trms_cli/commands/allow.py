@@ -9,19 +9,19 @@ from pathlib import Path
 
 from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.catalogue import take_config_dirs
-from trms_cli.core.allowed import (
+from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
+from trms_cli.core.invocation import program
+from trms_cli.core.printable import print_json
+from trms_cli.core.trust import (
     ENVIRONMENT,
     SCHEMA,
     allowed_file,
     allowed_for_good,
     allowed_for_now,
     check_name,
+    place_of,
     write_allowed,
 )
-from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
-from trms_cli.core.invocation import program
-from trms_cli.core.printable import print_json
-from trms_cli.core.trust import place_of
 
 SUMMARY = "let the classes of a package of yours, or of somebody else's, run"
 

@@ -117,7 +117,7 @@ def main(argv: list[str]) -> int:
 def _add_scene(log: LoggedRun, out: Path, *, force: bool) -> int:
     """Write the log with a 3D view; the number of poses."""
     from trms_cli.library.tasks.scene import scene_of_log
-    from trms_cli.recordings.foxglove.added_scene import write_with_scene
+    from trms_cli.recordings.foxglove.scene_log import write_with_scene
 
     scene = scene_of_log(log)
     every = scene.every(_POSE_EVERY)

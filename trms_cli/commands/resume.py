@@ -13,9 +13,8 @@ from trms_cli.commands.execution import execute
 from trms_cli.composition.composer import Task
 from trms_cli.core.data_file import read_json
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.held_folder import hold
 from trms_cli.library.tasks.files import REQUEST_NAME
-from trms_cli.runs.run_folder import in_use
+from trms_cli.runs.run_folder import hold, in_use
 
 _KEY = "resume="
 

@@ -69,7 +69,7 @@ def take_allowed(argv: Sequence[str]) -> list[str]:
 
     Raises ConfigurationError if it names no package.
     """
-    from trms_cli.core.allowed import allow_for_now
+    from trms_cli.core.trust import allow_for_now
 
     rest: list[str] = []
     words = iter(argv)

@@ -40,7 +40,7 @@ from trms_cli.composition.checks import (
 from trms_cli.composition.overrides import ComposeRequest, Override, parse, read_request
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
-from trms_cli.core.headline import shown_choices
+from trms_cli.core.wording import shown_choices
 from trms_cli.runs.run_folder import new_folder
 
 #: Choices of options that are kept.

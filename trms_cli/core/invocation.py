@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -56,3 +56,25 @@ def whole_trace() -> str:
     """Where the trace of an exception is that a message tells of."""
     typed = _called.get() is None
     return "the whole trace: add --debug" if typed else "the whole trace: the error's __cause__"
+
+
+_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
+
+
+def note(text: str) -> None:
+    """Remark something."""
+    listener = _listener.get()
+    if listener is None:
+        sys.stderr.write(f"{text}\n")
+    else:
+        listener(text)
+
+
+@contextmanager
+def notes_to(listener: Callable[[str], None]) -> Iterator[None]:
+    """Inside, remarks go to `listener`."""
+    before = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(before)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.arguments import Arguments
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED
-from trms_cli.core.notes import notes_to
+from trms_cli.core.invocation import notes_to
 from trms_cli.library.tasks.task import Done, Interrupted, Listener, Screen
 
 if TYPE_CHECKING:

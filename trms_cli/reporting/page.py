@@ -33,7 +33,7 @@ from trms_cli.core.findings import (
     Table,
     plain,
 )
-from trms_cli.core.notes import note
+from trms_cli.core.invocation import note
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.chart_plot import plots_of, script_json

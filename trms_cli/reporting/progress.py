@@ -14,7 +14,7 @@ from types import FrameType, MappingProxyType
 from typing import Any, Self
 
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, ConfigurationError, Terminated
-from trms_cli.core.notes import note
+from trms_cli.core.invocation import note
 
 #: In the fit's folder: what its method has kept to go on from.
 STATE_NAME = "fit-state.json"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -10,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.core.held_folder import hold, let_go
 from trms_cli.core.whole_file import replace_whole
 
 #: Files of a run in its folder.
@@ -120,3 +121,66 @@ def write_whole(text: str, path: Path) -> None:
         replace_whole(path, text.encode())
     except OSError as error:
         raise explain_os_error(error, path) from error
+
+
+#: A process that makes thousands of folders keeps descriptors of no more.
+_MANY = 64
+#: Folders that this process holds: descriptor, and the thread that took it.
+_held: dict[tuple[int, int], tuple[int, int, Path]] = {}
+_guard = threading.Lock()
+
+
+def hold(folder: Path) -> bool:
+    """Hold a folder until the process ends or lets go of it; whether nobody else does.
+
+    Raises OSError if it cannot be opened.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a system of this kind
+        return True
+    with _guard:
+        _forget_written()
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        about = os.fstat(descriptor)
+        key = (about.st_dev, about.st_ino)
+        known = _held.get(key)
+        if known is not None:
+            os.close(descriptor)
+            return known[1] == threading.get_ident()
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            return False
+        except OSError:  # no locks here
+            os.close(descriptor)
+            return True
+        _held[key] = descriptor, threading.get_ident(), folder
+        return True
+
+
+def let_go(folder: Path) -> None:
+    """Let go of a folder; nothing happens where it is not held."""
+    with _guard, contextlib.suppress(OSError):
+        about = os.stat(folder)
+        known = _held.pop((about.st_dev, about.st_ino), None)
+        if known is not None:
+            os.close(known[0])
+
+
+def _forget_written() -> None:
+    """Let go of folders that are gone or hold files, where there are many.
+
+    One that holds a file is nobody else's any more, since only empty ones are taken.
+    """
+    if len(_held) < _MANY:
+        return
+    for key, (descriptor, _, folder) in list(_held.items()):
+        try:
+            needed = not any(folder.iterdir())
+        except OSError:
+            needed = False
+        if not needed:
+            os.close(descriptor)
+            del _held[key]

@@ -16,9 +16,8 @@ from dataclasses import dataclass, field
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.sweeps.plugins import Attempt, Ended, Launcher, Proposals, Work, Workers
-from trms_cli.sweeps.record import Record
+from trms_cli.sweeps.record import SILENT_AFTER, Claim, Record, RunFolder, is_alive, lost, now
 from trms_cli.sweeps.space import RunResult, SweepPoint
-from trms_cli.sweeps.status import SILENT_AFTER, Claim, RunFolder, is_alive, lost, now
 
 #: Problem of a result that ends the whole sweep: every other run would fail of it too.
 DISK_FULL = "the disk is full"

@@ -12,7 +12,7 @@ from trms_cli.core.invocation import program
 
 if TYPE_CHECKING:
     from trms_cli.runs.follower import RunFollower
-    from trms_cli.runs.sweep_progress import SweepFollower
+    from trms_cli.sweeps.outcome import SweepFollower
 
 SUMMARY = "a run or a sweep as it goes on, or a finished run replayed"
 
@@ -51,7 +51,7 @@ examples
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     given = _given(argv)
-    from trms_cli.runs.sweep_progress import SweepFollower
+    from trms_cli.sweeps.outcome import SweepFollower
 
     what = _target(given.what)
     if what.is_dir():
@@ -86,8 +86,8 @@ def _given(argv: list[str]) -> Any:
 
 def _target(what: Path | None) -> Path:
     """The log, or the folder of the sweep, that is meant."""
-    from trms_cli.runs.latest import latest_run, log_in
-    from trms_cli.runs.sweep_progress import is_sweep, sweep_of
+    from trms_cli.runs.query import latest_run, log_in
+    from trms_cli.sweeps.outcome import is_sweep, sweep_of
 
     folder = Path() if what is None else what.expanduser()
     if what is not None and not folder.is_dir():
@@ -110,7 +110,7 @@ def _target(what: Path | None) -> Path:
 
 
 def _watch_run(log: Path, given: Any) -> int:
-    from trms_cli.commands.watch.player import Player
+    from trms_cli.commands.watch.frame import Player
     from trms_cli.commands.watch.screen import show, show_once
     from trms_cli.runs.follower import RunFollower
 

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from trms_cli.commands.watch.frame import between, fitted, tail_of
 from trms_cli.core.invocation import program
-from trms_cli.runs.sweep_progress import Job, SweepFollower, SweepState
+from trms_cli.sweeps.outcome import Job, SweepFollower, SweepState
 
 #: Of a sweep whose process has gone; ``trms sweep status`` says the same.
 STOPPED = "stopped before its end"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.core.headline import shown_choices
+from trms_cli.core.wording import shown_choices
 from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:

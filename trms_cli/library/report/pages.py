@@ -177,7 +177,7 @@ def _of_sweep(
 def _of_scores(given: Sequence[Path], found: QueryResult, folder: Path, title: str) -> Report:
     """Folders without a log: scores alone, as tournaments leave them."""
     from trms_cli.reporting.report_sweep import findings_of_sweep
-    from trms_cli.scoring.comparison.gathering import gather
+    from trms_cli.scoring.comparison.runs import gather
 
     if found.unreadable:
         file, problem = found.unreadable[0]
@@ -193,7 +193,7 @@ def _of_scores(given: Sequence[Path], found: QueryResult, folder: Path, title: s
 
 def _ranking(logs: Sequence[Path]) -> Ranking | None:
     """The ranking of a few runs; None where they are not of one contest."""
-    from trms_cli.scoring.comparison.gathering import gather
+    from trms_cli.scoring.comparison.runs import gather
 
     try:
         return ranking_of(gather(logs).runs)
@@ -206,7 +206,7 @@ def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
     import yaml
 
     from trms_cli.core.yaml_data import load_yaml
-    from trms_cli.scoring.comparison.coordinates import differences
+    from trms_cli.scoring.comparison.runs import differences
 
     options = dict.fromkeys(key for run in runs for key in run.choices)
     rows = [(key, [run.choices.get(key, "none") for run in runs]) for key in options]

@@ -9,7 +9,7 @@ from trms_cli.library.report.sweeps import keys_of, typed_of, value_of
 
 if TYPE_CHECKING:
     from trms_cli.runs.query import QueryResult
-    from trms_cli.scoring.comparison.compared_run import ComparedRun
+    from trms_cli.scoring.comparison.runs import ComparisonRun
     from trms_cli.scoring.comparison.ranking import Ranking
 
 #: Coordinates that every ranking looks at, also where runs do not differ in them.
@@ -17,9 +17,9 @@ _DRAW = "draw"
 _RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
 
 
-def ranking_of(runs: Sequence[ComparedRun]) -> Ranking | None:
+def ranking_of(runs: Sequence[ComparisonRun]) -> Ranking | None:
     """The ranking that ``trms compare`` prints; None where nobody can be ranked."""
-    from trms_cli.scoring.comparison.grouping import group
+    from trms_cli.scoring.comparison.ranking import group
     from trms_cli.scoring.comparison.ranking import rank
 
     contest = group(runs)
@@ -30,12 +30,12 @@ def ranking_of(runs: Sequence[ComparedRun]) -> Ranking | None:
     return ranking if ranking.best else None
 
 
-def compared(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparedRun]:
+def compared(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparisonRun]:
     """Rows of the index as a ranking takes them, without reading a log again.
 
     All that was `drawn` for a run is one coordinate, its draw: a condition, and no entrant's.
     """
-    from trms_cli.scoring.comparison.compared_run import ComparedRun
+    from trms_cli.scoring.comparison.runs import ComparisonRun
 
     typed = [typed_of(row) for row in found.runs]
     keys = [key for key in keys_of(found.runs, typed) if key not in drawn]
@@ -49,7 +49,7 @@ def compared(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparedRun]
         return told
 
     return [
-        ComparedRun(
+        ComparisonRun(
             path=str(row["path"]),
             coordinates=coordinates(row, values),
             state=_state(row),
@@ -68,7 +68,7 @@ def _coordinate(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> s
 
 
 def _state(row: Mapping[str, Any]) -> Any:
-    from trms_cli.scoring.comparison.compared_run import State
+    from trms_cli.scoring.comparison.runs import State
 
     if row.get("outcome") == "failed":
         return State.FAILED

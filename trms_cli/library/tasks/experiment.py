@@ -14,8 +14,7 @@ from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import number, whole_number
 from trms_cli.core.errors import interrupted_code
 from trms_cli.core.invocation import command_line
-from trms_cli.core.plugin_contract import check_contract
-from trms_cli.core.plugins import build
+from trms_cli.core.plugins import build, check_contract
 from trms_cli.core.versions import versions
 from trms_cli.library.tasks.task import Interrupted
 from trms_cli.models.model import Model, Signal
@@ -68,7 +67,7 @@ def raise_explained(
 
     `log`: where the run up to there can be read.
     """
-    from trms_cli.core.plugin_contract import plugin_failure
+    from trms_cli.core.plugins import plugin_failure
 
     parts = {
         "controller": experiment.controller,

@@ -12,8 +12,7 @@ from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.given_object import refuse_given
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
-from trms_cli.core.invocation import program
-from trms_cli.core.notes import note
+from trms_cli.core.invocation import note, program
 from trms_cli.core.plugins import TARGET
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from trms_cli.core import wording
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Cell, Column, Findings, NextCommand, Section, Table, table
 from trms_cli.core.invocation import program
-from trms_cli.core.plugin_contract import check_contract, plugin_failure
-from trms_cli.core.plugins import TARGET, build, locate
+from trms_cli.core.plugins import TARGET, build, check_contract, locate, plugin_failure
 from trms_cli.library.tasks import experiment as assembly
 from trms_cli.library.tasks.git_revision import GitRevision
 from trms_cli.library.tasks.scene import RunScene

@@ -14,9 +14,8 @@ from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.composition.plain_values import check_files
 from trms_cli.core import wording
 from trms_cli.core.findings import Findings, NextCommand, Section
-from trms_cli.core.headline import headline
-from trms_cli.core.invocation import program
-from trms_cli.core.notes import note
+from trms_cli.core.invocation import note, program
+from trms_cli.core.wording import headline
 from trms_cli.library.tasks.task import Done, Listener, as_job
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.scoring.findings import in_short, short_tables, warnings_of

@@ -12,8 +12,7 @@ from trms_cli.composition.plain_values import check_out, model_of_choice, number
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Findings, as_data
 from trms_cli.core.invocation import command_line
-from trms_cli.core.plugin_contract import check_contract
-from trms_cli.core.plugins import TARGET, build
+from trms_cli.core.plugins import TARGET, build, check_contract
 from trms_cli.core.versions import versions
 from trms_cli.library.tasks.subject import model_of
 from trms_cli.library.tasks.task import Done, Listener

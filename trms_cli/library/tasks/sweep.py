@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.composer import Composition, Task, compose
 from trms_cli.composition.overrides import ComposeRequest
-from trms_cli.composition.sweep_settings import Settings, names_of, settings_of
+from trms_cli.composition.sweep_space import Settings, names_of, settings_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
-from trms_cli.core.notes import note
+from trms_cli.core.invocation import note
 from trms_cli.core.plugins import TARGET
 from trms_cli.sweeps.record import SweepPlan
 from trms_cli.sweeps.space import Space
@@ -85,13 +85,13 @@ def make_sweep(
     are not to be had or a full disk, after that; KeyboardInterrupt when it was interrupted: what
     ran has ended, and `go_on` goes on.
     """
-    from trms_cli.composition.sweep_settings import built, divided
+    from trms_cli.composition.sweep_space import divided, sampler_and_launcher
     from trms_cli.runs.run_folder import new_folder
     from trms_cli.sweeps.record import Record, driving
 
     mine = divided(overrides, primary, config_dirs)
     settings = settings_of(mine.settings, config_dirs)
-    sampler, launcher = built(settings)
+    sampler, launcher = sampler_and_launcher(settings)
     space, _ = _checked(mine.runs, primary, tuple(config_dirs))
     proposals = sampler.start(space)
     check_choices(space, primary, tuple(config_dirs))
@@ -125,7 +125,7 @@ def go_on(
     for `make_sweep`. Raises TrmsError if there is no sweep, another process drives it, or it cannot
     go on.
     """
-    from trms_cli.composition.sweep_settings import built
+    from trms_cli.composition.sweep_space import sampler_and_launcher
     from trms_cli.sweeps.record import Record, driving
 
     folder = folder.resolve()
@@ -136,7 +136,7 @@ def go_on(
         known = record.points(mend=True)
         with place_of(plan):
             steered = resumed_settings(plan, settings)
-            sampler, launcher = built(steered)
+            sampler, launcher = sampler_and_launcher(steered)
             proposals = sampler.start(plan.space, known)
             record.note(state="running", launcher=steered.launcher, retries=steered.retries)
             begun(folder)
@@ -146,7 +146,7 @@ def go_on(
 
 def first_job(request: ComposeRequest, primary: str) -> Composition:
     """The configuration of a sweep's first run, for ``-m --cfg job``."""
-    from trms_cli.composition.sweep_settings import divided
+    from trms_cli.composition.sweep_space import divided
 
     mine = divided(request.overrides, primary, request.config_dirs)
     return _checked(mine.runs, primary, request.config_dirs)[1]
@@ -199,10 +199,10 @@ def _driven(
     retry_failed: bool,
 ) -> SweepOutcome:
     """Drive the sweep, and write down at the end, whatever it is, how it stands."""
-    from trms_cli.core.allowed import allowed_for_now
+    from trms_cli.core.trust import allowed_for_now
     from trms_cli.library.tasks.sweep_work import MakeRun
     from trms_cli.sweeps.driver import Driver, counts_of
-    from trms_cli.sweeps.status import now
+    from trms_cli.sweeps.record import now
 
     work = MakeRun(
         str(record.folder),
@@ -386,7 +386,7 @@ def _check_run(config: Mapping[str, Any], seen: set[str]) -> None:
 
 
 def _is_ours(node: Any) -> bool:
-    """Whether all that a part is built of belongs to this program."""
+    """Whether all that a part is made of belongs to this program."""
     if isinstance(node, Mapping):
         target = node.get(TARGET)
         if target is not None and not str(target).startswith(_OURS):

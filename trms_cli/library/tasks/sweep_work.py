@@ -20,9 +20,9 @@ from time import monotonic
 from typing import Any
 
 from trms_cli.composition.composer import Outcome, Task, composer_of
-from trms_cli.core.allowed import allow_for_now
 from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
 from trms_cli.core.invocation import called_as
+from trms_cli.core.trust import allow_for_now
 from trms_cli.library.tasks.git_revision import known_revision
 from trms_cli.reporting.progress import termination
 from trms_cli.runs.columns import figures_of
@@ -30,9 +30,8 @@ from trms_cli.runs.entry import STATUS_SCHEMA
 from trms_cli.runs.run_folder import SCORE_NAME
 from trms_cli.sweeps.driver import DISK_FULL
 from trms_cli.sweeps.plugins import Attempt
-from trms_cli.sweeps.record import STOP_NAME
+from trms_cli.sweeps.record import SIGN_EVERY, STOP_NAME, RunFolder, leaving, now, result_of
 from trms_cli.sweeps.space import RunResult, State
-from trms_cli.sweeps.status import SIGN_EVERY, RunFolder, leaving, now, result_of
 
 #: Lines of a run's standard error that are kept.
 _MOST_NOTES = 20

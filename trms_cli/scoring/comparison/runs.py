@@ -25,8 +25,8 @@ from typing import Any
 
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
-from trms_cli.core.headline import shown_choices
 from trms_cli.core.printable import printable
+from trms_cli.core.wording import shown_choices
 from trms_cli.scoring.figures import entries
 from trms_cli.scoring.score import SCHEMA as SCORE_SCHEMA
 

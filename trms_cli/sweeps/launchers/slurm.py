@@ -280,7 +280,7 @@ def serve(address: str) -> None:
 async def _served(address: str) -> None:
     from distributed import Worker
 
-    from trms_cli.sweeps.status import leaving
+    from trms_cli.sweeps.record import leaving
 
     worker = Worker(
         address, nthreads=1, memory_limit=0, dashboard=False, death_timeout=60, heartbeat_interval=2
