@@ -28,6 +28,7 @@ from trms_cli import cli
 from trms_cli.commands.watch.frame import (
     NAMES,
     About,
+    Player,
     TerminalCurve,
     View,
     about,
@@ -36,7 +37,6 @@ from trms_cli.commands.watch.frame import (
     run_frame,
     scale,
 )
-from trms_cli.commands.watch.frame import Player
 from trms_cli.commands.watch.screen import keys_in
 from trms_cli.commands.watch.sweep import sweep_frame, sweep_line
 from trms_cli.runs.follower import AxisMoment, Event, Input, Moment, RunFollower, Solver

@@ -21,9 +21,8 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from trms_cli import __version__
 from trms_cli.core.scene import Ring, Scene
-from trms_cli.recordings.foxglove.scene_log import write_with_scene
 from trms_cli.recordings.foxglove.messages import SceneEncoder
-from trms_cli.recordings.foxglove.scene_log import Sources, find_sources
+from trms_cli.recordings.foxglove.scene_log import Sources, find_sources, write_with_scene
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic

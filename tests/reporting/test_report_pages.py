@@ -37,9 +37,8 @@ from trms_cli.reporting.reported_sweep import (
     undominated,
 )
 from trms_cli.reporting.signals import ReportedRun
+from trms_cli.scoring.comparison.ranking import group, rank
 from trms_cli.scoring.comparison.runs import ComparisonRun, State
-from trms_cli.scoring.comparison.ranking import group
-from trms_cli.scoring.comparison.ranking import rank
 
 
 def plots_of(page):

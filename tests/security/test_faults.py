@@ -130,8 +130,8 @@ def test_nobody_without_a_home_can_run() -> None:
 def test_without_a_home_what_is_compiled_is_kept_for_the_process(monkeypatch) -> None:
     import casadi as ca
 
-    from trms_cli.core.trust import allowed_for_good
     from trms_cli.core.compilation import BufferedFunction, cache_folder
+    from trms_cli.core.trust import allowed_for_good
 
     def nowhere() -> Path:
         raise RuntimeError("Could not determine home directory.")

@@ -19,9 +19,9 @@ import pytest
 import trms_cli
 from trms_cli.composition.composer import compose
 from trms_cli.core import trust
-from trms_cli.core.trust import allowed_for_good, allowed_for_now, write_allowed
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import build, locate
+from trms_cli.core.trust import allowed_for_good, allowed_for_now, write_allowed
 
 ROOT = Path(__file__).parents[2]
 _CODE = """

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from trms_cli.core.errors import TrmsError
 from trms_cli.sweeps.driver import DISK_FULL, Driver
 from trms_cli.sweeps.plugins import Attempt, Ended
-from trms_cli.sweeps.record import Record
+from trms_cli.sweeps.record import Record, RunFolder
 from trms_cli.sweeps.samplers.drawing import Planned
 from trms_cli.sweeps.space import RunResult, SweepPoint
-from trms_cli.sweeps.record import RunFolder
 
 DEAD = subprocess.Popen(["true"])
 DEAD.wait()

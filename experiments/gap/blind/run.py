@@ -16,8 +16,7 @@ from time import perf_counter, process_time
 from trms_cli.commands.blind import RunOptions, options_of
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
-from trms_cli.runs.run_folder import hold
-from trms_cli.runs.run_folder import in_use
+from trms_cli.runs.run_folder import hold, in_use
 
 #: In the folder of a diagnosis: what it says, what was printed on the way, how long it took.
 DOCUMENT_NAME, LOG_NAME, TIMING_NAME = "diagnosis.json", "printed.txt", "blind.json"

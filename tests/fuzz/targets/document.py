@@ -25,8 +25,8 @@ def read(data: bytes, folder: Path) -> None:
     """Each of the readers, whatever the document is."""
     from experiments.gap.blind.sealing import open_key
     from trms_cli.commands.resume import Resumption
-    from trms_cli.core.trust import allowed_file, allowed_for_good
     from trms_cli.core.errors import TrmsError
+    from trms_cli.core.trust import allowed_file, allowed_for_good
     from trms_cli.library.tasks.files import REQUEST_NAME
 
     os.environ["XDG_CONFIG_HOME"] = str(folder)

@@ -9,8 +9,8 @@ from trms_cli.library.report.sweeps import keys_of, typed_of, value_of
 
 if TYPE_CHECKING:
     from trms_cli.runs.query import QueryResult
-    from trms_cli.scoring.comparison.runs import ComparisonRun
     from trms_cli.scoring.comparison.ranking import Ranking
+    from trms_cli.scoring.comparison.runs import ComparisonRun
 
 #: Coordinates that every ranking looks at, also where runs do not differ in them.
 _DRAW = "draw"
@@ -19,8 +19,7 @@ _RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
 
 def ranking_of(runs: Sequence[ComparisonRun]) -> Ranking | None:
     """The ranking that ``trms compare`` prints; None where nobody can be ranked."""
-    from trms_cli.scoring.comparison.ranking import group
-    from trms_cli.scoring.comparison.ranking import rank
+    from trms_cli.scoring.comparison.ranking import group, rank
 
     contest = group(runs)
     # Who differs from the others in draws or seeds alone is luckier, not better.
