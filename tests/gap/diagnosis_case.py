@@ -28,6 +28,17 @@ from trms_cli.gap.diagnosis import (
 FRICTION = "yaw_coulomb_friction"
 CHANNELS = {"alpha_v": "rad", "alpha_h": "rad", "omega_v": "rad/s", "omega_h": "rad/s"}
 _TORQUE = SizeEstimate(value=0.00412, sd=0.00018, unit="N*m")
+_OF_A_TEST = ("channel", "statistic", "p_value", "p_corrected", "rejected")
+_TESTS: tuple[Any, ...] = (("alpha_h", 88.1, 1e-9, 4e-8, True), ("alpha_v", 21.0, 0.4, 1.0, False))
+_OF_AN_ENTRY = ("effects", "score", "se", "explained", "moved", "parameters")
+_RACE: tuple[Any, ...] = (
+    ((FRICTION,), 5120.0, 310.0, 0.97, 0.8, {f"{FRICTION}.torque": _TORQUE}),
+    (("yaw_stribeck_friction",), 5090.0, 320.0, 0.965, 0.9, {}),
+    (("flexible",), 4300.0, 400.0, 0.9, 1.0, {}),
+    (("yaw_quadratic_damping",), 2100.0, 350.0, 0.41, 3.1, {}),
+    (("tail_input_delay",), -40.0, 60.0, 0.0, 0.4, {}),
+    ((), 0.0, 0.0, 0.0, 4.9, {}),
+)
 
 
 def traces() -> Traces:
@@ -153,53 +164,10 @@ def diagnosis(**changes: Any) -> DiagnosisResult:
         ),
         sentence="Dry friction on the yaw axis of 4.1 mN m, which newtonian lacks, causes the gap: "
         "86 % of it lies in the yaw moment, and adding it closes 91 % over 2 s.",
-        tests=(
-            GapTest(
-                name="whiteness",
-                channel="alpha_h",
-                statistic=88.1,
-                p_value=1e-9,
-                p_corrected=4e-8,
-                rejected=True,
-            ),
-            GapTest(
-                name="whiteness",
-                channel="alpha_v",
-                statistic=21.0,
-                p_value=0.4,
-                p_corrected=1.0,
-                rejected=False,
-            ),
+        tests=tuple(
+            GapTest(name="whiteness", **dict(zip(_OF_A_TEST, row, strict=True))) for row in _TESTS
         ),
-        race=(
-            RaceEntry(
-                effects=(FRICTION,),
-                score=5120.0,
-                se=310.0,
-                explained=0.97,
-                moved=0.8,
-                parameters={f"{FRICTION}.torque": _TORQUE},
-            ),
-            RaceEntry(
-                effects=("yaw_stribeck_friction",),
-                score=5090.0,
-                se=320.0,
-                explained=0.965,
-                moved=0.9,
-            ),
-            RaceEntry(effects=("flexible",), score=4300.0, se=400.0, explained=0.9, moved=1.0),
-            RaceEntry(
-                effects=("yaw_quadratic_damping",),
-                score=2100.0,
-                se=350.0,
-                explained=0.41,
-                moved=3.1,
-            ),
-            RaceEntry(
-                effects=("tail_input_delay",), score=-40.0, se=60.0, explained=0.0, moved=0.4
-            ),
-            RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=4.9),
-        ),
+        race=tuple(RaceEntry(**dict(zip(_OF_AN_ENTRY, row, strict=True))) for row in _RACE),
         warnings=("monday: u_h is at its limit for 34% of the time (smaller references)",),
         seconds={"admission": 0.4, "refit": 12.0, "race": 61.0},
         refit={"k_fvp": 1.78e-5, "k_oh": 0.0151},

@@ -13,6 +13,7 @@ import pytest
 
 from tests.identification.greybox.rigs import recording
 from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
+from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.fitting import Refit, refit
 from trms_cli.gap.next_experiment import (
     advise,
@@ -66,6 +67,12 @@ def recordings(plain: Refit) -> dict:
     return {e.words: r for e, r in predicted_recordings(plain, SHARES, "newtonian")}
 
 
+def advised(plain: Refit, candidates: dict[str, CandidateEffect], **asked) -> NextExperiment:
+    found = advise(refit=plain, candidates=candidates, model_name="newtonian", **asked)
+    assert found is not None
+    return found
+
+
 def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(recordings, known) -> None:
     pair = [with_rows(known[name], FITTED) for name in EFFECTS[:2]]
     fast, slow = (
@@ -77,14 +84,7 @@ def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(recording
 
 
 def test_crossing_zero_tells_a_dead_zone_from_rotor_friction(plain: Refit, known: dict) -> None:
-    advice = advise(
-        refit=plain,
-        candidates=known,
-        model_name="newtonian",
-        apart=["tail_dead_zone", "tail_rotor_friction"],
-        shares=SHARES,
-    )
-    assert advice is not None
+    advice = advised(plain, known, apart=["tail_dead_zone", "tail_rotor_friction"], shares=SHARES)
     assert "tail_dead_zone from tail_rotor_friction by" in advice.why
     assert "no nats in the 24 s recorded" in advice.why
 
@@ -95,14 +95,7 @@ def test_a_thrust_in_reverse_becomes_visible(plain: Refit, recordings: dict, kno
     reverse = replace(curve, variants=curve.variants[curve.variants[:, 1] != 0])
     seen = {w: visibility(signatures(r, [reverse]), name) for w, r in recordings.items()}
     assert seen["random levels with rotors that reverse"] > 12.5
-    advice = advise(
-        refit=plain,
-        candidates={name: reverse},
-        model_name="newtonian",
-        untested=[name],
-        shares=SHARES,
-    )
-    assert advice is not None
+    advice = advised(plain, {name: reverse}, untested=[name], shares=SHARES)
     assert "makes visible" in advice.why
     assert f"{name} " in advice.why and "against no nats in what is recorded" in advice.why
 
@@ -116,13 +109,7 @@ def test_the_angles_stay_within_their_bounds(recordings: dict) -> None:
 
 
 def test_noise_from_outside_is_told_by_what_does_not_repeat(plain: Refit, known: dict) -> None:
-    advice = advise(
-        refit=plain,
-        candidates=known,
-        model_name="newtonian",
-        apart=["tail_dead_zone", "yaw_disturbance"],
-    )
-    assert advice is not None
+    advice = advised(plain, known, apart=["tail_dead_zone", "yaw_disturbance"])
     assert "excitation.periods=4" in advice.command
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from trms_cli.gap.candidates import applicable_candidates
+from trms_cli.gap.diagnose import diagnose
 from trms_cli.gap.fitting import nominal_parameters, refit
-from trms_cli.gap.problem import divide, quantum_of, with_noise
+from trms_cli.gap.problem import GapProblem, divide, quantum_of, with_noise
 from trms_cli.gap.race import EFFORTS, Checkpoint, Race, effect_traces, run_race
+from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
 
 from .recorded import QUANTUM, SPEED_NOISE, effect, recording
@@ -26,10 +30,14 @@ def raced(dataset, checkpoint: Checkpoint | None = None) -> Race:
     return run_race(nominal, found, seen, EFFORTS["quick"], checkpoint=checkpoint)
 
 
+def rubbing() -> Dataset:
+    rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.003)}
+    return recording(rig, seconds=50.0, values={"k_fvp": 1.66e-5})
+
+
 @pytest.fixture(scope="module")
 def friction() -> Race:
-    rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.003)}
-    return raced(recording(rig, seconds=50.0, values={"k_fvp": 1.66e-5}))
+    return raced(rubbing())
 
 
 def test_friction_is_told_with_its_size(friction):
@@ -60,17 +68,16 @@ def test_delay_and_lag_leave_nearly_the_same_trace(friction):
     assert signs.alike("main_input_delay", "yaw_coulomb_friction") < 0.5
 
 
-def test_a_rig_without_a_gap_gives_no_suspect_a_lead():
-    contest_ = raced(recording(seconds=50.0, seed=3))
-    own = contest_.refit.fit.score
-    assert all(e.fit.score < own + 6.0 for e in contest_.entries)
-    assert np.all(contest_.refit.metric.shares[:4] < 0.015)
+def test_a_rig_without_a_gap_gives_no_candidate_a_lead():
+    race = raced(recording(seconds=50.0, seed=3))
+    own = race.refit.fit.score
+    assert all(e.fit.score < own + 6.0 for e in race.entries)
+    assert np.all(race.refit.metric.shares[:4] < 0.015)
 
 
 def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
     kept: dict = {}
-    rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.003)}
-    dataset = recording(rig, seconds=50.0, values={"k_fvp": 1.66e-5})
+    dataset = rubbing()
     raced(dataset, Checkpoint(None, kept.update))
     assert any(key.startswith("final") for key in kept)
     again = raced(dataset, Checkpoint(kept))
@@ -81,7 +88,7 @@ def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
 
 def test_noise_is_read_from_steps_and_ripple():
     dataset = recording(seconds=30.0)
-    unknown = dataset.__class__(**{**dataset.__dict__, "noise_sd": np.full(4, 1e-6)})
+    unknown = replace(dataset, noise_sd=np.full(4, 1e-6))
     read = with_noise(unknown).noise_sd
     assert read[:2] == pytest.approx(QUANTUM / np.sqrt(12), rel=1e-3)
     assert read[2:] == pytest.approx(SPEED_NOISE, rel=0.1)
@@ -99,8 +106,7 @@ def test_a_contact_with_a_stop_is_left_out():
     dataset = recording(seconds=40.0)
     measurements = dataset.measurements.copy()
     measurements[700:705, 1] = MODEL.stops["alpha_h"]
-    touched = dataset.__class__(**{**dataset.__dict__, "measurements": measurements})
-    parts = divide((touched,), 7.0, 0.25, MODEL.stops)
+    parts = divide((replace(dataset, measurements=measurements),), 7.0, 0.25, MODEL.stops)
     lost = np.isnan(parts.fitted[0].measurements[:, 1])
     assert lost[700] and not lost[699]
     block = round(parts.block / 0.02)
@@ -117,9 +123,6 @@ def test_several_recordings_are_sealed_whole():
 
 
 def test_a_cause_with_a_state_of_its_own_is_told_whole():
-    from trms_cli.gap.diagnose import diagnose
-    from trms_cli.gap.problem import GapProblem
-
     cable = effect("yaw_cable_hysteresis", torque=0.008)
     found = diagnose(
         GapProblem(

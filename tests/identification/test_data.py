@@ -122,11 +122,6 @@ class TestErrorsNameTheKeysGiven:
             load_datasets(str(path), MODEL)
         assert error.value.where == "real" and "data.input_scale" in error.value.remedy
 
-    def test_a_part_beyond_the_end(self, file):
-        with pytest.raises(ConfigurationError) as error:
-            load_datasets(str(file), MODEL, DataOptions(start=500.0))
-        assert error.value.where == "data.start"
-
     def test_uneven_rows(self, tmp_path):
         path = tmp_path / "uneven.csv"
         rows = "\n".join(f"{t},1,1,0.1" for t in (0, 0.1, 0.2, 0.33, 0.4, 0.5, 0.57))
@@ -137,13 +132,20 @@ class TestErrorsNameTheKeysGiven:
         (even,) = load_datasets(str(path), MODEL, DataOptions(resample=0.1))
         assert len(even) == 6
 
-    def test_an_unknown_channel(self, file):
-        with pytest.raises(ConfigurationError) as error:
-            load_datasets(str(file), MODEL, DataOptions(channels=("alpha",)))
-        assert error.value.where == "data.channels"
-        with pytest.raises(RecordingError) as error:
-            load_datasets(str(file), MODEL, DataOptions(delays={"alpha": 0.1}))
-        assert error.value.where == "data.delays.alpha"
+    @pytest.mark.parametrize(
+        ("options", "where"),
+        [
+            ({"start": 500.0}, "data.start"),
+            ({"channels": ("alpha",)}, "data.channels"),
+            ({"delays": {"alpha": 0.1}}, "data.delays.alpha"),
+        ],
+        ids=["a part beyond the end", "an unknown channel", "a delay of an unknown channel"],
+    )
+    def test_what_the_file_does_not_hold(self, options, where, file):
+        kind = RecordingError if "delays" in options else ConfigurationError
+        with pytest.raises(kind) as error:
+            load_datasets(str(file), MODEL, DataOptions(**options))
+        assert error.value.where == where
 
 
 def test_an_offset_is_added_and_told(file):

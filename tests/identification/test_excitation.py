@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +29,7 @@ from trms_cli.identification.excitation.prbs import PrbsExcitation
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
 
+MODEL = Newtonian()
 PLAN = Plan(6000, 0.02, 0.02, 1.5, 2)
 KINDS = {
     "multisine": MultisineExcitation(lines=15, iterations=5),
@@ -118,28 +120,27 @@ class TestMultisine:
 
 class TestBand:
     def test_it_spans_the_models_poles(self):
-        model = Newtonian()
-        system = linearised(model, model.rest(), np.zeros(2))
+        system = linearised(MODEL, MODEL.rest(), np.zeros(2))
         # Eigenvalues at rest as published for this form: 0.208 ± 0.509j … 0.047 ± 2.028j.
         lowest, highest = band_of(system, 0.02, 300.0)
         assert highest == pytest.approx(5 * 2.03 / (2 * np.pi), rel=0.03)
         assert 0.2 * 0.2 / (2 * np.pi) < lowest < 0.2 * 0.55 / (2 * np.pi)
 
     def test_the_duration_and_the_sample_time_limit_it(self):
-        model = Newtonian()
-        system = linearised(model, model.rest(), np.zeros(2))
+        system = linearised(MODEL, MODEL.rest(), np.zeros(2))
         assert band_of(system, 0.5, 20.0) == (1 / 20.0, 0.8)
 
     def test_the_response_is_that_of_the_equations(self):
-        model = Newtonian()
-        x = model.rest()
-        system = linearised(model, x, np.zeros(2))
+        system = linearised(MODEL, MODEL.rest(), np.zeros(2))
         steady = system.response(np.array([1e-9]))[0]
         direct = -system.c @ np.linalg.solve(system.a, system.b) + system.d
         np.testing.assert_allclose(steady.real, direct, rtol=1e-6, atol=1e-9)
 
 
 QUICK = ExcitationRequest(duration=30.0, lead_in=10.0, rigs=0)
+LONG = ExcitationRequest(duration=40.0, rigs=0)
+#: Of the sensors.
+NOISE = {"alpha_v": 4e-4, "alpha_h": 4e-4, "omega_v": 1.6, "omega_h": 1.6}
 
 
 @lru_cache
@@ -163,24 +164,20 @@ class TestDesign:
 
     def test_smaller_bounds_give_smaller_amplitudes(self):
         model, wide = Newtonian(), quick("prbs")
-        request = ExcitationRequest(
-            duration=30.0, lead_in=10.0, rigs=0, bounds={"alpha_v": 0.7, "alpha_h": 0.5}
-        )
+        request = replace(QUICK, bounds={"alpha_v": 0.7, "alpha_h": 0.5})
         narrow = design(model, KINDS["prbs"], request)
         assert np.all(narrow.amplitude < wide.amplitude)
         assert max(map(abs, narrow.ranges["alpha_h"])) <= 0.5
 
     def test_reversals_turn_both_rotors_round(self):
-        request = ExcitationRequest(duration=40.0, lead_in=0.0, rigs=0, reversals=True)
+        request = replace(LONG, lead_in=0.0, reversals=True)
         found = design(Newtonian(), KINDS["multilevel"], request)
         for name in ("omega_v", "omega_h"):
             low, high = found.ranges[name]
             assert low < -20 and high > 20
 
     def test_given_amplitudes_stand(self):
-        request = ExcitationRequest(
-            duration=40.0, lead_in=10.0, rigs=0, amplitude={"u_v": 0.1, "u_h": 0.3}
-        )
+        request = replace(LONG, lead_in=10.0, amplitude={"u_v": 0.1, "u_h": 0.3})
         found = design(Newtonian(), KINDS["prbs"], request)
         assert found.amplitude.tolist() == [0.1, 0.3]
 
@@ -189,33 +186,32 @@ class TestDesign:
         np.testing.assert_array_equal(first.commands, again.commands)
 
     @pytest.mark.parametrize(
-        "request_",
+        "asked",
         [
-            ExcitationRequest(duration=40.0, rigs=0, bounds={"alpha_v": 0.1}),
-            ExcitationRequest(duration=40.0, rigs=0, lead_in=0.0, bounds={"alpha_v": 0.5}),
-            ExcitationRequest(duration=40.0, rigs=0, bounds={"alpha": 0.1}),
-            ExcitationRequest(duration=40.0, rigs=0, operating_point={"alpha_v": 2.0}),
-            ExcitationRequest(duration=40.0, rigs=0, operating_point={"alpha": 0.0}),
-            ExcitationRequest(
-                duration=40.0, rigs=0, operating_point={"alpha_v": 0.0}, reversals=True
-            ),
-            ExcitationRequest(duration=40.0, rigs=0, amplitude={"u_v": 2.4}),
-            ExcitationRequest(duration=40.0, rigs=0, amplitude={"u_x": 0.1}),
-            ExcitationRequest(duration=40.0, rigs=0, share=0.2),
+            {"bounds": {"alpha_v": 0.1}},
+            {"bounds": {"alpha_v": 0.5}, "lead_in": 0.0},
+            {"bounds": {"alpha": 0.1}},
+            {"operating_point": {"alpha_v": 2.0}},
+            {"operating_point": {"alpha": 0.0}},
+            {"operating_point": {"alpha_v": 0.0}, "reversals": True},
+            {"amplitude": {"u_v": 2.4}},
+            {"amplitude": {"u_x": 0.1}},
+            {"share": 0.2},
         ],
+        ids=str,
     )
-    def test_what_does_not_fit_is_refused_with_what_would(self, request_):
+    def test_what_does_not_fit_is_refused_with_what_would(self, asked):
         with pytest.raises(ConfigurationError) as error:
-            design(Newtonian(), KINDS["prbs"], request_)
+            design(Newtonian(), KINDS["prbs"], replace(LONG, **asked))
         assert error.value.where and error.value.remedy
 
     def test_an_axis_that_drifts_has_an_answer(self):
         with pytest.raises(ConfigurationError, match="no amplitude") as error:
-            design(Tras(), KINDS["chirp"], ExcitationRequest(duration=300.0, rigs=0))
+            design(Tras(), KINDS["chirp"], replace(LONG, duration=300.0))
         assert "under control" in error.value.remedy
 
     def test_rigs_drawn_from_the_priors_have_wider_ranges(self):
-        request = ExcitationRequest(duration=40.0, lead_in=10.0, rigs=3)
+        request = replace(LONG, lead_in=10.0, rigs=3)
         found = design(Newtonian(), KINDS["multisine"], request)
         assert found.drawn == 3 and 0 <= found.lost <= 3
         low, high = found.drawn_ranges["omega_h"]
@@ -225,8 +221,7 @@ class TestDesign:
 class TestSpectra:
     def test_signal_over_noise_is_that_of_the_definition(self):
         found = quick("multisine")
-        noise = {"alpha_v": 4e-4, "alpha_h": 4e-4, "omega_v": 1.6, "omega_h": 1.6}
-        spectra = spectra_of(found, noise)
+        spectra = spectra_of(found, NOISE)
         assert spectra.noise[2] == pytest.approx(2 * 1.6**2 * 0.02)
         # Parseval: the density, times the width of what each band holds, adds up to the variance;
         # the periods of this signal are whole, so that hardly any of it lies beyond the bands.
@@ -244,10 +239,9 @@ class TestSpectra:
 
     def test_the_summary_tells_how_far_each_output_is_seen(self):
         found = quick("multisine")
-        noise = {"alpha_v": 4e-4, "alpha_h": 4e-4, "omega_v": 1.6, "omega_h": 1.6}
-        document = summary(found, spectra_of(found, noise))
+        document = summary(found, spectra_of(found, NOISE))
         seen = document["predicted"]["omega_h"]["seen_up_to_hz"]
         assert seen is not None and seen <= found.plan.highest
-        deaf = {name: 1e6 * sd for name, sd in noise.items()}
+        deaf = {name: 1e6 * sd for name, sd in NOISE.items()}
         blind = summary(found, spectra_of(found, deaf))
         assert blind["predicted"]["omega_h"]["seen_up_to_hz"] is None

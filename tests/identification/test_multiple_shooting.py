@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import recording
+from tests.identification.watched import Watched
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
@@ -189,19 +189,8 @@ def test_the_profile_of_a_near_parabola_has_its_width(measured: Dataset) -> None
     assert min(found["rise"]) == pytest.approx(0.0, abs=0.05)
 
 
-class Impatient(Unwatched):
-    """Asks to stop at the third report."""
-
-    def __init__(self) -> None:
-        self.fractions: list[float] = []
-
-    def update(self, fraction: float, cost: float, message: str) -> bool:
-        self.fractions.append(fraction)
-        return len(self.fractions) < 3
-
-
 def test_an_interrupted_fit_keeps_the_best_so_far(measured: Dataset) -> None:
-    progress = Impatient()
+    progress = Watched(3)
     result = MultipleShooting().fit(problem(vertical(), measured), progress)
     assert result.outcome is FitOutcome.INTERRUPTED
     assert np.isfinite(result.theta).all()
@@ -209,28 +198,10 @@ def test_an_interrupted_fit_keeps_the_best_so_far(measured: Dataset) -> None:
     assert all(0 <= fraction <= 1 for fraction in progress.fractions)
 
 
-class Remembering(Impatient):
-    """Stops early, keeps what is saved, and gives it back."""
-
-    def __init__(self, kept: dict[str, Any] | None = None, patience: int = 10**6) -> None:
-        super().__init__()
-        self.kept, self.patience = kept, patience
-
-    def update(self, fraction: float, cost: float, message: str) -> bool:
-        self.fractions.append(fraction)
-        return len(self.fractions) < self.patience
-
-    def save(self, state: Mapping[str, Any]) -> None:
-        self.kept = json.loads(json.dumps(state))
-
-    def saved(self) -> Mapping[str, Any] | None:
-        return self.kept
-
-
 def test_an_interrupted_fit_goes_on_where_it_was(measured: Dataset, fitted: FitResult) -> None:
-    first = Remembering(patience=6)
+    first = Watched(6)
     MultipleShooting(starts=1).fit(problem(vertical(), measured), first)
-    second = Remembering(first.kept)
+    second = Watched(kept=first.kept)
     result = MultipleShooting(starts=1).fit(problem(vertical(), measured), second)
     assert result.outcome is FitOutcome.CONVERGED
     np.testing.assert_allclose(result.theta, fitted.theta, rtol=1e-4)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tests.identification.watched import Watched
 from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import build
@@ -143,14 +146,7 @@ def test_a_slower_network_takes_means_of_the_commands():
 
 
 def test_an_interrupted_fit_keeps_the_best_so_far(problem):
-    class Impatient(Unwatched):
-        calls = 0
-
-        def update(self, fraction, cost, message):
-            self.calls += 1
-            return self.calls < 6
-
-    result = method("nnoe").fit(problem, Impatient())
+    result = method("nnoe").fit(problem, Watched(6))
     assert result.outcome is FitOutcome.INTERRUPTED
     assert len(result.details["stages"]) == 1
     network_of(result)
@@ -174,8 +170,6 @@ class TestWhatCannotBeFitted:
             method("narx", regressors={"sample_time": 0.15}).fit(problem, Unwatched())
 
     def test_a_channel_that_is_missing_throughout(self, problem):
-        from dataclasses import replace
-
         lost = replace(dataset(0), measurements=dataset(0).measurements * [1.0, np.nan])
         with pytest.raises(RecordingError, match="omega_h"):
             method("narx").fit(FitProblem(model=MODEL, datasets=(lost,)), Unwatched())
@@ -185,8 +179,6 @@ class TestWhatCannotBeFitted:
             method("narx", regressors={"output_lags": [2, 1]}).fit(problem, Unwatched())
 
     def test_a_training_that_is_none(self, problem):
-        from dataclasses import replace
-
         with pytest.raises(ConfigurationError, match="trms list training"):
             replace(method("narx"), training=3).fit(problem, Unwatched())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.identification.blackbox.differences import central
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.blackbox.prediction_error import (
     MultiStepError,
@@ -82,9 +83,8 @@ def test_a_lost_sample_takes_its_rows_away_and_no_others(samples):
     assert sorted(set(range(3, 60)) - set(place)) == [20, 21, 23]
 
 
-@pytest.mark.parametrize("make", [one_step])
-def test_one_step_slopes_are_those_of_differences(make, samples):
-    objective, theta = make(samples)
+def test_one_step_slopes_are_those_of_differences(samples):
+    objective, theta = one_step(samples)
     check_slopes(objective, theta)
     residuals, jacobian = objective.residuals(theta), objective.jacobian(theta)
     equations = objective.normal_equations(theta)
@@ -107,13 +107,7 @@ def check_slopes(objective, theta):
     """Gradient against differences of the loss, and the normal equations against the gradient."""
     loss, gradient = objective.gradient(theta)
     assert loss == pytest.approx(objective.loss(theta), rel=1e-12)
-    step = 1e-6
-    for i in range(theta.size):
-        up, down = theta.copy(), theta.copy()
-        up[i] += step
-        down[i] -= step
-        slope = (objective.loss(up) - objective.loss(down)) / (2 * step)
-        assert gradient[i] == pytest.approx(slope, rel=1e-5, abs=1e-8)
+    assert gradient == pytest.approx(central(objective.loss, theta), rel=1e-5, abs=1e-8)
     equations = objective.normal_equations(theta)
     assert equations.loss == pytest.approx(loss, rel=1e-12)
     assert 2 * equations.slope / objective.n_residuals == pytest.approx(
@@ -129,13 +123,7 @@ def test_the_curvature_of_a_simulation_is_that_of_its_jacobian(samples):
         targets = np.stack([samples.outputs[f : f + 9] for f in range(3, 52, 9)], axis=1)
         return ((objective.simulated(t) - targets) / scale.level_sd).ravel()
 
-    step = 1e-6
-    jacobian = np.empty((errors(theta).size, theta.size))
-    for i in range(theta.size):
-        up, down = theta.copy(), theta.copy()
-        up[i] += step
-        down[i] -= step
-        jacobian[:, i] = (errors(up) - errors(down)) / (2 * step)
+    jacobian = central(errors, theta)
     found = objective.normal_equations(theta).curvature
     assert found == pytest.approx(jacobian.T @ jacobian, rel=1e-5, abs=1e-5)
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+import yaml
 
+from tests.identification.blackbox.differences import central
 from trms_cli.core.errors import ModelError
 from trms_cli.identification.blackbox.radial_fit import Radial
 from trms_cli.identification.blackbox.trainable import Mlp
@@ -47,17 +49,6 @@ def stored(network, theta) -> Network:
         generator.standard_normal(N_OUT),
         generator.uniform(0.5, 2.0, N_OUT),
     )
-
-
-def central(f, x: np.ndarray, step: float = 1e-6) -> np.ndarray:
-    """Differences of an array-valued function, the slope last."""
-    columns = []
-    for i in range(x.size):
-        up, down = x.copy(), x.copy()
-        up.flat[i] += step
-        down.flat[i] -= step
-        columns.append((f(up) - f(down)) / (2 * step))
-    return np.stack(columns, axis=-1)
 
 
 def test_slopes_in_the_weights_are_those_of_differences(network, theta, z):
@@ -103,8 +94,6 @@ def test_the_expression_equals_the_evaluation_and_has_the_trained_slopes(network
 
 
 def test_what_is_written_comes_back_with_every_bit(network, theta):
-    import yaml
-
     model = stored(network, theta)
     again = Network.from_data(yaml.safe_load(yaml.safe_dump(model.to_data())))
     assert again.to_data() == model.to_data()

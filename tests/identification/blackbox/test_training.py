@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
 
+from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
@@ -20,7 +22,7 @@ from trms_cli.identification.blackbox.training.bayesian_regularisation import (
 from trms_cli.identification.blackbox.training.conjugate_gradient import ConjugateGradient
 from trms_cli.identification.blackbox.training.gradient_descent import GradientDescent
 from trms_cli.identification.blackbox.training.levenberg_marquardt import LevenbergMarquardt
-from trms_cli.identification.blackbox.training.quasi_newton import OneStepSecant
+from trms_cli.identification.blackbox.training.quasi_newton import OneStepSecant, _secant
 from trms_cli.identification.blackbox.training.resilient import Resilient
 from trms_cli.identification.blackbox.training.scaled_conjugate_gradient import (
     ScaledConjugateGradient,
@@ -37,8 +39,6 @@ THESIS = {"gd", "gdm", "gda", "gdx", "rp", "cgf", "cgp", "cgb", "scg", "bfgs", "
 
 
 def option(name: str):
-    from trms_cli.composition.catalogue import read_yaml
-
     return build(read_yaml(config_folder() / "training" / f"{name}.yaml"), "training")
 
 
@@ -58,21 +58,15 @@ class LinearLeastSquares:
         return len(self.target)
 
     def loss(self, theta):
-        return self.gradient(theta)[0]
+        return self.normal_equations(theta).loss
 
     def gradient(self, theta):
-        residuals = self.jacobian @ theta - self.target
-        return residuals @ residuals / len(residuals), (
-            2.0 / len(residuals) * self.jacobian.T @ residuals
-        )
+        equations = self.normal_equations(theta)
+        return equations.loss, 2.0 / self.n_residuals * equations.slope
 
     def normal_equations(self, theta):
-        residuals = self.jacobian @ theta - self.target
-        return NormalEquations(
-            residuals @ residuals / len(residuals),
-            self.jacobian.T @ self.jacobian,
-            self.jacobian.T @ residuals,
-        )
+        r = self.jacobian @ theta - self.target
+        return NormalEquations(r @ r / len(r), self.jacobian.T @ self.jacobian, self.jacobian.T @ r)
 
 
 class Trace(list):
@@ -215,27 +209,18 @@ class TestResilient:
     """RPROP follows signs only."""
 
     def test_the_size_of_the_slopes_plays_no_part(self, sine, start):
-        class Scaled:
-            n_residuals = sine.n_residuals
-
-            def gradient(self, theta):
-                loss, slope = sine.gradient(theta)
-                return 1000.0 * loss, 1000.0 * slope
-
+        thousandfold = SimpleNamespace(
+            gradient=lambda theta: [1000.0 * part for part in sine.gradient(theta)]
+        )
         plain = traced(Resilient(), sine, start, 40)
-        scaled = traced(Resilient(), Scaled(), start, 40)
+        scaled = traced(Resilient(), thousandfold, start, 40)
         assert all(np.array_equal(a, b) for a, b in zip(plain, scaled, strict=True))
 
     def test_steps_as_published(self):
         """f = θ²: growth by 1.2, a step back and half the step after the minimum is passed."""
 
-        class Parabola:
-            n_residuals = 1
-
-            def gradient(self, theta):
-                return float(theta @ theta), 2.0 * theta
-
-        trace = traced(Resilient(first_step=0.4), Parabola(), np.array([1.0]), 6)
+        parabola = SimpleNamespace(gradient=lambda theta: (float(theta @ theta), 2.0 * theta))
+        trace = traced(Resilient(first_step=0.4), parabola, np.array([1.0]), 6)
         passed = 1.0 - 0.4 - 0.48 - 0.576
         expected = [0.6, 0.12, passed, 0.12, 0.12 - 0.288, 0.12]
         assert np.ravel(trace) == pytest.approx(expected, abs=1e-12)
@@ -284,8 +269,6 @@ class TestQuasiNewton:
     """BFGS is scipy's; the one-step secant method is BFGS without a memory."""
 
     def test_the_secant_direction_is_one_bfgs_update_of_the_identity(self):
-        from trms_cli.identification.blackbox.training.quasi_newton import _secant
-
         generator = np.random.default_rng(0)
         g, s, y = generator.standard_normal((3, 5))
         s *= np.sign(s @ y)
@@ -352,6 +335,16 @@ class TestBayesianRegularisation:
         assert training.history.effective[-1] < 0.6 * first.size
 
 
+def until(epoch: int):
+    """A watcher that interrupts."""
+
+    def impatient(now, loss, validation):
+        if now == epoch:
+            raise KeyboardInterrupt
+
+    return impatient
+
+
 class TestStopping:
     """When a training ends, and what it keeps."""
 
@@ -385,23 +378,12 @@ class TestStopping:
         assert outcome(progress=0.9, gradient=0.0) is TrainingOutcome.SETTLED
 
     def test_an_interruption_keeps_what_there_is(self, sine, start):
-        def impatient(epoch, loss, validation):
-            if epoch == 5:
-                raise KeyboardInterrupt
-
-        training = train(LevenbergMarquardt(), sine, start, Stopping(), watcher=impatient)
+        training = train(LevenbergMarquardt(), sine, start, Stopping(), watcher=until(5))
         assert training.outcome is TrainingOutcome.INTERRUPTED
         assert training.history.epochs == 5
         assert sine.loss(training.theta) == training.history.losses[5]
 
     def test_without_validation_the_weights_of_the_smallest_loss_are_kept(self, sine, start):
-        def until(epoch):
-            def impatient(now, loss, validation):
-                if now == epoch:
-                    raise KeyboardInterrupt
-
-            return impatient
-
         wild = GradientDescent(learning_rate=1.5, momentum=0.9)
         training = train(wild, sine, start, Stopping(progress=0.0), watcher=until(60))
         losses = training.history.losses

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.identification.watched import Watched
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.cma_es import CmaEs
 from trms_cli.identification.genetic import Genetic
@@ -19,24 +20,6 @@ SMALL = Genetic(individuals=12, generations=8)
 def truth(rig) -> np.ndarray:
     """The true values in the order of the free parameters."""
     return np.array([rig.true[name] for name in rig.problem().names])
-
-
-class Kept(Unwatched):
-    """Stops after some generations and keeps the state."""
-
-    def __init__(self, after: int = 10**9, state=None) -> None:
-        self.after, self.state, self.count, self.fractions = after, state, 0, []
-
-    def update(self, fraction, cost, message):
-        self.count += 1
-        self.fractions.append(fraction)
-        return self.count < self.after
-
-    def save(self, state):
-        self.state = state
-
-    def saved(self):
-        return self.state
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +92,7 @@ class TestFit:
     def test_the_genetic_algorithm_comes_nearer(self, rig):
         problem = rig.problem()
         cost = SimulationCost(problem)
-        progress = Kept()
+        progress = Watched()
         result = SMALL.fit(problem, progress)
         assert result.outcome is FitOutcome.BUDGET_SPENT
         true = cost(truth(rig))
@@ -128,15 +111,15 @@ class TestFit:
     @pytest.mark.parametrize("method", [SMALL, CmaEs(evaluations=96)])
     def test_goes_on_bit_for_bit(self, rig, method):
         whole = method.fit(rig.problem(), Unwatched())
-        stopped = Kept(after=3)
+        stopped = Watched(3)
         first = method.fit(rig.problem(), stopped)
         assert first.outcome is FitOutcome.INTERRUPTED and first.evaluations < whole.evaluations
-        resumed = method.fit(rig.problem(), Kept(state=stopped.state))
+        resumed = method.fit(rig.problem(), Watched(kept=stopped.kept))
         assert resumed.values == whole.values
         assert [p.cost for p in resumed.history] == [p.cost for p in whole.history]
 
     def test_another_seed_is_another_search(self, rig):
-        stopped = Kept(after=2)
+        stopped = Watched(2)
         SMALL.fit(rig.problem(), stopped)
         with pytest.raises(ConfigurationError, match="seed was 0 and is 1"):
-            SMALL.fit(rig.problem(seed=1), Kept(state=stopped.state))
+            SMALL.fit(rig.problem(seed=1), Watched(kept=stopped.kept))
