@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import yaml
 
 from experiments.gap.blind.drivers import rich_excitation
+from tests.identification.greybox.rigs import dataset_of, sensed
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
 from trms_cli.identification.dataset import Dataset
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout
 
 STEP = 0.02  # s
-QUANTUM = 2 * np.pi / 4096  # rad
-SPEED_NOISE = 1.6  # rad/s
 
 
 def effect(name: str, **sizes: float) -> Effect:
@@ -53,27 +53,13 @@ def recording(
     rollout = Rollout(rig, STEP)
     start = rollout.initial(rig.rest(), commands[0])
     y = rollout.outputs(np.vstack([held, commands]), [0], [settling + count], start[None]).y
-    y = y[settling:]
-    random = np.random.default_rng(seed)
-    sd = np.empty(y.shape[1])
-    for i, name in enumerate(names(rig.outputs)):
-        if name.startswith("alpha"):
-            y[:, i] = QUANTUM * np.round(y[:, i] / QUANTUM)
-            sd[i] = QUANTUM / np.sqrt(12)
-        else:
-            y[:, i] += SPEED_NOISE * random.standard_normal(len(y))
-            sd[i] = SPEED_NOISE
+    measured, sd = sensed(rig, y[settling:], np.random.default_rng(seed))
+    whole = dataset_of(rig, np.ascontiguousarray(commands), measured, sd, step=STEP)
     kept = [i for i, s in enumerate(rig.outputs) if outputs is None or s.name in outputs]
-    return Dataset(
-        name="rig",
-        source="rig.csv",
-        sha256="0" * 64,
-        sample_time=STEP,
-        time=STEP * np.arange(count),
-        inputs=nominal.inputs,
+    return replace(
+        whole,
         outputs=tuple(rig.outputs[i] for i in kept),
-        commands=np.ascontiguousarray(commands),
-        measurements=np.ascontiguousarray(y[:, kept]),
+        measurements=np.ascontiguousarray(measured[:, kept]),
         noise_sd=sd[kept],
     )
 

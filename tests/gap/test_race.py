@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.identification.greybox.rigs import QUANTUM, TACHO_NOISE
 from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.diagnose import diagnose
 from trms_cli.gap.fitting import nominal_parameters, refit
@@ -15,7 +16,7 @@ from trms_cli.gap.race import EFFORTS, Checkpoint, Race, effect_traces, run_race
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
 
-from .recorded import QUANTUM, SPEED_NOISE, effect, recording
+from .recorded import effect, recording
 
 NAMES = ("yaw_coulomb_friction", "yaw_quadratic_damping", "main_input_delay", "main_actuator_lag")
 MODEL = Newtonian()
@@ -91,7 +92,7 @@ def test_noise_is_read_from_steps_and_ripple():
     unknown = replace(dataset, noise_sd=np.full(4, 1e-6))
     read = with_noise(unknown).noise_sd
     assert read[:2] == pytest.approx(QUANTUM / np.sqrt(12), rel=1e-3)
-    assert read[2:] == pytest.approx(SPEED_NOISE, rel=0.1)
+    assert read[2:] == pytest.approx(TACHO_NOISE, rel=0.1)
     told = with_noise(dataset).noise_sd
     assert told == pytest.approx(dataset.noise_sd)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.recordings.played_rig import BENCH, SIGNALS, play
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.admission import admit, issues_by_model, together
 from trms_cli.identification.data import DataOptions, load_datasets
@@ -20,9 +20,6 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
 from trms_cli.recordings.for_model import Selection
 from trms_cli.recordings.recording import Recording
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
-from played_rig import BENCH, SIGNALS, play
 
 MODEL = Newtonian()
 #: Recordings of real rigs beside the checkout, where there are any.

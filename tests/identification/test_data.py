@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.recordings.played_rig import BENCH, play
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.identification.data import DataOptions, files_of, load_datasets, noise_estimate
 from trms_cli.models.newtonian import Newtonian
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
-from played_rig import BENCH, play
 
 MODEL = Newtonian()
 DECLARED = DataOptions(noise_sd=dict(BENCH.noise_sd), quantum=dict(BENCH.quantum))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.identification.greybox.rigs import dataset_of
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import error_figures, window_runs
 from trms_cli.identification.problem import acting_parameters, with_values
@@ -32,10 +33,7 @@ def dataset(model) -> Dataset:
     y = rollout.outputs(commands, [0], [SAMPLES], start[None]).y
     sd = np.array([1e-4, 0.5])
     measured = y + sd * generator.standard_normal(y.shape)
-    return Dataset(
-        "rig", "rig.csv", "", STEP, STEP * np.arange(SAMPLES), model.inputs, model.outputs,
-        commands, measured, sd,
-    )  # fmt: skip
+    return dataset_of(model, commands, measured, sd, step=STEP)
 
 
 def test_the_right_model_strays_by_little_more_than_the_noise(model, dataset):

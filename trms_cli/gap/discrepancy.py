@@ -181,8 +181,7 @@ class Discrepancy:
     def forgotten(self) -> FloatArray:
         """Factor of each force from one sample to the next, (n_d,)."""
         times = [DRIFT_TIME if c.kind == "gain" else self.correlation_time for c in self.channels]
-        kept: FloatArray = np.exp(-self.windows.sample_time / np.array(times))
-        return kept
+        return np.asarray(np.exp(-self.windows.sample_time / np.array(times)))
 
     @cached_property
     def fixed(self) -> BoolArray:
@@ -341,5 +340,4 @@ def log_likelihood(discrepancy: Discrepancy, r: FloatArray, shares: FloatArray) 
     """Log likelihood of what a fit left over, by window, up to a constant, (m,) nats."""
     filter_ = discrepancy.filter(shares)
     z = discrepancy.whitened(filter_, r[..., None])[..., 0]
-    found: FloatArray = -0.5 * (z**2).sum(axis=(1, 2)) - 0.5 * filter_.logdet
-    return found
+    return np.asarray(-0.5 * (z**2).sum(axis=(1, 2)) - 0.5 * filter_.logdet)

@@ -51,6 +51,7 @@ from trms_cli.gap.diagnosis import (
     Traces,
     horizon_key,
 )
+from trms_cli.identification.findings import near
 
 #: s; the horizon that stands for all: this, or the longest that there is below.
 HORIZON = 2.0
@@ -655,22 +656,10 @@ def run_chart(traces: Traces) -> Chart | None:
         ]
         unit = "rad" if channel.startswith("alpha") else "rad/s"
         axis = Axis("time", "s", (float(time[0]), float(time[-1])))
-        near = _near(measured, [np.asarray(series[name]) for name in _RUNS if name in series])
-        panels.append(Panel(axis, Axis(wording.signal(channel), unit, near), marks))
+        limits = near(measured, [np.asarray(series[n]) for n in _RUNS if n in series], 0.6)
+        panels.append(Panel(axis, Axis(wording.signal(channel), unit, limits), marks))
     caption = "One free run over the sealed part: started once, then the model alone."
     return Chart("free_run", panels, caption, 1, _WIDTH, 1.6, together=True)
-
-
-def _near(measured: np.ndarray, others: Sequence[np.ndarray]) -> tuple[float, float] | None:
-    """The measured range and as much again: a model that runs away shall not flatten the rest."""
-    known = measured[np.isfinite(measured)]
-    if not known.size:
-        return None
-    low, high = float(known.min()), float(known.max())
-    reach = 0.6 * (high - low) or 1.0
-    every = np.concatenate([values[np.isfinite(values)] for values in (measured, *others)])
-    edge = 0.05 * (high - low)
-    return max(float(every.min()) - edge, low - reach), min(float(every.max()) + edge, high + reach)
 
 
 def _tests(diagnosis: DiagnosisResult) -> Section | None:

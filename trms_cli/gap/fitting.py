@@ -62,8 +62,7 @@ class Metric:
 
     def losses(self, z: FloatArray) -> FloatArray:
         """Half the robust squares of innovations (m, c, n_y), by window, shape (m,)."""
-        total: FloatArray = 0.5 * huber_squares(z, self.robust).sum(axis=(1, 2))
-        return total
+        return np.asarray(0.5 * huber_squares(z, self.robust).sum(axis=(1, 2)))
 
 
 #: Slopes per scaled unit beyond this say nothing; in the outputs' units.
@@ -114,8 +113,7 @@ class InnovationObjective(PosteriorObjective):
     def _losses(self, r: FloatArray, starts: FloatArray) -> FloatArray:
         z = self.metric.whitened(r[..., None])[..., 0]
         gaps = (starts - self.centres) / self.windows.spread
-        parts: FloatArray = self.metric.losses(z) + 0.5 * np.sum(gaps**2, axis=1)
-        return parts
+        return np.asarray(self.metric.losses(z) + 0.5 * np.sum(gaps**2, axis=1))
 
 
 #: Slopes beyond this, per scaled unit, are those of a simulation that runs away.
@@ -446,5 +444,4 @@ def _followed(discrepancy: Discrepancy) -> FloatArray:
     shares = np.full(len(discrepancy.channels), 0.5)
     x, _ = discrepancy.smoothed(shares, r)
     n = discrepancy.trajectory.x.shape[-1]
-    followed: FloatArray = discrepancy.trajectory.x + x[..., :n]
-    return followed
+    return np.asarray(discrepancy.trajectory.x + x[..., :n])

@@ -75,8 +75,7 @@ class CmaSearch:
 
     def ask(self) -> FloatArray:
         """The next generation."""
-        points: FloatArray = np.clip(np.array(self._strategy.ask(), dtype=float), 0.0, 1.0)
-        return points
+        return np.asarray(np.clip(np.array(self._strategy.ask(), dtype=float), 0.0, 1.0))
 
     def tell(self, points: FloatArray, costs: FloatArray) -> None:
         """Its costs; begins anew elsewhere when the strategy has converged and may."""

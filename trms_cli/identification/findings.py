@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,10 @@ from trms_cli.core.findings import (
     Section,
     table,
 )
-from trms_cli.identification.assessment import Assessment
-from trms_cli.identification.free_runs import WindowRuns
+
+if TYPE_CHECKING:
+    from trms_cli.identification.assessment import Assessment
+    from trms_cli.identification.free_runs import WindowRuns
 
 #: Parts of the recordings in the document, as a person reads them.
 PARTS = {"held_out": "held out", "fit": "fitted"}

@@ -121,8 +121,7 @@ class GeneticSearch:
     def ask(self) -> FloatArray:
         """The next generation."""
         self._asked = self._algorithm.ask()
-        points: FloatArray = np.array(self._asked.get("X"), dtype=float)
-        return points
+        return np.asarray(np.array(self._asked.get("X"), dtype=float))
 
     def tell(self, points: FloatArray, costs: FloatArray) -> None:
         """Its costs."""

@@ -331,13 +331,11 @@ class Box:
 
     def values(self, point: FloatArray) -> FloatArray:
         """Parameters at points, (…, n) to (…, n)."""
-        values: FloatArray = self.lower + point * (self.upper - self.lower)
-        return values
+        return np.asarray(self.lower + point * (self.upper - self.lower))
 
     def point(self, theta: FloatArray) -> FloatArray:
         """The point of parameters, (…, n), moved into the box."""
-        inside: FloatArray = np.clip((theta - self.lower) / (self.upper - self.lower), 0.0, 1.0)
-        return inside
+        return np.asarray(np.clip((theta - self.lower) / (self.upper - self.lower), 0.0, 1.0))
 
     def drawn(self, number: int, generator: np.random.Generator) -> FloatArray:
         """Points drawn from the priors, evenly where there is none, shape (number, n).

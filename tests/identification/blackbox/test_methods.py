@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.identification.greybox.rigs import dataset_of
 from tests.identification.watched import Watched
 from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.errors import ConfigurationError, RecordingError
@@ -59,10 +60,7 @@ def dataset(seed: int, n: int = 400, step: int = 1) -> Dataset:
         y[k, 0] = 0.95 * y[k - 1, 0] + 0.1 * y[k - 1, 1] * abs(y[k - 1, 1])
     y += NOISE * generator.standard_normal(y.shape)
     u, y = np.repeat(u, step), np.repeat(y, step, axis=0)
-    return Dataset(
-        f"d{seed}", f"d{seed}.csv", "", 0.1 / step, 0.1 / step * np.arange(len(u)), MODEL.inputs,
-        MODEL.outputs, u[:, None], y, np.full(2, NOISE),
-    )  # fmt: skip
+    return dataset_of(MODEL, u[:, None], y, np.full(2, NOISE), step=0.1 / step, name=f"d{seed}")
 
 
 @pytest.fixture(scope="module")

@@ -26,6 +26,40 @@ def levels(seed: int, samples: int, ranges: list[tuple[float, float]]) -> np.nda
     return u
 
 
+def sensed(
+    model: Model, y: np.ndarray, generator: np.random.Generator, *, noisy: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles counted by an encoder, speeds with a tacho's noise, and what is declared of both."""
+    measured, sd = y.copy(), np.empty(y.shape[1])
+    for i, signal in enumerate(model.outputs):
+        if signal.unit == "rad":
+            sd[i] = QUANTUM / 12**0.5
+            if noisy:
+                measured[:, i] = np.round(y[:, i] / QUANTUM) * QUANTUM
+        else:
+            sd[i] = TACHO_NOISE
+            if noisy:
+                measured[:, i] += TACHO_NOISE * generator.standard_normal(len(y))
+    return measured, sd
+
+
+def dataset_of(
+    model: Model,
+    commands: np.ndarray,
+    measured: np.ndarray,
+    sd: np.ndarray,
+    *,
+    step: float = SAMPLE,
+    name: str = "rig",
+) -> Dataset:
+    """A recording of all inputs and outputs of a model."""
+    time = step * np.arange(len(commands))
+    return Dataset(
+        name, f"{name}.csv", "0" * 64, step, time, model.inputs, model.outputs, commands, measured,
+        sd,
+    )  # fmt: skip
+
+
 def recording(
     model: Model,
     *,
@@ -51,27 +85,5 @@ def recording(
         found = rollout.outputs(u, [k], [1], x[None])
         y.append(found.y[0])
         x = found.ends[0]
-    measured, sd = np.array(y), []
-    generator = np.random.default_rng(seed + 1)
-    for i, signal in enumerate(model.outputs):
-        if signal.unit == "rad":
-            if noisy:
-                measured[:, i] = np.round(measured[:, i] / QUANTUM) * QUANTUM
-            sd.append(QUANTUM / 12**0.5)
-        else:
-            if noisy:
-                measured[:, i] += TACHO_NOISE * generator.standard_normal(samples)
-            sd.append(TACHO_NOISE)
-    dataset = Dataset(
-        f"rig{seed}",
-        f"rig{seed}.csv",
-        "0" * 64,
-        SAMPLE,
-        np.arange(samples) * SAMPLE,
-        model.inputs,
-        model.outputs,
-        u,
-        measured,
-        np.array(sd),
-    )
-    return dataset, np.array(states)
+    measured, sd = sensed(model, np.array(y), np.random.default_rng(seed + 1), noisy=noisy)
+    return dataset_of(model, u, measured, sd, name=f"rig{seed}"), np.array(states)

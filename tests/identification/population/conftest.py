@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from tests.identification.greybox.rigs import dataset_of
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FitProblem, free_parameters
 from trms_cli.models.model import Model
@@ -46,11 +47,7 @@ def rig() -> Rig:
     y = rollout.outputs(commands, [0], [n], start[None], p).y
     sd = np.array([NOISE[signal.name] for signal in model.outputs])
     measured = y + sd * generator.standard_normal(y.shape)
-    dataset = Dataset(
-        "rig", "rig.csv", "0" * 64, step, step * np.arange(n), model.inputs, model.outputs,
-        commands, measured, sd,
-    )  # fmt: skip
-    return Rig(model, dataset, true)
+    return Rig(model, dataset_of(model, commands, measured, sd, step=step), true)
 
 
 @pytest.fixture(scope="session")

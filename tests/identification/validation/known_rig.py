@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from tests.identification.greybox.rigs import dataset_of
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.identification.dataset import Dataset
@@ -50,10 +51,7 @@ def recording(rig: Model, seconds: float = 40.0, seed: int = 0) -> Dataset:
     quantum = np.array([QUANTUM[name] for name in names(rig.outputs)])
     white = np.array([WHITE[name] for name in names(rig.outputs)])
     y = np.round((y + white * rng.standard_normal(y.shape)) / quantum) * quantum
-    return Dataset(
-        "rig", "rig.csv", "0" * 64, SAMPLE_TIME, SAMPLE_TIME * np.arange(n), rig.inputs,
-        rig.outputs, commands, y, np.hypot(white, quantum / np.sqrt(12)),
-    )  # fmt: skip
+    return dataset_of(rig, commands, y, np.hypot(white, quantum / np.sqrt(12)), step=SAMPLE_TIME)
 
 
 @cache

@@ -8,8 +8,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from known_rig import QUANTUM, SAMPLE_TIME, model, recording
 
+from tests.identification.greybox.rigs import dataset_of
+from tests.identification.validation.known_rig import QUANTUM, SAMPLE_TIME, model, recording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.document import document_of
@@ -280,11 +281,7 @@ class TestBlackBox:
         for k in range(1, n - 1):
             y[k + 1] = 1.7 * y[k] - 0.72 * y[k - 1] + 0.01 * u[k] + 0.01 * u[k - 1]
             y[k + 1] += 0.001 * rng.standard_normal()
-        return Dataset(
-            "made", "made.csv", "0" * 64, SAMPLE_TIME, SAMPLE_TIME * np.arange(n),
-            (Signal("u_v", "V"),), (Signal("alpha_v", "rad"),), u[:, None], y[:, None],
-            np.array([0.001]),
-        )  # fmt: skip
+        return dataset_of(Remembering(), u[:, None], y[:, None], np.array([0.001]))
 
     def test_its_state_is_the_measured_past(self, made):
         states = measured_states(Remembering(), made)

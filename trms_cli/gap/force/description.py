@@ -241,8 +241,7 @@ def _significant(record: ForceRecord, energy: FloatArray, surplus: FloatArray) -
     sums = sums / scale[:, None]
     sign = np.random.default_rng(0).choice([-1.0, 1.0], size=(_DRAWS, sums.shape[1]))
     largest = np.max(sign @ sums.T, axis=1)
-    found: BoolArray = sums.sum(axis=1) > np.quantile(largest, 1 - _FALSE_ALARM)
-    return found
+    return np.asarray(sums.sum(axis=1) > np.quantile(largest, 1 - _FALSE_ALARM))
 
 
 #: t-value of what is told, from about a dozen blocks or more.

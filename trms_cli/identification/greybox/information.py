@@ -39,8 +39,7 @@ def autocovariance(z: FloatArray, measured: BoolArray, lags: int) -> FloatArray:
     raw = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=1)[:, : lags + 1].sum(axis=0)
     # Divided by the number of samples, not of pairs: only so is it positive at all frequencies.
     count = np.maximum(measured.sum(axis=(0, 1)), 1)
-    tapered: FloatArray = (raw / count).T * parzen(lags)
-    return tapered
+    return np.asarray((raw / count).T * parzen(lags))
 
 
 def parzen(lags: int) -> FloatArray:
@@ -68,8 +67,7 @@ def score_covariances(slopes: FloatArray, gamma: FloatArray) -> FloatArray:
         smooth = np.fft.irfft(spectrum * density[c][None, :, None], size, axis=1)[:, :length]
         found.append(np.einsum("mtf,mtg->fg", slopes[:, :, c], smooth))
     matrices = np.array(found)
-    symmetric: FloatArray = (matrices + matrices.swapaxes(1, 2)) / 2
-    return symmetric
+    return np.asarray((matrices + matrices.swapaxes(1, 2)) / 2)
 
 
 #: Share of a window up to which residuals are taken to hang together, and the same in s.
@@ -198,8 +196,7 @@ def _at_least(white: FloatArray, found: FloatArray) -> FloatArray:
     inverse = vectors[:, heard] / np.sqrt(values[heard])
     ratio, directions = np.linalg.eigh(inverse.T @ found @ inverse)
     scaled = root @ directions
-    floored: FloatArray = (scaled * np.maximum(ratio, 1.0)) @ scaled.T
-    return floored
+    return np.asarray((scaled * np.maximum(ratio, 1.0)) @ scaled.T)
 
 
 #: Brun's threshold.
@@ -274,8 +271,7 @@ def correlations(covariance: FloatArray) -> FloatArray:
 def _against_all(gram: FloatArray) -> FloatArray:
     """γ of each column against all the others: the root of its variance inflation."""
     inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
-    inflation: FloatArray = np.sqrt(np.maximum(np.diag(inverse), 1.0))
-    return inflation
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 1.0)))
 
 
 def _confounded(gram: FloatArray, names: Sequence[str]) -> list[CollinearSet]:

@@ -61,8 +61,7 @@ class ResidualWeights:
     def costs(self, r: FloatArray) -> FloatArray:
         """The same by window, shape (m,)."""
         loss = huber_squares(self.whitened(r), self.robust)
-        costs: FloatArray = 0.5 * (loss.sum(axis=1) @ self.trust)
-        return costs
+        return np.asarray(0.5 * (loss.sum(axis=1) @ self.trust))
 
     def roots(self, r: FloatArray) -> FloatArray:
         """Factors (m, c, n_y) of residuals and slopes whose squares make the cost's parabola.
@@ -159,8 +158,7 @@ class Reduced(NamedTuple):
 
     def starts(self, dtheta: FloatArray) -> FloatArray:
         """Change of the starts (m, n) that belongs to a change of the parameters."""
-        change: FloatArray = self.at_zero + self.to_starts @ dtheta
-        return change
+        return np.asarray(self.at_zero + self.to_starts @ dtheta)
 
 
 def triangles(a_b: FloatArray, r: FloatArray) -> FloatArray:
@@ -383,8 +381,7 @@ class MapObjective(PosteriorObjective):
 
     def scaled(self, j: FloatArray) -> FloatArray:
         """Slopes per scaled unit of starts and parameters."""
-        slopes: FloatArray = j * np.concatenate([self.windows.spread, self.scales])
-        return slopes
+        return np.asarray(j * np.concatenate([self.windows.spread, self.scales]))
 
     def _cost(self, theta: FloatArray, starts: FloatArray, residuals: Residuals) -> float:
         if not residuals.finite:

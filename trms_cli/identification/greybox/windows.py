@@ -284,8 +284,7 @@ class Windows:
     def commands(self) -> FloatArray:
         """Commands of all windows, (m, c, n_u), the last repeated past a window's end."""
         k = np.minimum(np.arange(self.inside.shape[1]), self.count[:, None] - 1)
-        commands: FloatArray = self._commands[self.first[:, None] + k]
-        return commands
+        return np.asarray(self._commands[self.first[:, None] + k])
 
     def residuals(self, p: FloatArray, starts: FloatArray, *, slopes: bool = False) -> Residuals:
         """Simulate with all parameters ``p`` (n_p,) from ``starts`` (m, n_x)."""

@@ -238,29 +238,32 @@ def _in_short(name: str, of: Document) -> Table:
 
 
 def _error_table(name: str, of: Document) -> Table:
-    rows: list[list[Cell]] = []
+    columns = [
+        *(Column(head, head) for head in ("channel", "free for")),
+        Column("RMS", "rms"),
+        Column("95 % interval", "interval"),
+        Column("at its end", "at_end"),
+        Column("largest", "max"),
+        Column("no change", "unchanged_rms"),
+        Column("fit [%]", "fit_percent"),
+        Column("VAF [%]", "vaf_percent"),
+    ]
+    caption = f"{name}. Red: no better than predicting no change."
+    return table(_error_rows(of), columns, caption, heads=2, on_screen=False)
+
+
+def _error_rows(of: Document) -> Iterator[dict[str, Any]]:
+    """Figures of a channel one step ahead, at each horizon, and to the end of the recording."""
     for channel, horizons in of["by_horizon"].items():
-        unit = of["units"][channel]
-        step, whole = of["one_step"][channel], of["free_run"][channel]
-        label = wording.titled(word(channel), unit)
-        rows.append(
-            [label, "one step", step["rms"], "", step["rms"], step["max"],
-             step["unchanged_rms"], step["fit_percent"], step["vaf_percent"]]
-        )  # fmt: skip
+        step = {"free for": "one step", "interval": "", **of["one_step"][channel]}
+        label = wording.titled(word(channel), of["units"][channel])
+        yield {"channel": label, "at_end": step["rms"], **step}
         for horizon, row in horizons.items():
             better = row["rms"] is not None and row["rms"] < (row["unchanged_rms"] or 0)
-            rows.append(
-                ["", f"{float(horizon):g} s", Judged(row["rms"], "" if better else "bad"),
-                 _between(row["ci95"]), row["at_end"], row["max"], row["unchanged_rms"],
-                 row["fit_percent"], row["vaf_percent"]]
-            )  # fmt: skip
-        rows.append(
-            ["", "to the end", whole["rms"], "", None, whole["max"], None,
-             whole["fit_percent"], whole["vaf_percent"]]
-        )  # fmt: skip
-    heads = ["channel", "free for", "RMS", "95 % interval", "at its end", "largest", "no change"]
-    caption = f"{name}. Red: no better than predicting no change."
-    return Table([*heads, "fit [%]", "VAF [%]"], rows, caption, heads=2, on_screen=False)
+            rms = Judged(row["rms"], "" if better else "bad")
+            place = {"channel": "", "free for": f"{float(horizon):g} s"}
+            yield {**row, **place, "rms": rms, "interval": _between(row["ci95"])}
+        yield {"channel": "", "free for": "to the end", "interval": "", **of["free_run"][channel]}
 
 
 def _regions(validations: Sequence[ModelValidation]) -> list[Section]:
