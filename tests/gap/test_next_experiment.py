@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import recording
-from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.fitting import Refit, refit
 from trms_cli.gap.next_experiment import (
@@ -24,6 +23,7 @@ from trms_cli.gap.next_experiment import (
     visibility,
     with_rows,
 )
+from trms_cli.gap.problem import CandidateEffect, applicable_candidates
 from trms_cli.identification.problem import free_parameters
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout

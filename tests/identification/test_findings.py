@@ -9,7 +9,6 @@ import pytest
 
 from trms_cli.core.chart import Curve, Points
 from trms_cli.core.findings import plain
-from trms_cli.identification.assessment import Assessment
 from trms_cli.identification.findings import (
     convergence_chart,
     doubts_of,
@@ -17,6 +16,7 @@ from trms_cli.identification.findings import (
     free_run_chart,
     parameter_chart,
 )
+from trms_cli.identification.free_runs import Assessment
 from trms_cli.models.model import Signal
 from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.page import page_html

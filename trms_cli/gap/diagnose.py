@@ -17,7 +17,6 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing, readable
-from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
@@ -48,7 +47,7 @@ from trms_cli.gap.innovation_tests import innovation_tests
 from trms_cli.gap.location import Location, locate, smoothed_forces
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior, calibration, posterior_of
-from trms_cli.gap.problem import GapProblem, Parts, divide
+from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, EffectTraces, Race, effect_traces, run_race
 from trms_cli.identification.problem import Progress, Unwatched
 from trms_cli.models.model import Model, names

@@ -12,7 +12,6 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
-from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.discrepancy import (
     Discrepancy,
     TrajectoryLinearisation,
@@ -20,6 +19,7 @@ from trms_cli.gap.discrepancy import (
     usual_channels,
 )
 from trms_cli.gap.kalman import FilterGains
+from trms_cli.gap.problem import CandidateEffect, joint
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.map_fit import Point, minimise
 from trms_cli.identification.greybox.objective import (

@@ -16,10 +16,10 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing
-from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
 from trms_cli.gap.fitting import CandidateFit, FittedModel, Metric, ModelStructure, Refit
+from trms_cli.gap.problem import CandidateEffect
 from trms_cli.gap.race import Signatures, effect_traces, projected
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.excitation.design import band_of, lead_in, linearised

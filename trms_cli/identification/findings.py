@@ -24,8 +24,7 @@ from trms_cli.core.findings import (
 )
 
 if TYPE_CHECKING:
-    from trms_cli.identification.assessment import Assessment
-    from trms_cli.identification.free_runs import WindowRuns
+    from trms_cli.identification.free_runs import Assessment, WindowRuns
 
 #: Parts of the recordings in the document, as a person reads them.
 PARTS = {"held_out": "held out", "fit": "fitted"}

@@ -9,13 +9,13 @@ measurements leave open. Where the stretch lies *before* a window, the model's s
 the window's start: nothing of the window has been seen.
 
 ``trms validate`` and ``trms diagnose`` ask more of a model; the figures over windows end to end are
-those of a fit.
+those of a fit. With the uncertainty of its parameters they make its assessment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.windows import estimated_starts
+from trms_cli.identification.greybox.windows import Windows, estimated_starts
+from trms_cli.identification.problem import FitProblem, FitResult, with_values
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
 from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.models.state_kinds import kinds_of_states
@@ -251,3 +252,86 @@ def error_figures(runs: Sequence[WindowRuns]) -> dict[str, dict[str, Any]]:
 
 def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+#: What a method's details say of the parameters, and what the document says elsewhere.
+_STATISTICS, _ELSEWHERE = ("identifiability", "outputs", "profiles"), ("on_bounds",)
+
+
+@dataclass
+class Assessment:
+    """A fit with all that is told of it."""
+
+    result: FitResult
+    #: Of the parameters, as JSON has it; empty for a network
+    statistics: dict[str, Any] = field(default_factory=dict)
+    #: ``before``, ``after``: Free runs of the model as it was and as fitted, over ``fit`` and
+    #: ``held_out``
+    before: dict[str, list[WindowRuns]] = field(default_factory=dict)
+    after: dict[str, list[WindowRuns]] = field(default_factory=dict)
+
+    @property
+    def deviations(self) -> dict[str, float | None]:
+        """Standard deviations of the fitted parameters, absolute; None where there is none."""
+        covariance = self.result.covariance
+        if covariance is None:
+            return dict.fromkeys(self.result.values)
+        roots = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+        return {
+            name: float(sd) if np.isfinite(sd) and sd > 0 else None
+            for name, sd in zip(self.result.values, roots, strict=True)
+        }
+
+    @property
+    def correlation(self) -> FloatArray | None:
+        """Correlation of the estimates, (n_f, n_f); NaN beside one without variance."""
+        from trms_cli.identification.greybox.information import correlations
+
+        covariance = self.result.covariance
+        return None if covariance is None else correlations(covariance)
+
+
+def assess(problem: FitProblem, result: FitResult) -> Assessment:
+    """What the data say of the fitted parameters; nothing yet of errors."""
+    statistics = {key: result.details[key] for key in _STATISTICS if key in result.details}
+    elsewhere = (*_STATISTICS, *_ELSEWHERE)
+    details = {key: value for key, value in result.details.items() if key not in elsewhere}
+    assessment = Assessment(replace(result, details=details), statistics)
+    if result.values and np.isfinite(result.cost) and result.covariance is None:
+        _add_statistics(problem, assessment)
+    return assessment
+
+
+def _add_statistics(problem: FitProblem, assessment: Assessment) -> None:
+    """Covariance and identifiability, for a method that knows no slopes."""
+    from trms_cli.identification.greybox.information import identifiability
+    from trms_cli.identification.greybox.map_fit import MapSettings, fit_from
+
+    result = assessment.result
+    every = np.ones(len(result.values), dtype=bool)
+    fit = fit_from(Windows(problem), result.theta, MapSettings(), held=every)
+    if fit.information is not None and (covariance := fit.covariance) is not None:
+        assessment.result = replace(result, covariance=covariance)
+        known = identifiability(fit.information, problem.names, covariance)
+        assessment.statistics["identifiability"] = asdict(known)
+
+
+def add_free_runs(problem: FitProblem, assessment: Assessment, fitted: Model | None = None) -> None:
+    """Simulate what was fitted and what was held out, with the old model and the new.
+
+    ``fitted``: the model that a network was trained to; None: the problem's with the fitted values.
+    """
+    after = fitted or with_values(problem.model, assessment.result.values)
+    parts = {"fit": problem.datasets, "held_out": problem.validation}
+    length, jobs = problem.window_length, problem.jobs
+    for part, datasets in parts.items():
+        assessment.after[part] = window_runs(after, datasets, length, jobs=jobs)
+        if fitted is None:
+            assessment.before[part] = window_runs(problem.model, datasets, length, jobs=jobs)
+
+
+def at_bounds(problem: FitProblem, values: Mapping[str, float]) -> dict[str, str]:
+    """Which fitted values lie on a bound: ``lower`` or ``upper`` by name."""
+    at = problem.on_bounds(np.array([values[name] for name in problem.names]))
+    words = {-1: "lower", 1: "upper"}
+    return {name: words[on] for name, on in zip(problem.names, at.tolist(), strict=True) if on}

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Protocol, runtime_checkable
 
 import trms_cli
-from trms_cli.gap.candidates import CandidateEffect
 from trms_cli.gap.diagnosis import (
     Cause,
     DiagnosedRecording,
@@ -17,7 +16,7 @@ from trms_cli.gap.diagnosis import (
     Verdict,
 )
 from trms_cli.gap.free_runs import Shrinkage
-from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.problem import CandidateEffect, GapProblem
 from trms_cli.models.model import names
 
 

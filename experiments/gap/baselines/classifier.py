@@ -37,10 +37,9 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult
 from trms_cli.gap.free_runs import measure_shrinkage
-from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.identification.data import noise_estimate
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, index_of, names

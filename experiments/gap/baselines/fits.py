@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.gap.candidates import CandidateEffect, joint
 from trms_cli.gap.diagnosis import FittedParameter, SizeEstimate
-from trms_cli.gap.problem import GapProblem, Parts, divide
+from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, divide, joint
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import (
     PRIORS,

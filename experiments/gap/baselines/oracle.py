@@ -15,10 +15,9 @@ import numpy as np
 from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
 from experiments.gap.baselines.white_noise import compete
-from trms_cli.gap.candidates import applicable_candidates
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, Verdict
 from trms_cli.gap.free_runs import measure_shrinkage
-from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.problem import GapProblem, applicable_candidates
 
 
 @dataclass(frozen=True, kw_only=True)

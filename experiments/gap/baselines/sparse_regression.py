@@ -24,10 +24,9 @@ from experiments.gap.baselines.force_terms import AddedForces, Term, columns
 from experiments.gap.baselines.restoring_force import Motion, motion
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.effects.extended_model import extended
-from trms_cli.gap.candidates import CandidateEffect, applicable_candidates
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
 from trms_cli.gap.free_runs import measure_shrinkage
-from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates
 from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model, names
 

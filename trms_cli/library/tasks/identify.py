@@ -16,11 +16,16 @@ from trms_cli.core.errors import EXIT_OK, SimulationError
 from trms_cli.core.findings import NextCommand, json_data
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.versions import versions
-from trms_cli.identification import assessment
-from trms_cli.identification.assessment import Assessment, at_bounds
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.findings import findings, in_short
-from trms_cli.identification.free_runs import WindowRuns, error_figures
+from trms_cli.identification.free_runs import (
+    Assessment,
+    WindowRuns,
+    add_free_runs,
+    assess,
+    at_bounds,
+    error_figures,
+)
 from trms_cli.identification.problem import FitOutcome as Ended
 from trms_cli.identification.problem import FitProblem, FitResult
 from trms_cli.library.tasks import files
@@ -55,11 +60,11 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     if again:  # now that it is known to be the same search
         files.write_config(composition, folder)
     _require_simulated(result)
-    fitted = assessment.assess(request.problem, result)
+    fitted = assess(request.problem, result)
     model = files.write_fitted_model(
         request, fitted.result, fitted.deviations, origin, folder / MODEL_NAME
     )
-    assessment.judge(request.problem, fitted, files.network_of(result, model))
+    add_free_runs(request.problem, fitted, files.network_of(result, model))
     document = document_of(composition, request, fitted, perf_counter() - begin)
     written = {"model": model, "numbers": folder / DOCUMENT_NAME}
     write_document(document, written["numbers"])
