@@ -211,35 +211,10 @@ def check_names(given: Iterable[str], known: Sequence[str], where: str) -> None:
 class Horizon:
     """Compiled prediction of a discretised model.
 
-    Parameters
-    ----------
-    discrete : DiscreteModel
-        One control period.
-    blocks : (N,) int array
-        From :func:`blocks_of`.
-    weights, soft_limits, terminal
-    scale : (n_x,) array
-        Typical size of each state; the terminal residual is divided by it.
-
-    Attributes
-    ----------
-    argument_names : tuple of str
-        :data:`ARGUMENTS`, and :data:`REGION_ARGUMENTS` with a terminal region.
-    n_terminal : int
-        Terminal residuals: one a state of the equality, a single one of a region, or none.
-    linearise : BufferedFunction
-        :data:`ARGUMENTS` → states (n_x, N), terminal residual, scaled (n_x,), objective, merit,
-        violation; then gradient of J (n_z,), its Gauss–Newton root G (n_errors·N, n_z) with
-        2 GᵀG the Hessian of the part of states and rates, slope of the terminal residual
-        (n_x, n_z), slopes of the limited states (n_limited·N, n_z). With a terminal region the
-        residual is ``‖L ξ_N‖ − √α`` (1,), and G has the rows of the terminal cost besides.
-    evaluate : BufferedFunction
-        The same arguments → the first five of these.
-
-    Notes
-    -----
-    Weights, limits, prices and parameters are arguments, not constants: one compiled function
-    serves every tuning of one structure.
+    ``discrete``: one control period. ``blocks``: (N,); from :func:`blocks_of`. ``scale``: (n_x,);
+    typical size of each state; the terminal residual is divided by it. Weights, limits, prices and
+    parameters are arguments, not constants: one compiled function serves every tuning of one
+    structure.
     """
 
     def __init__(
@@ -259,18 +234,22 @@ class Horizon:
         self.weighted = tuple(name for name in model.state_names if weights.states.get(name))
         self.damped = tuple(name for name in model.controlled if weights.rates.get(name))
         self.limited = tuple(name for name in model.state_names if name in soft_limits.states)
-        self.weights, self.soft_limits, self.terminal, self.scale = (
-            weights,
-            soft_limits,
-            terminal,
-            scale,
-        )
+        self.weights, self.soft_limits = weights, soft_limits
+        self.terminal, self.scale = terminal, scale
         self.has_region = terminal is not None and terminal.region
+        #: :data:`ARGUMENTS`, and :data:`REGION_ARGUMENTS` with a terminal region.
         self.argument_names = (*ARGUMENTS, *(REGION_ARGUMENTS if self.has_region else ()))
+        #: Terminal residuals: one a state of the equality, a single one of a region, or none.
         self.n_terminal = 0 if terminal is None else 1 if terminal.region else model.n_x
+        #: Arguments → states (n_x, N), terminal residual, scaled (n_x,), objective, merit,
+        #: violation; then gradient of J (n_z,), its Gauss–Newton root G (n_errors·N, n_z) with
+        #: 2 GᵀG the Hessian of the part of states and rates, slope of the terminal residual
+        #: (n_x, n_z), slopes of the limited states (n_limited·N, n_z). With a terminal region the
+        #: residual is ``‖L ξ_N‖ − √α`` (1,), and G has the rows of the terminal cost besides.
         self.linearise = BufferedFunction(self._function(with_sensitivities=True))
         #: Arguments of both functions by name: they share the arrays.
         self.arguments = dict(zip(self.argument_names, self.linearise.inputs, strict=True))
+        #: The same arguments → the first five of these.
         self.evaluate = BufferedFunction(
             self._function(with_sensitivities=False), inputs=self.linearise.inputs
         )

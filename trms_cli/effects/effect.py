@@ -292,12 +292,8 @@ def resisting_impulse(
 ) -> ca.SX:
     """States after dry friction on an axis or rotor; see :mod:`trms_cli.models.dry_friction`.
 
-    Parameters
-    ----------
-    torque : casadi.SX, callable or None
-        N m, not negative; a function of the rate (rad/s); None removes the whole rate.
-    duration : float
-        s.
+    ``torque``: N m, not negative; a function of the rate (rad/s); None removes the whole rate.
+    ``duration``: s.
     """
     return resisted(at.model, (at.x, at.u, at.p, at.w), part, torque, duration)
 

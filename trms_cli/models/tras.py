@@ -96,14 +96,8 @@ def rotor_of(axis: str, table: str | None, where: str) -> Rotor:
 
     Raises ModelError if the table cannot be read, or no smooth curve through it rises.
 
-    Parameters
-    ----------
-    axis : str
-        Suffix of its parameters, ``v`` or ``h``.
-    table : str or None
-        Path of a CSV, see :func:`trms_cli.models.static_curve.read_static_curve`.
-    where : str
-        The configuration key, for messages.
+    ``axis``: suffix of its parameters, ``v`` or ``h``. ``table``: path of a CSV, see
+    :func:`trms_cli.models.static_curve.read_static_curve`. ``where``: its configuration key.
     """
     if table is None:
         return ParametricRotor(axis)

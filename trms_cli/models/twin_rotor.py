@@ -65,21 +65,8 @@ class TwinRotor(BeamRig):
     Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a curve that
     cannot be used, or a set of another kind of model.
 
-    Parameters
-    ----------
-    freedom : {"both", "vertical", "horizontal"}
-        Axes that move.
-    currents : {"quasi_static", "dynamic"}
-        Whether the armature currents are states (poles near −9300 1/s: stiff).
-    parameter_set : str
-        A built-in set or the path of a parameter file.
-    parameters : mapping
-        Other values for some parameters, in SI.
-    main_interface, tail_interface : str or None
-        Path of a measured curve in place of the gain; see
-        :mod:`trms_cli.models.static_curve`.
-    main_voltage_limit, tail_voltage_limit : float or None
-        Where the interface saturates, V.
+    The arguments are explained in the models that are made of it, such as
+    :class:`trms_cli.models.newtonian.Newtonian`.
     """
 
     OPTION: ClassVar[str]  #: of ``configs/model``, which a fitted file names

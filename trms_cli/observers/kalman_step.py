@@ -52,6 +52,14 @@ def gated(mask: ca.MX, innovation: ca.MX, variance: ca.MX, gate: ca.MX) -> ca.MX
     return mask * (innovation * innovation <= gate * variance)
 
 
+def step_inputs(augmented: AugmentedModel, n_p: int) -> list[ca.MX]:
+    """Symbols of a step's inputs, in the order of :data:`INPUTS`; ``p`` has n_p entries."""
+    n, n_y, model = augmented.n, len(augmented.channels), augmented.model
+    rows = {"m": n, "P": n, "memory": augmented.n_m, "u": model.n_u, "advance": 1}
+    rows |= {"known": model.n_w, "p": n_p, "q": n, "floor": n}
+    return [ca.MX.sym(name, rows.get(name, n_y), n if name == "P" else 1) for name in INPUTS]
+
+
 def disturbances(
     augmented: AugmentedModel, mean: ca.MX, sd: ca.MX, known: ca.MX
 ) -> tuple[ca.MX, ca.MX]:
@@ -76,15 +84,9 @@ def kalman_step(
     ``measurement``: ``(z, u, p) → y, H``. ``restate``: ``(z, memory, u, p, known) → z`` with the
     torques that the estimate is to tell.
     """
-    model = augmented.model
     n, n_y, n_m = augmented.n, len(augmented.channels), augmented.n_m
-    m, P = ca.MX.sym("m", n), ca.MX.sym("P", n, n)
-    memory, u = ca.MX.sym("memory", n_m), ca.MX.sym("u", model.n_u)
-    p = ca.MX.sym("p", transition.size1_in(3))
-    y, mask, advance = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("advance")
-    q, r, floor = ca.MX.sym("q", n), ca.MX.sym("r", n_y), ca.MX.sym("floor", n)
-    known, gate = ca.MX.sym("known", model.n_w), ca.MX.sym("gate", n_y)
-
+    inputs = step_inputs(augmented, transition.size1_in(3))
+    m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate = inputs
     moved, A, memory_next = transition(m, memory, u, p, known)
     m_prior = ca.if_else(advance > 0, moved, m)
     P_prior = ca.if_else(advance > 0, A @ P @ A.T + diagonal(q), P)
@@ -108,7 +110,7 @@ def kalman_step(
     health = ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P_next))
     return ca.Function(
         name,
-        [m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate],
+        inputs,
         [
             *(m_next, P_next, memory_next, health, sd),
             *disturbances(augmented, told, sd, known),

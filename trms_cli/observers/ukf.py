@@ -35,7 +35,14 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import kept
 from trms_cli.core.ranges import NotNegative
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel, InitialSd, ProcessNoise
-from trms_cli.observers.kalman_step import diagonal, disturbances, gain_stage, gated, joseph
+from trms_cli.observers.kalman_step import (
+    diagonal,
+    disturbances,
+    gain_stage,
+    gated,
+    joseph,
+    step_inputs,
+)
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS, RecursiveFilter
 from trms_cli.observers.recursive_filter import FilterState as UkfState
@@ -93,33 +100,19 @@ class SigmaPoints:
 
 def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs."""
-    model = augmented.model
-    n, n_y, n_m = points.n, len(augmented.channels), augmented.n_m
+    n, n_m = points.n, augmented.n_m
     spread = _spread_stage(points)
     advance_one = dynamics_stage(augmented)
     predict = _prediction_stage(points)
     measure = measurement_stage(augmented)
     update = _update_stage(augmented, points)
 
-    m, P = ca.MX.sym("m", n), ca.MX.sym("P", n, n)
-    memory, u, p = (
-        ca.MX.sym("memory", n_m),
-        ca.MX.sym("u", model.n_u),
-        ca.MX.sym("p", len(model.parameters)),
-    )
-    y, mask, advance = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("advance")
-    q, r, floor = ca.MX.sym("q", n), ca.MX.sym("r", n_y), ca.MX.sym("floor", n)
-    known, gate = ca.MX.sym("known", model.n_w), ca.MX.sym("gate", n_y)
-
+    inputs = step_inputs(augmented, len(augmented.model.parameters))
+    m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate = inputs
     drawn = spread(m, P)
     count = points.count
-    moved = advance_one.map(count)(
-        drawn,
-        ca.repmat(memory, 1, count),
-        ca.repmat(u, 1, count),
-        ca.repmat(p, 1, count),
-        ca.repmat(known, 1, count),
-    )
+    held = (ca.repmat(value, 1, count) for value in (memory, u, p, known))
+    moved = advance_one.map(count)(drawn, *held)
     m_prior, P_prior = predict(drawn, moved[:n, :], advance, q)
     memory_next = ca.if_else(advance > 0, moved[n:, 0], memory) if n_m else memory
     redrawn = spread(m_prior, P_prior)
@@ -128,7 +121,7 @@ def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     m_next, P_next, health, *rest = results
     return ca.Function(
         "ukf_step",
-        [m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate],
+        inputs,
         [m_next, P_next, memory_next, health, *rest],
         list(INPUTS),
         list(OUTPUTS),

@@ -61,15 +61,8 @@ class ReferenceTrajectory:
     def sample(self, times: Array) -> Array:
         """References of all axes; the same for a time whatever other times are asked for.
 
-        Parameters
-        ----------
-        times : (n,) s
-            In any order, as far ahead as a preview wants.
-
-        Returns
-        -------
-        (n, len(axes)) rad, rad/s
-            Columns as in :attr:`axes`.
+        ``times``: (n,) s, in any order, as far ahead as a preview wants. Returns (n, len(axes)),
+        rad or rad/s; columns as in :attr:`axes`.
         """
         times = np.asarray(times, dtype=float)
         return np.stack([signal.sample(times) for signal in self._signals], axis=-1)
