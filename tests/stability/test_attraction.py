@@ -16,11 +16,12 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
-from trms_cli.stability.attraction.estimates import estimates, methods_for
-from trms_cli.stability.attraction.inclusion import (
+from trms_cli.stability.attraction.estimates import (
     Ellipsoid,
+    estimates,
     from_lyapunov_equation,
     largest_level,
+    methods_for,
     optimise_ellipsoid,
     proved,
 )
@@ -33,8 +34,7 @@ from trms_cli.stability.attraction.level_set import (
 )
 from trms_cli.stability.attraction.region import SETTLED, failures, fates, share_of
 from trms_cli.stability.attraction.system import around, require_attractive
-from trms_cli.stability.intervals.definite import corners, decays, positive_definite
-from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.intervals.interval import Interval, corners, decays, positive_definite
 from trms_cli.stability.study import silent
 
 #: Without `integrals`: the rates of van der Pol are straight along the axes.
@@ -94,7 +94,7 @@ def test_true_region_of_van_der_pol_by_simulation(van_der_pol, found):
     largest = max(found, key=lambda e: e.log_volume)
     box = np.array([3.0, 3.0])
     starts = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 2)) * box
-    fate = fates(van_der_pol, starts, largest.contains, 60.0, 4.0 * box)
+    fate, _ = fates(van_der_pol, starts, largest.contains, 60.0, 4.0 * box)
     share = share_of(int((fate == SETTLED).sum()), 1000)
     assert share.lower < area(cycle()) / 36.0 < share.upper
 

@@ -16,8 +16,8 @@ from trms_cli.models.operating_point import operating_point
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.attraction.loop_region import LinearLawLoop, linear_law
 from trms_cli.stability.attraction.region import ConfidenceShare, share_of
-from trms_cli.stability.attraction.report import percent
 from trms_cli.stability.closed_loop import run_loop
+from trms_cli.stability.studies.region_of_attraction import percent
 from trms_cli.stability.study import silent
 
 FEW = ("study.samples=100", "study.grid=9")

@@ -7,8 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.stability.cycles.hunting_prediction import HarmonicBalance, sliding_cycle
-from trms_cli.stability.cycles.stick_slip import FrictionLaw, FrictionLoop
+from trms_cli.stability.cycles.stick_slip import (
+    FrictionLaw,
+    FrictionLoop,
+    HarmonicBalance,
+    sliding_cycle,
+)
 
 SIZES = st.floats(1e-3, 0.1)
 

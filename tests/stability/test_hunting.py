@@ -24,7 +24,6 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.full_state import FullState
-from trms_cli.stability.cycles.hunting_prediction import predict
 from trms_cli.stability.cycles.hunting_runs import axis_run, slips, with_sizes
 from trms_cli.stability.cycles.stick_slip import (
     FrictionLaw,
@@ -33,6 +32,7 @@ from trms_cli.stability.cycles.stick_slip import (
     friction_loop,
     frictions_of,
     law_matrices,
+    predict,
 )
 from trms_cli.stability.studies.hunting import Hunting
 from trms_cli.stability.study import Study, silent

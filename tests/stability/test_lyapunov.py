@@ -21,7 +21,6 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.tras import Tras
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.lyapunov import report
 from trms_cli.stability.lyapunov.certificate import (
     LyapunovCertificate,
     StabilityClaim,
@@ -32,7 +31,7 @@ from trms_cli.stability.lyapunov.certificate import (
     rig_of,
 )
 from trms_cli.stability.lyapunov.level_search import rays
-from trms_cli.stability.studies.lyapunov import Lyapunov
+from trms_cli.stability.studies.lyapunov import Lyapunov, data, lead
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
 
@@ -258,9 +257,9 @@ def test_the_lead_says_first_what_does_not_hold_and_claims_nothing_on_it() -> No
     sound = certificate_of("vertical", ())
     rig = rig_of(Subject(MODELS["vertical"](), "vertical"))
     point = operating_point(rig.model, {})
-    assert "is a Lyapunov function on N" in report.lead(sound, rig, point, -1.0)[0]
+    assert "is a Lyapunov function on N" in lead(sound, rig, point, -1.0)[0]
     failed = StabilityClaim("seen", "V falls", "failed", "")
-    said = report.lead(sound, rig, point, -1.0, (failed,))
+    said = lead(sound, rig, point, -1.0, (failed,))
     assert "not shown" in said[0] and "“V falls” (failed)" in said[0]
     assert not any("no motion leaves" in line for line in said)
 
@@ -270,6 +269,6 @@ def test_without_an_inner_set_there_is_none_in_words_and_data() -> None:
     none = replace(sound, inner=0.0, bounded_by="the stop alpha_v = 1.05 rad")
     rig = rig_of(Subject(MODELS["vertical"](), "vertical"))
     point = operating_point(rig.model, {})
-    assert any("There is no N′" in line for line in report.lead(none, rig, point, -1.0))
-    data = report.data(none, point, np.array([-1.0 + 0j]), ())
-    assert data["N_prime"]["level"] is None and data["N_prime"]["extent"] is None
+    assert any("There is no N′" in line for line in lead(none, rig, point, -1.0))
+    inner = data(none, point, np.array([-1.0 + 0j]), ())["N_prime"]
+    assert inner["level"] is None and inner["extent"] is None

@@ -25,10 +25,9 @@ from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.observers.full_state import FullState
 from trms_cli.stability.portraits.charts import PortraitResult, has_field
 from trms_cli.stability.portraits.invariant_sets import rest_point
-from trms_cli.stability.portraits.report import lead_of_model
 from trms_cli.stability.portraits.section import section_of
 from trms_cli.stability.portraits.trajectories import ends_of, trajectories
-from trms_cli.stability.studies.phase_portrait import PhasePortrait
+from trms_cli.stability.studies.phase_portrait import PhasePortrait, lead_of_model
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import LoopParts, Subject
 

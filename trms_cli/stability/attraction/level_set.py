@@ -56,9 +56,8 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.attraction.system import ReducedSystem, operations
 from trms_cli.stability.intervals.branch_and_bound import BoxSearch, branch_and_bound, halved
-from trms_cli.stability.intervals.definite import corners, positive_definite
 from trms_cli.stability.intervals.enclosure import Enclosure
-from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.intervals.interval import Interval, corners, positive_definite
 
 _NODES = 6
 #: What an expression with a kink or a jump holds.

@@ -14,9 +14,7 @@ From which starts a closed loop recovers: its runs, and for an LQR sets that are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,18 +22,14 @@ import numpy as np
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.lqr import Lqr, Regulator
 from trms_cli.core.arrays import BoolArray, FloatArray
-from trms_cli.core.chart import Chart, Mark, Panel, Points
-from trms_cli.core.findings import Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.attraction import report
 from trms_cli.stability.attraction.region import (
     AttractionRegion,
     ConfidenceShare,
-    RegionOptions,
+    RegionRequest,
     StartSet,
     attraction_region,
-    plane_axes,
     require_states,
     share_of,
 )
@@ -179,41 +173,46 @@ class LoopRegion:
 
 
 def loop_region(
-    subject: Subject,
-    point: OperatingPoint,
-    options: RegionOptions,
-    chosen: Sequence[str],
-    count: int,
-    tolerance: float,
-    tell: Tell,
+    subject: Subject, point: OperatingPoint, request: RegionRequest, tell: Tell
 ) -> LoopRegion:
     """The region of a loop: by simulation, and by proof where the law is an LQR's.
 
     Raises TrmsError if the loop is unstable around the point, or a name is no state.
     """
     model, loop = subject.model, subject.require_loop("study=region_of_attraction")
-    known = tuple(chosen or _deviating(subject))
+    chosen = () if request.states in (None, "all") else tuple(request.states or ())
+    known = chosen or _deviating(model)
     require_states(
         [n for n in known if n not in model.state_names], model.state_names, "study.states"
     )
-    require_states(options.box, known, "study.box")
-    box = np.array([options.box.get(n, _half_width(subject, point, n)) for n in known])
-    duration = options.duration or _DURATION
+    require_states(request.box, known, "study.box")
+    box = np.array([request.box.get(n, _half_width(model, point, n)) for n in known])
+    duration = request.duration or _DURATION
     law = linear_law(model, loop, point)
-    region = None if law is None else _by_law(subject, law, known, box, options, tell)
+    region = None if law is None else _by_law(subject, law, known, box, request, tell)
     random = np.random.default_rng(3)
+    rows = [model.state_index(name) for name in model.controlled]
 
     def runs_from(d: FloatArray) -> LoopStarts:
-        return _runs(subject, point, known, d, duration, tolerance, tell)
+        recovered = np.zeros(len(d), dtype=bool)
+        for k, start in enumerate(d):
+            tell(f"run {k + 1} of {len(d)}")
+            offset = dict(zip(known, start.tolist(), strict=True))
+            run = run_loop(model, loop, point, duration, offset=offset)
+            tail = run.x[-max(1, int(_END * len(run.x))) :, rows]
+            away = np.abs(tail - point.x[rows])
+            # A comparison with what is not a number is false.
+            recovered[k] = not run.ended and bool(np.all(away <= request.tolerance))
+        return LoopStarts(d, recovered)
 
-    runs = runs_from(random.uniform(-1.0, 1.0, (count, len(known))) * box)
-    best = None if region is None else report.largest(region)
+    runs = runs_from(random.uniform(-1.0, 1.0, (request.loop_starts, len(known))) * box)
+    best = None if region is None else region.largest
     inside = None
     if region is not None and best is not None:
         drawn = random.uniform(-1.0, 1.0, (200_000, len(known))) * box
         proved = drawn[best.estimate.contains(region.starts.of(drawn))][:_INSIDE]
         inside = runs_from(proved) if len(proved) else None
-    return LoopRegion(subject, point, known, box, duration, tolerance, runs, region, inside)
+    return LoopRegion(subject, point, known, box, duration, request.tolerance, runs, region, inside)
 
 
 def _by_law(
@@ -221,7 +220,7 @@ def _by_law(
     law: LinearLaw,
     known: tuple[str, ...],
     box: FloatArray,
-    options: RegionOptions,
+    request: RegionRequest,
     tell: Tell,
 ) -> AttractionRegion:
     loop = LinearLawLoop(subject.model, law)
@@ -235,7 +234,7 @@ def _by_law(
     rows = loop.unsaturated_rows()[:, kept]
     return attraction_region(
         system,
-        replace(options, box={}, duration=None),
+        replace(request, box={}, duration=None),
         tell,
         starts=starts,
         linear_inside=(around(free, free.point), rows),
@@ -243,9 +242,8 @@ def _by_law(
     )
 
 
-def _deviating(subject: Subject) -> tuple[str, ...]:
+def _deviating(model: Model) -> tuple[str, ...]:
     """Both angles, or the one angle and its rate."""
-    model = subject.model
     if len(model.controlled) > 1:
         return tuple(model.controlled)
     angle = model.controlled[0]
@@ -253,142 +251,10 @@ def _deviating(subject: Subject) -> tuple[str, ...]:
     return (angle, rate) if rate in model.state_names else (angle,)
 
 
-def _half_width(subject: Subject, point: OperatingPoint, name: str) -> float:
+def _half_width(model: Model, point: OperatingPoint, name: str) -> float:
     """1 rad, but not beyond a stop; 1 rad/s; a fifth of a rotor's speed."""
-    index = subject.model.state_index(name)
-    stop = subject.model.stops.get(name)
-    value = abs(float(point.x[index]))
+    stop = model.stops.get(name)
+    value = abs(point.value(model, name))
     if stop is not None and stop > value:
         return min(1.0, stop - value)
     return max(1.0, 0.2 * value)
-
-
-def _runs(
-    subject: Subject,
-    point: OperatingPoint,
-    known: Sequence[str],
-    d: FloatArray,
-    duration: float,
-    tolerance: float,
-    tell: Tell,
-) -> LoopStarts:
-    model, loop = subject.model, subject.require_loop("study=region_of_attraction")
-    rows = [model.state_index(name) for name in model.controlled]
-    recovered = np.zeros(len(d), dtype=bool)
-    for k, start in enumerate(d):
-        tell(f"run {k + 1} of {len(d)}")
-        run = run_loop(
-            model, loop, point, duration, offset=dict(zip(known, start.tolist(), strict=True))
-        )
-        tail = run.x[-max(1, int(_END * len(run.x))) :, rows]
-        away = np.abs(tail - point.x[rows])
-        # A comparison with what is not a number is false.
-        recovered[k] = not run.ended and bool(np.all(away <= tolerance))
-    return LoopStarts(d, recovered)
-
-
-def loop_findings(result: LoopRegion, plane: Sequence[str], title: str) -> Findings:
-    """The result as a study tells it; ``plane`` names the two states of the figure."""
-    runs, region = result.runs, result.region
-    name, place = result.controller, result.point.words(result.subject.model)
-    widths = ", ".join(f"{n} ±{v:.3g}" for n, v in zip(result.states, result.box, strict=True))
-    lead = [
-        f"{name} recovered from {runs.count} of {len(runs.recovered)} random starts "
-        f"within {widths} around {place} in {result.duration:g} s: "
-        f"{report.percent(runs.share)} of the box."
-    ]
-    warnings = [
-        "Runs of the loop start with the observer and the controller at rest; mechanical stops do "
-        "not act."
-    ]
-    sections = [
-        Section(
-            "Runs of the loop",
-            (
-                f"A start is recovered if all controlled angles stay within {result.tolerance:g} "
-                f"rad of where they belong over the last tenth of {result.duration:g} s.",
-            ),
-            [*_run_charts(result, plane), _run_table(result)],
-        )
-    ]
-    if region is not None:
-        lead += report.lead(region)
-        if result.inside is not None:
-            lost = int((~result.inside.recovered).sum())
-            lead.append(
-                f"Of {len(result.inside.recovered)} runs of the loop itself from starts in the "
-                f"proved set {lost or 'none'} failed to recover."
-            )
-        warnings += [
-            "Proofs are about the LQR law in continuous time, with its integral and saturation and "
-            "a state that is known; the runs are the loop itself, sampled, with its observer.",
-            *report.warnings(region),
-        ]
-        blocks = report.sections(region)[0].blocks
-        sections.append(Section("Sets proved for the law", report.METHOD, blocks))
-    else:
-        warnings.append(
-            f"Nothing is proved for {name}: only an LQR's law can be written as equations here "
-            "(and only where the rig has the states that the controller believes in). The share "
-            "is an estimate from runs."
-        )
-    return Findings(title, lead, sections, json_data(_results(result)), warnings)
-
-
-def _run_table(result: LoopRegion) -> Table:
-    rows = [("random in the box", result.runs, "")]
-    if result.inside is not None:
-        good = bool(result.inside.recovered.all())
-        rows.append(("in the proved set", result.inside, "good" if good else "bad"))
-    return table(
-        rows,
-        [
-            Column("starts", lambda row: row[0]),
-            Column("runs", lambda row: len(row[1].recovered)),
-            Column("recovered", lambda row: Judged(row[1].count, row[2])),
-            Column("share (95 % confidence)", lambda row: report.percent(row[1].share)),
-        ],
-        "Runs of the loop itself.",
-    )
-
-
-def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[Chart]:
-    model, point, known, box = result.subject.model, result.point, result.states, result.box
-    signals = [model.states[model.state_index(name)] for name in known]
-    i, j = plane_axes(known, [s.unit for s in signals], plane)
-    if not plane and len(known) == 2:
-        i, j = 0, 1
-    if i == j:
-        return []
-    origin = np.array([point.x[model.state_index(n)] for n in known])
-    marks: list[Mark] = []
-    good, bad = (
-        origin + result.runs.d[of] for of in (result.runs.recovered, ~result.runs.recovered)
-    )
-    if len(good):
-        marks.append(Points(good[:, i], good[:, j], "recovers", "dot", "blue"))
-    if len(bad):
-        marks.append(Points(bad[:, i], bad[:, j], "does not", "cross", "alarm"))
-    marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
-    x, y = report.box_axes(model, known, origin, 1.05 * box, (i, j))
-    caption = (
-        f"Starts from which the loop of {result.controller} comes back to {point.words(model)}."
-    )
-    return [Chart("recovered_starts", [Panel(x, y, marks)], caption, 1, 4.8, 4.2)]
-
-
-def _results(result: LoopRegion) -> dict[str, Any]:
-    runs, inside = result.runs, result.inside
-    return {
-        "runs": {
-            "states": result.states,
-            "box": dict(zip(result.states, result.box, strict=True)),
-            "starts": runs.d,
-            "recovered": runs.recovered,
-            "share": runs.share,
-        },
-        "runs_in_proved_set": None
-        if inside is None
-        else {"starts": inside.d, "recovered": inside.recovered},
-        "law": None if result.region is None else report.results(result.region),
-    }

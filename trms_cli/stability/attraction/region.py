@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
@@ -26,9 +28,9 @@ from trms_cli.stability.attraction.estimates import (
     Method,
     RegionEstimate,
     estimates,
+    from_lyapunov_equation,
     methods_for,
 )
-from trms_cli.stability.attraction.inclusion import from_lyapunov_equation
 from trms_cli.stability.attraction.system import ReducedSystem
 from trms_cli.stability.study import Tell
 
@@ -73,19 +75,12 @@ def share_of(hits: int, count: int) -> ConfidenceShare:
 
 def fates(
     system: ReducedSystem, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
-) -> IntArray:
+) -> tuple[IntArray, FloatArray]:
     """What becomes of motions from deviations (m, n) within a duration (s), (m,).
 
     :data:`SETTLED` once ``inside`` says of a deviation that it has arrived, :data:`LEFT` beyond
-    \\|y_i\\| > far_i, else :data:`UNDECIDED`.
+    \\|y_i\\| > far_i, else :data:`UNDECIDED`; and the deviations (m, n) where each was last seen.
     """
-    return _followed(system, starts, inside, duration, far)[0]
-
-
-def _followed(
-    system: ReducedSystem, starts: FloatArray, inside: Inside, duration: float, far: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Fates, and the deviations (m, n) where each motion was last seen."""
     kept, origin = list(system.kept), system.point.x
     found = np.zeros(len(starts), dtype=np.int8)
     found[inside(starts)] = SETTLED
@@ -166,7 +161,7 @@ def failures(
         near = np.where(np.isfinite(y), y, 1e6)
         return np.asarray(np.einsum("ij,jk,ik->i", near, P, near) < 1e-2 * least)
 
-    fate, last = _followed(system, np.vstack(drawn), arrived, duration, np.full(system.n, np.inf))
+    fate, last = fates(system, np.vstack(drawn), arrived, duration, np.full(system.n, np.inf))
     ends = np.cumsum([len(y) for y in starts])
     told = []
     for estimate, y, end in zip(sets, starts, ends, strict=True):
@@ -263,18 +258,36 @@ class StartSet:
         )
 
 
-@dataclass(frozen=True)
-class RegionOptions:
-    """How much is done; see the study."""
+_Positive = Annotated[float, Meta(gt=0)]
 
-    methods: Sequence[Method] | None
-    box: Mapping[str, float]  #: Half-widths of the box of starts by state
-    #: Two states that the figure shows; empty: the first two of starts that are angle and rate
-    plane: Sequence[str]
-    boxes: int
-    samples: int | None
-    grid: int | None
-    duration: float | None  #: s
+
+@dataclass(frozen=True, kw_only=True)
+class RegionRequest:
+    """What is asked of a region, and how much is done for it."""
+
+    #: sequence of str, "all" or None; in which starts deviate. None: the angles and what moves with
+    #: them, the rotors at their speed.
+    states: Sequence[str] | Literal["all"] | None = None
+    #: Half-widths of the box of starts by state; what is not named is chosen
+    box: Mapping[str, _Positive] = field(default_factory=dict)
+    #: The two states of the figure. Empty: the last angle and its rate; in a loop of two axes both
+    #: angles.
+    plane: Sequence[str] = ()
+    #: ``lyapunov``, ``inclusion``, ``level_set``, ``integrals``, ``quartic``. None: all; of more
+    #: than three states without the last two.
+    methods: Sequence[Method] | None = None
+    boxes: Annotated[int, Meta(ge=100, le=10_000_000)] = 40_000  #: Boxes that one proof may take
+    #: Random starts, from which the share of the true region is counted. None: 2000, of more than
+    #: three states 500.
+    samples: Annotated[int, Meta(ge=20, le=1_000_000)] | None = None
+    #: Starts along each side of the figure. None: 61, of more than three states 31.
+    grid: Annotated[int, Meta(ge=5, le=401)] | None = None
+    #: s, after which a motion is undecided. None: ten time constants of the slowest mode, at most
+    #: 240 s, of more than three states 120 s; 20 s in a loop.
+    duration: _Positive | None = None
+    #: Starts from which the loop itself is run, with controller and observer
+    loop_starts: Annotated[int, Meta(ge=2, le=100_000)] = 24
+    tolerance: _Positive = 0.02  #: Of the angles at the end of such a run, rad
 
     def for_states(self, n: int) -> tuple[int, int]:
         """Samples and grid: fewer where motions of many states take long to arrive."""
@@ -302,7 +315,7 @@ class RegionSection:
     x: FloatArray  #: (g,) arrays; deviations of the grid
     y: FloatArray  #: (g,) arrays; deviations of the grid
     #: (g, g) array; at ``(x[j], y[i])``, see :mod:`~trms_cli.stability.attraction.region`
-    fate: npt.NDArray[np.int8]
+    fate: IntArray
     #: tuple of ((k, n) array, bool); motions that begin in it, as deviations y, and whether they
     #: come to rest
     paths: tuple[tuple[FloatArray, bool], ...]
@@ -334,10 +347,16 @@ class AttractionRegion:
         """Whether motions were followed for less than the slowest mode needs."""
         return self.duration < self.wanted
 
+    @property
+    def largest(self) -> EstimateTest | None:
+        """The largest set that is proved."""
+        proved = (v for v in self.verdicts if v.estimate.proved)
+        return max(proved, key=lambda v: v.estimate.log_volume, default=None)
+
 
 def attraction_region(
     system: ReducedSystem,
-    options: RegionOptions,
+    request: RegionRequest,
     tell: Tell,
     *,
     starts: StartSet | None = None,
@@ -351,10 +370,10 @@ def attraction_region(
     used where the options give none; default: the largest estimate's and some room.
     """
     starts = StartSet.of_all(system) if starts is None else starts
-    require_states(options.box, starts.names, "study.box")
-    limits = _limits(system, options.box)
-    tried = methods_for(system) if options.methods is None else options.methods
-    found = estimates(system, limits, tried, options.boxes, tell, linear_inside)
+    require_states(request.box, starts.names, "study.box")
+    limits = _limits(system, request.box)
+    tried = methods_for(system) if request.methods is None else request.methods
+    found = estimates(system, limits, tried, request.boxes, tell, linear_inside)
     proved = [e for e in found if e.proved]
     arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(limits)
     rests = other_rests(system, limits)
@@ -366,22 +385,20 @@ def attraction_region(
             # The nearest saddle is to be seen, and what lies beyond it.
             room = max(room, _BEYOND * float(np.max(np.abs(rest.y) / reach)))
         box = np.minimum(room * reach, limits)
-    box = np.array([options.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)])
-    samples, grid = options.for_states(system.n)
+    box = np.array([request.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)])
+    samples, grid = request.for_states(system.n)
     slowest = float(-system.eigenvalues.real.max())
-    wanted = options.duration or _TIME_CONSTANTS / slowest
+    wanted = request.duration or _TIME_CONSTANTS / slowest
     longest = _LONGEST if system.n <= _FEW else _LONGEST_OF_MANY
-    duration = options.duration or min(wanted, longest)
+    duration = request.duration or min(wanted, longest)
     far = 4.0 * np.maximum(limits, np.abs(starts.matrix) @ box)
     tell(f"{samples} motions from random starts")
+
+    def fate_of(d: FloatArray) -> IntArray:
+        return fates(system, starts.of(d), arrival, duration, far)[0]
+
     random = np.random.default_rng(0)
-    fate = fates(
-        system,
-        starts.of(random.uniform(-1.0, 1.0, (samples, len(box))) * box),
-        arrival,
-        duration,
-        far,
-    )
+    fate = fate_of(random.uniform(-1.0, 1.0, (samples, len(box))) * box)
     truth = share_of(int(np.sum(fate == SETTLED)), samples)
     if duration < wanted:
         # Some of those that time did not suffice for may arrive.
@@ -393,7 +410,7 @@ def attraction_region(
         for e, test in zip(found, tests, strict=True)
     )
     tell(f"{grid}² motions in a plane")
-    plane = _plane(system, starts, options, box, lambda y: fates(system, y, arrival, duration, far))
+    plane = _plane(system, starts, request, box, fate_of)
     undecided = int(np.sum(fate == UNDECIDED))
     return AttractionRegion(
         system,
@@ -492,19 +509,19 @@ def plane_axes(
 def _plane(
     system: ReducedSystem,
     starts: StartSet,
-    options: RegionOptions,
+    request: RegionRequest,
     box: FloatArray,
-    fate_of: Callable[[FloatArray], npt.NDArray[np.int8]],
+    fate_of: Callable[[FloatArray], IntArray],
 ) -> RegionSection:
     units = [system.model.states[system.model.state_index(n)].unit for n in starts.names]
-    i, j = plane_axes(starts.names, units, options.plane)
-    lines = np.linspace(-1.0, 1.0, options.for_states(system.n)[1])
+    i, j = plane_axes(starts.names, units, request.plane)
+    lines = np.linspace(-1.0, 1.0, request.for_states(system.n)[1])
     across, up = np.meshgrid(lines * box[i], lines * box[j])
     d = np.zeros((across.size, len(box)))
     d[:, i] = across.ravel()
     if i != j:
         d[:, j] = up.ravel()
-    fate = fate_of(starts.of(d))
+    fate = fate_of(d)
     field, kept = VectorField(system.model), list(system.kept)
     random, chosen = np.random.default_rng(4), []
     for settled in (True, False):

@@ -21,9 +21,8 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
-from trms_cli.stability.intervals.definite import definite
 from trms_cli.stability.intervals.enclosure import Enclosure
-from trms_cli.stability.intervals.interval import Interval, stack
+from trms_cli.stability.intervals.interval import Interval, definite, stack
 from trms_cli.stability.lyapunov.energy import SLOPES, Energy, EnergyWeights
 
 #: Newton steps from the guess, and how far they may lead away from it, as a share of 1 + |value|.

@@ -43,8 +43,7 @@ from trms_cli.stability.intervals.branch_and_bound import (
     halved,
     prove_negative,
 )
-from trms_cli.stability.intervals.definite import definite
-from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.intervals.interval import Interval, definite
 from trms_cli.stability.lyapunov.candidate import EnergyCandidate
 from trms_cli.stability.lyapunov.energy import Energy, EnergyWeights
 

@@ -13,12 +13,12 @@ from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS
 from trms_cli.controllers.pid_tuning import Gains
+from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Findings
+from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.cycles.hunting_findings import HuntingResult, findings_of
-from trms_cli.stability.cycles.hunting_prediction import harmonics, predict, swings
 from trms_cli.stability.cycles.hunting_runs import (
     AxisRun,
     HuntingLevel,
@@ -29,9 +29,14 @@ from trms_cli.stability.cycles.hunting_runs import (
 from trms_cli.stability.cycles.stick_slip import (
     Friction,
     FrictionLaw,
+    Harmonics,
+    HuntingPrediction,
     StickSlip,
     friction_loop,
     frictions_of,
+    harmonics,
+    predict,
+    swings,
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject, not_level, usual_point
@@ -39,7 +44,7 @@ from trms_cli.stability.subject import LoopParts, Subject, not_level, usual_poin
 _Factors = tuple[Annotated[float, Meta(gt=0)], ...]
 
 #: s, of a run at least; predicted periods that it lasts at least.
-_SHORTEST, _PERIODS = 200.0, 8
+_SHORTEST, _LASTING = 200.0, 8
 #: By which a run in which slips are too rare to tell is lengthened, once.
 _LONGER = 4.0
 #: Factors of the predicted curves, and excesses beside the one in force.
@@ -109,7 +114,7 @@ class Hunting:
             )
         duration = self.duration or max(
             _SHORTEST,
-            _PERIODS * prediction.cycle.period if prediction and prediction.cycle else 0.0,
+            _LASTING * prediction.cycle.period if prediction and prediction.cycle else 0.0,
         )
         tell(f"{duration:.0f} s of the loop")
         expected = prediction.cycle.swing if prediction and prediction.cycle else None
@@ -287,3 +292,458 @@ def _sweep(
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+_VERDICTS = {
+    "hunting": "hunts",
+    "rest": "comes to rest",
+    "dying out": "slips die out",
+    "undecided": "slips too seldom to tell",
+    "oscillating": "oscillates without sticking",
+    "unstable": "does not hold",
+}
+
+
+@dataclass(frozen=True)
+class HuntingResult:
+    """Everything about one loop."""
+
+    model: Model
+    controller: str
+    words: str  #: The operating point
+    friction: Friction
+    push: float  #: rad
+    run: AxisRun  #: The loop as asked for
+    #: The run from the push, where it came to rest beside a predicted cycle; ``run`` then begins on
+    #: that
+    elsewhere: AxisRun | None
+    channel: int  #: Of the command that holds the axis
+    coulomb: AxisRun | None  #: The same with Coulomb friction alone; None where there is no excess
+    prediction: HuntingPrediction | None  #: Only for a PID
+    harmonics: Harmonics | None  #: Only for a PID
+    events: StickSlip | None  #: Only for a PID
+    sweeps: Sequence[LevelSweep]
+    warnings: Sequence[str]
+
+    @property
+    def angle(self) -> str:
+        """Symbol of the axis' angle."""
+        return symbol(self.model.axes[self.friction.axis].angle)
+
+
+def findings_of(result: HuntingResult) -> Findings:
+    """The findings."""
+    sections = [_run_section(result)]
+    if result.prediction is not None:
+        sections.append(_prediction_section(result, result.prediction))
+    if result.harmonics is not None:
+        sections.append(_harmonic_section(result, result.harmonics))
+    if result.sweeps:
+        sections.append(_sweep_section(result))
+    data = json_data(_results(result))
+    return Findings("Hunting", _lead(result), sections, data, tuple(result.warnings))
+
+
+def _lead(result: HuntingResult) -> list[str]:
+    run, law, prediction = result.run, result.friction.law, result.prediction
+    friction = f"{law.torque:g} N m of friction on {result.friction.axis}"
+    if law.excess:
+        friction += f" ({law.breakaway:g} N m to break away)"
+    lead = [_verdict_words(result, friction)]
+    if result.elsewhere is not None and run.hunts:
+        lead.append(
+            f"It does so from a stick {abs(run.angle[0]):.3g} rad beside the reference; from "
+            f"{result.push:g} rad the axis {_VERDICTS[result.elsewhere.verdict]}: rest and cycle "
+            "stand side by side."
+        )
+    if prediction is not None and prediction.cycle is not None:
+        cycle = prediction.cycle
+        words = (
+            f"Predicted from the linear loop, event by event: {cycle.swing:.4f} rad every "
+            f"{cycle.period:.2f} s"
+        )
+        if run.hunts and run.period:
+            words += (
+                f" ({_off(cycle.swing, run.swing)} in swing and "
+                f"{_off(cycle.period, run.period)} in period off the simulation)"
+            )
+        lead.append(
+            f"{words}; the largest Floquet multiplier is {abs(cycle.multipliers[0]):.2g}, so that "
+            "the cycle attracts."
+        )
+    elif prediction is not None:
+        lead.append(
+            "Predicted from the linear loop, event by event: every slip leaves a smaller error "
+            "than the one before, no hunting."
+        )
+    if prediction is not None and prediction.threshold is not None:
+        lead.append(
+            f"A stick less than {prediction.threshold:.2g} rad beside the reference ends at rest, "
+            "a larger one on the cycle."
+        )
+    if result.coulomb is not None:
+        lead.append(
+            f"With Coulomb friction alone ({law.torque:g} N m, no excess at break-away) the loop "
+            f"{_VERDICTS[result.coulomb.verdict]}{' too.' if result.coulomb.hunts else '.'}"
+        )
+    return lead
+
+
+def _verdict_words(result: HuntingResult, friction: str) -> str:
+    run = result.run
+    if run.hunts:
+        return (
+            f"The loop hunts: with {friction}, {result.angle} swings by {run.swing:.4f} rad every "
+            f"{run.period or float('nan'):.2f} s and sticks {100 * run.stuck_share:.0f} % of the "
+            "time."
+        )
+    if run.verdict == "oscillating":
+        return (
+            f"The loop oscillates without sticking, with {friction}: {result.angle} swings by "
+            f"{run.swing:.4f} rad. That is no hunting: look at its margins (study=margins)."
+        )
+    if run.verdict == "undecided":
+        return (
+            f"Undecided, with {friction}: the axis slipped only once or twice in the second half "
+            f"of {run.time[-1]:.0f} s; run longer (study.duration={4 * run.time[-1]:.0f})."
+        )
+    if run.verdict == "unstable":
+        return f"The loop does not hold, with {friction}: look at its margins (study=margins)."
+    return (
+        f"No hunting was found with {friction}: from {result.push:g} rad beside the reference "
+        f"the axis {_VERDICTS[run.verdict]} within {run.time[-1]:.0f} s."
+    )
+
+
+def _off(predicted: float, simulated: float) -> str:
+    return f"{100 * (predicted / simulated - 1):+.1f} %"
+
+
+def _judged(predicted: float | None, simulated: float | None) -> Cell:
+    """How far a prediction is off; nothing where there is nothing to compare."""
+    if not predicted or not simulated:
+        return None
+    close = abs(predicted / simulated - 1) < 0.05
+    return Judged(_off(predicted, simulated), "good" if close else "doubtful")
+
+
+def _run_section(result: HuntingResult) -> Section:
+    run, label = result.run, f"{result.angle} − reference"
+    command = symbol(result.model.inputs[result.channel].name)
+    text = [
+        f"{result.controller} at {result.words}, started {run.angle[0]:.3g} rad beside "
+        f"the reference, {run.time[-1]:.0f} s; the second half is judged. The axis sticks "
+        "where its rate is zero to rounding: friction acts as an impulse that stops it exactly."
+    ]
+    blocks = [history(run, label, command)]
+    if run.hunts:
+        blocks.append(planes(run, result.prediction, result.events, label, command))
+    return Section("In simulation", text, blocks)
+
+
+def _prediction_section(result: HuntingResult, prediction: HuntingPrediction) -> Section:
+    run, cycle = result.run, prediction.cycle
+    balance = result.harmonics.balance if result.harmonics is not None else None
+
+    def row(
+        name: str, swing: float, period: float | None, stuck: float, *, compare: bool = True
+    ) -> list[Cell]:
+        compare = compare and run.hunts and bool(period and run.period)
+        return [
+            name,
+            f"{swing:.4f}",
+            None if period is None else f"{period:.2f}",
+            f"{100 * stuck:.0f} %",
+            _judged(swing, run.swing) if compare else None,
+            _judged(period, run.period) if compare else None,
+        ]
+
+    def none(name: str, words: str) -> list[Cell]:
+        return [name, words, None, None, None, None]
+
+    rows = [
+        row("simulated", run.swing, run.period, run.stuck_share, compare=False)
+        if run.hunts
+        else none("simulated", _VERDICTS[run.verdict]),
+        row("event map", cycle.swing, cycle.period, cycle.stuck)
+        if cycle is not None
+        else none("event map", "no hunting"),
+        row("one harmonic", balance.swing, balance.period, balance.stuck)
+        if balance is not None
+        else none("one harmonic", "no cycle"),
+    ]
+    heads = ["by", "swing [rad]", "period [s]", "stuck", "swing off by", "period off by"]
+    text = [
+        "While the axis sticks the integral ramps until the break-away moment is reached; then it "
+        "slips until its rate is zero. Both parts follow from the linearised loop, the second with "
+        "the friction's law, and the map from stick to stick has the cycle as its fixed point.",
+        (
+            "For Coulomb friction alone the map is a straight line: a slip leaves "
+            f"{abs(prediction.coulomb):.2g} of the error before it, whatever the friction's size. "
+            "It cannot hunt."
+            if np.isfinite(prediction.coulomb) and abs(prediction.coulomb) < 1
+            else "For Coulomb friction alone a slip creeps to the reference without a stop."
+        ),
+    ]
+    blocks = (Table(heads, rows, "Predicted and simulated."), event_map(prediction, run))
+    return Section("Predicted, event by event", text, blocks)
+
+
+def _harmonic_section(result: HuntingResult, one: Harmonics) -> Section:
+    sliding = (
+        "G(jω), the rate by the friction's moment, does not cross the negative real axis: no cycle "
+        "without a stop."
+        if one.sliding is None
+        else f"G(jω) crosses the negative real axis at {one.sliding[1]:.2f} rad/s: a cycle without "
+        f"a stop, of {one.sliding[0]:.3g} rad/s."
+    )
+    sticking = (
+        "An axis that sticks, under a sine of the moment, has no balance with the loop either."
+        if one.balance is None
+        else f"With the axis that sticks under a sine of the moment there is a balance: "
+        f"{one.balance.swing:.4f} rad every {2 * np.pi / one.balance.omega:.2f} s"
+        + (
+            ". It tells that there is a cycle; its figures are rough, as the moment on an axis "
+            "that sticks is a ramp, no sine."
+            if result.prediction is not None and result.prediction.cycle is not None
+            else ", and that is wrong: the moment on an axis that sticks is a ramp, no sine. The "
+            "event map and the simulation have no cycle."
+        )
+    )
+    return Section("Describing functions", (sliding, sticking), (nyquist(one),))
+
+
+def _sweep_section(result: HuntingResult) -> Section:
+    levels = [(sweep.label, level) for sweep in result.sweeps for level in sweep.levels]
+
+    def simulated(item: tuple[str, HuntingLevel]) -> Cell:
+        run = item[1].run
+        return f"{run.swing:.4f}" if run.hunts else _VERDICTS[run.verdict]
+
+    def period(item: tuple[str, HuntingLevel]) -> Cell:
+        run = item[1].run
+        return f"{run.period:.2f}" if run.hunts and run.period else None
+
+    def predicted(item: tuple[str, HuntingLevel]) -> Cell:
+        swing = item[1].predicted
+        return "no hunting" if swing is None else f"{swing:.4f}"
+
+    columns = [
+        Column("level", lambda item: f"{item[0]} × {item[1].factor:g}"),
+        Column("predicted swing [rad]", predicted),
+        Column("simulated [rad]", simulated),
+        Column("period [s]", period),
+        Column(
+            "swing off by",
+            lambda item: (
+                _judged(item[1].predicted, item[1].run.swing) if item[1].run.hunts else None
+            ),
+        ),
+    ]
+    blocks: list[Table | Chart] = [table(levels, columns, "Other levels.")]
+    if any(sweep.curves for sweep in result.sweeps):
+        blocks.append(over_levels(result.angle, result.sweeps))
+    return Section("Over friction and integral action", (), blocks)
+
+
+def _results(result: HuntingResult) -> dict[str, Any]:
+    prediction, harmonics = result.prediction, result.harmonics
+    cycle = prediction.cycle if prediction is not None else None
+    balance = harmonics.balance if harmonics is not None else None
+    return {
+        "axis": result.friction.axis,
+        "friction": result.friction.law,
+        "simulated": _run_data(result.run),
+        "coulomb": result.coulomb and _run_data(result.coulomb),
+        "predicted": prediction
+        and {
+            "hunts": cycle is not None,
+            "threshold": prediction.threshold,
+            "coulomb_factor": prediction.coulomb,
+            "swing": cycle and cycle.swing,
+            "period": cycle and cycle.period,
+            "stuck": cycle and cycle.stuck,
+            "multipliers": cycle and cycle.multipliers[:4],
+        },
+        "harmonic": balance
+        and {"swing": balance.swing, "period": balance.period, "stuck": balance.stuck},
+        "levels": [
+            {
+                "of": sweep.name,
+                "factor": level.factor,
+                "predicted_swing": level.predicted,
+                "simulated": _run_data(level.run),
+            }
+            for sweep in result.sweeps
+            for level in sweep.levels
+        ],
+    }
+
+
+def _run_data(run: AxisRun) -> dict[str, Any]:
+    return {
+        "verdict": run.verdict,
+        "hunts": run.hunts,
+        "period": run.period,
+        "swing": run.swing,
+        "stuck": run.stuck_share,
+        "failures": run.failures,
+    }
+
+
+#: Periods that a history shows, and s of one without a period.
+_PERIODS, _SHOWN = 3.0, 60.0
+
+
+def history(run: AxisRun, label: str, input_label: str) -> Chart:
+    """The angle's error and the command over time, sticks shaded."""
+    shown = _SHOWN if run.period is None else _PERIODS * run.period
+    n = max(2, int(np.searchsorted(run.time, run.time[-1] - shown, side="left")))
+    part = slice(n, None) if run.hunts else slice(0, int(np.searchsorted(run.time, shown)) + 1)
+    time = run.time[part] - run.time[part][0]
+    panels = []
+    for values, name, unit_of in ((run.angle, label, "rad"), (run.command, input_label, "V")):
+        y = values[part]
+        room = 0.08 * max(float(np.ptp(y)), 1e-9)
+        low, high = float(y.min()) - room, float(y.max()) + room
+        lower, upper = (np.where(run.stuck[part], end, np.nan) for end in (low, high))
+        marks: list[Mark] = [
+            Band(time, lower, upper, "sticks", "orange", 0.2),
+            Curve(time, y, "", "blue", width=1.6),
+        ]
+        panels.append(Panel(Axis("time", "s"), Axis(name, unit_of, (low, high)), marks))
+    words = "hunting after the transient" if run.hunts else "after the push"
+    return Chart(
+        "hunting_history",
+        panels,
+        f"The loop in simulation, {words}: while the axis sticks the integral ramps.",
+        columns=1,
+        width=7.5,
+        height=2.4,
+    )
+
+
+def planes(
+    run: AxisRun,
+    prediction: HuntingPrediction | None,
+    events: StickSlip | None,
+    label: str,
+    input_label: str,
+) -> Chart:
+    """One cycle in the plane of angle and rate, and of angle and command."""
+    period = run.period or _SHOWN
+    n = int(np.searchsorted(run.time, run.time[-1] - 1.02 * period, side="left"))
+    angle, rate, given = run.angle[n:], run.rate[n:], run.command[n:]
+    marks: list[Mark] = [Curve(angle, rate, "simulated", "blue", width=1.8)]
+    if prediction is not None and prediction.cycle is not None and events is not None:
+        _, path, speed = events.trace(prediction.cycle.half)
+        for sign in (1.0, -1.0):
+            marks.append(Curve(sign * path, sign * speed, "predicted", "vermilion", "dashed", 1.6))
+    at_rest = run.stuck[n:]
+    marks.append(Points(angle[at_rest], rate[at_rest], "sticks", "square", "orange", size=6.0))
+    held = np.where(at_rest, given, np.nan)
+    other: list[Mark] = [
+        Curve(angle, given, "simulated", "blue", width=1.6, arrow=True),
+        Curve(np.where(at_rest, angle, np.nan), held, "sticks", "orange", width=3.5),
+    ]
+    return Chart(
+        "hunting_plane",
+        [
+            Panel(Axis(label, "rad"), Axis(f"rate of {label}", "rad/s"), marks, "Angle and rate"),
+            Panel(Axis(label, "rad"), Axis(input_label, "V"), other, "Angle and command"),
+        ],
+        "One hunting cycle. A stick is a point on the left, a vertical line on the right: the "
+        "command climbs until the axis breaks away.",
+    )
+
+
+def event_map(prediction: HuntingPrediction, run: AxisRun) -> Chart:
+    """Error at a stick over error at the one before; the simulation's sticks too."""
+    e, f = prediction.errors, prediction.following
+    size = np.abs(f)
+    crossed, short = np.where(f > 0, size, np.nan), np.where(f < 0, size, np.nan)
+    marks: list[Mark] = [
+        Curve(e, e, "as large as before", "grey", "dotted"),
+        Curve(e, crossed, "slip beyond the reference", "blue"),
+    ]
+    if np.isfinite(short).any():
+        marks.append(Curve(e, short, "slip that falls short of it", "sky", "dashed"))
+    before, after = run.sticks
+    if before.size:
+        marks.append(Points(before, after, "simulated, from stick to stick", "dot", "ink"))
+    if np.isfinite(prediction.coulomb):
+        marks.append(
+            Curve(e, np.abs(prediction.coulomb) * e, "Coulomb friction alone", "green", "dashed")
+        )
+    if prediction.threshold is not None:
+        marks.append(Line(x=prediction.threshold, label="below: comes to rest", colour="purple"))
+    if prediction.cycle is not None:
+        at = prediction.cycle.swing / 2.0
+        marks.append(Points([at], [at], "hunting cycle, predicted", "star", "vermilion", size=9.0))
+    x, y = (Axis(f"error at {which} stick", "rad", log=True) for which in ("a", "the next"))
+    return Chart(
+        "hunting_map",
+        [Panel(x, y, marks)],
+        "The Poincaré map from stick to stick, by the linear loop. Above the dotted line slips "
+        "grow, below it they shrink; where it crosses is the cycle.",
+        columns=1,
+        width=5.6,
+        height=4.0,
+    )
+
+
+def nyquist(one: Harmonics) -> Chart:
+    """Describing functions in the Nyquist plane."""
+
+    def plane(unit: str, marks: list[Mark], title: str) -> Panel:
+        return Panel(Axis("real part", unit), Axis("imaginary part", unit), marks, title)
+
+    G = one.response
+    reach = 1.1 * float(np.abs(G).max())
+    left: list[Mark] = [
+        Curve([-reach, 0.0], [0.0, 0.0], "−1/N(A), all amplitudes", "vermilion", width=2.2),
+        Curve(G.real, G.imag, "G(jω): rate by friction's moment", "blue", arrow=True),
+    ]
+    panels = [plane("(rad/s)/(N m)", left, "An axis that never sticks")]
+    if one.balance is not None:
+        near = (one.omega > 0.5 * one.balance.omega) & (one.omega < 2.5 * one.balance.omega)
+        Z = one.impedance[near]
+        at = complex(np.interp(one.balance.omega, one.omega, one.impedance))
+        inverse = np.where(np.abs(one.inverse) < 4.0 * abs(at), one.inverse, np.nan * (1 + 1j))
+        words = "−1/M(X, ω*) of the sticking axis"
+        right: list[Mark] = [
+            Curve(inverse.real, inverse.imag, words, "vermilion"),
+            Curve(Z.real, Z.imag, "Z(jω): the loop on the axis", "blue", arrow=True),
+            Points([at.real], [at.imag], "balance", "star", "green", size=8.0),
+        ]
+        panels.append(plane("N m s/rad", right, "An axis that sticks, one harmonic"))
+    return Chart(
+        "hunting_nyquist", panels, "Harmonic balance: a crossing is a cycle.", width=4.8, height=3.8
+    )
+
+
+def over_levels(axis_label: str, sweeps: Sequence[LevelSweep]) -> Chart:
+    """Swing over levels of friction and of integral action, predicted and simulated."""
+    colours = ("blue", "green", "purple")
+    shown = []
+    for sweep in sweeps:
+        marks: list[Mark] = [
+            Curve(sweep.x, values, words, colours[i % 3])  # type: ignore[arg-type]
+            for i, (words, values) in enumerate(sweep.curves)
+        ]
+        for hunts, words, shape in (
+            (True, "simulated", "star"),
+            (False, "simulated: comes to rest", "unstable"),
+        ):
+            levels = [level for level in sweep.levels if level.run.hunts == hunts]
+            if levels:
+                factors = [level.factor for level in levels]
+                y = [level.run.swing if hunts else 0.0 for level in levels]
+                marks.append(Points(factors, y, words, shape, "vermilion", size=8.0))  # type: ignore[arg-type]
+        factor = Axis(f"{sweep.label}, times", "", log=True)
+        shown.append(Panel(factor, Axis(f"swing of {axis_label}", "rad"), marks))
+    return Chart(
+        "hunting_over_friction",
+        shown,
+        "How far the loop hunts, peak to peak: predicted lines end where hunting vanishes.",
+    )
