@@ -37,7 +37,7 @@ nearly one-dimensional: |error| at a stick over |error| at the one before.
 After Armstrong-Hélouvry & Amin (1996, Automatica 32), Olsson & Åström (2001, IEEE TCST 9) and
 Hensen, van de Molengraft & Steinbuch (2003, IFAC Robotics: hunting appears and vanishes by a fold).
 
-By one harmonic: for a rate Ω = A sin ωt without a stop, that of the friction's moment is N(A) Ω with
+For a rate Ω = A sin ωt without a stop, the first harmonic of the moment of friction is N(A) Ω with
 
     Coulomb     N = 4 F_c/(π A)
     Stribeck    N = 4 F_c/(π A) (1 + e (v_s/A) D(A/v_s))         D: Dawson's integral
