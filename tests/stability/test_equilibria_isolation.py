@@ -25,8 +25,8 @@ class Equations:
         return self._values(own, given_)[0]
 
     def with_slopes(self, own: Interval, given_: Interval) -> tuple[Interval, Interval]:
-        g, slopes = self._both(own, given_)
-        return g, slopes if slopes.lower.ndim == 3 else slopes[:, :, None]
+        g, slopes = self._both.matrices(own, given_)
+        return g[:, :, 0], slopes
 
 
 Z, Q = ca.SX.sym("z", 1), ca.SX.sym("q", 1)

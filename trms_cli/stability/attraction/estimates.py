@@ -415,15 +415,20 @@ def estimates(
         tell("linear matrix inequalities over a box")
         best = optimise_ellipsoid(simple, walls, first=first)
     found: list[RegionEstimate] = []
-    for method, shape in (("lyapunov", first), ("inclusion", best)):
+    ellipsoids: dict[Method, Ellipsoid | None] = {"lyapunov": first, "inclusion": best}
+    for method, shape in ellipsoids.items():
         if method in methods and shape is not None:
-            found.append(_ellipsoid(method, system, shape))  # type: ignore[arg-type]
+            found.append(_ellipsoid(method, system, shape.P / shape.level))
+    wanted: list[Method] = [m for m in ("level_set", "integrals", "quartic") if m in methods]
     shapes = [shape for shape in (Ellipsoid(P, 1.0), best) if shape is not None]
-    wanted = [m for m in ("level_set", "integrals", "quartic") if m in methods]
-    if wanted:
-        starts = _sampled(system, shapes, limits)
-        for method in wanted:
-            found += _by_level_set(method, system, starts, most, tell)  # type: ignore[arg-type]
+    starts = []
+    for P in (shape.P / shape.level for shape in shapes if wanted):
+        rays, candidate = Rays.drawn(P, limits, _RAYS, 0), quadratic(system, P)
+        level = sampled_level(candidate, rays)
+        if level is not None:
+            starts.append(_Start(candidate, level, rays))
+    for method in wanted:
+        found += _by_level_set(method, system, starts, most, tell)
     return found
 
 
@@ -432,20 +437,6 @@ class _Start:
     candidate: LyapunovCandidate
     level: SampledLevel
     rays: Rays
-
-
-def _sampled(
-    system: ReducedSystem, shapes: Sequence[Ellipsoid], limits: FloatArray
-) -> list[_Start]:
-    found = []
-    for shape in shapes:
-        P = shape.P / shape.level
-        rays = Rays.drawn(P, limits, _RAYS, 0)
-        candidate = quadratic(system, P)
-        level = sampled_level(candidate, rays)
-        if level is not None:
-            found.append(_Start(candidate, level, rays))
-    return found
 
 
 def _by_level_set(
@@ -472,36 +463,22 @@ def _by_level_set(
         proof = proved_level(
             candidate, level, most, _SHARE, lambda words: tell(f"{LABELS[method]}: {words}")
         )
-    common = {"sampled": level.level, "samples": level.samples, "boxes": proof.boxes}
+
+    def estimate(height: float, proved: bool, means: str) -> RegionEstimate:
+        by = level.level, level.samples, proof.boxes
+        return RegionEstimate(method, candidate, height, proved, means, proof.frame, *by)
+
     found = []
     if proof.level > _TRIFLE * level.level:
-        means = "V̇ < 0 by interval branch and bound"
-        found.append(
-            RegionEstimate(method, candidate, proof.level, True, means, proof.frame, **common)  # type: ignore[arg-type]
-        )
+        found.append(estimate(proof.level, True, "V̇ < 0 by interval branch and bound"))
     if not proof.complete:
         means = f"V̇ < 0 at {level.samples} samples only"
-        found.append(
-            RegionEstimate(
-                method,
-                candidate,
-                _SHARE * level.level,
-                False,
-                means,
-                frame(candidate, level),
-                **common,  # type: ignore[arg-type]
-            )
-        )
+        found.append(estimate(_SHARE * level.level, False, means))
     return found
 
 
-def _ellipsoid(method: Method, system: ReducedSystem, shape: Ellipsoid) -> RegionEstimate:
-    value, vectors = np.linalg.eigh(shape.P / shape.level)
-    return RegionEstimate(
-        method,
-        quadratic(system, shape.P / shape.level),
-        1.0,
-        True,
-        "AᵀP + PA ≺ 0 at all corners of the interval matrix",
-        vectors / np.sqrt(value),
-    )
+def _ellipsoid(method: Method, system: ReducedSystem, P: FloatArray) -> RegionEstimate:
+    value, vectors = np.linalg.eigh(P)
+    means = "AᵀP + PA ≺ 0 at all corners of the interval matrix"
+    half_axes = vectors / np.sqrt(value)
+    return RegionEstimate(method, quadratic(system, P), 1.0, True, means, half_axes)

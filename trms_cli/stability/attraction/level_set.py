@@ -524,23 +524,14 @@ class _Search:
 
     def inner(self) -> float:
         """Size of the largest cube N, a power of two, in which the first step holds; 0 for none."""
-        size = 1.0
-        while size > 1e-9:
-            if self._falls_in(size):
-                return size
-            size *= 0.5
-        return 0.0
+        sizes = (2.0**-k for k in range(30))
+        return next((size for size in sizes if self._falls_in(size)), 0.0)
 
     def _falls_in(self, size: float) -> bool:
         n = self._candidate.system.n
         r = np.nextafter(size * (np.arange(_PARTS) + 1.0) / _PARTS, np.inf)[:, None]
         box = Interval(-r * np.ones(n), r * np.ones(n))
-        H = _square(self._hessian(box, self._error)[0]).mean()[None]
-        A = corners(_square(self._slopes(box, self._error)[0]).mean())
+        H = self._hessian.matrices(box, self._error)[0].mean()[None]
+        A = corners(self._slopes.matrices(box, self._error)[0].mean())
         T = Interval.point(self.T[None])
         return bool(np.all(positive_definite(-(T.transposed @ (H.transposed @ (A @ T))))))
-
-
-def _square(matrices: Interval) -> Interval:
-    """A matrix of one row and column is a matrix."""
-    return matrices if matrices.lower.ndim == 3 else matrices[:, :, None]

@@ -189,7 +189,20 @@ def loop_region(
     box = np.array([request.box.get(n, _half_width(model, point, n)) for n in known])
     duration = request.duration or _DURATION
     law = linear_law(model, loop, point)
-    region = None if law is None else _by_law(subject, law, known, box, request, tell)
+    region = None
+    if law is not None:
+        closed, free = LinearLawLoop(model, law), LinearLawLoop(model, law, saturated=False)
+        system = around(closed, closed.point)
+        require_attractive(system)
+        matrix, offset = closed.starts()
+        kept = list(system.kept)
+        columns = [model.state_index(name) for name in known]
+        starts = StartSet(known, matrix[np.ix_(kept, columns)], offset[kept])
+        linear = around(free, free.point), closed.unsaturated_rows()[:, kept]
+        asked = replace(request, box={}, duration=None)
+        region = attraction_region(
+            system, asked, tell, starts=starts, linear_inside=linear, box=box
+        )
     random = np.random.default_rng(3)
     rows = [model.state_index(name) for name in model.controlled]
 
@@ -213,33 +226,6 @@ def loop_region(
         proved = drawn[best.estimate.contains(region.starts.of(drawn))][:_INSIDE]
         inside = runs_from(proved) if len(proved) else None
     return LoopRegion(subject, point, known, box, duration, request.tolerance, runs, region, inside)
-
-
-def _by_law(
-    subject: Subject,
-    law: LinearLaw,
-    known: tuple[str, ...],
-    box: FloatArray,
-    request: RegionRequest,
-    tell: Tell,
-) -> AttractionRegion:
-    loop = LinearLawLoop(subject.model, law)
-    system = around(loop, loop.point)
-    require_attractive(system)
-    matrix, offset = loop.starts()
-    columns = [subject.model.state_index(name) for name in known]
-    kept = list(system.kept)
-    starts = StartSet(known, matrix[np.ix_(kept, columns)], offset[kept])
-    free = LinearLawLoop(subject.model, law, saturated=False)
-    rows = loop.unsaturated_rows()[:, kept]
-    return attraction_region(
-        system,
-        replace(request, box={}, duration=None),
-        tell,
-        starts=starts,
-        linear_inside=(around(free, free.point), rows),
-        box=box,
-    )
 
 
 def _deviating(model: Model) -> tuple[str, ...]:

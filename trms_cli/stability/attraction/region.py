@@ -506,6 +506,14 @@ def plane_axes(
     )
 
 
+def plane_starts(axes: tuple[int, int], x: FloatArray, y: FloatArray, size: int) -> FloatArray:
+    """Starts on a grid in a plane of two axes, the other coordinates zero, (grid, size)."""
+    across, up = np.meshgrid(x, y)
+    d = np.zeros((across.size, size))
+    d[:, axes[1]], d[:, axes[0]] = up.ravel(), across.ravel()
+    return d
+
+
 def _plane(
     system: ReducedSystem,
     starts: StartSet,
@@ -516,11 +524,7 @@ def _plane(
     units = [system.model.states[system.model.state_index(n)].unit for n in starts.names]
     i, j = plane_axes(starts.names, units, request.plane)
     lines = np.linspace(-1.0, 1.0, request.for_states(system.n)[1])
-    across, up = np.meshgrid(lines * box[i], lines * box[j])
-    d = np.zeros((across.size, len(box)))
-    d[:, i] = across.ravel()
-    if i != j:
-        d[:, j] = up.ravel()
+    d = plane_starts((i, j), lines * box[i], lines * box[j], len(box))
     fate = fate_of(d)
     field, kept = VectorField(system.model), list(system.kept)
     random, chosen = np.random.default_rng(4), []
@@ -536,4 +540,6 @@ def _plane(
     path = field.motions(begin, system.point.u, _SHOWN, 0.05, impulses=False)
     path = path[:, :, kept] - system.point.x[kept]
     paths = tuple((path[:, m], settled) for m, (_, settled) in enumerate(chosen))
-    return RegionSection((i, j), lines * box[i], lines * box[j], fate.reshape(across.shape), paths)
+    return RegionSection(
+        (i, j), lines * box[i], lines * box[j], fate.reshape(2 * lines.shape), paths
+    )

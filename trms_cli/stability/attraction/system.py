@@ -24,8 +24,8 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
-from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.errors import ModelError
+from trms_cli.core.plugins import require_known
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.intervals.enclosure import Enclosure
@@ -137,8 +137,7 @@ class ReducedSystem:
 
     def slopes_within(self, box: Interval, error: Interval) -> Interval:
         """Bounds of ∂ẏ/∂y in boxes (m, n), (m, n, n)."""
-        found = self._slope_bounds(box, error)[0]
-        return found if found.lower.ndim == 3 else found[:, :, None]
+        return self._slope_bounds.matrices(box, error)[0]
 
     def rates(self, y: FloatArray) -> FloatArray:
         """ẏ at many deviations, (m, n) each."""
@@ -169,12 +168,8 @@ def around(
     Raises ConfigurationError for a name that is no state, ModelError if a rate jumps.
     """
     for name in states or ():
-        if name not in model.state_names:
-            raise ConfigurationError(
-                f"{name!r} is not a state of model {model.name!r}",
-                where="study.states",
-                remedy=nearest(name, model.state_names),
-            )
+        unknown = f"{name!r} is not a state of model {model.name!r}"
+        require_known(name, model.state_names, unknown, "study.states")
     x = ca.SX.sym("x", model.n_x)
     moves = ca.jacobian_sparsity(_rates(model, x, point.u), x)
     pairs = list(zip(*moves.get_triplet(), strict=True))  # (moved, moving)

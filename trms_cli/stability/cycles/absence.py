@@ -240,16 +240,35 @@ def share_without_orbits(
     acting = [i for i in acting if widths[i] > _NARROW]
     if len(acting) not in _PIECES:
         return 0.0
+
+    def bound(T: FloatArray, share: float) -> float:
+        """The largest λ₁ + λ₂ over a share of the box, 1/s."""
+        cuts = [np.array([a - share * w, a + share * w]) for a, w in zip(x, widths, strict=True)]
+        for i in acting:
+            ends = np.linspace(float(cuts[i][0]), float(cuts[i][1]), _PIECES[len(acting)] + 1)
+            # A kink at zero is met by boxes on either side of it, not across.
+            cuts[i] = np.unique(np.append(ends, 0.0)) if ends[0] < 0.0 < ends[-1] else ends
+        J = enclosure(_pieces(cuts))[0]
+        W = np.linalg.inv(T)
+        middle, radius = 0.5 * (J.lower + J.upper), 0.5 * (J.upper - J.lower)
+        if not np.all(np.isfinite(radius)):
+            return float("inf")
+        centre = W @ middle @ T
+        around = np.abs(W) @ radius @ np.abs(T)
+        values = np.linalg.eigvalsh(0.5 * (centre + centre.transpose(0, 2, 1)))
+        reach = np.linalg.eigvalsh(0.5 * (around + around.transpose(0, 2, 1)))
+        return float((values[:, -1] + values[:, -2] + 2.0 * np.abs(reach).max(axis=1)).max())
+
     best = 0.0
     for T in candidates:
-        if _bound(enclosure, T, x, widths, acting, best or 1e-3) >= -_MARGIN:
+        if bound(T, best or 1e-3) >= -_MARGIN:
             continue
         low, high = best, 1.0
-        if _bound(enclosure, T, x, widths, acting, 1.0) < -_MARGIN:
+        if bound(T, 1.0) < -_MARGIN:
             return 1.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            shrinks = _bound(enclosure, T, x, widths, acting, middle) < -_MARGIN
+            shrinks = bound(T, middle) < -_MARGIN
             low, high = (middle, high) if shrinks else (low, middle)
         best = max(best, low)
     return best
@@ -281,29 +300,3 @@ def _coordinates(J: FloatArray) -> list[FloatArray]:
         np.linalg.inv(scaled)
         candidates.append(scaled)
     return candidates
-
-
-def _bound(
-    enclosure: Enclosure,
-    T: FloatArray,
-    x: FloatArray,
-    widths: FloatArray,
-    acting: list[int],
-    share: float,
-) -> float:
-    """The largest λ₁ + λ₂ over a share of the box, 1/s."""
-    cuts = [np.array([a - share * w, a + share * w]) for a, w in zip(x, widths, strict=True)]
-    for i in acting:
-        ends = np.linspace(float(cuts[i][0]), float(cuts[i][1]), _PIECES[len(acting)] + 1)
-        # A kink at zero is met by boxes on either side of it, not across.
-        cuts[i] = np.unique(np.append(ends, 0.0)) if ends[0] < 0.0 < ends[-1] else ends
-    J = enclosure(_pieces(cuts))[0]
-    W = np.linalg.inv(T)
-    middle, radius = 0.5 * (J.lower + J.upper), 0.5 * (J.upper - J.lower)
-    if not np.all(np.isfinite(radius)):
-        return float("inf")
-    centre = W @ middle @ T
-    around = np.abs(W) @ radius @ np.abs(T)
-    values = np.linalg.eigvalsh(0.5 * (centre + centre.transpose(0, 2, 1)))
-    reach = np.linalg.eigvalsh(0.5 * (around + around.transpose(0, 2, 1)))
-    return float((values[:, -1] + values[:, -2] + 2.0 * np.abs(reach).max(axis=1)).max())

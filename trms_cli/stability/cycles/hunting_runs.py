@@ -97,15 +97,11 @@ def axis_run(
     duration: float,
     channel: int = 0,
 ) -> AxisRun:
-    """Run the loop from an axis pushed beside its reference, by rad, for some s."""
+    """Run the loop from an axis pushed beside its reference, by rad, for some s.
+
+    ``channel`` is the command that is kept beside the angle.
+    """
     run = run_loop(model, loop, point, duration, offset={model.axes[axis].angle: push})
-    return axis_of(model, run, point, axis, channel)
-
-
-def axis_of(
-    model: Model, run: LoopRun, point: OperatingPoint, axis: str, channel: int = 0
-) -> AxisRun:
-    """What a run shows of an axis; ``channel`` is the command that is kept beside it."""
     row = model.state_index(model.axes[axis].angle)
     angle = run.x[:, row] - point.x[row]
     rate = VectorField(model).rates(run.x, run.applied)[:, row]
@@ -158,7 +154,10 @@ def _verdict(
         if np.ptp(last) > 1.2 * np.ptp(tail[: len(tail) // 2]):
             return "unstable", None
         steady = np.ptp(last) > _KEEPS * np.ptp(tail[: len(tail) // 2])
-        return ("oscillating" if steady else "dying out"), _period_of_crossings(run.time, angle)
+        swing = tail - tail.mean()
+        rising = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
+        period = float(np.mean(np.diff(run.time[half:][rising]))) if len(rising) > 2 else None
+        return ("oscillating" if steady else "dying out"), period
     motions = slips(run.time[half:], tail, stuck[half:])
     travels = np.array([travel for _, travel in motions])
     if not len(travels) or np.abs(travels).max() < _CALM:
@@ -185,13 +184,6 @@ def _period_of_slips(motions: list[tuple[float, float]]) -> float | None:
     if len(whole) > 2:
         return 2.0 * (whole[-1] - whole[0]) / (len(whole) - 1)
     return 2.0 * (turns[-1] - turns[0])
-
-
-def _period_of_crossings(time: FloatArray, angle: FloatArray) -> float | None:
-    half = len(angle) // 2
-    tail = angle[half:] - angle[half:].mean()
-    rising = np.flatnonzero((tail[:-1] < 0) & (tail[1:] >= 0))
-    return float(np.mean(np.diff(time[half:][rising]))) if len(rising) > 2 else None
 
 
 def with_sizes(model: Model, values: Mapping[str, float]) -> Model:

@@ -83,8 +83,8 @@ class BlockEquations:
 
     def with_slopes(self, own: Interval, given: Interval) -> tuple[Interval, Interval]:
         """g over boxes, (m, n), and its slopes in the block's unknowns, (m, n, n)."""
-        g, slopes = self._both(own, given, self._constants)
-        return g, slopes if slopes.lower.ndim == 3 else slopes[:, :, None]
+        g, slopes = self._both.matrices(own, given, self._constants)
+        return g[:, :, 0], slopes
 
 
 def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
@@ -351,8 +351,7 @@ def newton(equations: BlockEquations, box: Interval, given: Interval) -> Interva
     g, slopes = equations.with_slopes(box, given)
     centre = centre_of(box)
     at_centre = equations.values(Interval.point(centre), given)
-    away = Interval.point(box.lower) - Interval.point(centre)
-    away = Interval(away.lower, (Interval.point(box.upper) - Interval.point(centre)).upper)
+    away = box - Interval.point(centre)
     possible = np.all(g.contains_zero(), axis=1)
     possible &= np.all((at_centre + _times(slopes, away)).contains_zero(), axis=1)
     if equations.n == 1:

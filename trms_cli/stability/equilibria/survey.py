@@ -24,7 +24,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.continuation import SolutionCurve
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint, operating_point, refined
@@ -255,12 +255,8 @@ def bounds_of(
     """
     model = system.model
     for name, bounds in asked.items():
-        if name not in model.state_names:
-            raise ConfigurationError(
-                f"{name!r} is no state of model {model.name!r}",
-                where=f"{where}.{name}",
-                remedy=nearest(name, model.state_names),
-            )
+        unknown = f"{name!r} is no state of model {model.name!r}"
+        require_known(name, model.state_names, unknown, f"{where}.{name}")
         if len(bounds) != 2 or not bounds[0] < bounds[1]:
             raise ConfigurationError(
                 f"{list(bounds)} are no bounds",

@@ -14,7 +14,7 @@ is tighter. :meth:`Enclosure.mean_value` intersects the two.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -73,14 +73,11 @@ class Enclosure:
 
         Arguments are one an input, (n_boxes, size), or (size,) for one that all boxes share.
         """
-        results = self._evaluated(arguments)
-        return [
-            Interval(r.lower[:, :, 0], r.upper[:, :, 0]) if r.lower.shape[2] == 1 else r
-            for r in results
-        ]
+        results = self.matrices(*arguments)
+        return [r[:, :, 0] if r.lower.shape[2] == 1 else r for r in results]
 
-    def _evaluated(self, arguments: Sequence[Interval]) -> list[Interval]:
-        """Bounds of all outputs, (n_boxes, rows, columns)."""
+    def matrices(self, *arguments: Interval) -> list[Interval]:
+        """The same, of a column too (n_boxes, rows, 1)."""
         count = max((len(a.lower) for a in arguments if a.lower.ndim == 2), default=1)
         sizes = [(count, *self.function.size_out(i)) for i in range(self.function.n_out())]
         results = [Interval(np.zeros(size), np.zeros(size)) for size in sizes]
@@ -137,9 +134,7 @@ class Enclosure:
         natural = self(box, *others)[0]
         centre = box.middle
         at_centre = self(Interval.point(centre), *others)[0]
-        slope = self._slope(box, *others)[0]
-        if slope.lower.ndim == 2:  # one variable
-            slope = slope[:, :, None]
+        slope = self._slope.matrices(box, *others)[0]
         away = Interval(box.lower - centre, box.upper - centre)
         away = Interval(np.nextafter(away.lower, -np.inf), np.nextafter(away.upper, np.inf))
         total = at_centre

@@ -46,7 +46,7 @@ import scipy.linalg
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.model import Model, names
 from trms_cli.stability.local.linear import STILL, EigenMode, Matrices, modes_of, parts_of
 from trms_cli.stability.local.sweep import EigenvalueSweep, OperatingPath
@@ -339,12 +339,30 @@ class Access:
         own_a, own_c, own_e = basis.T @ steady @ basis, c @ basis, basis.T @ e
         sizes = np.abs(own_e).max(axis=0, initial=0.0)
         acts = sizes > _RANK * np.abs(e).max(axis=0, initial=0.0)
+        n = len(a)
+
+        def error_of(column: FloatArray, duration: float) -> float | None:
+            """Standard deviation of the torque's estimate."""
+            size = float(np.abs(column).max())
+            still = np.eye(1) * (0.0 if step is None else 1.0)
+            joint = np.block([[a, column / size], [np.zeros((1, n)), still]])
+            read = np.hstack([c, np.zeros((len(c), 1))])
+            information = observability_gramian(joint, read, duration, step)
+            # Readings add up as an integral over the time between two of them; a step is a reading.
+            information = information / reading_time if step is None else information * step
+            information[np.arange(n), np.arange(n)] += _PRIOR**-2
+            # The information that is left of the torque when the state is estimated with it.
+            cross = information[:n, n]
+            left = float(information[n, n] - cross @ np.linalg.solve(information[:n, :n], cross))
+            if left <= 1e-12 * information[n, n]:
+                return None
+            return float(1.0 / (np.sqrt(left) * size))
+
         alone = {}
         for j, name in enumerate(names(self.model.disturbances)):
             seen = bool(acts[j]) and _rank(own_a, own_e[:, [j]], own_c) == len(own_a) + 1
             error, *others = (
-                _error(a, e[:, [j]], c, duration, step, reading_time) if seen else None
-                for duration in durations
+                error_of(e[:, [j]], duration) if seen else None for duration in durations
             )
             alone[name] = TorqueEstimate(seen, error, tuple(others))
         together = _rank(own_a, own_e[:, acts], own_c) - len(own_a) if acts.any() else 0
@@ -401,10 +419,7 @@ def sensor_sets(
     if given is not None:
         for one in given:
             for name in one:
-                if name not in known:
-                    raise ConfigurationError(
-                        f"{name!r} is not measured", where=where, remedy=nearest(name, known)
-                    )
+                require_known(name, known, f"{name!r} is not measured", where)
             if not one:
                 raise ConfigurationError(
                     "an empty set of sensors given",
@@ -454,34 +469,6 @@ class TorqueEstimates:
 
     together: int  #: How many of them can be told at once
     alone: dict[str, TorqueEstimate]  #: By disturbance
-
-
-def _error(
-    a: FloatArray,
-    column: FloatArray,
-    c: FloatArray,
-    duration: float,
-    step: float | None,
-    reading_time: float,
-) -> float | None:
-    """Standard deviation of the torque's estimate."""
-    n = len(a)
-    size = float(np.abs(column).max())
-    joint = np.block(
-        [[a, column / size], [np.zeros((1, n)), np.eye(1) * (0.0 if step is None else 1.0)]]
-    )
-    read = np.hstack([c, np.zeros((len(c), 1))])
-    information = observability_gramian(joint, read, duration, step)
-    # Readings add up as an integral over the time between two of them; a step is a reading.
-    information = information / reading_time if step is None else information * step
-    information[np.arange(n), np.arange(n)] += _PRIOR**-2
-    # The information that is left of the torque when the state is estimated with it.
-    known = information[:n, :n]
-    cross = information[:n, n]
-    left = float(information[n, n] - cross @ np.linalg.solve(known, cross))
-    if left <= 1e-12 * information[n, n]:
-        return None
-    return float(1.0 / (np.sqrt(left) * size))
 
 
 def _seen_basis(a: FloatArray, c: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.model import Model, by_name, names
 from trms_cli.models.operating_point import (
     OperatingPoint,
@@ -439,17 +439,12 @@ def usual_line(model: Model, last: bool = False) -> str:
 
 
 def _kind(model: Model, over: str) -> Kind:
+    known = (*model.controlled, *names(model.inputs), *model.parameters.names)
+    unknown = f"{over!r} is no controlled state, input or parameter of model {model.name!r}"
+    require_known(over, known, unknown, "study.over")
     if over in model.controlled:
         return "angle"
-    if over in names(model.inputs):
-        return "command"
-    if over in model.parameters:
-        return "parameter"
-    raise ConfigurationError(
-        f"{over!r} is no controlled state, input or parameter of model {model.name!r}",
-        where="study.over",
-        remedy=nearest(over, (*model.controlled, *names(model.inputs), *model.parameters.names)),
-    )
+    return "command" if over in names(model.inputs) else "parameter"
 
 
 #: Modes this many times as fast as the fastest motion of an axis have no room in a plane with it.

@@ -40,7 +40,7 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint, operating_point
@@ -379,13 +379,11 @@ def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
     if model.sample_time is None:
         return operating_point(model, at)
     for name in at:
-        if name not in model.controlled:
-            raise ConfigurationError(
-                f"model {subject.name!r} only steps from sample to sample, and where it rests is "
-                f"found by its angles, not by {name!r}",
-                where=f"at.{name}",
-                remedy=nearest(name, model.controlled),
-            )
+        unknown = (
+            f"model {subject.name!r} only steps from sample to sample, and where it rests is found "
+            f"by its angles, not by {name!r}"
+        )
+        require_known(name, model.controlled, unknown, f"at.{name}")
     wanted = np.array([at.get(name, 0.0) for name in model.controlled])
     target = SteadyState(model).solve(wanted)
     if not target.exact:

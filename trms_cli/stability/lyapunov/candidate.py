@@ -295,8 +295,7 @@ class EnergyCandidate:
 
     def inertias(self, boxes: Interval) -> Interval:
         """Bounds of M over boxes, (m, k, k)."""
-        found = self._mass(boxes)[0]
-        return found if found.lower.ndim == 3 else found[:, :, None]
+        return self._mass.matrices(boxes)[0]
 
     def at_rest(self) -> Interval:
         """Q at the equilibrium, (1, …)."""

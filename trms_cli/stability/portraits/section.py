@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, operating_point
@@ -173,18 +173,15 @@ class PortraitCoordinates:
 
 
 def _coordinate(model: Model, name: str, place: int) -> Coordinate:
-    if name in model.state_names:
-        index = model.state_index(name)
-        return Coordinate(name, model.states[index].unit, index)
     rates = rate_names(model)
-    if name in rates:
-        index = model.state_index(rates[name])
-        return Coordinate(name, f"{model.states[index].unit}/s", index, is_rate=True)
-    raise ConfigurationError(
-        f"{name!r} is neither a state of model {model.name!r} nor the rate of one of its angles",
-        where=f"states[{place}]",
-        remedy=nearest(name, (*model.state_names, *rates)),
+    unknown = (
+        f"{name!r} is neither a state of model {model.name!r} nor the rate of one of its angles"
     )
+    require_known(name, (*model.state_names, *rates), unknown, f"states[{place}]")
+    is_rate = name not in model.state_names
+    index = model.state_index(rates[name] if is_rate else name)
+    unit = model.states[index].unit
+    return Coordinate(name, f"{unit}/s" if is_rate else unit, index, is_rate)
 
 
 def check_states(model: Model, names: Sequence[str]) -> None:
@@ -393,10 +390,6 @@ def settled_states(
         return coordinates.others
     allowed = [model.state_names[i] for i in coordinates.others]
     for number, name in enumerate(others):
-        if name not in allowed:
-            raise ConfigurationError(
-                f"{name!r} is none of the states that the portrait leaves open",
-                where=f"others[{number}]",
-                remedy=nearest(name, allowed),
-            )
+        unknown = f"{name!r} is none of the states that the portrait leaves open"
+        require_known(name, allowed, unknown, f"others[{number}]")
     return tuple(sorted({model.state_index(name) for name in others}))

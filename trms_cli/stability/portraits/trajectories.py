@@ -163,15 +163,6 @@ class TrajectoryEnd:
     held: StickingSet | None = None
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    """On one journey; the place is that of its rest point or sticking set."""
-
-    what: What
-    place: int = -1
-    time: float = np.inf
-
-
 def ends_of(
     section: StateSection,
     window: FloatArray,
@@ -187,69 +178,53 @@ def ends_of(
     With dry friction something may stand still where there is no equilibrium of f; equilibria
     outside the window are looked for on request, where motions seem to rest.
     """
-    known = list(rests)
+    known, near = list(rests), NEAR * np.ptp(window, axis=1)
+
+    def end_of(path: PortraitTrajectory) -> tuple[What, int, float]:
+        """What, the place of its rest point or sticking set, and when."""
+        c = path.c
+        if not np.isfinite(c[-1]).all():
+            return "gone", -1, np.inf
+        tail = c[-max(2, round(_TAIL * len(c))) :]
+        still = bool(np.all(np.ptp(tail, axis=0) <= near))
+        for place, held in enumerate(sticking):
+            if still and held.holds(c[-1], near):
+                return "held", place, _arrival(path, c[-1], near)
+        for place, rest in enumerate(known):
+            if np.all(np.abs(tail - rest.c) <= near):
+                return "rest", place, _arrival(path, rest.c, near)
+        if still and search_beyond:
+            x = refined(section.coordinates.field, path.x[-1], section.point.u)
+            beyond = None if x is None else rest_point(section, x)
+            if beyond is not None and np.all(np.abs(tail - beyond.c) <= near):
+                known.append(beyond)
+                return "rest", len(known) - 1, _arrival(path, beyond.c, near)
+        if still and dry_friction:
+            return "stuck", -1, _arrival(path, c[-1], near)
+        past = np.maximum(window[:, 0] - c[-1], c[-1] - window[:, 1])
+        angles = [item.unit == "rad" for item in section.coordinates.items]
+        if np.any(past[angles] > np.pi):
+            return "turning", -1, np.inf
+        inside = np.all((tail >= window[:, 0]) & (tail <= window[:, 1]))
+        return "moving" if inside else "gone", -1, np.inf
+
     groups: dict[tuple[What, int], list[tuple[int, float]]] = {}
     for number, trajectory in enumerate(found):
-        verdict = _verdict(
-            section, window, known, trajectory, sticking, dry_friction, search_beyond
-        )
-        what, place = verdict.what, verdict.place
+        what, place, time = end_of(trajectory)
         if what == "rest" and known[place].line:
             what, place = "line", -1
         elif what == "rest" and place >= len(rests):
             c = known[place].c
             inside = np.all((c >= window[:, 0]) & (c <= window[:, 1]))
             what = "rest" if inside else "rest outside"
-        groups.setdefault((what, place), []).append((number, verdict.time))
+        groups.setdefault((what, place), []).append((number, time))
     ends = []
     for (what, place), members in groups.items():
-        at_rest = what in ("rest", "rest outside")
-        ends.append(
-            TrajectoryEnd(
-                what,
-                tuple(number for number, _ in members),
-                tuple(time for _, time in members if np.isfinite(time)),
-                known[place] if at_rest else None,
-                sticking[place] if what == "held" else None,
-            )
-        )
+        times = tuple(time for _, time in members if np.isfinite(time))
+        rest = known[place] if what in ("rest", "rest outside") else None
+        held = sticking[place] if what == "held" else None
+        ends.append(TrajectoryEnd(what, tuple(number for number, _ in members), times, rest, held))
     return tuple(sorted(ends, key=lambda end: -len(end.members)))
-
-
-def _verdict(
-    section: StateSection,
-    window: FloatArray,
-    known: list[RestPoint],
-    trajectory: PortraitTrajectory,
-    sticking: Sequence[StickingSet],
-    dry_friction: bool,
-    search_beyond: bool,
-) -> _Verdict:
-    c, near = trajectory.c, NEAR * np.ptp(window, axis=1)
-    if not np.isfinite(c[-1]).all():
-        return _Verdict("gone")
-    tail = c[-max(2, round(_TAIL * len(c))) :]
-    still = bool(np.all(np.ptp(tail, axis=0) <= near))
-    for place, held in enumerate(sticking):
-        if still and held.holds(c[-1], near):
-            return _Verdict("held", place, _arrival(trajectory, c[-1], near))
-    for place, rest in enumerate(known):
-        if np.all(np.abs(tail - rest.c) <= near):
-            return _Verdict("rest", place, _arrival(trajectory, rest.c, near))
-    if still and search_beyond:
-        x = refined(section.coordinates.field, trajectory.x[-1], section.point.u)
-        rest_of = None if x is None else rest_point(section, x)
-        if rest_of is not None and np.all(np.abs(tail - rest_of.c) <= near):
-            known.append(rest_of)
-            return _Verdict("rest", len(known) - 1, _arrival(trajectory, rest_of.c, near))
-    if still and dry_friction:
-        return _Verdict("stuck", -1, _arrival(trajectory, c[-1], near))
-    for place, item in enumerate(section.coordinates.items):
-        past = max(window[place, 0] - c[-1, place], c[-1, place] - window[place, 1])
-        if item.unit == "rad" and past > np.pi:
-            return _Verdict("turning")
-    inside = np.all((tail >= window[:, 0]) & (tail <= window[:, 1]))
-    return _Verdict("moving" if inside else "gone")
 
 
 def _arrival(trajectory: PortraitTrajectory, goal: FloatArray, near: FloatArray) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.stability.portraits.invariant_sets import search
 from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection
 
@@ -47,12 +47,8 @@ def checked_window(
     """
     found = {}
     for name, (low, high) in given.items():
-        if name not in coordinates.names:
-            raise ConfigurationError(
-                f"{name!r} is no coordinate of this portrait",
-                where=f"window.{name}",
-                remedy=nearest(name, coordinates.names),
-            )
+        unknown = f"{name!r} is no coordinate of this portrait"
+        require_known(name, coordinates.names, unknown, f"window.{name}")
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ConfigurationError(
                 f"[{low:g}, {high:g}] given",
@@ -187,16 +183,13 @@ def given_starts(section: StateSection, starts: Sequence[Mapping[str, float]]) -
     for number, start in enumerate(starts):
         c, states = centre.copy(), {}
         for name, value in start.items():
+            known = {*coordinates.names, *model.state_names}
+            unknown = f"{name!r} is neither a coordinate of this portrait nor a state"
+            require_known(name, known, unknown, f"starts[{number}].{name}")
             if name in coordinates.names:
                 c[coordinates.names.index(name)] = value
-            elif name in model.state_names:
-                states[model.state_index(name)] = value
             else:
-                raise ConfigurationError(
-                    f"{name!r} is neither a coordinate of this portrait nor a state",
-                    where=f"starts[{number}].{name}",
-                    remedy=nearest(name, {*coordinates.names, *model.state_names}),
-                )
+                states[model.state_index(name)] = value
         x = section.place(c)[0]
         if not np.isfinite(x).all():
             raise ConfigurationError(

@@ -14,7 +14,7 @@ from trms_cli.core import chart as draw
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.findings import Column, Findings, Judged, Section, Table, Value, json_data, table
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.wording import symbol, titled
 from trms_cli.core.wording import unit as written_unit
 from trms_cli.models.model import Model, Signal, by_name, names
@@ -132,12 +132,8 @@ class Equilibria:
             allowed = (*known, *model.controlled) if key == "at" else known
             kind = "neither an input nor a controlled angle" if key == "at" else "no input"
             for name in given:
-                if name not in allowed:
-                    raise ConfigurationError(
-                        f"{name!r} is {kind} of model {model.name!r}",
-                        where=f"study.{key}",
-                        remedy=nearest(name, allowed),
-                    )
+                unknown = f"{name!r} is {kind} of model {model.name!r}"
+                require_known(name, allowed, unknown, f"study.{key}")
         if self.over is not None:
             if not self.over:
                 raise ConfigurationError(

@@ -70,13 +70,8 @@ class Hunting:
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Simulate, predict, confirm.
 
-        Raises
-        ------
-        ConfigurationError
-            Without a controller that feeds back or dry friction, and for an operating point that
-            does not exist.
-        ModelError
-            For a model without equations.
+        Raises TrmsError without a controller that feeds back or dry friction, for an operating
+        point that does not exist, and for a model without equations.
         """
         loop = subject.require_loop("hunting")
         model = subject.require_equations("hunting")
@@ -90,7 +85,7 @@ class Hunting:
             )
         point = usual_point(model, self.at)
         channel = names(model.inputs).index(model.rotors[ROTOR_OF_AXIS[friction.axis]])
-        case = _Case(model, loop, point, friction, self.push, channel)
+        case = LoopCase(model, loop, point, friction, self.push, channel)
         prediction = one = events = None
         warnings = list(not_level(model, self.at, point))
         if pid is not None:
@@ -112,12 +107,11 @@ class Hunting:
             warnings.append(
                 "predicted for controller=pid only, whose law is linear and known: here simulation"
             )
-        duration = self.duration or max(
-            _SHORTEST,
-            _LASTING * prediction.cycle.period if prediction and prediction.cycle else 0.0,
-        )
+        cycle = prediction.cycle if prediction is not None else None
+        expected = cycle.swing if cycle is not None else None
+        least = _LASTING * cycle.period if cycle is not None else 0.0
+        duration = self.duration or max(_SHORTEST, least)
         tell(f"{duration:.0f} s of the loop")
-        expected = prediction.cycle.swing if prediction and prediction.cycle else None
         run = case.run(duration)
         elsewhere = None
         if expected is not None and not run.hunts:
@@ -142,27 +136,14 @@ class Hunting:
         if run.at_limit:
             warnings.append("a command reaches its limit: the prediction knows none")
         own = HuntingLevel(1.0, expected, run)
+        shown = [
+            replace(s, levels=sorted([*s.levels, own], key=lambda level: level.factor))
+            for s in sweeps
+            if s.levels
+        ]
+        predicted = prediction, one, events
         return findings_of(
-            HuntingResult(
-                model,
-                f"controller={loop.names['controller']}",
-                point.words(model),
-                friction,
-                self.push,
-                run,
-                elsewhere,
-                channel,
-                coulomb,
-                prediction,
-                one,
-                events,
-                [
-                    replace(s, levels=sorted([*s.levels, own], key=lambda level: level.factor))
-                    for s in sweeps
-                    if s.levels
-                ],
-                tuple(warnings),
-            )
+            HuntingResult(case, run, elsewhere, coulomb, *predicted, shown, tuple(warnings))
         )
 
     def _friction(self, model: Model) -> Friction:
@@ -185,7 +166,7 @@ class Hunting:
         )
 
     def _over_torques(
-        self, case: _Case, events: StickSlip | None, duration: float, tell: Tell
+        self, case: LoopCase, events: StickSlip | None, duration: float, tell: Tell
     ) -> LevelSweep:
         law = case.friction.law
         factors = self.torques if self.torques is not None else (0.5, 2.0) if events else ()
@@ -204,7 +185,12 @@ class Hunting:
         return _sweep("torques", "friction", curves, factors, one, tell)
 
     def _over_integrals(
-        self, case: _Case, pid: Pid | None, events: StickSlip | None, duration: float, tell: Tell
+        self,
+        case: LoopCase,
+        pid: Pid | None,
+        events: StickSlip | None,
+        duration: float,
+        tell: Tell,
     ) -> LevelSweep:
         factors = self.integrals if self.integrals is not None else (0.5, 2.0) if events else ()
         if pid is None or events is None or not factors:
@@ -229,15 +215,15 @@ class Hunting:
 
 
 @dataclass(frozen=True)
-class _Case:
+class LoopCase:
     """A loop to be run with other friction, or another controller."""
 
     model: Model
     loop: LoopParts
     point: OperatingPoint
     friction: Friction
-    push: float
-    channel: int
+    push: float  #: rad
+    channel: int  #: Of the command that holds the axis
 
     def run(
         self,
@@ -264,7 +250,7 @@ class _Case:
         return run
 
 
-def _with_integral(case: _Case, pid: Pid, factor: float) -> Pid:
+def _with_integral(case: LoopCase, pid: Pid, factor: float) -> Pid:
     """The PID with the gains that it has, but k_i of the axis times a factor."""
     period = pid.sample_time or case.loop.sample_time
     state = pid.init(ControlSetup(case.loop.model, period, case.point.u))
@@ -308,16 +294,11 @@ _VERDICTS = {
 class HuntingResult:
     """Everything about one loop."""
 
-    model: Model
-    controller: str
-    words: str  #: The operating point
-    friction: Friction
-    push: float  #: rad
+    case: LoopCase
     run: AxisRun  #: The loop as asked for
     #: The run from the push, where it came to rest beside a predicted cycle; ``run`` then begins on
     #: that
     elsewhere: AxisRun | None
-    channel: int  #: Of the command that holds the axis
     coulomb: AxisRun | None  #: The same with Coulomb friction alone; None where there is no excess
     prediction: HuntingPrediction | None  #: Only for a PID
     harmonics: Harmonics | None  #: Only for a PID
@@ -328,7 +309,7 @@ class HuntingResult:
     @property
     def angle(self) -> str:
         """Symbol of the axis' angle."""
-        return symbol(self.model.axes[self.friction.axis].angle)
+        return symbol(self.case.model.axes[self.case.friction.axis].angle)
 
 
 def findings_of(result: HuntingResult) -> Findings:
@@ -345,16 +326,16 @@ def findings_of(result: HuntingResult) -> Findings:
 
 
 def _lead(result: HuntingResult) -> list[str]:
-    run, law, prediction = result.run, result.friction.law, result.prediction
-    friction = f"{law.torque:g} N m of friction on {result.friction.axis}"
+    run, law, prediction = result.run, result.case.friction.law, result.prediction
+    friction = f"{law.torque:g} N m of friction on {result.case.friction.axis}"
     if law.excess:
         friction += f" ({law.breakaway:g} N m to break away)"
     lead = [_verdict_words(result, friction)]
     if result.elsewhere is not None and run.hunts:
         lead.append(
             f"It does so from a stick {abs(run.angle[0]):.3g} rad beside the reference; from "
-            f"{result.push:g} rad the axis {_VERDICTS[result.elsewhere.verdict]}: rest and cycle "
-            "stand side by side."
+            f"{result.case.push:g} rad the axis {_VERDICTS[result.elsewhere.verdict]}: rest and "
+            "cycle stand side by side."
         )
     if prediction is not None and prediction.cycle is not None:
         cycle = prediction.cycle
@@ -410,7 +391,7 @@ def _verdict_words(result: HuntingResult, friction: str) -> str:
     if run.verdict == "unstable":
         return f"The loop does not hold, with {friction}: look at its margins (study=margins)."
     return (
-        f"No hunting was found with {friction}: from {result.push:g} rad beside the reference "
+        f"No hunting was found with {friction}: from {result.case.push:g} rad beside the reference "
         f"the axis {_VERDICTS[run.verdict]} within {run.time[-1]:.0f} s."
     )
 
@@ -429,11 +410,13 @@ def _judged(predicted: float | None, simulated: float | None) -> Cell:
 
 def _run_section(result: HuntingResult) -> Section:
     run, label = result.run, f"{result.angle} − reference"
-    command = symbol(result.model.inputs[result.channel].name)
+    case, model = result.case, result.case.model
+    command = symbol(model.inputs[case.channel].name)
     text = [
-        f"{result.controller} at {result.words}, started {run.angle[0]:.3g} rad beside "
-        f"the reference, {run.time[-1]:.0f} s; the second half is judged. The axis sticks "
-        "where its rate is zero to rounding: friction acts as an impulse that stops it exactly."
+        f"controller={case.loop.names['controller']} at {case.point.words(model)}, started "
+        f"{run.angle[0]:.3g} rad beside the reference, {run.time[-1]:.0f} s; the second half is "
+        "judged. The axis sticks where its rate is zero to rounding: friction acts as an impulse "
+        "that stops it exactly."
     ]
     blocks = [history(run, label, command)]
     if run.hunts:
@@ -551,8 +534,8 @@ def _results(result: HuntingResult) -> dict[str, Any]:
     cycle = prediction.cycle if prediction is not None else None
     balance = harmonics.balance if harmonics is not None else None
     return {
-        "axis": result.friction.axis,
-        "friction": result.friction.law,
+        "axis": result.case.friction.axis,
+        "friction": result.case.friction.law,
         "simulated": _run_data(result.run),
         "coulomb": result.coulomb and _run_data(result.coulomb),
         "predicted": prediction

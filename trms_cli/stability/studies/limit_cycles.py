@@ -11,9 +11,8 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points, Style
-from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.wording import symbol, titled
 from trms_cli.models.model import Model, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
@@ -53,32 +52,19 @@ class LimitCycles:
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Search, prove, follow.
 
-        Raises
-        ------
-        ConfigurationError
-            For a controller, an unknown name, or an operating point that does not exist.
-        ModelError
-            For a model without equations.
+        Raises TrmsError for a controller, an unknown name, an operating point that does not exist,
+        and a model without equations.
         """
         subject.require_no_loop(
             "limit_cycles", "study=hunting looks for the cycles of a loop with friction"
         )
         model = subject.require_equations("limit_cycles")
         for name in self.box:
-            if name not in model.state_names:
-                raise ConfigurationError(
-                    f"{name!r} is not a state of this model",
-                    where=f"box.{name}",
-                    remedy=nearest(name, model.state_names),
-                )
+            unknown = f"{name!r} is not a state of this model"
+            require_known(name, model.state_names, unknown, f"box.{name}")
         inputs = names(model.inputs)
         over = inputs[0] if self.over is None else self.over
-        if over not in inputs:
-            raise ConfigurationError(
-                f"{over!r} is not an input of this model",
-                where="over",
-                remedy=nearest(over, inputs),
-            )
+        require_known(over, inputs, f"{over!r} is not an input of this model", "over")
         channel = inputs.index(over)
         point = usual_point(model, self.at)
         widths = half_widths(model, point.x, self.box)
@@ -97,13 +83,15 @@ class LimitCycles:
             if shooting is not None:
                 more = at_the_point(shooting, over_command.branches, channel, point.u)
                 search = replace(search, orbits=different([*search.orbits, *more]))
-        findings = findings_of(
-            LimitCycleResult(
-                model, point, widths, self.duration, smooth, proof, search, channel, over_command
-            )
+        result = LimitCycleResult(
+            model, point, widths, self.duration, smooth, proof, search, channel, over_command
         )
-        elsewhere = not_level(model, self.at, point)
-        return replace(findings, warnings=[*elsewhere, *findings.warnings])
+        lead = [*_answer(result), *_hopf_words(result)]
+        sections = [_proof_section(result), _search_section(result)]
+        if over_command is not None:
+            sections.append(_over_section(result, over_command))
+        warnings = [*not_level(model, self.at, point), *_warnings(result)]
+        return Findings("Limit cycles", lead, sections, json_data(_results(result)), warnings)
 
 
 #: Orbits with a multiplier along themselves that is further from 1 are told with a warning.
@@ -143,16 +131,6 @@ class LimitCycleResult:
     def excluded(self) -> bool:
         """No cycle can be: proved for all states, and nothing acts that the proof leaves out."""
         return self.proof.proved and self.proof.everywhere and self.smooth
-
-
-def findings_of(result: LimitCycleResult) -> Findings:
-    """The findings."""
-    lead = [*_answer(result), *_hopf_words(result)]
-    sections = [_proof_section(result), _search_section(result)]
-    if result.over is not None:
-        sections.append(_over_section(result, result.over))
-    data = json_data(_results(result))
-    return Findings("Limit cycles", lead, sections, data, _warnings(result))
 
 
 def _answer(result: LimitCycleResult) -> list[str]:

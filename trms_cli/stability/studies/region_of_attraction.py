@@ -44,6 +44,7 @@ from trms_cli.stability.attraction.region import (
     RegionRequest,
     attraction_region,
     plane_axes,
+    plane_starts,
 )
 from trms_cli.stability.attraction.system import around, require_attractive, written
 from trms_cli.stability.study import Tell
@@ -375,25 +376,14 @@ def _reach(estimate: RegionEstimate, region: AttractionRegion) -> FloatArray:
     axes = list(region.plane.axes)
     half = region.box[axes].copy()
     for _ in range(16):
-        d, _, _ = _grid(region, half, 61)
+        x, y = (np.linspace(-h, h, 61) for h in half)
+        d = plane_starts(region.plane.axes, x, y, len(region.box))
         inside = np.abs(d[estimate.contains(region.starts.of(d))][:, axes])
         reach = inside.max(axis=0, initial=0.0) + half / 30.0
         if np.all(reach > 0.4 * half):
             return np.asarray(np.minimum(reach, half))
         half = np.minimum(half, np.maximum(1.2 * reach, 0.25 * half))
     return half
-
-
-def _grid(
-    region: AttractionRegion, half: FloatArray, lines: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Starts of a grid in the plane, (lines², m), and its lines."""
-    i, j = region.plane.axes
-    x, y = (np.linspace(-half[k], half[k], lines) for k in (0, 1))
-    across, up = np.meshgrid(x, y)
-    d = np.zeros((across.size, len(region.box)))
-    d[:, i], d[:, j] = across.ravel(), up.ravel()
-    return d, x, y
 
 
 def _panel(region: AttractionRegion, box: FloatArray, title: str) -> Panel:
@@ -455,8 +445,9 @@ def _contour(estimate: RegionEstimate, region: AttractionRegion, box: FloatArray
     i, j = region.plane.axes
     origin = _origin(region)
     # As fine as the set is small.
-    d, x, y = _grid(region, np.minimum(1.1 * _reach(estimate, region), box[[i, j]]), _FINE)
-    states = region.starts.of(d)
+    half = np.minimum(1.1 * _reach(estimate, region), box[[i, j]])
+    x, y = (np.linspace(-h, h, _FINE) for h in half)
+    states = region.starts.of(plane_starts((i, j), x, y, len(box)))
     near = np.all(np.abs(np.linalg.solve(estimate.frame, states.T)) <= 1.2, axis=0)
     values = np.where(near, estimate.candidate.values(states) / estimate.level, np.nan)
     seen = values.reshape(_FINE, _FINE)[np.ix_(np.abs(y) <= box[j], np.abs(x) <= box[i])]
