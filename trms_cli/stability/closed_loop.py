@@ -121,20 +121,11 @@ def run_loop(
 ) -> LoopRun:
     """Close the loop around an operating point of a rig: it starts there, its command in force.
 
-    Parameters
-    ----------
-    model : Model
-        The rig, with its effects.
-    duration : float
-        s.
-    offset : dict of str to float
-        By how much the start differs from the point, by state.
-    reference : dict of str to float
-        Constant references by controlled state; default the point's.
-    path, until : callable, optional
-        What reaches the motors instead of the command; what ends the run at a state, and tells why.
-        The run is also shorter than asked for where a state is no longer finite, or where the path
-        raises :class:`Enough`.
+    ``offset`` is by how much the start differs from the point, by state; ``reference`` holds
+    constant references by controlled state, default the point's. ``path`` is what reaches the
+    motors instead of the command; ``until`` ends the run at a state, and tells why. The run is
+    also shorter than its duration (s) where a state is no longer finite, or where the path raises
+    :class:`Enough`.
     """
     start = by_name(model.states, point.x)
     for name, change in (offset or {}).items():

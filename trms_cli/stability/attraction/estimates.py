@@ -225,7 +225,8 @@ class _Search:
             if chosen:
                 kept = np.argsort(self._growth(np.array(chosen), Q))[::-1]
                 masks = [masks[k] for k in kept[: _SLOTS - 1 - len(fresh)]]
-            masks = [*(m for m in masks if not _among(m, fresh)), *fresh]
+            known = [m for m in masks if not any(np.array_equal(m, other) for other in fresh)]
+            masks = [*known, *fresh]
             self._active = masks
         return None
 
@@ -258,10 +259,6 @@ class _Search:
             return None
         Q = np.asarray(self._Q.value)
         return Q if np.all(np.isfinite(Q)) and np.linalg.eigvalsh(Q)[0] > 0 else None
-
-
-def _among(mask: BoolArray, masks: list[BoolArray]) -> bool:
-    return any(np.array_equal(mask, other) for other in masks)
 
 
 def _scaled(bounds: Interval, d: FloatArray) -> Interval:
@@ -457,7 +454,7 @@ def _by_level_set(
     largest = max(start.level.log_volume for start in starts)
     if method != "level_set" and level.log_volume < largest + _GAIN:
         return []  # the weights are a quadratic's, which has a row of its own
-    proof = LevelProof(0.0, 0, False, 0.0, frame(candidate, level))
+    proof = LevelProof(0.0, 0, False, frame(candidate, level))
     if system.n <= _FEW:
         tell(f"{LABELS[method]}: proof by boxes")
         proof = proved_level(

@@ -138,7 +138,8 @@ class LyapunovCandidate:
 def quadratic(system: ReducedSystem, P: FloatArray) -> LyapunovCandidate:
     """V = yᵀPy."""
     basis = basis_of(system)
-    weights = [P[i, j] * (1.0 if i == j else 2.0) for i, j in _pairs(system.n)]
+    pairs = itertools.combinations_with_replacement(range(system.n), 2)
+    weights = [P[i, j] * (1.0 if i == j else 2.0) for i, j in pairs]
     return LyapunovCandidate(basis, np.array(weights))
 
 
@@ -162,10 +163,6 @@ def basis_of(system: ReducedSystem, degree: int = 2, *, integrals: bool = False)
             found.append(_integral(system, y, i, j))
             labels.append(f"∫{system.names[i]}' d{system.names[j]}")
     return Basis(system, tuple(labels), ca.Function("basis", [y], [ca.vertcat(*found)]))
-
-
-def _pairs(n: int) -> list[tuple[int, int]]:
-    return list(itertools.combinations_with_replacement(range(n), 2))
 
 
 def _power(names: Sequence[str], group: tuple[int, ...]) -> str:
@@ -436,7 +433,6 @@ class LevelProof:
     level: float  #: V falls in {V < level}, which is attracted; 0 where nothing is proved
     boxes: int  #: That were looked at
     complete: bool  #: Whether all boxes up to the level that was proposed are closed
-    inner: float  #: Size of the box N as a share of Z
     frame: FloatArray  #: (n, n) array; T: Z is the image of the unit cube
 
 
@@ -454,7 +450,7 @@ def proved_level(
     search = _Search(candidate, sampled)
     inner = search.inner()
     if inner == 0.0:
-        return LevelProof(0.0, 0, False, 0.0, search.T)
+        return LevelProof(0.0, 0, False, search.T)
     target = share * sampled.level
     stuck, count = np.inf, 1
 
@@ -487,7 +483,7 @@ def proved_level(
         whole_chunks=True,
     )
     reached = min(target, stuck, result.lowest)
-    return LevelProof(max(reached, 0.0), result.examined, reached >= target, inner, search.T)
+    return LevelProof(max(reached, 0.0), result.examined, reached >= target, search.T)
 
 
 def frame(candidate: LyapunovCandidate, sampled: SampledLevel) -> FloatArray:

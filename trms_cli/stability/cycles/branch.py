@@ -260,15 +260,12 @@ def _kind(multiplier: complex) -> Kind:
 
 
 def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch:
-    """The branch of cycles that begins at a Hopf point.
-
-    ``limits``: most orbits.
-    """
+    """The branch of cycles that begins at a Hopf point, of ``limits`` orbits at most."""
     m = shooting.pieces
     turn = np.exp(2j * np.pi * np.arange(m) / m)
     away = np.real(turn[:, None] * hopf.mode[None, :])
     period = 2.0 * math.pi / hopf.omega
-    place = packed(np.tile(hopf.x, (m, 1)), period, hopf.u, _nowhere(channel))
+    place = packed(np.tile(hopf.x, (m, 1)), period, hopf.u, channel)
     direction = np.concatenate([away.ravel(), [0.0, 0.0]])
     weights = direction / float(direction @ direction)
     first = None
@@ -286,10 +283,6 @@ def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch
     return follow_branch(shooting, first, channel, limits, before=place)
 
 
-def _nowhere(channel: int) -> BranchCondition:
-    return BranchCondition(channel, np.zeros(0), np.zeros(0), 0.0)
-
-
 def follow_branch(
     shooting: Shooting,
     first: Orbit,
@@ -299,17 +292,15 @@ def follow_branch(
     before: FloatArray | None = None,
     towards: float = 1.0,
 ) -> Branch:
-    """A branch from an orbit on.
+    """A branch from an orbit on, away from a place on it ``before`` the first orbit.
 
-    ``before``: a place on the branch before the first orbit, from which it is followed away.
     ``towards``: without such a place: the sign by which the command changes first.
     """
     model = shooting.model
     low, high = (float(bound[channel]) for bound in model.input_bounds())
-    row = _nowhere(channel)
     scale = _scale(first)
     orbits = [first]
-    z = packed(first.nodes, first.period, first.u, row)
+    z = packed(first.nodes, first.period, first.u, channel)
     if before is None:
         u = first.u.copy()
         u[channel] += towards * 0.005
@@ -317,7 +308,7 @@ def follow_branch(
         if second is None:
             return Branch(orbits, "the next orbit was not found")
         orbits.append(second)
-        before, z = z, packed(second.nodes, second.period, second.u, row)
+        before, z = z, packed(second.nodes, second.period, second.u, channel)
 
     def attempt(
         place: tuple[Orbit, FloatArray, FloatArray], step: float
@@ -340,7 +331,7 @@ def follow_branch(
             return None, max(step / 3.0, _TURNING_STEP)
         if trial is None or _jumped(last, trial, step):
             return None, step / 2.0
-        at = packed(trial.nodes, trial.period, trial.u, row)
+        at = packed(trial.nodes, trial.period, trial.u, channel)
         return (trial, at, z), min(1.4 * step, _MOST_STEP)
 
     ended = "Newton's method found no next orbit"

@@ -170,7 +170,7 @@ class Shooting:
             return None
         direction = direction / size
         widest = float(np.ptp(nodes, axis=0).max())
-        z = packed(nodes, period, u, row)
+        z = packed(nodes, period, u, None if row is None else row.channel)
         linearised = self._equations(z, u, anchor, direction, row)
         for _ in range(_ITERATIONS):
             if linearised is None:
@@ -266,11 +266,9 @@ class BranchCondition:
     length: float
 
 
-def packed(
-    nodes: FloatArray, period: float, u: FloatArray, row: BranchCondition | None
-) -> FloatArray:
-    """The unknowns as one vector."""
-    tail = [period] if row is None else [period, u[row.channel]]
+def packed(nodes: FloatArray, period: float, u: FloatArray, free: int | None) -> FloatArray:
+    """The unknowns as one vector, with the free command where there is one."""
+    tail = [period] if free is None else [period, u[free]]
     return np.concatenate([nodes.ravel(), tail])
 
 

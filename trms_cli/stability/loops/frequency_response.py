@@ -205,7 +205,12 @@ class Analyser:
         )
         inputs = names(model.inputs)
         words = [*(f"response to {name}" for name in inputs), "half the amplitude, all inputs"]
-        _require_answer(model, loop, point, size)
+        # A controller whose commands are the same with and without a step added closes no loop.
+        brief = _SOON * step
+        plain = run_loop(model, loop, point, brief)
+        pushed = run_loop(model, loop, point, brief, path=lambda k, u: u + size)
+        if np.array_equal(plain.u, pushed.u):
+            raise NoLoopError
         answers: list[_Answer] = []
         for doing, added in zip(words, [*one_by_one, together], strict=True):
             tell(doing)
@@ -238,15 +243,6 @@ class Analyser:
             reversed=tuple(sorted({name for a in answers for name in a.reversed})),
             duration=sum(a.run.time.size for a in answers) * loop.sample_time,
         )
-
-
-def _require_answer(model: Model, loop: LoopParts, point: OperatingPoint, step: FloatArray) -> None:
-    """Refuse a controller whose commands are the same with and without a step added to them."""
-    duration = _SOON * loop.control_period
-    plain = run_loop(model, loop, point, duration)
-    pushed = run_loop(model, loop, point, duration, path=lambda k, u: u + step)
-    if np.array_equal(plain.u, pushed.u):
-        raise NoLoopError
 
 
 class _Adder:

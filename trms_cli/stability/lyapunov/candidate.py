@@ -13,7 +13,6 @@ One Lyapunov function candidate with its weights: numbers, bounds, and where its
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -191,7 +190,10 @@ class EnergyCandidate:
         self.slopes = Slopes(energy, self.rest)
         self._moving = Enclosure(energy.moving)
         self._well = {a: Enclosure(energy.alone(energy.well(a), "alpha", a)) for a in energy.axes}
-        self._well_by_rest = {a: _turned(self._well[a].function) for a in energy.axes if a == "v"}
+        if "v" in energy.axes:  # the well of pitch, with the place at rest first
+            by_rest = [ca.SX.sym("at_rest"), ca.SX.sym("state")]
+            well = self._well["v"].function(*reversed(by_rest))
+            self._well_by_rest = Enclosure(ca.Function("by_rest", by_rest, [well]))
         self._store = {
             a: Enclosure(energy.alone(energy.stored(a), "omega", a)) for a in energy.axes
         }
@@ -284,12 +286,8 @@ class EnergyCandidate:
     @property
     def has_angles(self) -> bool:
         """Whether z has the angles: their rows of Q are not zero."""
-        return self.weights.strict or self._tail_pushes
-
-    @cached_property
-    def _tail_pushes(self) -> bool:
-        if self.energy.k != 2:
-            return False
+        if self.weights.strict or self.energy.k != 2:
+            return self.weights.strict
         speed = self.rest[self.energy.index("omega", "h")]
         return not (speed.lower == 0.0 and speed.upper == 0.0)
 
@@ -297,13 +295,10 @@ class EnergyCandidate:
         """Bounds of M over boxes, (m, k, k)."""
         return self._mass.matrices(boxes)[0]
 
-    def at_rest(self) -> Interval:
-        """Q at the equilibrium, (1, …)."""
-        return self.matrices(Interval(self.rest.lower[None], self.rest.upper[None]))
-
     def falls_at_rest(self) -> bool:
         """Whether Q is positive definite at the equilibrium."""
-        return bool(definite(self.at_rest())[0][0])
+        at_rest = Interval(self.rest.lower[None], self.rest.upper[None])
+        return bool(definite(self.matrices(at_rest))[0][0])
 
     # Sets
 
@@ -380,14 +375,8 @@ class EnergyCandidate:
             # Near the fold a well is shallower than the bounds of the equilibrium are wide, if
             # these are not followed through the differences: by the mean value form they are.
             among = Interval(rest.lower[None], rest.upper[None])
-            lower = max(lower, float(self._well_by_rest[a].mean_value(among, at).lower[0, 0]))
+            lower = max(lower, float(self._well_by_rest.mean_value(among, at).lower[0, 0]))
         return lower * weight * (1.0 - 1e-12 * np.sign(lower))
-
-
-def _turned(function: ca.Function) -> Enclosure:
-    """A well as a function of the place at rest first."""
-    state, at_rest = ca.SX.sym("state"), ca.SX.sym("at_rest")
-    return Enclosure(ca.Function("by_rest", [at_rest, state], [function(state, at_rest)]))
 
 
 def _smallest(passed: Callable[[float], bool], farthest: float) -> float:

@@ -283,7 +283,6 @@ class Energy:
     @cached_property
     def to_state(self) -> ca.Function:
         """``(y) → x``, the inverse: rates are momenta plus what angles and speeds make of them."""
-        x = ca.SX.sym("x", self.model.n_x)
         index = self.model.state_index
         rows: list[ca.SX] = [ca.SX(0)] * self.model.n_x
         for a in self.axes:
@@ -292,7 +291,6 @@ class Energy:
         without = self.to_motion(ca.vertcat(*rows))
         for i, a in enumerate(self.axes):
             rows[index(f"S_{a}")] = self.part("Omega", a) - without[i]
-        del x
         return ca.Function("to_state", [self.y], [ca.vertcat(*rows)])
 
     def settling(self, axis: str, speed: ca.SX) -> ca.SX:

@@ -70,11 +70,6 @@ class Wells:
         return np.asarray(within.all(axis=1))
 
     @property
-    def ends_of_pitch(self) -> tuple[float, float]:
-        """The last axis' ends; pitch is the last one where it moves."""
-        return float(self.ends.lower[-1]), float(self.ends.upper[-1])
-
-    @property
     def rise(self) -> bool:
         return all(proof.holds for proof in self.proofs)
 
@@ -139,9 +134,8 @@ def stop_level(candidate: EnergyCandidate, ends: Interval | None = None) -> tupl
     return lowest, name
 
 
-#: Matrices (m, n, n) over boxes (m, n_y), and (m,) bounds of V.
-Matrices = Callable[[Interval], Interval]
-Values = Callable[[Interval], Interval]
+#: Bounds (m, n, n) over boxes (m, n_y), or (m,) bounds of V.
+Bounds = Callable[[Interval], Interval]
 
 #: The search ends when the bounds of c* are this close to each other.
 _CLOSE = 0.01
@@ -159,8 +153,8 @@ class DecayLevel:
 
 
 def decay_level(
-    matrices: Matrices,
-    values: Values,
+    matrices: Bounds,
+    values: Bounds,
     box: Interval,
     most: float,
     budget: int = 20_000,
@@ -206,7 +200,7 @@ def decay_level(
     return DecayLevel(level, fails, point, search.examined)
 
 
-def _directions(matrices: Matrices, boxes: Interval, size: FloatArray) -> npt.NDArray[np.intp]:
+def _directions(matrices: Bounds, boxes: Interval, size: FloatArray) -> npt.NDArray[np.intp]:
     """The direction that makes most of the width of Q, box by box; the longest where none does.
 
     Found by collapsing one direction at a time to its middle.

@@ -31,6 +31,7 @@ from trms_cli.stability.lyapunov.certificate import (
     EnergyRig,
     LevelMotions,
     LyapunovCertificate,
+    RisingState,
     StabilityClaim,
     certify,
     motions,
@@ -123,8 +124,9 @@ def _sections(
 ) -> list[Section]:
     outer = certificate.outer if np.isfinite(certificate.outer) else 0.0
     display = max(shown, min(outer, certificate.search.wells.depth))
-    tables: list[Table | Chart] = [claims_table(certificate, further)]
-    rising = rising_table(certificate)
+    claims: list[Table | Chart] = [claims_table(certificate, further)]
+    if certificate.rising is not None:
+        claims.append(rising_table(certificate, certificate.rising))
     sets: list[Table | Chart] = []
     if certificate.inner > 0.0:
         sets.append(extent_table(certificate))
@@ -149,7 +151,7 @@ def _sections(
                 "sides evaluated on this model's equations; form: true of the expressions as they "
                 "stand; simulated: seen, not proved.",
             ),
-            [*tables, *([rising] if rising is not None else [])],
+            claims,
         ),
         Section("N and N′", _about_sets(certificate), sets),
     ]
@@ -255,30 +257,21 @@ def lead(
     found, words = certificate.search, point.words(rig.model)
     kind = "strict function" if found.candidate.weights.strict else "energy"
     if certificate.outer <= 0.0:
-        if certificate.rising is None:
-            sentences = [
-                f"At {words} it is not proved that the {kind} is a Lyapunov function on any set."
+        rising, shown = certificate.rising, f"the {kind} is a Lyapunov function on any set"
+        failure = [f"At {words} it is not proved that {shown}."]
+        if rising is not None:
+            failure = [
+                f"At {words} the {kind} is no Lyapunov function: about the equilibrium V rises.",
+                f"At a state with V = {rising.value:.3g} J, V̇ = {rising.derivative:.3g} W.",
             ]
-        else:
-            sentences = [
-                f"At {words} the {kind} is no Lyapunov function: about the equilibrium V rises."
-            ]
-            sentences.append(
-                f"At a state with V = {certificate.rising.value:.3g} J, V̇ = "
-                f"{certificate.rising.derivative:.3g} W."
-            )
-        if growth > 0.0:
-            sentences.append(
-                f"No other function can be one either: the linearisation is unstable (growth "
-                f"{growth:.3g} 1/s)."
-            )
-        else:
-            sentences.append(
-                f"The linearisation is stable (decay {-growth:.3g} 1/s), so that other functions "
-                "exist: study=region_of_attraction finds them by computation."
-            )
-        return tuple(sentences)
-    sentences = []
+        others = (
+            "No other function can be one either: the linearisation is unstable (growth "
+            f"{growth:.3g} 1/s)."
+            if growth > 0.0
+            else f"The linearisation is stable (decay {-growth:.3g} 1/s), so that other functions "
+            "exist: study=region_of_attraction finds them by computation."
+        )
+        return *failure, others
     unshown = [claim for claim in (*certificate.claims, *further) if not claim.holds]
     if unshown:
         which = "; ".join(f"“{claim.statement}” ({claim.how})" for claim in unshown)
@@ -287,17 +280,14 @@ def lead(
             f"What does not hold, or is left open: {which}.",
             f"The levels that were found, {_level(certificate)}, count only if that is settled.",
         )
-    if certificate.everywhere:
-        sentences.append(
-            f"At {words} the equilibrium is globally asymptotically stable: the {kind} falls at "
-            "all states of the equations, and N is the whole space."
-        )
-    else:
-        sentences.append(
-            f"At {words} the {kind} is a Lyapunov function on N, the part of {{V < "
-            f"{certificate.outer:.4g} J}} about the equilibrium; what ends N is "
-            f"{_end_of_outer(certificate)}."
-        )
+    sentences = [
+        f"At {words} the equilibrium is globally asymptotically stable: the {kind} falls at all "
+        "states of the equations, and N is the whole space."
+        if certificate.everywhere
+        else f"At {words} the {kind} is a Lyapunov function on N, the part of {{V < "
+        f"{certificate.outer:.4g} J}} about the equilibrium; what ends N is "
+        f"{_end_of_outer(certificate)}."
+    ]
     if certificate.inner <= 0.0:
         sentences.append(
             f"There is no N′: the equilibrium is at {certificate.bounded_by} or beyond it, so that "
@@ -328,7 +318,8 @@ def _end_of_outer(certificate: LyapunovCertificate) -> str:
     found = certificate.search
     if certificate.outer >= found.wells.depth * (1.0 - 1e-6):
         assert found.wells.saddles is not None
-        low, high = (found.candidate.well_at("v", end) for end in found.wells.ends_of_pitch)
+        ends = found.wells.ends[-1]  # pitch is the last axis where it moves
+        low, high = (found.candidate.well_at("v", float(end)) for end in (ends.lower, ends.upper))
         which = found.wells.saddles[0 if low < high else 1]
         return f"the saddle at alpha_v = {which:.4g} rad"
     return "the decay of V, proved up to there"
@@ -368,11 +359,8 @@ def extent_table(certificate: LyapunovCertificate) -> Table:
     )
 
 
-def rising_table(certificate: LyapunovCertificate) -> Table | None:
+def rising_table(certificate: LyapunovCertificate, rising: RisingState) -> Table:
     """The counterexample."""
-    rising = certificate.rising
-    if rising is None:
-        return None
     names = certificate.search.candidate.energy.names()
     rows = [
         *((_head(name), rounded(value, 6)) for name, value in zip(names, rising.y, strict=True)),
@@ -434,7 +422,6 @@ def data(
 
 
 _GRID = 101
-_SYMBOL = {"Omega": "Ω", "omega": "ω", "alpha": "α"}
 
 
 def well_chart(certificate: LyapunovCertificate) -> Chart:
@@ -668,7 +655,7 @@ def _centre(candidate: EnergyCandidate, first: tuple[str, str], second: tuple[st
 
 
 def _name(which: tuple[str, str]) -> str:
-    return f"{_SYMBOL[which[0]]}_{which[1]}"
+    return f"{_SPOKEN[which[0]]}_{which[1]}"
 
 
 def decay_chart(seen: LevelMotions, proved: bool) -> Chart:

@@ -636,18 +636,25 @@ def _others(result: PortraitResult) -> str:
 
 def equilibria_table(section: StateSection, rests: Sequence[RestPoint]) -> Table:
     """Equilibria with their kinds and slowest modes."""
-    model = section.coordinates.model
+
+    def state(i: int) -> Callable[[RestPoint], str]:
+        return lambda rest: short(float(rest.x[i]))
+
+    def written(value: complex) -> str:
+        swing = f" ± {short(abs(value.imag))}j" if value.imag else ""
+        return f"{short(value.real)}{swing}"
+
     return table(
         rests,
         [
             Column("equilibrium", lambda rest: Judged(rest.kind, "good" if rest.stable else "bad")),
             *(
-                Column(f"{symbol(s.name)} [{s.unit}]", _state_cell(i))
-                for i, s in enumerate(model.states)
+                Column(f"{symbol(s.name)} [{s.unit}]", state(i))
+                for i, s in enumerate(section.coordinates.model.states)
             ),
             Column(
                 "eigenvalues [1/s]",
-                lambda rest: ", ".join(_eigenvalue(v) for v in rest.eigenvalues if v.imag >= 0),
+                lambda rest: ", ".join(written(v) for v in rest.eigenvalues if v.imag >= 0),
             ),
             Column("tempo", _slowest),
         ],
@@ -655,10 +662,6 @@ def equilibria_table(section: StateSection, rests: Sequence[RestPoint]) -> Table
         "the time in which its slowest mode halves, of an unstable one that in which its fastest "
         "growing mode doubles.",
     )
-
-
-def _state_cell(i: int) -> Callable[[RestPoint], str]:
-    return lambda rest: short(float(rest.x[i]))
 
 
 def _slowest(rest: RestPoint) -> str | None:
@@ -766,8 +769,3 @@ def _results(result: PortraitResult) -> dict[str, Any]:
         ],
         "separatrices": len(result.separatrices),
     }
-
-
-def _eigenvalue(value: complex) -> str:
-    real = short(value.real)
-    return f"{real} ± {short(abs(value.imag))}j" if value.imag else real
