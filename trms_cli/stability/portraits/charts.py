@@ -224,15 +224,10 @@ def _manifolds(result: PortraitResult) -> list[Mark]:
         label = "into the saddle (separatrix)" if path.into else "out of the saddle"
         if path.surface:
             label = f"surface of motions {'into' if path.into else 'out of'} the saddle"
-        marks.append(
-            _curve(
-                c,
-                label,
-                "ink" if not path.surface else "orange",
-                width=0.8 if path.surface else 1.8 if path.into else 1.2,
-                style="solid" if path.into else "dashed",
-            )
-        )
+        colour: Colour = "orange" if path.surface else "ink"
+        width = 0.8 if path.surface else 1.8 if path.into else 1.2
+        style = "solid" if path.into else "dashed"
+        marks.append(_curve(c, label, colour, width=width, style=style))
     return marks
 
 

@@ -679,14 +679,12 @@ def _curves_chart(
         draw.Panel(across, _axis(model, one.name), _marks(survey, one.name, named, legend=k == 0))
         for k, one in enumerate(shown)
     ]
-    return draw.Chart(
-        f"equilibria_{over}",
-        panels,
+    caption = (
         f"All equilibria of {model.name} over {symbol(over)}{condition}: "
         "solid where small motions die out, dashed where they grow; dots are proved, and proved to "
-        "be all.",
-        columns=2 if len(panels) != 3 else 3,
+        "be all."
     )
+    return draw.Chart(f"equilibria_{over}", panels, caption, columns=2 if len(panels) != 3 else 3)
 
 
 def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool) -> list[draw.Mark]:

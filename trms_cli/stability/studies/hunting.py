@@ -596,14 +596,8 @@ def history(run: AxisRun, label: str, input_label: str) -> Chart:
         ]
         panels.append(Panel(Axis("time", "s"), Axis(name, unit_of, (low, high)), marks))
     words = "hunting after the transient" if run.hunts else "after the push"
-    return Chart(
-        "hunting_history",
-        panels,
-        f"The loop in simulation, {words}: while the axis sticks the integral ramps.",
-        columns=1,
-        width=7.5,
-        height=2.4,
-    )
+    caption = f"The loop in simulation, {words}: while the axis sticks the integral ramps."
+    return Chart("hunting_history", panels, caption, columns=1, width=7.5, height=2.4)
 
 
 def planes(
@@ -629,15 +623,14 @@ def planes(
         Curve(angle, given, "simulated", "blue", width=1.6, arrow=True),
         Curve(np.where(at_rest, angle, np.nan), held, "sticks", "orange", width=3.5),
     ]
-    return Chart(
-        "hunting_plane",
-        [
-            Panel(Axis(label, "rad"), Axis(f"rate of {label}", "rad/s"), marks, "Angle and rate"),
-            Panel(Axis(label, "rad"), Axis(input_label, "V"), other, "Angle and command"),
-        ],
+    x, speed_of = Axis(label, "rad"), Axis(f"rate of {label}", "rad/s")
+    left = Panel(x, speed_of, marks, "Angle and rate")
+    right = Panel(x, Axis(input_label, "V"), other, "Angle and command")
+    caption = (
         "One hunting cycle. A stick is a point on the left, a vertical line on the right: the "
-        "command climbs until the axis breaks away.",
+        "command climbs until the axis breaks away."
     )
+    return Chart("hunting_plane", [left, right], caption)
 
 
 def event_map(prediction: HuntingPrediction, run: AxisRun) -> Chart:
@@ -664,15 +657,11 @@ def event_map(prediction: HuntingPrediction, run: AxisRun) -> Chart:
         at = prediction.cycle.swing / 2.0
         marks.append(Points([at], [at], "hunting cycle, predicted", "star", "vermilion", size=9.0))
     x, y = (Axis(f"error at {which} stick", "rad", log=True) for which in ("a", "the next"))
-    return Chart(
-        "hunting_map",
-        [Panel(x, y, marks)],
+    caption = (
         "The Poincaré map from stick to stick, by the linear loop. Above the dotted line slips "
-        "grow, below it they shrink; where it crosses is the cycle.",
-        columns=1,
-        width=5.6,
-        height=4.0,
+        "grow, below it they shrink; where it crosses is the cycle."
     )
+    return Chart("hunting_map", [Panel(x, y, marks)], caption, columns=1, width=5.6, height=4.0)
 
 
 def nyquist(one: Harmonics) -> Chart:

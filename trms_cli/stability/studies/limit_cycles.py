@@ -585,14 +585,12 @@ def _multipliers(orbits: Sequence[Orbit]) -> Chart:
         words = f"of the {words}"
         marks.append(Points(others.real, others.imag, words, shape, colour, size=7.0))
     marks.append(Points([1.0], [0.0], "trivial, 1", "cross", "ink", size=8.0))
-    return Chart(
-        "floquet_multipliers",
-        [Panel(Axis("real part"), Axis("imaginary part"), marks, equal=True)],
+    caption = (
         "Floquet multipliers of the cycles found: what a deviation is multiplied by in one period. "
-        "A cycle is stable if all but the trivial one lie within the circle.",
-        columns=1,
-        height=4.2,
+        "A cycle is stable if all but the trivial one lie within the circle."
     )
+    panel = Panel(Axis("real part"), Axis("imaginary part"), marks, equal=True)
+    return Chart("floquet_multipliers", [panel], caption, columns=1, height=4.2)
 
 
 def _diagram(result: LimitCycleResult, over: OverCommand) -> Chart:
@@ -605,11 +603,8 @@ def _diagram(result: LimitCycleResult, over: OverCommand) -> Chart:
     steady = curve.growth < 0
     marks.append(Curve(curve.commands, np.where(steady, values, np.nan), "stable rest", "ink"))
     if not np.all(steady):
-        marks.append(
-            Curve(
-                curve.commands, np.where(steady, np.nan, values), "unstable rest", "grey", "dashed"
-            )
-        )
+        unsteady = np.where(steady, np.nan, values)
+        marks.append(Curve(curve.commands, unsteady, "unstable rest", "grey", "dashed"))
     periods: list[Mark] = []
     for branch in over.branches:
         if not branch.orbits:
@@ -658,10 +653,5 @@ def _diagram(result: LimitCycleResult, over: OverCommand) -> Chart:
     panels = [Panel(replace(x_axis, limits=near), angle, marks, "Rest and cycles")]
     if periods:
         panels.append(Panel(x_axis, Axis("period", "s"), periods, "Period of the cycles"))
-    return Chart(
-        "cycles_over_command",
-        panels,
-        f"Equilibria and cycles over {symbol(command.name)}, the other commands held.",
-        width=5.0,
-        height=3.8,
-    )
+    caption = f"Equilibria and cycles over {symbol(command.name)}, the other commands held."
+    return Chart("cycles_over_command", panels, caption, width=5.0, height=3.8)

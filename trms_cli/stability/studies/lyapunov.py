@@ -428,13 +428,11 @@ def well_chart(certificate: LyapunovCertificate) -> Chart:
     """U of each axis with its equilibria, levels and stops."""
     candidate = certificate.search.candidate
     panels = [_well(certificate, a) for a in candidate.energy.axes]
-    return Chart(
-        "lyapunov_well",
-        panels,
+    caption = (
         "The potential of each axis at the constant command, zero at the equilibrium. A motion "
-        "that begins below a level stays between the walls it meets there.",
-        columns=len(panels),
+        "that begins below a level stays between the walls it meets there."
     )
+    return Chart("lyapunov_well", panels, caption, columns=len(panels))
 
 
 def _well(certificate: LyapunovCertificate, axis: str) -> Panel:
@@ -494,14 +492,11 @@ def plane_chart(
     else:
         (a,) = candidate.energy.axes
         panels.append(_rates(certificate, a, display))
-    return Chart(
-        "lyapunov_sets",
-        panels,
+    caption = (
         "Level lines of V, with all that is not on the axes at the equilibrium. Motions cross them "
-        "inwards.",
-        columns=min(len(panels), 3),
-        width=4.0,
+        "inwards."
     )
+    return Chart("lyapunov_sets", panels, caption, columns=min(len(panels), 3), width=4.0)
 
 
 def _grid(
@@ -541,18 +536,10 @@ def _plane(
     levels = [display * share for share in (0.05, 0.2, 0.45, 0.7, 1.0)]
     marks.append(Contour(x, y, value, levels, "level sets of V", "grey", width=0.8))
     if seen is not None:
-        for m in range(seen.y.shape[1]):
-            path = seen.y[:, m]
-            marks.append(
-                Curve(
-                    path[:, energy.index("alpha", axis)],
-                    path[:, energy.index("Omega", axis)],
-                    "motions" if m == 0 else "",
-                    "blue",
-                    width=0.9,
-                    arrow=True,
-                )
-            )
+        angles, rates = (seen.y[:, :, energy.index(w, axis)].T for w in ("alpha", "Omega"))
+        for m, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
+            label = "motions" if m == 0 else ""
+            marks.append(Curve(angle, rate, label, "blue", width=0.9, arrow=True))
     rest = float(candidate.centre[energy.index("alpha", axis)])
     marks.append(Points([rest], [0.0], "equilibrium", "stable", "ink"))
     for saddle in (wells.saddles or ()) if axis == "v" else ():
@@ -626,18 +613,9 @@ def _rates(certificate: LyapunovCertificate, axis: str, display: float) -> Panel
     factor, unit = next(
         (f, u) for f, u in ((1.0, "W"), (1e3, "mW"), (1e6, "µW")) if f * fastest >= 1.0 or f == 1e6
     )
-    marks.append(
-        Contour(
-            x,
-            y,
-            -factor * rate,
-            [float(f"{factor * fastest * s:.2g}") for s in (0.6, 0.3, 0.1, 0.03, 0.01)],
-            f"decay −V̇ [{unit}]",
-            "purple",
-            width=1.0,
-            numbers=True,
-        )
-    )
+    levels = [float(f"{factor * fastest * s:.2g}") for s in (0.6, 0.3, 0.1, 0.03, 0.01)]
+    label = f"decay −V̇ [{unit}]"
+    marks.append(Contour(x, y, -factor * rate, levels, label, "purple", width=1.0, numbers=True))
     if (rate > 0.0).any():
         marks.append(Region(x, y, rate > 0.0, "V̇ > 0", "vermilion", 0.3))
     marks.append(_centre(candidate, first, second))
@@ -669,18 +647,10 @@ def decay_chart(seen: LevelMotions, proved: bool) -> Chart:
     if not proved:
         marks.append(Note(float(seen.time[-1]) * 0.05, float(share.max()), "V rises", "vermilion"))
     low = max(1e-9, 0.5 * float(share.min()))
-    return Chart(
-        "lyapunov_decay",
-        [
-            Panel(
-                Axis("time", "s"),
-                Axis("V / V at the start", "", (low, 2.0 * max(1.0, float(share.max()))), log=True),
-                marks,
-                "V along motions",
-            )
-        ],
-        "V along motions of the model from random states on one level set"
-        + (" (the edge of N′): it only falls." if proved else ": it is no Lyapunov function here."),
-        columns=1,
-        width=6.0,
+    left = Axis("V / V at the start", "", (low, 2.0 * max(1.0, float(share.max()))), log=True)
+    panel = Panel(Axis("time", "s"), left, marks, "V along motions")
+    caption = "V along motions of the model from random states on one level set"
+    caption += (
+        " (the edge of N′): it only falls." if proved else ": it is no Lyapunov function here."
     )
+    return Chart("lyapunov_decay", [panel], caption, columns=1, width=6.0)

@@ -468,14 +468,10 @@ def _bode(margins: MarginResult, condition: str) -> Chart:
         if lost is not None:
             at = float(np.interp(lost.omega, margins.omega, degrees))
             phase.append(Points([lost.omega], [at], "limit of the phase", "square", colour))
-    return Chart(
-        "margins_bode",
-        [
-            Panel(_OMEGA, Axis("|L|", log=True), size, "Gain"),
-            Panel(_OMEGA, Axis("arg L", "°", _DEGREES), phase, "Phase"),
-        ],
-        f"Each loop opened at its command, the others closed: {condition}.",
-    )
+    gain = Panel(_OMEGA, Axis("|L|", log=True), size, "Gain")
+    turn = Panel(_OMEGA, Axis("arg L", "°", _DEGREES), phase, "Phase")
+    caption = f"Each loop opened at its command, the others closed: {condition}."
+    return Chart("margins_bode", [gain, turn], caption)
 
 
 def _degrees(curve: ComplexArray) -> FloatArray:
@@ -525,24 +521,13 @@ def _nyquist(margins: MarginResult, condition: str) -> Chart:
             if real[0] <= at.real <= real[1] and abs(at.imag) <= imaginary[1]:
                 marks.append(Points([at.real], [at.imag], label, marker, "ink", size=5))
         marks.append(Points([-1.0], [0.0], "−1", "cross", "alarm", size=9))
-        panels.append(
-            Panel(
-                Axis("Re L", limits=real),
-                Axis("Im L", limits=imaginary),
-                marks,
-                f"Loop of {loop.name}",
-                equal=True,
-            )
-        )
-    return Chart(
-        "margins_nyquist",
-        panels,
+        x, y = Axis("Re L", limits=real), Axis("Im L", limits=imaginary)
+        panels.append(Panel(x, y, marks, f"Loop of {loop.name}", equal=True))
+    caption = (
         f"Nyquist curves for ω > 0, around the unit circle: {condition}. No gain and phase within "
-        "the disk leads to −1.",
-        columns=2,
-        width=4.6,
-        height=4.2,
+        "the disk leads to −1."
     )
+    return Chart("margins_nyquist", panels, caption, columns=2, width=4.6, height=4.2)
 
 
 def _window(loop: LoopMargins) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -589,11 +574,8 @@ def _sensitivity(margins: MarginResult, condition: str) -> Chart:
         apart = 2 / largest_singular_value(S - T)
         disks.append(Curve(omega, apart, "any change, coupling too", "grey", "dashed"))
     panels.append(Panel(_OMEGA, Axis("size α of the disk", limits=(0.0, 2.1)), disks, "Disks"))
-    return Chart(
-        "margins_sensitivity",
-        panels,
+    caption = (
         f"Sensitivity S, complementary sensitivity T, and the disk that each frequency leaves: "
-        f"{condition}.",
-        columns=len(panels),
-        width=4.0,
+        f"{condition}."
     )
+    return Chart("margins_sensitivity", panels, caption, columns=len(panels), width=4.0)

@@ -358,17 +358,13 @@ def plane_chart(region: AttractionRegion) -> Chart:
     rest = [*others, *region.system.settled]
     section = f" In the plane {', '.join(rest)} start at rest." if rest else ""
     unproved = any(not v.estimate.proved for v in region.verdicts)
-    return Chart(
-        "region_of_attraction",
-        panels,
+    caption = (
         f"Region of attraction of {region.system.point.words(model)}: shaded, which starts come to "
         "rest there in simulation; lines, what is proved to be attracted"
         + (" (dashed: sampled only)." if unproved else ".")
-        + section,
-        columns=2,
-        width=4.8,
-        height=4.2,
+        + section
     )
+    return Chart("region_of_attraction", panels, caption, columns=2, width=4.8, height=4.2)
 
 
 def _reach(estimate: RegionEstimate, region: AttractionRegion) -> FloatArray:
@@ -455,16 +451,9 @@ def _contour(estimate: RegionEstimate, region: AttractionRegion, box: FloatArray
     if not (np.any(seen < 1.0) and np.any(seen >= 1.0)):
         return None
     label = estimate.label if estimate.proved else f"{estimate.label} (sampled)"
-    return Contour(
-        origin[i] + x,
-        origin[j] + y,
-        values.reshape(_FINE, _FINE),
-        [1.0],
-        label,
-        _COLOURS[estimate.method],
-        "solid" if estimate.proved else "dashed",
-        1.6,
-    )
+    colour, style = _COLOURS[estimate.method], "solid" if estimate.proved else "dashed"
+    grid = origin[i] + x, origin[j] + y, values.reshape(_FINE, _FINE)
+    return Contour(*grid, [1.0], label, colour, style, 1.6)  # type: ignore[arg-type]
 
 
 def _loop_findings(result: LoopRegion, plane: Sequence[str]) -> Findings:

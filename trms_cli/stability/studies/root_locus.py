@@ -213,14 +213,9 @@ def map_section(path: OperatingPath, mapped: StabilityMap) -> Section:
         marks.append(Line(x=path.began, label=own, colour="ink", style="dashed"))
     held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
     where = "".join(f", {amount_words(path.model, name, v)}" for name, v in held.items() if v)
-    chart = Chart(
-        "root_locus_map",
-        [Panel(Axis(path.over, path.unit, inside), Axis(against, unit_2, rows), marks)],
-        f"Largest growth rate over {path.over} and {against}{where}.",
-        1,
-        7.2,
-        5.0,
-    )
+    caption = f"Largest growth rate over {path.over} and {against}{where}."
+    panel = Panel(Axis(path.over, path.unit, inside), Axis(against, unit_2, rows), marks)
+    chart = Chart("root_locus_map", [panel], caption, 1, 7.2, 5.0)
     ends = table(
         (c | {"over": end["over"]} for end in mapped.along_against for c in end["crossings"]),
         [

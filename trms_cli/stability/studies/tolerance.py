@@ -338,15 +338,11 @@ def _responses(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, condit
             )
         title = f"{result.impairment.words}: {result.impairment.amount(above.size)}"
         panels.append(Panel(Axis("time", "s"), Axis(f"error of {name}", "rad"), marks, title))
-    return Chart(
-        "tolerance_responses",
-        panels,
+    caption = (
         f"Error of the angle that fails, at sizes just below and just above each limit: "
-        f"{condition}.",
-        columns=3,
-        width=3.9,
-        height=2.6,
+        f"{condition}."
     )
+    return Chart("tolerance_responses", panels, caption, columns=3, width=3.9, height=2.6)
 
 
 def _overview(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, condition: str) -> Chart:
@@ -358,23 +354,13 @@ def _overview(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, conditi
         for i, result in enumerate(chosen):
             marks += _row(result, trial, _COLOURS[i % len(_COLOURS)])
         if chosen:
-            panels.append(
-                Panel(
-                    axis,
-                    Axis("error + swing", "rad", log=True),
-                    marks,
-                    {"delay": "Delay", "gain": "Gain", "friction": "Friction"}[kind],
-                )
-            )
-    return Chart(
-        "tolerance_overview",
-        panels,
+            left = Axis("error + swing", "rad", log=True)
+            panels.append(Panel(axis, left, marks, kind.capitalize()))
+    caption = (
         f"Mean error plus swing in the last third of each run over what was made worse (stars, on "
-        f"the dotted line of both bounds: where the linear loop becomes unstable): {condition}.",
-        columns=len(panels),
-        width=4.2,
-        height=4.2,
+        f"the dotted line of both bounds: where the linear loop becomes unstable): {condition}."
     )
+    return Chart("tolerance_overview", panels, caption, columns=len(panels), width=4.2, height=4.2)
 
 
 def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> list[Mark]:
