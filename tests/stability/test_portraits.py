@@ -1,6 +1,5 @@
-"""Coordinates of a portrait, the section that it lies in, and the field on that section.
-
-Equilibria in the window of a portrait: where they are, and what they are.
+"""Portraits: coordinates, the section that they lie in and the field on it, equilibria in the
+window, starts, trajectories and their ends, separatrices, sticking sets.
 """
 
 from __future__ import annotations
@@ -11,13 +10,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extended
+from trms_cli.effects.rotor_friction import RotorFriction
+from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
+from trms_cli.models.vector_field import has_impulses
 from trms_cli.stability.local.linear import Linear
-from trms_cli.stability.portraits.invariant_sets import grid, halving_time, kind_of, period, search
+from trms_cli.stability.portraits.invariant_sets import (
+    grid,
+    halving_time,
+    kind_of,
+    period,
+    search,
+    separatrices,
+    sticking_sets,
+)
 from trms_cli.stability.portraits.section import default_states, section_of
-from trms_cli.stability.portraits.window import default_window
+from trms_cli.stability.portraits.trajectories import NEAR, drawn_points, ends_of, trajectories
+from trms_cli.stability.portraits.window import (
+    checked_window,
+    default_starts,
+    default_window,
+    given_starts,
+    loop_starts,
+)
 
 VERTICAL = Newtonian(freedom="vertical")
 BOTH = Newtonian()
@@ -280,3 +299,259 @@ def test_only_the_window_is_searched():
     section = section_of(VERTICAL, ("alpha_v", "rate_v"), {"alpha_v": 0.0})
     assert len(search(section, np.array([[-1.0, 1.5], [-1.0, 1.0]]))) == 1
     assert search(section, np.array([[0.5, 1.5], [-1.0, 1.0]])) == ()
+
+
+WINDOW = np.array([[-2.5, 2.5], [-2.5, 2.5]])
+G, F_C = 0.2646, 0.005  # N m
+
+
+@pytest.fixture(scope="module")
+def rests(hover):
+    return search(hover, WINDOW)
+
+
+@pytest.fixture(scope="module")
+def into_the_saddle(hover, rests):
+    """The separatrix that comes from the left."""
+    paths = separatrices(hover, True, WINDOW, rests[1], 25.0)
+    return next(path for path in paths if path.into and path.c[:, 0].min() < 0)
+
+
+def ends_from(section, c, duration=20.0):
+    found = trajectories(section, section.place(c), duration, 0.05)
+    return ends_of(section, WINDOW, search(section, WINDOW), found)
+
+
+# The window
+
+
+def test_the_window_holds_the_rest_points_and_the_operating_point(hover):
+    window = default_window(hover, {})
+    for rest in search(hover, window):
+        assert np.all(rest.c > window[:, 0]) and np.all(rest.c < window[:, 1])
+    assert len(search(hover, window)) == 2
+
+
+def test_a_swing_within_the_separatrix_stays_within_the_window(hover, into_the_saddle):
+    window = default_window(hover, {})
+    inside = into_the_saddle.c[into_the_saddle.c[:, 0] < 1.8]
+    last_swing = inside[np.flatnonzero(inside[:, 1] < 0)[-1] :]
+    assert np.all(np.abs(last_swing[:, 1]) < window[1, 1])
+
+
+def test_the_window_of_a_motor_holds_what_its_commands_reach():
+    section = section_of(MOTOR, None, {"u_v": 1.0})
+    window = default_window(section, {})
+    for command in (-2.5, 2.5):
+        x = section.coordinates.field.motions(section.point.x, [command], 6.0, 0.05)[:, 0]
+        assert np.all(x[:, 1] > window[0, 0]) and np.all(x[:, 1] < window[0, 1])
+
+
+def test_limits_that_are_given_stay(hover):
+    given = checked_window(hover.coordinates, {"rate_v": (-1.0, 0.5)})
+    assert default_window(hover, given)[1].tolist() == [-1.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("window", "where"),
+    [
+        ({"rate_v": (1.0, -1.0)}, "window.rate_v"),
+        ({"rate_v": (1.0, 1.0)}, "window.rate_v"),
+        ({"rate_v": (-np.inf, 1.0)}, "window.rate_v"),
+        ({"S_v": (-1.0, 1.0)}, "window.S_v"),
+    ],
+)
+def test_limits_that_make_no_window_are_refused(hover, window, where):
+    with pytest.raises(ConfigurationError) as error:
+        checked_window(hover.coordinates, window)
+    assert error.value.where == where
+
+
+# Starts
+
+
+def test_starts_on_the_edge_enter_the_window_and_all_lie_in_it(hover):
+    x = default_starts(hover, WINDOW, 28)
+    c = hover.coordinates.values(x, hover.point.u)
+    assert c.shape == (28, 2) and np.all(c >= WINDOW[:, 0]) and np.all(c <= WINDOW[:, 1])
+    edge = np.isclose(np.abs(c), 2.5, rtol=2e-3).any(axis=1)
+    assert edge.sum() >= 14
+    after = hover.coordinates.field.motions(x[edge], hover.point.u, 0.01, 0.01)[-1]
+    moved = hover.coordinates.values(after, hover.point.u)
+    assert np.all(np.abs(moved).max(axis=1) < np.abs(c[edge]).max(axis=1))
+
+
+def test_starts_of_a_loop_lie_around_its_goal(hover):
+    c = hover.coordinates.values(loop_starts(hover, WINDOW, 8), hover.point.u)
+    assert np.linalg.norm(c / 2.5, axis=1) == pytest.approx(1.0)
+    assert c.mean(axis=0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_starts_by_name_may_name_other_states(hover):
+    x = given_starts(hover, [{"alpha_v": 0.4}, {"rate_v": -1.0, "omega_v": 50.0}])
+    assert x[0] == pytest.approx([hover.point.x[0], 0.0, 0.4])
+    assert x[1] == pytest.approx([50.0, -1.0, 0.0])
+    with pytest.raises(ConfigurationError) as error:
+        given_starts(hover, [{}, {"alpha": 1.0}])
+    assert error.value.where == "starts[1].alpha"
+
+
+# Trajectories
+
+
+def test_trajectories_follow_the_field(hover):
+    (trajectory,) = trajectories(hover, hover.place([[0.6, 0.5]]), 2.0, 0.01)
+    slopes = (trajectory.c[2:] - trajectory.c[:-2]) / 0.02
+    assert slopes == pytest.approx(hover.rates(trajectory.c[1:-1]), abs=2e-4)
+
+
+def test_a_fall_within_a_step_is_drawn_as_it_is():
+    section = section_of(MOTOR, ("omega_v", "i_v"), {"u_v": 1.0})
+    (trajectory,) = trajectories(section, section.place([[0.0, -2.0]]), 1.0, 0.02)
+    # The current is there before the rotor has turned by 0.1 rad/s.
+    settled = 8.5 / 8.0
+    arrived = np.flatnonzero(np.abs(trajectory.c[:, 1] - settled) < 0.02)[0]
+    assert arrived > 2 and 0 <= trajectory.c[arrived, 0] < 0.1
+    assert np.all(np.diff(trajectory.time) > 0) and trajectory.time[-1] == pytest.approx(
+        1.0, abs=0.01
+    )
+
+
+def test_what_is_drawn_is_evenly_spaced_and_cut_at_the_window(hover):
+    (trajectory,) = trajectories(hover, hover.place([[2.3, 1.0]]), 3.0, 0.01)
+    points, _ = drawn_points(trajectory, WINDOW, 0.01, 2.0)
+    seen = points[np.isfinite(points).all(axis=1)]
+    assert len(seen) > 5
+    assert np.sum(np.any(np.abs(seen) > 2.5, axis=1)) <= 1  # one point to reach the edge
+    steps = np.linalg.norm(np.diff(seen, axis=0) / 5.0, axis=1)
+    assert np.median(steps) == pytest.approx(0.01, rel=0.3)
+
+
+def test_ends_tell_rest_from_turning_over(hover):
+    ends = {end.what: end for end in ends_from(hover, [[0.1, 0.0], [2.2, 0.5]], 107.0)}
+    assert set(ends) == {"rest", "turning"}
+    assert ends["rest"].members == (0,) and ends["turning"].members == (1,)
+    assert ends["rest"].rest.c == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_the_time_of_arrival_is_that_of_the_envelope(hover):
+    start = 0.2
+    (end,) = ends_from(hover, [[start, 0.0]], 107.0)
+    # The swing decays as exp(−0.0467 t); the rate, 1.83 times as large, is the last to arrive.
+    expected = np.log(1.83 * start / (NEAR * 5.0)) / 0.0467
+    assert end.times[0] == pytest.approx(expected, abs=1.8)  # within half a swing
+
+
+# Separatrices
+
+
+def test_the_separatrix_leads_into_the_saddle(hover, rests, into_the_saddle):
+    saddle = rests[1].c
+    assert into_the_saddle.c[-1] == pytest.approx(saddle)
+    near = into_the_saddle.c[np.abs(into_the_saddle.c[:, 0] - 1.6).argmin()]
+    (trajectory,) = trajectories(hover, hover.place([near]), 4.0, 0.01)
+    assert np.abs(trajectory.c - saddle).max(axis=1).min() < 1e-2
+
+
+def test_the_separatrix_divides_the_starts(hover, into_the_saddle):
+    c = into_the_saddle.c
+    # Well before the saddle, on the last swing: left of the hover point, and above it.
+    for wanted in (-1.0, -0.3, 0.5, 1.2):
+        swing = np.flatnonzero((c[:, 1] > 0) & (np.abs(c[:, 0] - wanted) < 0.05))
+        on = c[swing[-1]]
+        inside, outside = on * 0.97, on * 1.03
+        by_start = {
+            number: end.what
+            for end in ends_from(hover, [inside, outside], 107.0)
+            for number in end.members
+        }
+        assert by_start == {0: "rest", 1: "turning"}
+
+
+def test_how_far_back_pitch_may_be_let_go(hover, into_the_saddle):
+    farthest = into_the_saddle.c[:, 0].min()
+    assert farthest == pytest.approx(-1.159, abs=1e-3)
+    ends = ends_from(hover, [[farthest + 0.01, 0.0], [farthest - 0.01, 0.0]], 107.0)
+    assert {end.what: end.members for end in ends} == {"rest": (0,), "turning": (1,)}
+
+
+def test_what_leaves_the_saddle_goes_to_hover_or_over_the_top(hover, rests):
+    out = [path for path in separatrices(hover, True, WINDOW, rests[1], 25.0) if not path.into]
+    assert len(out) == 2
+    assert sorted(path.c[-1, 0] > 2.4 for path in out) == [False, True]
+
+
+def test_motions_into_a_saddle_of_three_states_fill_a_surface():
+    section = section_of(VERTICAL, ("omega_v", "S_v", "alpha_v"), {"alpha_v": 0.0})
+    window = np.array([[-300.0, 350.0], [-2.5, 2.5], [-2.5, 2.5]])
+    saddle = search(section, window)[1]
+    paths = separatrices(section, True, window, saddle, 10.0)
+    assert sum(path.surface for path in paths) >= 12
+    assert sum(not path.into for path in paths) == 2
+    x = next(path for path in paths if path.surface).c
+    from_middle = trajectories(section, x[len(x) // 2][None], 3.0, 0.01)[0]
+    assert (np.abs(from_middle.c - saddle.c) / np.ptp(window, axis=1)).max(axis=1).min() < 0.01
+
+
+def test_the_ways_out_of_a_saddle_of_more_states_are_motions_of_all_of_them():
+    section = section_of(Newtonian(), ("alpha_v", "rate_v"), {"alpha_v": 0.0})
+    saddle = search(section, WINDOW)[1]
+    back, over = sorted(
+        separatrices(section, False, WINDOW, saddle, 25.0), key=lambda path: path.c[-1, 0]
+    )
+    assert not (back.into or over.into)
+    assert np.all(np.abs(back.c) <= 2.5) and over.c[-1, 0] > 2.5
+    assert back.c[0] == pytest.approx(saddle.c) and back.c[:, 0].min() < -0.5
+
+
+def test_no_separatrix_of_what_is_no_saddle(hover, rests):
+    assert separatrices(hover, True, WINDOW, rests[0], 5.0) == ()
+
+
+# Dry friction
+
+
+@pytest.mark.parametrize(
+    ("effect", "torque"),
+    [
+        (CoulombFriction(axis="pitch", torque=F_C), F_C),
+        (StribeckFriction(axis="pitch", torque=F_C, excess=0.5, velocity=0.03), 1.5 * F_C),
+    ],
+)
+@pytest.mark.parametrize("states", [("alpha_v", "rate_v"), ("S_v", "alpha_v")])
+def test_pitch_sticks_while_its_moment_is_within_the_friction(effect, torque, states):
+    section = section_of(extended(VERTICAL, {"rub": effect}), states, {})
+    window = np.array([[-1.0, 1.0], [-1.0, 1.0]])
+    (held,) = sticking_sets(section, window, search(section, window))
+    assert held.what == "α_v" and held.along == states.index("alpha_v")
+    rest, width = section.point.x[2], np.arcsin(torque / G)
+    assert held.reach == pytest.approx((rest - width, rest + width), abs=2e-4)
+
+
+def test_a_rotor_sticks_while_its_current_is_too_small():
+    motor = extended(MOTOR, {"rub": RotorFriction(rotor="main", torque=0.001)})
+    section = section_of(motor, ("omega_v", "i_v"), {})
+    window = np.array([[-20.0, 20.0], [-0.2, 0.2]])
+    (held,) = sticking_sets(section, window, search(section, window))
+    assert held.what == "ω_v"
+    assert held.reach == pytest.approx((-0.001 / 0.0202, 0.001 / 0.0202), rel=0.01)
+
+
+def test_trajectories_end_on_the_sticking_set():
+    model = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=F_C)})
+    section = section_of(model, ("alpha_v", "rate_v"), {})
+    window = np.array([[-0.8, -0.4], [-0.4, 0.4]])
+    rests = search(section, window)
+    sets = sticking_sets(section, window, rests)
+    found = trajectories(section, default_starts(section, window, 12), 30.0, 0.05)
+    (end,) = ends_of(section, window, rests, found, sets, dry_friction=True)
+    assert end.what == "held" and len(end.members) == 12 and end.held is sets[0]
+    low, high = sets[0].reach
+    finals = np.array([trajectory.c[-1] for trajectory in found])
+    assert np.all((finals[:, 0] >= low - 1e-3) & (finals[:, 0] <= high + 1e-3))
+    assert np.ptp(finals[:, 0]) > 0.01  # anywhere on it, not at one point
+    assert np.abs(finals[:, 1]).max() < 1e-6
+
+
+def test_a_model_without_dry_friction_has_no_sticking_set(hover, rests):
+    assert not has_impulses(VERTICAL) and sticking_sets(hover, WINDOW, rests) == ()
