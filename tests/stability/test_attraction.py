@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -109,21 +110,14 @@ def test_true_region_of_van_der_pol_by_simulation(van_der_pol, found):
     assert share.lower < area(cycle()) / 36.0 < share.upper
 
 
-def test_a_wrong_estimate_is_caught_by_simulation(van_der_pol, found):
-    import dataclasses
-
+def test_a_wrong_estimate_is_caught_and_a_short_time_is_no_failure_of_a_right_one(
+    van_der_pol, found
+):
     right = next(e for e in found if e.method == "level_set")
-    wrong = dataclasses.replace(right, level=3.0 * right.level, frame=2.0 * right.frame)
+    wrong = replace(right, level=3.0 * right.level, frame=2.0 * right.frame)
     tested = failures(van_der_pol, [right, wrong], 100, 60.0, 0)
     assert tested[0] == (100, 0)
     assert tested[1][1] > 10
-
-
-def test_a_short_time_is_no_failure_of_a_right_estimate(van_der_pol, found):
-    import dataclasses
-
-    right = next(e for e in found if e.method == "level_set")
-    wrong = dataclasses.replace(right, level=3.0 * right.level, frame=2.0 * right.frame)
     assert failures(van_der_pol, [right], 100, 4.0, 0)[0][1] > 0
     cut = failures(van_der_pol, [right, wrong], 100, 4.0, 0, cut=True)
     assert cut[0][1] == 0 and cut[0][0] < 100  # those that are still on their way do not count
@@ -131,15 +125,13 @@ def test_a_short_time_is_no_failure_of_a_right_estimate(van_der_pol, found):
 
 
 def test_no_level_above_the_sampled_one_is_proved(van_der_pol):
-    import dataclasses
-
     candidate = quadratic(van_der_pol, from_lyapunov_equation(van_der_pol))
     rays = Rays.drawn(candidate.P, np.array([3.0, 3.0]), 200, 0)
     level = sampled_level(candidate, rays)
     value, rate = candidate.at(level.at[None])
     assert value[0] == pytest.approx(level.level, rel=1e-3)
     assert abs(rate[0]) < 1e-3 * level.level
-    inflated = dataclasses.replace(level, level=2.0 * level.level, edge=2.0 * level.edge)
+    inflated = replace(level, level=2.0 * level.level, edge=2.0 * level.edge)
     proof = proved_level(candidate, inflated, 20_000)
     assert not proof.complete
     assert proof.level <= level.level * (1.0 + 1e-9)
@@ -247,19 +239,17 @@ def test_a_proof_with_rotors_that_are_not_settled():
     assert not proved(system, Ellipsoid(P, (0.2 / unit) ** 2))
 
 
-def test_many_states_get_no_functions_with_many_weights():
-    model = Newtonian(freedom="both")
-    system = around(model, operating_point(model, {"u_v": 1.8}), ["alpha_v"])
-    assert methods_for(system) == ("lyapunov", "inclusion", "level_set")
-
-
-def test_a_state_moves_what_it_moves():
+def test_a_state_moves_what_it_moves_and_none_may_jump():
     model = Newtonian(freedom="both")
     point = operating_point(model, {"u_v": 1.8})
     assert around(model, point, ["omega_h"]).settled == ("omega_v",)
-    assert around(model, point, ["alpha_v"]).settled == ("omega_h", "omega_v")
+    system = around(model, point, ["alpha_v"])
+    assert system.settled == ("omega_h", "omega_v")
+    assert methods_for(system) == ("lyapunov", "inclusion", "level_set")  # none of many weights
     with pytest.raises(ConfigurationError, match="alpha_x"):
         around(model, point, ["alpha_x"])
+    with pytest.raises(ModelError, match="jumps"):
+        around(Jumping(), at_origin(Jumping()))
 
 
 def test_an_unstable_equilibrium_has_no_region():
@@ -304,12 +294,6 @@ def test_shares_and_their_confidence():
     assert share_of(100, 100).lower == pytest.approx(0.9638, abs=1e-4)
     half = share_of(50, 100)
     assert (half.lower, half.upper) == pytest.approx((0.398, 0.602), abs=1e-3)
-
-
-def test_rates_that_jump_are_refused():
-    model = Jumping()
-    with pytest.raises(ModelError, match="jumps"):
-        around(model, at_origin(model))
 
 
 def test_a_kink_is_covered_and_gives_no_integral():
@@ -456,15 +440,6 @@ def test_another_controller_is_only_run():
     assert found.results["runs"]["recovered"] == [True, True, True]
 
 
-def test_newtonian_models_have_a_saddle_in_common_with_the_energy():
-    # G sin(alpha_v + 0.6194) = l_m F_v: symmetric about the vertical of the centre of gravity.
-    model = Newtonian(freedom="vertical")
-    point = operating_point(model, {"u_v": 1.8})
-    mirrored = point.x.copy()
-    mirrored[2] = np.pi - 2.0 * 0.61941 - point.x[2]
-    assert np.abs(VectorField(model).rates(mirrored, point.u)).max() < 1e-3
-
-
 def test_a_set_is_told_from_to_and_as_no_box(pitch):
     best = max((e for e in pitch.results["estimates"] if e["proved"]), key=lambda e: e["volume"])
     low, high = best["extent"]["alpha_v"]
@@ -481,9 +456,16 @@ def test_labels_of_a_panel_are_drawn_in_it(pitch):
     assert not labels & {"with integrals of the rates", "saddle", "motions that do not"}
 
 
-def test_open_loop_is_no_loop():
-    with pytest.raises(ConfigurationError, match="there is no loop"):
-        answered("model=newtonian_vertical", "controller=open_loop", "study.loop_starts=3")
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (share_of(2000, 2000), "100 % (99.8–100 %)"),
+        (ConfidenceShare(5e-9, 1e-10, 2e-8), "5e-07 % (1e-08–2e-06 %)"),  # hardly known
+        (ConfidenceShare(5e-9, 4e-9, 6e-9), "5e-07 %"),
+    ],
+)
+def test_a_share_is_told_with_what_is_known_of_it(share, words):
+    assert percent(share) == words
 
 
 @pytest.mark.parametrize("hits", [2000, 1999, 1990, 1500, 3, 0])
@@ -494,10 +476,6 @@ def test_intervals_have_enough_digits(hits):
         low, high = told.split("(")[1].removesuffix(" %)").split("–")
         assert low != high
         assert (float(low) < 100.0) and (high == "100") == (share.upper == 1.0)
-
-
-def test_all_of_a_box_is_told_with_its_lower_end():
-    assert percent(share_of(2000, 2000)) == "100 % (99.8–100 %)"
 
 
 def test_a_cut_duration_is_told_and_widens_the_share():
@@ -520,8 +498,3 @@ def test_proofs_and_simulations_are_of_the_same_rig():
     )
     assert [e["failed"] for e in found.results["estimates"]] == [0]
     assert any("main_dead_zone" in sentence for sentence in found.warnings)
-
-
-def test_a_small_share_that_is_hardly_known_has_its_interval():
-    assert percent(ConfidenceShare(5e-9, 1e-10, 2e-8)) == "5e-07 % (1e-08–2e-06 %)"
-    assert percent(ConfidenceShare(5e-9, 4e-9, 6e-9)) == "5e-07 %"

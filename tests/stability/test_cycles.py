@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 from scipy.special import ellipk
 
-from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.chart import Curve
-from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model, Signal
@@ -24,7 +23,6 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.models.vector_field import VectorField, has_impulses
-from trms_cli.observers.full_state import FullState
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.branch import born_at, equilibria_over, follow_branch, hopf_points
 from trms_cli.stability.cycles.orbits import (
@@ -36,8 +34,8 @@ from trms_cli.stability.cycles.orbits import (
 )
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.limit_cycles import LimitCycles
-from trms_cli.stability.study import Study, silent
-from trms_cli.stability.subject import LoopParts, Subject, not_level
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import Subject, not_level
 
 
 class Oscillator(Model):
@@ -290,10 +288,6 @@ def strong_cross_moment():
     return asked(Newtonian(parameter_set="rahideh"), at=at, **keys)
 
 
-def test_is_a_study():
-    assert isinstance(LimitCycles(), Study)
-
-
 @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
 def test_of_one_axis_there_is_none_and_the_lead_says_proved(freedom):
     findings = asked(Newtonian(freedom=freedom))
@@ -340,6 +334,8 @@ def test_two_cycles_around_a_stable_hover(strong_cross_moment):
         # The rotors are driven by nothing but their commands: they stand still on a cycle.
         assert cycle["lowest"]["omega_v"] == pytest.approx(cycle["highest"]["omega_v"])
     json.dumps(strong_cross_moment.results, allow_nan=False)
+    names = [chart.name for chart in strong_cross_moment.charts]
+    assert names == ["limit_cycles", "floquet_multipliers", "cycles_over_command"]
 
 
 def test_the_multipliers_have_the_product_of_liouville():
@@ -400,11 +396,6 @@ def test_the_curves_of_stable_and_unstable_cycles_meet_at_the_fold(strong_cross_
             assert fold["u"] in shared
 
 
-def test_its_figures(strong_cross_moment):
-    names = [chart.name for chart in strong_cross_moment.charts]
-    assert names == ["limit_cycles", "floquet_multipliers", "cycles_over_command"]
-
-
 def test_with_dry_friction_motions_alone_are_looked_at():
     rig = extended(
         Newtonian(freedom="vertical"), {"friction": CoulombFriction(axis="pitch", torque=0.01)}
@@ -427,21 +418,7 @@ def test_another_point_than_the_usual_one_is_told():
 
 def test_what_makes_no_sense_is_told():
     model = Newtonian()
-    loop = LoopParts(
-        model, Lqr(), FullState(), 0.02, {"controller": "lqr", "observer": "full_state"}
-    )
-    with pytest.raises(ConfigurationError, match="model alone") as told:
-        LimitCycles().run(Subject(model, "m", loop), silent)
-    assert "hunting" in told.value.remedy
     for keys, where in (({"over": "u_x"}, "over"), ({"box": {"q": 1.0}}, "box.q")):
         with pytest.raises(ConfigurationError) as told:
             LimitCycles(**keys).run(Subject(model, "m"), silent)
         assert told.value.where == where and told.value.remedy
-
-
-def test_a_model_that_only_steps_is_refused():
-    class Stepping(Newtonian):
-        sample_time = 0.02
-
-    with pytest.raises(ModelError, match="only steps"):
-        LimitCycles().run(Subject(Stepping(), "net"), silent)

@@ -6,9 +6,8 @@ import json
 
 import pytest
 
-from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.chart import Note, as_data
-from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
+from trms_cli.core.errors import ModelError, TrmsError
 from trms_cli.core.findings import Findings
 from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import ExtendedModel
@@ -21,7 +20,7 @@ from trms_cli.models.tras import Tras
 from trms_cli.stability.equilibria.survey import FrictionBand
 from trms_cli.stability.studies.equilibria import Equilibria, band_words
 from trms_cli.stability.study import Study, silent
-from trms_cli.stability.subject import LoopParts, Subject
+from trms_cli.stability.subject import Subject
 
 
 def asked(model: object, **keys: object) -> Findings:
@@ -144,14 +143,3 @@ def test_an_upright_beam_in_the_box_is_told() -> None:
     with pytest.raises(ModelError, match="beam upright") as refused:
         asked(QuanserAero(), box={"alpha_v": (-3.0, 3.0)})
     assert refused.value.where == "study.box.alpha_v"
-
-
-def test_a_loop_and_a_model_that_only_steps_are_refused() -> None:
-    model = Newtonian()
-    loop = LoopParts(model, Lqr(), None, 0.02, {"controller": "lqr"})
-    with pytest.raises(ConfigurationError, match="about the model alone"):
-        Equilibria().run(Subject(model, "newtonian", loop), silent)
-    stepping = Newtonian()
-    stepping.sample_time = 0.02
-    with pytest.raises(ModelError, match="only steps"):
-        Equilibria().run(Subject(stepping, "narx_2dof"), silent)

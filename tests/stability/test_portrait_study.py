@@ -10,15 +10,13 @@ import pytest
 
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.lqr import Lqr
-from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
-from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Table
 from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.supply_derating import SupplyDerating
-from trms_cli.library.tasks.subject import model_of
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
@@ -214,23 +212,9 @@ def test_a_command_at_its_bound_is_marked():
     assert 0 < np.isfinite(at_bound.x).mean() < 1
 
 
-def test_a_controller_without_feedback_is_no_loop():
-    names = NAMES | {"controller": "open_loop"}
-    loop = LoopParts(VERTICAL, OpenLoop(), FullState(), 0.02, names)
-    with pytest.raises(ConfigurationError, match="there is no loop") as error:
-        found(loop=loop, at={"alpha_v": 0.0}, duration=1.0, starts=2)
-    assert error.value.where == "controller"
-
-
 def test_a_loop_that_does_not_arrive_is_not_praised():
     findings = found(loop=LOOP, at={"alpha_v": 0.0}, duration=0.4, starts=2)
     assert findings.lead[0].startswith("None of the 2 trajectories under lqr")
-
-
-def test_a_model_that_only_steps_is_refused():
-    model = model_of(compose(["model=narx_vertical"]).config)
-    with pytest.raises(ModelError, match="only steps"):
-        found(model)
 
 
 def test_two_portraits_are_equal():
