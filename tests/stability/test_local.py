@@ -4,6 +4,8 @@ that are varied; modes that become others along a range.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -131,12 +133,10 @@ def test_a_point_on_a_switch_has_both_sides():
     assert not np.allclose(upper, lower)
     away = TrimSolver(model).first({"alpha_v": 0.0, "alpha_h": 0.3})
     assert linear.switches(away.x, away.u) == ()
-
-
-def test_a_rotor_at_rest_is_no_switch_since_its_thrust_has_no_slope_there():
-    model = Newtonian(freedom="vertical")
-    assert Linear(model).switches(model.rest(), np.zeros(1)) == ()
-    assert model.parameters["k_fvp"].value != model.parameters["k_fvn"].value
+    # A rotor at rest is none: its thrust has no slope there.
+    vertical = Newtonian(freedom="vertical")
+    assert Linear(vertical).switches(vertical.rest(), np.zeros(1)) == ()
+    assert p["k_fvp"].value != p["k_fvn"].value
 
 
 def test_linearisation_is_that_of_the_vector_field():
@@ -251,23 +251,22 @@ def test_no_operating_point_beside_a_free_yaw_is_said():
 
 
 @pytest.mark.parametrize(
-    ("at", "over", "says"),
+    ("study", "says"),
     [
-        ({"alpha_x": 0.0}, None, "alpha_v"),
-        ({}, "k_q", "allowed"),
-        ({"alpha_v": 2.0}, None, "closest"),
-        ({"alpha_v": 0.0, "u_h": 1.0}, None, "others follow"),
+        (Local(at={"alpha_x": 0.0}), "alpha_v"),
+        (Local(over="k_q"), "allowed"),
+        (Local(at={"alpha_v": 2.0}), "closest"),
+        (Local(at={"alpha_v": 0.0, "u_h": 1.0}), "others follow"),
+        (Local(range=(2.5, 2.7)), "cannot rest"),
+        (RootLocus(over="k_g", range=(0.1, 0.1)), "different"),
+        (RootLocus(over="k_ov", range=(-1.0, 0.1)), "between"),
+        (RootLocus(over="k_g", at={"alpha_v": 0.1}, against="u_h", points=3), "others follow"),
     ],
 )
-def test_bad_requests_say_what_is_possible(at, over, says):
+def test_bad_requests_say_what_is_possible(study, says):
     with pytest.raises(ConfigurationError) as refused:
-        answer(Local(at=at, over=over))
+        answer(study)
     assert says in f"{refused.value.problem} {refused.value.remedy}"
-
-
-def test_a_range_that_the_rig_cannot_rest_in_is_refused():
-    with pytest.raises(ConfigurationError, match="cannot rest"):
-        answer(Local(range=(2.5, 2.7)))
 
 
 def test_states_of_effects_are_named_after_the_effect():
@@ -345,18 +344,17 @@ def test_a_line_that_does_not_go_with_at_is_refused_with_one_that_does(study, at
     assert f"study.over={use}" in refused.value.remedy
 
 
-@pytest.mark.parametrize("study", STUDIES)
-def test_a_reversed_range_is_refused(study):
+@pytest.mark.parametrize(
+    ("study", "key"),
+    [
+        *((study, "range") for study in STUDIES),
+        (partial(RootLocus, against="k_g"), "against_range"),
+    ],
+)
+def test_a_reversed_range_is_refused_by_its_name(study, key):
     with pytest.raises(ConfigurationError, match="upper end comes first") as refused:
-        answer(study(over="alpha_v", range=(0.2, -0.2), points=5))
-    assert "study.range=[-0.2,0.2]" in refused.value.remedy
-
-
-def test_a_reversed_range_of_the_map_is_refused_by_its_own_name():
-    asked = RootLocus(over="alpha_v", against="k_g", against_range=(0.2, 0.1), points=5)
-    with pytest.raises(ConfigurationError) as refused:
-        answer(asked)
-    assert "study.against_range=[0.1,0.2]" in refused.value.remedy
+        answer(study(over="alpha_v", points=5, **{key: (0.2, 0.1)}))
+    assert f"study.{key}=[0.1,0.2]" in refused.value.remedy
 
 
 def test_beyond_the_fold_it_is_the_pitch_that_diverges():

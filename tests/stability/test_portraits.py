@@ -158,17 +158,18 @@ def test_a_model_of_one_state_is_refused():
     assert "currents=dynamic" in error.value.remedy
 
 
-def test_only_a_state_that_is_left_open_settles():
-    with pytest.raises(ConfigurationError) as error:
-        section_of(VERTICAL, ("alpha_v", "S_v"), {}, ("alpha_v",))
-    assert error.value.where == "others[0]"
-
-
-def test_what_cannot_settle_is_refused():
-    # dα_v/dt = S_v does not depend on α_v.
-    with pytest.raises(ConfigurationError, match="alpha_v: what settles") as error:
-        section_of(VERTICAL, ("omega_v", "S_v"), {}, "settled")
-    assert error.value.where == "others"
+@pytest.mark.parametrize(
+    ("states", "others", "where", "words"),
+    [
+        (("alpha_v", "S_v"), ("alpha_v",), "others[0]", "leaves open"),
+        # dα_v/dt = S_v does not depend on α_v.
+        (("omega_v", "S_v"), "settled", "others", "alpha_v: what settles"),
+    ],
+)
+def test_what_cannot_settle_is_refused(states, others, where, words):
+    with pytest.raises(ConfigurationError, match=words) as error:
+        section_of(VERTICAL, states, {}, others)
+    assert error.value.where == where
 
 
 rates = st.floats(0.01, 50.0)
@@ -322,9 +323,6 @@ def ends_from(section, c, duration=20.0):
     return ends_of(section, WINDOW, search(section, WINDOW), found)
 
 
-# The window
-
-
 def test_the_window_holds_the_rest_points_and_the_operating_point(hover):
     window = default_window(hover, {})
     for rest in search(hover, window):
@@ -367,9 +365,6 @@ def test_limits_that_make_no_window_are_refused(hover, window, where):
     assert error.value.where == where
 
 
-# Starts
-
-
 def test_starts_on_the_edge_enter_the_window_and_all_lie_in_it(hover):
     x = default_starts(hover, WINDOW, 28)
     c = hover.coordinates.values(x, hover.point.u)
@@ -394,9 +389,6 @@ def test_starts_by_name_may_name_other_states(hover):
     with pytest.raises(ConfigurationError) as error:
         given_starts(hover, [{}, {"alpha": 1.0}])
     assert error.value.where == "starts[1].alpha"
-
-
-# Trajectories
 
 
 def test_trajectories_follow_the_field(hover):
@@ -442,9 +434,6 @@ def test_the_time_of_arrival_is_that_of_the_envelope(hover):
     assert end.times[0] == pytest.approx(expected, abs=1.8)  # within half a swing
 
 
-# Separatrices
-
-
 def test_the_separatrix_leads_into_the_saddle(hover, rests, into_the_saddle):
     saddle = rests[1].c
     assert into_the_saddle.c[-1] == pytest.approx(saddle)
@@ -479,6 +468,8 @@ def test_what_leaves_the_saddle_goes_to_hover_or_over_the_top(hover, rests):
     out = [path for path in separatrices(hover, True, WINDOW, rests[1], 25.0) if not path.into]
     assert len(out) == 2
     assert sorted(path.c[-1, 0] > 2.4 for path in out) == [False, True]
+    assert separatrices(hover, True, WINDOW, rests[0], 5.0) == ()  # of no saddle
+    assert sticking_sets(hover, WINDOW, rests) == () and not has_impulses(VERTICAL)
 
 
 def test_motions_into_a_saddle_of_three_states_fill_a_surface():
@@ -502,13 +493,6 @@ def test_the_ways_out_of_a_saddle_of_more_states_are_motions_of_all_of_them():
     assert not (back.into or over.into)
     assert np.all(np.abs(back.c) <= 2.5) and over.c[-1, 0] > 2.5
     assert back.c[0] == pytest.approx(saddle.c) and back.c[:, 0].min() < -0.5
-
-
-def test_no_separatrix_of_what_is_no_saddle(hover, rests):
-    assert separatrices(hover, True, WINDOW, rests[0], 5.0) == ()
-
-
-# Dry friction
 
 
 @pytest.mark.parametrize(
@@ -551,7 +535,3 @@ def test_trajectories_end_on_the_sticking_set():
     assert np.all((finals[:, 0] >= low - 1e-3) & (finals[:, 0] <= high + 1e-3))
     assert np.ptp(finals[:, 0]) > 0.01  # anywhere on it, not at one point
     assert np.abs(finals[:, 1]).max() < 1e-6
-
-
-def test_a_model_without_dry_friction_has_no_sticking_set(hover, rests):
-    assert not has_impulses(VERTICAL) and sticking_sets(hover, WINDOW, rests) == ()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from study_cases import RAHIDEH, answer
 
-from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extended
 from trms_cli.effects.inflow import Inflow
 from trms_cli.models.feedback_manual import FeedbackManual
@@ -193,21 +192,6 @@ def test_the_study_says_where_and_why():
     assert "unstable above alpha_v = 0.3468 rad" in sentences
     commands = answer(RootLocus(over="k_g", at={"u_v": 1.0}, points=5))
     assert "At u_v = 1 V, k_g" in commands.lead[0]
-
-
-@pytest.mark.parametrize(
-    ("asked", "says"),
-    [
-        ({"over": "k_q"}, "k_g"),
-        ({"over": "k_g", "range": (0.1, 0.1)}, "different"),
-        ({"over": "k_ov", "range": (-1.0, 0.1)}, "between"),
-        ({"over": "k_g", "at": {"alpha_v": 0.1}, "against": "u_h"}, "others follow"),
-    ],
-)
-def test_bad_requests_say_what_is_possible(asked, says):
-    with pytest.raises(ConfigurationError) as refused:
-        answer(RootLocus(points=3, **asked))
-    assert says in f"{refused.value.problem} {refused.value.remedy}"
 
 
 def test_at_a_kink_it_is_said_where_and_what_the_growth_rate_does_over_the_range():
