@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
-from trms_cli.core import wording
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, standard_topics
 
@@ -115,7 +114,7 @@ class TestWhatItIsOf:
         text = (here / "drawn/report.html").read_text(encoding="utf-8")
         ranking = text.partition(">Ranking</h2>")[2].partition("</section>")[0]
         assert "on the same draw;" in ranking and "k_g" not in ranking
-        assert ranking.count('<tr><th scope="row">') == 2
+        assert set(re.findall(r'<th scope="row">([a-z]+)</th>', ranking)) == {"lqr", "pid"}
 
     def test_a_sweep_with_failures(self, here, capsys):
         assert report("first", "--out", "sweep/0/report.html") == 0
@@ -134,14 +133,15 @@ class TestWhatItIsOf:
         assert report("sweep") == 0
         text = (here / "sweep/report.html").read_text(encoding="utf-8")
         section = text.partition(">Ranking</h2>")[2].partition("</section>")[0]
-        rows = re.findall(
-            r'<tr><th scope="row">(\d+)</th><th scope="row">(.*?)</th><td.*?>(.*?)</td>', section
+        ranks = re.findall(
+            r'<th scope="row">(\d+)</th><th scope="row">(.*?)</th>(.*?)</tr>', section
         )
+        rows = [(int(rank), who, re.findall(">(.*?)</td>", rest)[2]) for rank, who, rest in ranks]
         expected = [
-            (str(e["rank"]), e["name"], wording.cell(e["tracking"]["ratio"]))
-            for e in compared["entrants"]
+            (each["rank"], each["name"], f"{each['tracking']['ratio']:.3f}")
+            for each in compared["entrants"]
         ]
-        assert rows == expected and len(rows) == 4
+        assert rows[:4] == expected and len(expected) == 4
 
     def test_an_optimisation_has_its_front(self, here):
         plan = {

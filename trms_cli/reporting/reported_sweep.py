@@ -48,13 +48,11 @@ class FailureShare:
     """How often the draws of an entrant failed."""
 
     who: str
-    #: ``draws``, ``count``: How many there were, and how many of them failed or did not hold a
-    #: limit
     draws: int
-    count: int
-    share: float | None  #: Their share, and its interval of 95 %
-    low: float | None  #: Their share, and its interval of 95 %
-    high: float | None  #: Their share, and its interval of 95 %
+    count: int = 0  #: How many of them failed or did not hold a limit
+    share: float | None = None
+    low: float | None = None  #: End of the share's interval of 95 %
+    high: float | None = None  #: End of the share's interval of 95 %
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +63,9 @@ class Correlation:
     key: str
     figure: str
     rho: float  #: Spearman's rank correlation
-    p: float | None  #: How likely chance gives as much, adjusted for the number of correlations
+    p: float | None = (
+        None  #: How likely chance gives as much, adjusted for the number of correlations
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

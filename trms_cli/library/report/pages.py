@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.library.report.draws import drawn_keys
 from trms_cli.library.report.logs import name_of, read_run
 from trms_cli.library.report.ranking import compared, ranking_of
+from trms_cli.library.report.summary import drawn_keys
 from trms_cli.library.report.sweeps import (
     PAGE_NAME,
     SWEEP_NAME,

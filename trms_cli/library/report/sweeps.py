@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from trms_cli.library.report.draws import drawn_keys, draws_of, short_names
-from trms_cli.library.report.search import (
+from trms_cli.library.report.summary import (
+    drawn_keys,
+    draws_of,
     history_of,
     objectives_of,
     pareto_of,
     search_of,
+    short_names,
     trials_of,
 )
 
