@@ -65,8 +65,8 @@ def _measured(folder: Path, build: Path, name: str, compiler: str, passes: int) 
     _run([*compile_, str(source / f"{name}_example.c")], build)
     program = f"{name}_example"
     _run([compiler, "-o", program, f"{name}.o", f"{name}_example.o", "-lm"], build)
-    said = _run([f"./{program}", str(source / "example.csv"), str(passes)], build)
-    figures = dict(line.split() for line in said.splitlines())
+    output = _run([f"./{program}", str(source / "example.csv"), str(passes)], build)
+    figures = dict(line.split() for line in output.splitlines())
     code, data = _sizes(build.resolve() / f"{name}.o", build)
     return Measured(
         compiler=_run([compiler, "--version"], build).splitlines()[0],

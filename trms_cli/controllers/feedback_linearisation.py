@@ -316,9 +316,9 @@ class FeedbackLinearisationState:
     def reachable(self, reference: FloatArray, wanted: FloatArray) -> FloatArray:
         """What the axes are to go for (n_a,): as wanted, or the closest that can be held."""
         if self.target is None or self.target.asked != tuple(reference.tolist()):
-            found = self.steady.solve(reference, None, self.target)
-            if found.converged:
-                self.target = found
+            target = self.steady.solve(reference, None, self.target)
+            if target.converged:
+                self.target = target
         if self.target is None or not self.target.projected:
             return wanted
         return self.target.reference_reached[[axis.reference for axis in self.parts.axes]]

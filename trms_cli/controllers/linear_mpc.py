@@ -423,11 +423,11 @@ class LinearMpcState:
         goal = np.clip(asked, self._goal_limits[:, 0], self._goal_limits[:, 1])
         given = (*goal.tolist(), *self._disturbance.tolist())
         if self.target is None or given != self._solved_for:
-            found = self.steady.solve(goal, self._disturbance, self.target)
-            self._solved_for = given if found.converged else ()
-            if found.converged:
-                self.target = found
-                self._at_target = self.discrete.initial(found.x, found.u)
+            target = self.steady.solve(goal, self._disturbance, self.target)
+            self._solved_for = given if target.converged else ()
+            if target.converged:
+                self.target = target
+                self._at_target = self.discrete.initial(target.x, target.u)
         if self.target is None:
             return "nothing holds the rig at the estimated disturbance"
         reached = self.target.reference_reached if self.target.projected else goal

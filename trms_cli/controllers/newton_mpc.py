@@ -562,11 +562,11 @@ class NewtonMpcState:
         given = (*reference.tolist(), *self._disturbance.tolist(), *memory.tolist())
         if self.target is not None and given == self._solved_for:
             return self.target
-        found = self.steady_state.solve(reference, self._disturbance, self.target, memory)
+        target = self.steady_state.solve(reference, self._disturbance, self.target, memory)
         # A disturbance that no input can hold has no steady state: the last one goes on.
-        self.target_is_held = found.converged or self.target is None
-        self._solved_for = given if found.converged else ()
-        return found if self.target_is_held or self.target is None else self.target
+        self.target_is_held = target.converged or self.target is None
+        self._solved_for = given if target.converged else ()
+        return target if self.target_is_held or self.target is None else self.target
 
     def prediction(self) -> Prediction:
         """The plan and the trajectory it leads to."""

@@ -95,16 +95,16 @@ class Nmpc(HorizonSettings):
         shared.begin_sample(sample)
         if not shared.inputs_finite:
             return state.fall_back(NOT_FINITE)
-        found, message = state.solved()
-        if found is None:
+        candidate, message = state.solved()
+        if candidate is None:
             return state.fall_back(message)
         newton, evaluate = shared.newton, shared.newton.horizon.evaluate
-        newton.plan[:] = found.plan
+        newton.plan[:] = candidate.plan
         state.evaluate(newton.plan)
         trajectory, terminal, objective, _, violation = evaluate.outputs
         newton.trajectory[:] = trajectory
         missed = float(np.abs(terminal).max()) if newton.horizon.terminal is not None else 0.0
-        status = Status.OK if found.converged else Status.BUDGET
+        status = Status.OK if candidate.converged else Status.BUDGET
         if missed > _RELAXED_ABOVE:
             status = Status.RELAXED
         return Command(
@@ -121,7 +121,7 @@ class Nmpc(HorizonSettings):
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Candidate:
     """A plan (n_u, n_blocks), its merit, whether it is a minimum, and the multipliers there."""
 
     plan: FloatArray
@@ -129,7 +129,7 @@ class _Found:
     converged: bool
     multipliers: tuple[FloatArray, FloatArray]
 
-    def better_than(self, other: _Found) -> bool:
+    def better_than(self, other: _Candidate) -> bool:
         """A minimum before what is none; then the lower merit."""
         return (not self.converged, self.merit) < (not other.converged, other.merit)
 
@@ -159,7 +159,7 @@ class NmpcState:
         horizon.evaluate()
         return float(horizon.evaluate.outputs[3][0])
 
-    def solved(self) -> tuple[_Found | None, str]:
+    def solved(self) -> tuple[_Candidate | None, str]:
         """The best plan that there is, or why there is none."""
         shared, second = self.shared, self.config.second_start
         shifted = self._within_rates(shared.newton.plan)
@@ -181,7 +181,7 @@ class NmpcState:
 
     def _from(
         self, start: FloatArray, multipliers: tuple[FloatArray, FloatArray] | None
-    ) -> tuple[_Found | None, str]:
+    ) -> tuple[_Candidate | None, str]:
         """What the solver finds from a plan, or why that is of no use."""
         if not self.evaluate(start) < np.inf:
             return None, "the predicted trajectory is not finite"
@@ -191,7 +191,7 @@ class NmpcState:
         self.seconds += solution.seconds
         return self._usable(solution), f"{self.config.solver}: {solution.message}"
 
-    def _usable(self, solution: OcpSolution) -> _Found | None:
+    def _usable(self, solution: OcpSolution) -> _Candidate | None:
         """A minimum; or, where the iterations ran out, a plan that is better than the last one."""
         if not (solution.converged or solution.at_cap):
             return None
@@ -201,10 +201,10 @@ class NmpcState:
         if not merit < np.inf:
             return None
         if solution.converged:
-            return _Found(plan, merit, True, solution.multipliers)
+            return _Candidate(plan, merit, True, solution.multipliers)
         moved = np.abs(self._within_rates(plan) - plan).max()
         if merit < self._merit_before and moved < _HAIR:
-            return _Found(plan, merit, False, solution.multipliers)
+            return _Candidate(plan, merit, False, solution.multipliers)
         return None
 
     def _within_rates(self, plan: FloatArray) -> FloatArray:

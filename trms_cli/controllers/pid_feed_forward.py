@@ -193,7 +193,7 @@ def holding_torques(
     angle = model.axes[axis].angle
     position = model.controlled.index(angle)
     furthest = min(model.stops.get(angle, math.inf), _FURTHEST)
-    found: list[tuple[float, float]] = []
+    points: list[tuple[float, float]] = []
     for sign in (-1.0, 1.0):
         last: Target | None = None
         for value in np.linspace(0.0, sign * furthest, _ANGLES // 2 + 1).tolist():
@@ -203,8 +203,8 @@ def holding_torques(
             if not target.exact:
                 break
             last = target
-            found.append((value, torque_of.at(float(target.u[channel]))))
-    table = sorted(dict(found).items()) or [(0.0, 0.0)]
+            points.append((value, torque_of.at(float(target.u[channel]))))
+    table = sorted(dict(points).items()) or [(0.0, 0.0)]
     return PiecewiseLinear([p[0] for p in table], [p[1] for p in table])
 
 

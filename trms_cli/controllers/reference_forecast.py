@@ -76,7 +76,7 @@ class ReferenceForecast:
         (1, n_r) without a forecast of any axis.
         """
         present = reference.tolist()
-        found: dict[int, list[float]] = {}
+        forecasts: dict[int, list[float]] = {}
         for i, value in enumerate(present):
             last, moves = self._last[i], self._moves[i]
             if last is not None:
@@ -85,11 +85,11 @@ class ReferenceForecast:
             if self._horizon:
                 steps = _following(moves, self._horizon)
                 if steps is not None:
-                    found[i] = steps
-        if not found:
+                    forecasts[i] = steps
+        if not forecasts:
             return reference[None, :]
         rows = np.repeat(reference[None, :], self._horizon + 1, axis=0)
-        for i, steps in found.items():
+        for i, steps in forecasts.items():
             rows[1:, i] += np.cumsum(steps)
         return rows
 

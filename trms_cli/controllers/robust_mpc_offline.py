@@ -157,15 +157,15 @@ def _make(
     previous: FloatArray | None = None
     far = 1.0
     for position in positions:
-        found = None
+        ring = None
         for _ in range(_SHORTENINGS if inside is None else 1):
-            found = _ring(design, regulation, aims, inequalities, far * position * farthest, inside)
-            if found is not None or inside is not None:
+            ring = _ring(design, regulation, aims, inequalities, far * position * farthest, inside)
+            if ring is not None or inside is not None:
                 break
             far *= _SHORTER
-        if found is None:
+        if ring is None:
             continue
-        task, solution, held = found
+        task, solution, held = ring
         if previous is not None:
             rings.blends[-1] = _falls(task.A, task.B, solution.K, previous)
         inside = solution.Q[0]

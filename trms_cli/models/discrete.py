@@ -55,9 +55,9 @@ def copied_states(model: Model) -> dict[int, tuple[str, int]]:
     source |= {u[j].element_hash(): ("u", j) for j in range(model.n_u)}
     copies = {}
     for i in range(model.n_x):
-        found = source.get(after[i].element_hash()) if after[i].is_symbolic() else None
-        if found is not None and found != ("x", i):
-            copies[i] = found
+        origin = source.get(after[i].element_hash()) if after[i].is_symbolic() else None
+        if origin is not None and origin != ("x", i):
+            copies[i] = origin
     return copies
 
 

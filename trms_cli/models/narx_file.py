@@ -222,8 +222,8 @@ def _settled(model: Narx) -> FloatArray:
     held = (ca.repmat(ca.DM(value), 1, count) for value in still)
     ends = np.array(step.mapaccum(count)(lifted(start[rows], still[0]), *held))[:, -1]
     point = ends[rows] if np.isfinite(ends).all() else start[rows]
-    found = _newton(newton, point, still)
-    return np.array(lifted(found, still[0]))[:, 0]
+    fixed = _newton(newton, point, still)
+    return np.array(lifted(fixed, still[0]))[:, 0]
 
 
 def _newton(

@@ -41,8 +41,8 @@ class VectorField:
         """``(x, u, p, w) → ∂f/∂x, ∂f/∂u, ∂f/∂p, ∂f/∂w``, dense."""
         x, u, p, w = self.model.symbols()
         f = self.model.dynamics(x, u, p, w)
-        found = [ca.densify(ca.jacobian(f, v)) for v in (x, u, p, w)]
-        return ca.Function("slopes", [x, u, p, w], found)
+        slopes = [ca.densify(ca.jacobian(f, v)) for v in (x, u, p, w)]
+        return ca.Function("slopes", [x, u, p, w], slopes)
 
     @cached_property
     def _w(self) -> FloatArray:
@@ -53,8 +53,8 @@ class VectorField:
         x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
         columns = np.atleast_2d(x).T
         inputs = np.broadcast_to(np.atleast_2d(u).T, (self.model.n_u, columns.shape[1]))
-        found = np.array(self.function(columns, inputs, self.parameters, self._w)).T
-        return found[0] if x.ndim == 1 else found
+        rates = np.array(self.function(columns, inputs, self.parameters, self._w)).T
+        return rates[0] if x.ndim == 1 else rates
 
     def linearised(
         self, x: npt.ArrayLike, u: npt.ArrayLike, parameters: FloatArray | None = None
@@ -109,13 +109,13 @@ class VectorField:
         commands.reshape(model.n_u, m, order="F")[:] = inputs.T
         if p.size:
             p.reshape(self.parameters.size, m, order="F")[:] = self.parameters[:, None]
-        found = np.empty((steps + 1, m, model.n_x))
-        found[0] = columns[: model.n_x].T
+        states = np.empty((steps + 1, m, model.n_x))
+        states[0] = columns[: model.n_x].T
         for k in range(steps):
             every()
             x[...] = every.outputs[0]
-            found[k + 1] = columns[: model.n_x].T
-        return found
+            states[k + 1] = columns[: model.n_x].T
+        return states
 
 
 def has_impulses(model: Model) -> bool:

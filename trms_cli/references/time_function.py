@@ -85,5 +85,5 @@ def _words_of(function: Callable[..., Any]) -> str:
         tree = ast.parse(dedent(inspect.getsource(function)).strip())
     except (OSError, TypeError, SyntaxError):
         return name
-    found = [node for node in ast.walk(tree) if isinstance(node, ast.Lambda)]
-    return ast.unparse(found[0]) if len(found) == 1 else name
+    lambdas = [node for node in ast.walk(tree) if isinstance(node, ast.Lambda)]
+    return ast.unparse(lambdas[0]) if len(lambdas) == 1 else name

@@ -200,7 +200,7 @@ class Coordinates:
     def _rotors(self, thrust_inputs: Sequence[str]) -> tuple[ThrustRotor, ...]:
         model = self.model
         inputs = names(model.inputs)
-        found = []
+        rotors = []
         for name in thrust_inputs:
             if name not in ("u_v", "u_h", *inputs):
                 raise ConfigurationError(
@@ -213,8 +213,8 @@ class Coordinates:
                 # A model without that speed (static rotors, momenta) keeps its command.
                 if speed in model.state_names and model.state_index(speed) in self.kept:
                     state = model.state_index(speed)
-                    found.append(ThrustRotor(inputs.index(name), state, self.kept.index(state)))
-        return tuple(found)
+                    rotors.append(ThrustRotor(inputs.index(name), state, self.kept.index(state)))
+        return tuple(rotors)
 
     def _forward_function(self) -> ca.Function:
         x = ca.SX.sym("x", self.model.n_x)
@@ -334,7 +334,7 @@ def _rates(model: Model, thrust_states: Sequence[int]) -> dict[int, int]:
     """Position of the momentum by that of the angle, where the rate is affine in the momentum."""
     x, u, p, w = model.symbols()
     f = model.dynamics(x, u, p, w)
-    found: dict[int, int] = {}
+    by_angle: dict[int, int] = {}
     for axis in model.axes.values():
         angle = model.state_index(axis.angle)
         moment = names(model.disturbances).index(axis.moment)
@@ -347,5 +347,5 @@ def _rates(model: Model, thrust_states: Sequence[int]) -> dict[int, int]:
             and ca.jacobian(ca.jacobian(f[angle], x[momenta[0]]), x[momenta[0]]).is_zero()
         )
         if affine and others and not set(others) & set(thrust_states):
-            found[angle] = momenta[0]
-    return found
+            by_angle[angle] = momenta[0]
+    return by_angle

@@ -294,10 +294,10 @@ class Inequalities:
         except (cp.error.SolverError, ArithmeticError, ValueError):
             return None
         values = [v.value for v in (self._Y, self._gamma, self._G, self._slack, *self._Q)]
-        found = [np.asarray(value) for value in values if value is not None]
-        if len(found) < len(values) or not all(np.isfinite(value).all() for value in found):
+        arrays = [np.asarray(value) for value in values if value is not None]
+        if len(arrays) < len(values) or not all(np.isfinite(value).all() for value in arrays):
             return None
-        Y, gamma, G, relaxed, *Qs = found
+        Y, gamma, G, relaxed, *Qs = arrays
         try:
             K = np.linalg.solve(G.T, Y.T).T
         except np.linalg.LinAlgError:

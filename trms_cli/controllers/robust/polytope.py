@@ -175,8 +175,8 @@ class Coefficients:
             rotor = demand.rotor
             dv[:, rotor.input] -= demand.pole * (z - target.z)[:, rotor.coordinate]
         dv = dv / self._scale_v
-        found = np.einsum("kij,kj->ki", coefficients, np.concatenate([dz, dv], axis=1))
-        return np.asarray((after - target.z) / self._scale_z - found)[:, :n]
+        explained = np.einsum("kij,kj->ki", coefficients, np.concatenate([dz, dv], axis=1))
+        return np.asarray((after - target.z) / self._scale_z - explained)[:, :n]
 
     def _points(
         self, target: RegulationTarget, region: StateBox, cube: FloatArray

@@ -140,9 +140,9 @@ class Regulation:
         ):
             return previous
         last = previous.steady if previous is not None else None
-        found = self.steady.solve(asked, disturbance, last)
+        steady = self.steady.solve(asked, disturbance, last)
         message = ""
-        if not found.converged and last is not None:
+        if not steady.converged and last is not None:
             assert previous is not None
             return Aim(
                 last,
@@ -150,11 +150,13 @@ class Regulation:
                 "nothing holds the rig at the estimated disturbance; the last target stays",
                 previous.asked,
             )
-        if found.projected:
+        if steady.projected:
             message = "the reference is out of reach; the closest is the target"
-        z = self.coordinates.forward(found.x)
-        target = RegulationTarget(z, self.coordinates.demand(z, found.u), disturbance.copy())
-        return Aim(found, target, message, asked.copy(), last is None or found.asked != last.asked)
+        z = self.coordinates.forward(steady.x)
+        target = RegulationTarget(z, self.coordinates.demand(z, steady.u), disturbance.copy())
+        return Aim(
+            steady, target, message, asked.copy(), last is None or steady.asked != last.asked
+        )
 
     def aim_at(self, reference: FloatArray) -> Aim:
         """The steady state of a reference (n_r,) without disturbances."""
