@@ -60,6 +60,13 @@ def decrease(mpc: NewtonMpc, model: Any, target: Any, region: TerminalRegion) ->
     return gap
 
 
+def on_shell(region: TerminalRegion, seed: int, count: int, share: float = 1.0) -> np.ndarray:
+    """Points ξ (count, n) whose V is a share of the region's level."""
+    zetas = np.random.default_rng(seed).standard_normal((count, len(region.root)))
+    zetas *= np.sqrt(share * region.level) / np.linalg.norm(zetas, axis=1)[:, None]
+    return np.linalg.solve(region.root, zetas.T).T
+
+
 # -- against the textbook -----------------------------------------------------------------------
 
 
@@ -162,11 +169,7 @@ def test_decrease_can_fail_far_outside() -> None:
     state = begun(mpc, MODEL, [0.0, 0.0])
     region = state.regions.region
     gap = decrease(mpc, MODEL, state.target, region)
-    inverse = np.linalg.inv(region.root)
-    generator = np.random.default_rng(1)
-    zetas = generator.standard_normal((300, 8))
-    zetas *= np.sqrt(100 * region.level) / np.linalg.norm(zetas, axis=1)[:, None]
-    assert max(gap(inverse @ zeta) for zeta in zetas) > 0.0
+    assert max(gap(xi) for xi in on_shell(region, 1, 300, 100.0)) > 0.0
 
 
 @pytest.mark.parametrize("goal", GOALS)
@@ -175,9 +178,7 @@ def test_local_law_keeps_limits_in_the_region(goal: list[float]) -> None:
     state = begun(mpc, MODEL, goal)
     region, target = state.regions.region, state.target
     assert region is not None
-    inverse = np.linalg.inv(region.root)
-    zetas = np.random.default_rng(2).standard_normal((4000, 8))
-    xi = (inverse @ (zetas / np.linalg.norm(zetas, axis=1)[:, None]).T).T * np.sqrt(region.level)
+    xi = on_shell(region, 2, 4000)
     moves = xi @ region.gain.T
     assert np.abs(target.u + moves).max() <= 2.5
     assert np.abs(moves[:, 0] - xi[:, 6]).max() <= 0.6
@@ -189,10 +190,7 @@ def test_terminal_cost_is_no_less_than_what_the_law_costs() -> None:
     state = begun(mpc, MODEL, [0.1, 0.3])
     region, target = state.regions.region, state.target
     step = BufferedFunction(discretise(MODEL, 0.1, 1).step)
-    generator = np.random.default_rng(4)
-    for _ in range(20):
-        zeta = generator.standard_normal(8)
-        xi = np.linalg.solve(region.root, np.sqrt(region.level) * zeta / np.linalg.norm(zeta))
+    for xi in on_shell(region, 4, 20):
         total, first = 0.0, float(np.sum((region.root @ xi) ** 2))
         for _ in range(300):
             x, u = target.x + xi[:6], region.gain @ xi
@@ -214,9 +212,7 @@ def test_a_region_serves_the_targets_of_its_cell() -> None:
         near = [0.1 + shift[0], 0.3 + shift[1]]
         target = state.steady_state.solve(np.array(near))
         gap = decrease(mpc, MODEL, target, region)
-        zetas = np.random.default_rng(5).standard_normal((1000, 8))
-        zetas *= np.sqrt(region.level) / np.linalg.norm(zetas, axis=1)[:, None]
-        assert max(gap(xi) for xi in np.linalg.solve(region.root, zetas.T).T) < 0.0
+        assert max(gap(xi) for xi in on_shell(region, 5, 1000)) < 0.0
 
 
 # -- where there is none --------------------------------------------------------------------------

@@ -102,6 +102,16 @@ def test_jacobians_are_finite_at_rest_and_in_motion(rig, effect_name, form, pres
             assert all(np.all(np.isfinite(np.asarray(result))) for result in results)
 
 
+def central(function, at, which, column, size):
+    """Difference quotient of a function in one entry of one of its arguments."""
+    sides = []
+    for sign in (1, -1):
+        there = [value.copy() for value in at]
+        there[which][column] += sign * size
+        sides.append(np.asarray(function(*there)).ravel())
+    return (sides[0] - sides[1]) / (2 * size)
+
+
 def test_jacobians_equal_differences_in_motion(rig, effect_name):
     model = rig.extended(rig.newtonian(), {effect_name: rig.effect(effect_name)})
     discrete = discretise(model, 0.02, 2, sensors=True)
@@ -114,12 +124,7 @@ def test_jacobians_equal_differences_in_motion(rig, effect_name):
     for which, jacobian in enumerate(exact):
         for column in range(at[which].size):
             size = 1e-6 * max(abs(at[which][column]), 1e-3)
-            sides = []
-            for sign in (1, -1):
-                there = [value.copy() for value in at]
-                there[which][column] += sign * size
-                sides.append(np.asarray(discrete.step(*there)).ravel())
-            difference = (sides[0] - sides[1]) / (2 * size)
+            difference = central(discrete.step, at, which, column, size)
             got = np.asarray(jacobian)[:, column]
             scale = 1 + np.abs(difference).max()
             np.testing.assert_allclose(got, difference, atol=2e-4 * scale)
@@ -143,12 +148,7 @@ def test_slopes_of_the_measurement_equal_differences(rig, effect_name):
         for column in range(at[which].size):
             if which == 2 and (column < 39 or rig.kind(effect_name) == "quantisation"):
                 continue
-            sides = []
-            for sign in (1, -1):
-                there = [value.copy() for value in at]
-                there[which][column] += sign * size
-                sides.append(np.asarray(discrete.measurement(*there)).ravel())
-            difference = (sides[0] - sides[1]) / (2 * size)
+            difference = central(discrete.measurement, at, which, column, size)
             np.testing.assert_allclose(
                 np.asarray(jacobian)[:, column], difference, rtol=1e-5, atol=0.1 * size**0.5
             )

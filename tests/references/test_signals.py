@@ -117,17 +117,11 @@ def test_a_step_comes_on_the_sample_nearest_to_its_time() -> None:
 
 
 def test_a_sawtooth_is_scipys_a_half_rise_later() -> None:
-    times = np.arange(1000) * 0.00993 + 0.0013
+    times = np.append(0.0, np.arange(1000) * 0.00993 + 0.0013)
     for width in (1.0, 0.5, 0.2):
         ours = Sawtooth(amplitude=1.0, frequency=0.5, width=width).sample(times)
         theirs = scipy.signal.sawtooth(2 * np.pi * (0.5 * times + width / 2), width)
         np.testing.assert_allclose(ours, theirs, atol=1e-9)
-
-
-def test_a_sawtooth_begins_at_its_offset() -> None:
-    for width in (1.0, 0.5, 0.2):
-        start = Sawtooth(amplitude=1.0, frequency=0.5, width=width).sample(np.array([0.0]))
-        assert start == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
@@ -164,15 +158,6 @@ def test_a_multisine_has_a_low_crest_factor(harmonics: int) -> None:
     assert peak == pytest.approx(1.0, rel=0.006)
     # all in phase it would be sqrt(2K), from 4 to 12.6 here
     assert peak / np.sqrt(np.mean(values**2)) < 2.0
-
-
-@pytest.mark.parametrize("bits", [3, 5, 8])
-def test_a_prbs_is_balanced_and_white(bits: int) -> None:
-    length = 2**bits - 1
-    levels = Prbs(amplitude=1.0, hold=0.5, bits=bits).sample(np.arange(length) * 0.5 + 0.25)
-    assert abs(levels.sum()) == 1
-    correlation = [float(levels @ np.roll(levels, lag)) for lag in range(1, length)]
-    np.testing.assert_array_equal(correlation, -1.0)
 
 
 @pytest.mark.parametrize("bits", range(2, 17))

@@ -64,14 +64,9 @@ def with_friction_and_delay() -> Model:
     )
 
 
-def test_it_is_the_discretised_model(plain: Rollout) -> None:
-    x0 = starts(plain)
-    simulated = plain.outputs(commands(), FIRST, COUNT, x0)
-    np.testing.assert_allclose(simulated.y, step_by_step(plain.model, x0), rtol=1e-12, atol=1e-13)
-
-
-def test_it_is_the_discretised_model_with_memory_and_dry_friction() -> None:
-    rollout = Rollout(with_friction_and_delay(), SAMPLE)
+@pytest.mark.parametrize("model", [Newtonian(), with_friction_and_delay()], ids=["plain", "memory"])
+def test_it_is_the_discretised_model(model: Model) -> None:
+    rollout = Rollout(model, SAMPLE)
     x0 = starts(rollout)
     simulated = rollout.outputs(commands(), FIRST, COUNT, x0)
     np.testing.assert_allclose(simulated.y, step_by_step(rollout.model, x0), rtol=1e-12, atol=1e-13)
