@@ -68,25 +68,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return lambda name: tmp_path_factory.mktemp(name)
 
 
-@pytest.fixture(scope="module")
-def one(folder: Any) -> tuple[Any, ...]:
-    """One iteration a sample."""
-    controller, setup = NewtonMpc(**ONE), setup_of(Newtonian())
-    return build(folder("one"), controller, setup, optimise="-O2"), controller, setup
+def made(name: str, optimise: str = "-O1", **options: Any) -> Any:
+    """A fixture: the library of a controller, the controller itself, its setup."""
+
+    @pytest.fixture(scope="module", name=name)
+    def built(folder: Any) -> tuple[Any, ...]:
+        controller, setup = NewtonMpc(**options), setup_of(Newtonian())
+        return build(folder(name), controller, setup, optimise=optimise), controller, setup
+
+    return built
 
 
-@pytest.fixture(scope="module")
-def converged(folder: Any) -> tuple[Any, ...]:
-    """The default tuning."""
-    controller, setup = NewtonMpc(), setup_of(Newtonian())
-    return build(folder("converged"), controller, setup), controller, setup
-
-
-@pytest.fixture(scope="module")
-def limited(folder: Any) -> tuple[Any, ...]:
-    """Rates, a soft limit, preview, input weights."""
-    controller, setup = NewtonMpc(**LIMITED), setup_of(Newtonian())
-    return build(folder("limited"), controller, setup), controller, setup
+one = made("one", "-O2", **ONE)
+converged = made("converged")  # the default tuning
+limited = made("limited", **LIMITED)
+unconstrained = made("unconstrained", **SHORT, terminal="none", fallback="hold")
 
 
 @pytest.mark.parametrize("reference", [squares, sines, levels])
@@ -146,13 +142,8 @@ def test_where_rounding_decides_it_is_as_near_as_python_to_itself(folder):
 
 
 @pytest.mark.slow
-def test_without_a_terminal_constraint(folder):
-    controller, setup = NewtonMpc(**SHORT, terminal="none", fallback="hold"), setup_of(Newtonian())
-    found = compare(
-        build(folder("none"), controller, setup), controller, setup, levels, 100,
-        estimated=wandering,
-    )  # fmt: skip
-    assert found.worst <= EQUAL
+def test_without_a_terminal_constraint(unconstrained):
+    assert compare(*unconstrained, levels, 100, estimated=wandering).worst <= EQUAL
 
 
 @pytest.mark.parametrize(

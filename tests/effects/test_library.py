@@ -28,17 +28,15 @@ def test_each_option_describes_itself(rig, effect_name):
             assert re.search(r"  # .*\w", line), f"{key} has no unit and meaning"
 
 
-def test_each_size_has_a_unit_and_a_meaning(rig, effect_name):
+def test_each_size_has_a_unit_a_meaning_and_the_typical_range_that_the_option_tells(
+    rig, effect_name
+):
+    text = (config_folder() / "effect" / f"{effect_name}.yaml").read_text(encoding="utf-8")
     effect = rig.effect(effect_name)
     for parameter in effect.parameters():
         assert parameter.unit and parameter.description
         assert getattr(effect, parameter.name) == parameter.value
         assert parameter.lower <= parameter.value <= parameter.upper
-
-
-def test_each_size_has_a_typical_range_and_the_option_tells_it(rig, effect_name):
-    text = (config_folder() / "effect" / f"{effect_name}.yaml").read_text(encoding="utf-8")
-    for parameter in rig.effect(effect_name).parameters():
         low, high = parameter.typical
         assert parameter.lower <= low < high <= parameter.upper
         told = re.search(

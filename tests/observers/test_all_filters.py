@@ -41,6 +41,12 @@ def made(kind: type[FilterOptions], **options: Any) -> Any:
     return kind(**options, **({"within_stops": False} if kind is Mhe else {}))
 
 
+def begun(kind: type[FilterOptions], seed: int = 0) -> tuple[Any, Any, Rig]:
+    """An observer of the Newtonian rig, its state, and the rig."""
+    model, observer = Newtonian(), made(kind)
+    return observer, observer.init(setup_for(model)), Rig(model, names(model.outputs), seed)
+
+
 def filter_of(state: Any) -> FilterState:
     """The recursive filter, of a moving horizon the one that it rests on."""
     return getattr(state, "arrival", state)
@@ -113,9 +119,7 @@ def test_every_model_is_followed(kind: type[FilterOptions], model: Model) -> Non
 def test_a_constant_torque_on_yaw_is_estimated_without_bias(
     kind: type[FilterOptions], torque: float
 ) -> None:
-    model = Newtonian()
-    rig, observer = Rig(model, names(model.outputs)), made(kind)
-    state = observer.init(setup_for(model))
+    observer, state, rig = begun(kind)
     found = []
     still = np.tile([0.5, 0.3], (1500, 1))
     for k, estimate in followed(observer, state, rig, still, np.array([0.0, torque, 0, 0])):
@@ -133,9 +137,7 @@ def test_a_constant_torque_on_yaw_is_estimated_without_bias(
 
 @pytest.mark.parametrize("kind", ALL)
 def test_missing_samples_widen_and_heal(kind: type[FilterOptions]) -> None:
-    model = Newtonian()
-    rig, observer = Rig(model, names(model.outputs)), made(kind)
-    state = observer.init(setup_for(model))
+    observer, state, rig = begun(kind)
     widths = []
     for k, estimate in followed(observer, state, rig, commands(600), lost=range(200, 300)):
         assert np.isnan(estimate.innovation).all() == (200 <= k < 300)
@@ -167,11 +169,8 @@ def test_a_window_without_any_measurement_is_the_models_own_motion() -> None:
 
 @pytest.mark.parametrize("kind", ALL)
 def test_two_runs_in_one_process_are_equal(kind: type[FilterOptions]) -> None:
-    observer, model = made(kind), Newtonian()
-
     def run() -> np.ndarray:
-        state = observer.init(setup_for(model))
-        rig = Rig(model, names(model.outputs), seed=5)
+        observer, state, rig = begun(kind, seed=5)
         return np.array([e.x.copy() for _, e in followed(observer, state, rig, commands(80))])
 
     np.testing.assert_array_equal(run(), run())
@@ -182,9 +181,7 @@ def test_two_runs_in_one_process_are_equal(kind: type[FilterOptions]) -> None:
 def test_what_cannot_be_computed_is_recovered_from(kind: type[FilterOptions], spoiled: str) -> None:
     if kind is Kalman and spoiled == "mean":
         pytest.skip("nothing overflows in a linear model")
-    model, observer = Newtonian(), made(kind)
-    state = observer.init(setup_for(model))
-    rig = Rig(model, names(model.outputs))
+    observer, state, rig = begun(kind)
     for _ in range(40):
         observer.step(state, np.zeros(2), rig.measure(), None)
     y, u = rig.measure(), np.zeros(2)

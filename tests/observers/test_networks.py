@@ -57,17 +57,11 @@ class TestKinds:
         kinds = kinds_of_states(rig_like((1, 2), (1, 2)))
         assert kinds == ("angle",) * 2 + ("speed",) * 2 + ("past",) * 6
 
-    def test_of_pushes_are_accelerations(self):
-        assert kinds_of_disturbances(rig_like()) == (
-            *("acceleration",) * 2,
-            *("rotor_acceleration",) * 2,
-        )
-
-    def test_of_torques_stay_torques(self):
-        assert kinds_of_disturbances(Newtonian()) == (
-            *("disturbance",) * 2,
-            *("rotor_disturbance",) * 2,
-        )
+    @pytest.mark.parametrize(
+        ("model", "kind"), [(rig_like(), "acceleration"), (Newtonian(), "disturbance")]
+    )
+    def test_of_what_pushes_follow_from_its_units(self, model, kind):
+        assert kinds_of_disturbances(model) == (kind,) * 2 + (f"rotor_{kind}",) * 2
 
 
 class TestRestingState:

@@ -158,40 +158,34 @@ class TestWhatIsRefused:
         assert "model=newtonian" in caught.value.remedy
         assert "0.04167" in caught.value.remedy
 
-    def test_a_missing_input_names_a_model_without_it(self, write):
-        with pytest.raises(ConfigurationError, match="no u_h") as caught:
-            load(write(header="t[s],u_v[V],alpha_v[rad]"))
-        assert "newtonian_vertical" in caught.value.remedy
+    @pytest.mark.parametrize(
+        ("channel", "model", "problem", "remedy"),
+        [
+            ("alpha_v", Newtonian(), "no u_h", "newtonian_vertical"),
+            ("alpha_h", Newtonian(freedom="vertical"), "measures alpha_h", ""),
+        ],
+    )
+    def test_a_channel_that_is_missing(self, write, channel, model, problem, remedy):
+        with pytest.raises(ConfigurationError, match=problem) as caught:
+            load(write(header=f"t[s],u_v[V],{channel}[rad]"), model)
+        assert remedy in caught.value.remedy
 
-    def test_no_common_channel(self, write):
-        with pytest.raises(ConfigurationError, match="measures alpha_h"):
-            load(write(header="t[s],u_v[V],alpha_h[rad]"), Newtonian(freedom="vertical"))
+    @pytest.mark.parametrize(
+        ("rows", "shift", "problem", "remedies"),
+        [
+            ({6}, 0.008, "2 of 9 steps", ("resample", "plant.jitter")),
+            ({6}, -0.0199, "not evenly spaced", ()),
+            (range(5, 10), 172_800.0, "longest gap", ("plant.start",)),
+        ],
+        ids=["uneven", "doubled", "of two days"],
+    )
+    def test_times_that_are_not_even(self, write, rows, shift, problem, remedies):
+        def shifted(k, cells):
+            return [f"{k * 0.02 + (shift if k in rows else 0):.5f}", *cells[1:]]
 
-    def test_uneven_samples_say_where_and_what_to_do(self, write):
-        def uneven(k, cells):
-            cells[0] = f"{k * 0.02 + (0.008 if k == 6 else 0):.5f}"
-            return cells
-
-        with pytest.raises(RecordingError, match="2 of 9 steps") as caught:
-            load(write(change=uneven))
-        assert "resample" in caught.value.remedy and "plant.jitter" in caught.value.remedy
-
-    def test_two_samples_at_almost_the_same_time(self, write):
-        def doubled(k, cells):
-            cells[0] = f"{k * 0.02 - (0.0199 if k == 6 else 0):.5f}"
-            return cells
-
-        with pytest.raises(RecordingError, match="not evenly spaced"):
-            load(write(change=doubled))
-
-    def test_a_recording_of_two_days(self, write):
-        def second_day(k, cells):
-            cells[0] = f"{k * 0.02 + (172_800 if k > 4 else 0):.5f}"
-            return cells
-
-        with pytest.raises(RecordingError, match="longest gap") as caught:
-            load(write(change=second_day))
-        assert "plant.start" in caught.value.remedy
+        with pytest.raises(RecordingError, match=problem) as caught:
+            load(write(change=shifted))
+        assert all(remedy in caught.value.remedy for remedy in remedies)
 
     def test_no_first_command(self, write):
         def late(k, cells):

@@ -99,16 +99,12 @@ def test_a_command_that_is_not_finite_never_reaches_the_plant(value: float) -> N
     )
 
 
-def test_commands_that_are_not_finite_are_told_once_a_spell() -> None:
-    loop = run(Scripted(lambda k: (math.nan if k in (3, 4, 9) else 0.5, 0.0)))
-    assert kinds(loop) == [("fault", "controller"), ("fault_end", "controller")] * 2
-
-
-def test_commands_that_are_not_finite_count_as_failures() -> None:
+def test_commands_that_are_not_finite_are_told_once_a_spell_and_count_as_failures() -> None:
     script = Scripted(lambda k: (math.nan if k in (3, 4, 9) else 0.5, 0.0))
     words = dict.fromkeys(CONTROLLER_TOPIC.field_names, "")
     loop = Loop.start(experiment(script), lambda plant: History({"/controller": words}, None))
     loop.run()
+    assert kinds(loop) == [("fault", "controller"), ("fault_end", "controller")] * 2
     acted = np.flatnonzero(loop.history.columns("/controller")["fallback"])
     assert acted.tolist() == [3, 4, 9]
 
