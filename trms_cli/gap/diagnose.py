@@ -49,8 +49,9 @@ from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior, calibration, posterior_of
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, EffectTraces, Race, effect_traces, run_race
+from trms_cli.identification.free_runs import simulated_windows
 from trms_cli.identification.problem import Progress, Unwatched
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import names
 
 #: Where on the way each stage begins, as a share of the whole.
 _BEGINS = {
@@ -119,19 +120,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         jobs=problem.jobs,
         watch=watch.tell,
     )
-    return _answered(problem, parts, candidates, left_out, race, watch)
-
-
-def _answered(
-    problem: GapProblem,
-    parts: Parts,
-    candidates: Mapping[str, CandidateEffect],
-    left_out: Mapping[str, str],
-    race: Race,
-    watch: _Watch,
-) -> DiagnosisResult:
     constants = calibration()
-    nominal = race.refit
     channels = nominal.metric.discrepancy.channels
     usual = {c.location: constants.usual(c.location) for c in channels if c.fixed is None}
     watch.enter("where")
@@ -146,19 +135,11 @@ def _answered(
     watch.enter("how far")
     sealed = sealed_comparison(problem, parts, race, posterior)
     watch.enter("advice")
-    stages = StageResults(
-        problem=problem,
-        parts=parts,
-        candidates=candidates,
-        left_out=left_out,
-        race=race,
-        place=place,
-        forces=forces,
-        tests=tests,
-        posterior=posterior,
-        sealed=sealed,
+    result = result_of(
+        StageResults(
+            problem, parts, candidates, left_out, race, place, forces, tests, posterior, sealed
+        )
     )
-    result = result_of(stages)
     watch.leave()
     seconds = {name: round(value, 3) for name, value in watch.seconds.items()}
     return replace(result, seconds=seconds)
@@ -189,7 +170,7 @@ _LEAST_PROBABILITY = 0.002
 _LEAST_SHARE = 0.02
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class StageResults:
     """What the stages of a diagnosis have found."""
 
@@ -631,27 +612,15 @@ def _runs(
     begins = np.arange(max(first, history(step)), last - samples + 1, max(1, samples // 2))
     if samples < 5 or not len(begins):
         return np.zeros(0), {}
-    models: dict[str, Model] = {
-        "raw": sealed.raw,
-        "refit": sealed.refit,
-        "corrected": sealed.corrected,
-    }
-    if sealed.corrected is sealed.refit:
-        del models["corrected"]
     simulated = {}
-    for name, model in models.items():
-        rollout = sealed.richer if name == "corrected" else sealed.plain
+    for name, (model, rollout) in sealed.models.items():
         starts = start_states(model, rollout, dataset, begins)
-        count = np.full(len(begins), samples)
         p = model.parameters.values
-        y = rollout.outputs(dataset.commands, begins, count, starts, p).y
-        simulated[name] = y.reshape(len(begins), samples, -1)
-    outputs = names(sealed.raw.outputs)
-    columns = [outputs.index(s.name) for s in dataset.outputs]
+        simulated[name] = simulated_windows(rollout, dataset, begins, samples, starts, p)
     measured = dataset.measurements[begins[:, None] + np.arange(samples)]
-    after = simulated.get("corrected", simulated["refit"])[..., columns]
+    after = simulated.get("corrected", simulated["refit"])
     with np.errstate(all="ignore"):
-        worse = np.nansum((simulated["refit"][..., columns] - measured) ** 2, axis=1)
+        worse = np.nansum((simulated["refit"] - measured) ** 2, axis=1)
         better = np.nansum((after - measured) ** 2, axis=1)
         gained = np.nansum((worse - better) / np.maximum(dataset.noise_sd**2, 1e-18), axis=1)
     best = int(np.argmax(gained)) if len(simulated) > 2 else int(np.argmax(worse.sum(axis=1)))
@@ -659,7 +628,7 @@ def _runs(
     runs = {
         signal.name: {
             "measured": measured[best, :, i],
-            **{name: y[best, :, columns[i]] for name, y in simulated.items()},
+            **{name: y[best, :, i] for name, y in simulated.items()},
         }
         for i, signal in enumerate(dataset.outputs)
     }

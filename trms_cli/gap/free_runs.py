@@ -334,22 +334,20 @@ class SealedComparison:
     """The opened seal."""
 
     shrinkage: Shrinkage
-    raw: Model  #: As their free runs were made
-    refit: Model  #: As their free runs were made
-    corrected: Model  #: As their free runs were made
-    plain: Rollout  #: Of the first two, and of the last
-    richer: Rollout  #: Of the first two, and of the last
+    #: ``raw``, ``refit``, and ``corrected`` where a cause is added, as their free runs were made
+    models: Mapping[str, tuple[Model, Rollout]]
 
 
 def sealed_comparison(
     problem: GapProblem, parts: Parts, race: Race, posterior: Posterior
 ) -> SealedComparison:
     """Free runs of the model as it was, refitted, and corrected."""
-    refit = race.refit
-    fitted = corrected = refit.model
-    plain = richer = refit.structure.windows.rollout
+    plain = race.refit.structure.windows.rollout
+    refit = corrected = (race.refit.model, plain)
+    models = {"raw": (problem.model, plain), "refit": refit}
     if posterior.corrected is not None:
-        corrected = posterior.corrected.model
-        richer = posterior.corrected.structure.windows.rollout
-    measured = measure_shrinkage(problem, parts, problem.model, fitted, corrected, (plain, richer))
-    return SealedComparison(measured, problem.model, fitted, corrected, plain, richer)
+        fitted = posterior.corrected
+        models["corrected"] = corrected = (fitted.model, fitted.structure.windows.rollout)
+    (first, plain), (last, richer) = refit, corrected
+    measured = measure_shrinkage(problem, parts, problem.model, first, last, (plain, richer))
+    return SealedComparison(measured, models)

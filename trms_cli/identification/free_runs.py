@@ -98,7 +98,8 @@ def fitted_starts(
     measured = dataset.measurements[first[:, None] + np.arange(samples)]
     present, shape = ~np.isnan(measured), measured.shape
     sd = np.where(dataset.noise_sd > 0, dataset.noise_sd, _LEAST_SD)
-    prior_sd = _observers_prior_sd(model) if prior_sd is None else prior_sd
+    if prior_sd is None:
+        prior_sd = np.array([getattr(InitialSd(), kind) for kind in kinds_of_states(model)])
 
     def simulated(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Costs, residuals, their slopes in the model's states, and the ends.
@@ -140,11 +141,6 @@ def fitted_starts(
         if np.all((gained < search.enough) & (better | (damping > search.most_damping))):
             break
     return x, ends
-
-
-def _observers_prior_sd(model: Model) -> FloatArray:
-    table = InitialSd()
-    return np.array([getattr(table, kind) for kind in kinds_of_states(model)])
 
 
 def with_memory(

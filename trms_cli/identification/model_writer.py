@@ -134,18 +134,16 @@ def _entry(
         entry["lower"] = float(lower)
     if np.isfinite(upper):
         entry["upper"] = float(upper)
-    words = _source(before) if before is not None else parameter.source
+    words = parameter.source
+    if before is not None:
+        words = f"fitted from {before.start:.5g}, no prior"
+        if before.prior_sd is not None:
+            words = f"fitted; prior {before.prior_mean:.5g} ± {before.prior_sd:.2g}"
     if words:
         entry["source"] = words
     if parameter.description:
         entry["description"] = parameter.description
     return entry
-
-
-def _source(before: FreeParameter) -> str:
-    if before.prior_sd is None:
-        return f"fitted from {before.start:.5g}, no prior"
-    return f"fitted; prior {before.prior_mean:.5g} ± {before.prior_sd:.2g}"
 
 
 def _rounded(value: float) -> float:

@@ -75,7 +75,8 @@ class MultipleShooting:
             watcher.evaluations += fits[-1].objective.evaluations
             if watcher.stopped:
                 break
-        best = _best(fits)
+        # The most probable of the fits that could be simulated, else the first.
+        best = fits[int(np.argmin(_standings(fits)))]
         details = _details(problem, fits, best)
         if best.information is not None and not watcher.stopped:
             details["profiles"] = _profiles(best, wanted, watcher)
@@ -150,12 +151,6 @@ def _starting_point(
     low, high = problem.bounds
     drawn = problem.prior_means + problem.scales * generator.standard_normal(len(first))
     return np.clip(drawn, low, high)
-
-
-def _best(fits: list[MapFit]) -> MapFit:
-    """The most probable of the fits that could be simulated, else the first."""
-    standings = _standings(fits)
-    return fits[int(np.argmin(standings))]
 
 
 def _standings(fits: list[MapFit]) -> FloatArray:

@@ -266,7 +266,11 @@ def evolve(
         else:
             costs = known.finite_or_infinite()
         search.tell(points, costs)
-        _note(found, points, costs)
+        first = int(np.argmin(costs))
+        if costs[first] < found.cost:
+            found.best, found.cost = points[first].copy(), float(costs[first])
+        found.costs.append((found.cost, float(np.median(costs))))
+        found.evaluations += len(costs)
         if known is None:
             found.seconds += perf_counter() - begin
             journal.keep(points, costs, found.seconds)
@@ -276,14 +280,6 @@ def evolve(
         if watch is not None and known is None:
             found.stopped = not watch(found)
     return found
-
-
-def _note(found: SearchResult, points: FloatArray, costs: FloatArray) -> None:
-    first = int(np.argmin(costs))
-    if costs[first] < found.cost:
-        found.best, found.cost = points[first].copy(), float(costs[first])
-    found.costs.append((found.cost, float(np.median(costs))))
-    found.evaluations += len(costs)
 
 
 def on_threads(

@@ -230,9 +230,9 @@ def fit_from(
             break
         known = information(objective, point.theta, point.starts)
         weights = weighed(objective, point, known)
-        change = _change(objective.weights, weights)
-        objective.weights = weights
-        if change < _SETTLED and round_ + 1 >= len(joints):
+        before, objective.weights = objective.weights, weights
+        scale = before.sd / weights.sd * np.sqrt(before.samples / weights.samples)
+        if np.max(np.abs(np.log(scale))) < _SETTLED and round_ + 1 >= len(joints):
             break
     if outcome is not FitOutcome.INTERRUPTED:
         search = minimise(
@@ -294,12 +294,6 @@ def weighed(objective: MapObjective, point: Point, known: Information | None) ->
 def _declared(windows: Windows) -> ResidualWeights:
     n_y = windows.declared.shape[1]
     return ResidualWeights(windows.declared, np.ones(n_y), windows.share, windows.problem.robust)
-
-
-def _change(before: ResidualWeights, after: ResidualWeights) -> float:
-    """Largest relative change of the weight of any output."""
-    scale = before.sd / after.sd * np.sqrt(before.samples / after.samples)
-    return float(np.max(np.abs(np.log(scale))))
 
 
 #: Half the 95 % quantile of χ² with one degree of freedom.

@@ -214,7 +214,13 @@ class Windows:
         self, problem: FitProblem, *, with_parameters: bool = True, rollout: Rollout | None = None
     ) -> None:
         self.problem, self.datasets = problem, problem.datasets
-        self._check_sample_times()
+        times = {round(dataset.sample_time, 9) for dataset in self.datasets}
+        if len(times) > 1:
+            raise ConfigurationError(
+                f"the recordings have different sample times: {sorted(times)} s",
+                where="real",
+                remedy="fit those of one sample time together, or resample them",
+            )
         model = problem.model
         self.sample_time = self.datasets[0].sample_time
         free = problem.names if with_parameters else ()
@@ -346,12 +352,3 @@ class Windows:
                 n = int(self.count[j])
                 target[j, :n, columns] = dataset.measurements[begin : begin + n].T
         return sd, target
-
-    def _check_sample_times(self) -> None:
-        times = {round(dataset.sample_time, 9) for dataset in self.datasets}
-        if len(times) > 1:
-            raise ConfigurationError(
-                f"the recordings have different sample times: {sorted(times)} s",
-                where="real",
-                remedy="fit those of one sample time together, or resample them",
-            )

@@ -334,7 +334,7 @@ def _coherences(
     """Of the error with each input that moves."""
     inputs = joined(
         [
-            d.commands[run.whole.first :]
+            d.commands[run.first :]
             for d, run in zip(validation.datasets, validation.runs, strict=True)
             if channel in names(d.outputs)
         ],

@@ -10,7 +10,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.findings import json_data
-from trms_cli.identification.validation.characteristics import Characteristics, characteristics_of
+from trms_cli.identification.validation.characteristics import characteristics_of
 from trms_cli.identification.validation.metrics import (
     BlockSums,
     fit_percent,
@@ -26,6 +26,8 @@ from trms_cli.identification.validation.validate import ModelValidation
 from trms_cli.models.model import names
 
 SCHEMA = "trms.validation/1"
+#: Of a signal's figures: its name, and what only a chart shows.
+_DRAWN = ("name", "counts", "edges", "autocorrelation")
 
 
 def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
@@ -51,7 +53,10 @@ def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
                     for i, s in enumerate(d.outputs)
                 },
                 "remarks": list(d.remarks),
-                "signals": {c.name: _signal(c) for c in characteristics_of(d)},
+                "signals": {
+                    c.name: {key: value for key, value in vars(c).items() if key not in _DRAWN}
+                    for c in characteristics_of(d)
+                },
             }
             for d in first.datasets
         ],
@@ -67,12 +72,6 @@ def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
         document |= comparison_document(validations)
     plain: dict[str, Any] = json_data(document)
     return plain
-
-
-def _signal(found: Characteristics) -> dict[str, Any]:
-    """The figures of a signal, without its distribution."""
-    drawn = ("name", "counts", "edges", "autocorrelation")
-    return {key: value for key, value in vars(found).items() if key not in drawn}
 
 
 def model_document(validation: ModelValidation) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -41,23 +42,24 @@ def largest(errors: FloatArray) -> float:
 
 def fit_percent(errors: FloatArray, measured: FloatArray) -> float:
     """Fit in %; NaN for a signal that does not move."""
-    present = ~np.isnan(errors) & ~np.isnan(measured)
-    e, y = errors[present], measured[present]
-    if not e.size or not np.ptp(y) > 0:
-        return np.nan
-    moving = float(np.linalg.norm(y - y.mean()))
-    with np.errstate(over="ignore"):
-        return 100.0 * (1.0 - float(np.linalg.norm(e)) / moving)
+    return _percent(errors, measured, lambda e, y: np.linalg.norm(e) / np.linalg.norm(y - y.mean()))
 
 
 def vaf_percent(errors: FloatArray, measured: FloatArray) -> float:
     """Variance accounted for in %; NaN for a signal that does not move."""
+    return _percent(errors, measured, lambda e, y: np.var(e) / np.var(y))
+
+
+def _percent(
+    errors: FloatArray, measured: FloatArray, share: Callable[[FloatArray, FloatArray], Any]
+) -> float:
+    """What a share of the measured signal leaves of 100 %, over what is present."""
     present = ~np.isnan(errors) & ~np.isnan(measured)
     e, y = errors[present], measured[present]
     if not e.size or not np.ptp(y) > 0:
         return np.nan
     with np.errstate(over="ignore", invalid="ignore"):
-        return 100.0 * (1.0 - float(np.var(e)) / float(np.var(y)))
+        return 100.0 * (1.0 - float(share(e, y)))
 
 
 _DRAWS = 2000

@@ -324,19 +324,12 @@ def _smallest(cost: Callable[[float], float]) -> float:
 
 
 @dataclass(frozen=True)
-class FreeRun:
-    """The model alone to the end of the recording."""
-
-    first: int  #: Sample at which it begins
-    simulated: FloatArray  #: (n − first, n_y) array; in the order of the recording's outputs
-
-
-@dataclass(frozen=True)
 class FreeRuns:
     """All free runs of a model over one recording."""
 
     windows: Mapping[float, WindowErrors]  #: By horizon, s
-    whole: FreeRun
+    first: int  #: Sample at which the run to the end of the recording begins
+    whole: FloatArray  #: (n − first, n_y) array; that run, in the order of the recording's outputs
 
 
 def common_windows(
@@ -416,7 +409,7 @@ def free_runs(
         windows[horizon] = _errors(dataset, rollout, first, samples, at)
     origin = int(every[0])
     whole = simulated_windows(rollout, dataset, [origin], len(dataset) - origin, starts[:1])
-    return FreeRuns(windows, FreeRun(origin, whole[0]))
+    return FreeRuns(windows, origin, whole[0])
 
 
 def _errors(
@@ -509,9 +502,9 @@ class ModelValidation:
             if channel not in names(dataset.outputs):
                 continue
             column = names(dataset.outputs).index(channel)
-            real = dataset.measurements[run.whole.first :, column]
+            real = dataset.measurements[run.first :, column]
             measured.append(real)
-            errors.append(real - run.whole.simulated[:, column])
+            errors.append(real - run.whole[:, column])
         return joined(errors, gap), joined(measured, gap)
 
     @cached_property
