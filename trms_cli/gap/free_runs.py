@@ -287,11 +287,11 @@ def measure_shrinkage(
             pooled.setdefault(key, []).append(own)
             shrink.setdefault(channel, {})[key] = _pooled([own], problem.seed)
     shrink[ALL] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
-    told = repr(_TOLD_AT)
+    decisive = repr(_TOLD_AT)
     worse = tuple(
         channel
         for channel, table in gap.items()
-        if told in table and table[told].corrected > _WORSE * table[told].refit
+        if decisive in table and table[decisive].corrected > _WORSE * table[decisive].refit
     )
     return Shrinkage(gap, shrink, worse)
 

@@ -245,12 +245,12 @@ def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Op
         amplitude = trial.amplitude(commands, _OF_INPUTS * upper - np.abs(centre), len(head))
         if amplitude is None:
             continue
-        told = ", ".join(
+        listed = ", ".join(
             f"{name}: {size:g}" for name, size in zip(names(model.inputs), amplitude, strict=True)
         )
         keys += ["excitation.iterations=0"] * (option == "multisine")
         keys += ["reversals=true"] * reverses
-        keys += [f"duration={DURATION:g}", f"lead_in={LEAD_IN:g}", f"amplitude={{{told}}}"]
+        keys += [f"duration={DURATION:g}", f"lead_in={LEAD_IN:g}", f"amplitude={{{listed}}}"]
         yield OpenLoopExperiment(
             words, commands(amplitude), _typed("excite", model_name, keys, sample_time)
         )
@@ -446,20 +446,20 @@ def _why(
     seconds = len(experiment.commands) * step
     if question.apart:
         pair = listing(names) if len(names) > 2 else " from ".join(names)
-        told = f"{_nats(best[0])} in {seconds:.0f} s, against {_nats(now[0])} in the "
-        told += f"{lasted:.0f} s recorded"
+        gain = f"{_nats(best[0])} in {seconds:.0f} s, against {_nats(now[0])} in the "
+        gain += f"{lasted:.0f} s recorded"
         if best[0] < DECIDES:
             return (
                 f"none of {tried} open-loop experiments tells {pair}: the best, "
-                f"{experiment.words}, promises {told}, and {DECIDES:g} would be odds of 20 to 1; "
+                f"{experiment.words}, promises {gain}, and {DECIDES:g} would be odds of 20 to 1; "
                 "no input of this kind tells them apart"
             )
         if best[0] * lasted < now[0] * seconds:
             return (
                 f"none of {tried} open-loop experiments tells {pair} faster than a longer "
-                f"recording like the present one; the best, {experiment.words}, promises {told}"
+                f"recording like the present one; the best, {experiment.words}, promises {gain}"
             )
-        return f"{experiment.words}: tells {pair} by {told}"
+        return f"{experiment.words}: tells {pair} by {gain}"
     shown = [n for n, nats in zip(names, best, strict=True) if nats >= VISIBLE]
     by = ", ".join(
         f"{name} {_nats(then)} against {_nats(before)}"

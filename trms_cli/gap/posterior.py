@@ -289,10 +289,10 @@ def _from_outside(
     candidate = candidates.get(f"{axis}_disturbance")
     if candidate is None or known[location] < 0.5:
         return divided, ""
-    judged = exogenous(forces[location], seed)
-    if judged.predictable_share > _FROM_OUTSIDE and judged.p_value < 0.05:
+    dependence = exogenous(forces[location], seed)
+    if dependence.predictable_share > _FROM_OUTSIDE and dependence.p_value < 0.05:
         return divided, ""
-    share = _OUTSIDE_SURE if judged.predictable_share < _FROM_OUTSIDE else _OUTSIDE_UNSURE
+    share = _OUTSIDE_SURE if dependence.predictable_share < _FROM_OUTSIDE else _OUTSIDE_UNSURE
     divided["none_of_these",] = unnamed * (1 - share)
     divided[candidate.name,] = unnamed * share
     return dict(sorted(divided.items(), key=lambda item: -item[1])), axis

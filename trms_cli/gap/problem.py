@@ -135,13 +135,13 @@ def _without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]
 
 
 def with_noise(dataset: Dataset) -> Dataset:
-    """The recording with its noise told: as declared, or read from its steps and its ripple."""
+    """The recording with its noise: as declared, or read from its steps and its ripple."""
     quanta = np.array([quantum_of(column) for column in dataset.measurements.T])
     ripple, rounding = noise_estimate(dataset.measurements), quanta / np.sqrt(12)
     # what a step makes of a moving angle is not quite white, and looks like a little more of it
     read = np.where(ripple < _RIPPLE * rounding, rounding, np.maximum(ripple, rounding))
-    told = dataset.noise_sd > _NOT_DECLARED
-    return replace(dataset, noise_sd=np.where(told, dataset.noise_sd, np.maximum(read, 1e-9)))
+    declared = dataset.noise_sd > _NOT_DECLARED
+    return replace(dataset, noise_sd=np.where(declared, dataset.noise_sd, np.maximum(read, 1e-9)))
 
 
 def quantum_of(values: FloatArray) -> float:
@@ -244,9 +244,9 @@ def locations(effect: Effect, model: ExtendedModel) -> tuple[str, ...]:
     overrides: the input path is its rotor's actuator, an output its axis' sensor or its rotor's
     tacho, an impulse or torque the equation that it acts on.
     """
-    said = getattr(effect, "locations", None)
-    if said:
-        return tuple(said)
+    own = getattr(effect, "locations", None)
+    if own:
+        return tuple(own)
     kind = type(effect)
     axis, rotor = getattr(effect, "axis", None), getattr(effect, "rotor", None)
 

@@ -175,15 +175,15 @@ def admit(
         if slow is not None:  # nothing can be simulated between such samples
             issues.append(slow)
             continue
-        found = [*_inputs(dataset, model), *_outputs(dataset, model)]
-        broken = {issue.check for issue in found if issue.severity == "error"}
-        told = dataset
+        own = [*_inputs(dataset, model), *_outputs(dataset, model)]
+        broken = {issue.check for issue in own if issue.severity == "error"}
+        moving = dataset
         if purpose == "validation" and "constant" in broken:
-            told = _moving_part(dataset)
+            moving = _moving_part(dataset)
             broken.discard("constant")
         if not broken:
-            found += _by_model(told, model)
-        issues += found
+            own += _by_model(moving, model)
+        issues += own
     if purpose == "fit":
         issues += _length(datasets, model, free_parameters)
     else:
@@ -362,9 +362,9 @@ def _length(datasets: Sequence[Dataset], model: Model, free: int) -> Iterator[Is
     samples = sum(len(d) for d in datasets)
     needed = max(_LEAST_TO_FIT, _SAMPLES_A_PARAMETER * free)
     if samples < needed:
-        asked = f" for {free} free parameters" if free else ""
+        demand = f" for {free} free parameters" if free else ""
         yield Issue(
-            "length", "error", "", "", f"{samples} samples in all{asked}",
+            "length", "error", "", "", f"{samples} samples in all{demand}",
             f"record at least {needed} samples",
         )  # fmt: skip
         return
@@ -456,8 +456,8 @@ def issues_by_model(dataset: Dataset, model: Model) -> list[Issue]:
     if swapped:
         return swapped
     speeds = list(_speeds(dataset, motion))
-    told = {finding.channel[-2:] for finding in speeds}
-    found = [*speeds, *_angles(dataset, motions, thrusts, told)]
+    named = {finding.channel[-2:] for finding in speeds}
+    found = [*speeds, *_angles(dataset, motions, thrusts, named)]
     return found or list(_zero(dataset, motions, motion))
 
 

@@ -197,12 +197,12 @@ def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str,
     covariance = best.covariance
     if best.information is None or covariance is None:
         return details
-    judged = identifiability(best.information, problem.names, covariance)
+    known = identifiability(best.information, problem.names, covariance)
     at = problem.on_bounds(best.point.theta)
     weights, declared = judge.weights, judge.windows.declared
     return details | {
         "on_bounds": [name for name, on in zip(problem.names, at, strict=True) if on],
-        "identifiability": asdict(judged),
+        "identifiability": asdict(known),
         "outputs": {
             name: {
                 "declared_sd": float(declared[0, i]),

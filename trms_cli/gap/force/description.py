@@ -277,7 +277,7 @@ def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
             f"of which noise alone explains {noise:.2g}.",
         )
     fine, changed = record.thinned(_RATE), change_time(record)
-    told = [
+    parts = [
         f"A missing contribution at {place} of {rms:.2g} {unit} RMS (noise {noise:.2g} {unit}).",
         _offset(fine),
         _band(record),
@@ -292,7 +292,7 @@ def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
         _origin(record, seed),
         _closest_form(record),
     ]
-    return tuple(sentence for sentence in told if sentence)
+    return tuple(sentence for sentence in parts if sentence)
 
 
 def _offset(record: ForceRecord) -> str:
@@ -375,16 +375,16 @@ def _trend(record: ForceRecord) -> str:
 
 
 def _origin(record: ForceRecord, seed: int) -> str:
-    judged = exogenous(record, seed)
-    low, high = judged.ci95
-    share = f"{judged.predictable_share:.0%} of it (95 % interval {low:.0%} to {high:.0%})"
-    if judged.predictable_share >= _OWN:
+    dependence = exogenous(record, seed)
+    low, high = dependence.ci95
+    share = f"{dependence.predictable_share:.0%} of it (95 % interval {low:.0%} to {high:.0%})"
+    if dependence.predictable_share >= _OWN:
         return (
-            f"It is the rig's own doing: {', '.join(judged.from_variables)} predict {share} "
+            f"It is the rig's own doing: {', '.join(dependence.from_variables)} predict {share} "
             "on held-out data."
         )
-    if judged.predictable_share > _OUTSIDE or high > _OWN:
-        of = f" ({', '.join(judged.from_variables)})" if judged.from_variables else ""
+    if dependence.predictable_share > _OUTSIDE or high > _OWN:
+        of = f" ({', '.join(dependence.from_variables)})" if dependence.from_variables else ""
         return f"What the rig does{of} predicts {share} on held-out data: part may be from outside."
     return (
         f"It comes from outside, or from what is not measured: what the rig does predicts {share}."

@@ -426,7 +426,7 @@ def _operating_point(
                 remedy="rotors that reverse have commands about zero: leave out one of the two",
             )
         return np.zeros(model.n_u), rest
-    asked = {name: 0.5 * float(rest[model.state_index(name)]) for name in model.controlled}
+    targets = {name: 0.5 * float(rest[model.state_index(name)]) for name in model.controlled}
     given = request.operating_point or {}
     for name, value in given.items():
         if name not in model.controlled:
@@ -435,19 +435,19 @@ def _operating_point(
                 where=f"operating_point.{name}",
                 remedy=nearest(name, model.controlled),
             )
-        asked[name] = float(value)
-    for name, value in asked.items():
+        targets[name] = float(value)
+    for name, value in targets.items():
         if not abs(value) < bounds.get(name, np.inf):
             raise ConfigurationError(
                 f"{value:.3g} rad " + ("given" if name in given else "without another one given"),
                 where=f"operating_point.{name}",
                 remedy=f"within the bound of ±{bounds[name]:.3g} rad",
             )
-    target = SteadyState(model).solve(np.array([asked[name] for name in model.controlled]))
+    target = SteadyState(model).solve(np.array([targets[name] for name in model.controlled]))
     if not target.exact:
         raise ConfigurationError(
             f"model {model.name!r} cannot rest at "
-            + ", ".join(f"{n} {value:.3g} {_unit(model, n)}" for n, value in asked.items()),
+            + ", ".join(f"{n} {value:.3g} {_unit(model, n)}" for n, value in targets.items()),
             where="operating_point",
             remedy="the nearest point at which it rests: "
             + ", ".join(
