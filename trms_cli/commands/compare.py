@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.compare import METRICS, SORTS, ordered, ranking_of, runs_from
-
-if TYPE_CHECKING:
-    from trms_cli.core.findings import Findings
-    from trms_cli.scoring.comparison.runs import RunCollection
 
 SUMMARY = "many runs ranked: tracking, effort, robustness, time of a step, failures"
 
@@ -62,27 +57,15 @@ def main(argv: list[str]) -> int:
     options.add_argument("--json", action="store_true")
     given = options.parse_args(argv)
     gathered = runs_from(given.paths, _where(given.where, options))
+    from trms_cli.scoring.comparison.findings import pair, pair_findings, ranking_findings
+
     if len(gathered.runs) == 2 and not given.by:
-        return _pair(gathered, as_json=given.json)
-    return _ranking(gathered, given)
-
-
-def _ranking(gathered: RunCollection, given: Any) -> int:
-    from trms_cli.scoring.comparison.findings import ranking_findings
-
-    by = [key for key in given.by.split(",") if key]
-    ranking = ranking_of(gathered, by, given.metric, given.paths)
-    return _tell(ranking_findings(ranking, gathered, ordered(ranking, given.sort)), given.json)
-
-
-def _pair(gathered: RunCollection, *, as_json: bool) -> int:
-    from trms_cli.scoring.comparison.findings import pair, pair_findings
-
-    return _tell(pair_findings(pair(*gathered.runs)), as_json)
-
-
-def _tell(findings: Findings, as_json: bool) -> int:
-    if as_json:
+        findings = pair_findings(pair(*gathered.runs))
+    else:
+        by = [key for key in given.by.split(",") if key]
+        ranking = ranking_of(gathered, by, given.metric, given.paths)
+        findings = ranking_findings(ranking, gathered, ordered(ranking, given.sort))
+    if given.json:
         print_json(findings.results, allow_nan=False)
         return EXIT_OK
     from trms_cli.reporting.screen import show

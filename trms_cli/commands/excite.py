@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trms_cli.commands.execution import execute, study
+from trms_cli.commands.execution import execute, help_of_options, study
 from trms_cli.composition.composer import Composition, Outcome
 
 SUMMARY = "design an excitation: band and amplitude from the model"
@@ -36,11 +36,7 @@ then
   trms run controller=played controller.u_v.file=…/excitation.csv sim.duration=140
 
 options
-  -m, --multirun     one excitation for each combination of the values that commas part
-  --cfg job          print the composed configuration and stop
-  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
-  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
-"""
+""" + help_of_options("excitation")
 
 
 def main(argv: Sequence[str]) -> int:

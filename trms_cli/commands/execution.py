@@ -14,6 +14,16 @@ if TYPE_CHECKING:
     from trms_cli.library.tasks.task import Done
 
 
+def help_of_options(noun: str) -> str:
+    """The options of all commands that compose, at the end of a command's help."""
+    return f"""\
+  -m, --multirun     one {noun} for each combination of the values that commas part
+  --cfg job          print the composed configuration and stop
+  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
+  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
+"""
+
+
 def execute(argv: Sequence[str], primary: str, task: Task) -> int:
     """Do what `argv` asks: show the configuration, run `task` on it, or sweep.
 

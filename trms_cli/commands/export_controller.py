@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trms_cli.commands.execution import execute
+from trms_cli.commands.execution import execute, help_of_options
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 
@@ -56,11 +56,7 @@ then
   make -C DIR check                                       builds it, compares, takes times
 
 options
-  -m, --multirun     one export for each combination of the values that commas part
-  --cfg job          print the composed configuration and stop
-  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
-  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
-"""
+""" + help_of_options("export")
 
 
 def main(argv: Sequence[str]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.commands.execution import study
+from trms_cli.commands.execution import help_of_options, study
 from trms_cli.commands.resume import Resumption
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
@@ -38,11 +38,7 @@ examples
   trms identify real=rig.csv method.profiles=[k_ov]          with the profile likelihood of one
 
 options
-  -m, --multirun     one fit for each combination of the values that commas part
-  --cfg job          print the composed configuration and stop
-  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
-  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
-"""
+""" + help_of_options("fit")
 
 
 def main(argv: Sequence[str]) -> int:

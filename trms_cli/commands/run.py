@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from trms_cli.commands.execution import execute, study
+from trms_cli.commands.execution import execute, help_of_options, study
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.reporting.progress import termination
@@ -49,11 +49,7 @@ keys that are changed most
 
 options
   --from LOG         repeat the run of a log (or of a run's folder); what follows changes it
-  -m, --multirun     one run for each combination of the values that commas part
-  --cfg job          print the composed configuration and stop
-  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
-  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
-"""
+""" + help_of_options("run")
 
 
 OPTION = "--from"

@@ -74,7 +74,7 @@ def main(argv: list[str]) -> int:
         )
 
     from trms_cli.recordings.log_reader import read_log
-    from trms_cli.scoring.baseline import compare, read_baseline, regressed
+    from trms_cli.scoring.baseline import compare, document_of, read_baseline, regressed
     from trms_cli.scoring.score import score_log
 
     baseline = read_baseline(given.baseline) if given.baseline else None
@@ -86,7 +86,8 @@ def main(argv: list[str]) -> int:
     worse = any(regressed(rows) for _, _, rows in scored if rows is not None)
 
     if given.json:
-        _print_json([(score, rows) for _, score, rows in scored], given.baseline)
+        whole = document_of([(score, rows) for _, score, rows in scored], given.baseline)
+        print_json(whole, allow_nan=False)
     else:
         from trms_cli.reporting.screen import show
 
@@ -100,15 +101,6 @@ def main(argv: list[str]) -> int:
         if not given.json:
             print(f"baseline written: {given.write_baseline}")
     return EXIT_WORSE if worse else EXIT_OK
-
-
-def _print_json(
-    scored: list[tuple[dict[str, Any], list[BaselineRow] | None]], baseline: Path | None
-) -> None:
-    from trms_cli.scoring.baseline import document_of
-
-    whole = document_of(scored, baseline)
-    print_json(whole, allow_nan=False)
 
 
 def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bool) -> None:

@@ -14,7 +14,7 @@ from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.composer import Task
 from trms_cli.composition.overrides import ComposeRequest
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.sweep import go_on, make_sweep
 
@@ -117,12 +117,7 @@ def _read(
     argv = as_options(take_allowed(argv), {name.removeprefix("--"): False for name in allowed})
     options = [text for text in argv if text.startswith("-")]
     for option in options:
-        if option not in allowed:
-            raise ConfigurationError(
-                f"unknown option {option!r}",
-                where=f"trms sweep {word}",
-                remedy=nearest(option, allowed),
-            )
+        require_known(option, allowed, f"unknown option {option!r}", f"trms sweep {word}")
     rest = [text for text in argv if not text.startswith("-")]
     folders = [text for text in rest if "=" not in text or Path(text).is_dir()]
     if len(folders) != 1:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from trms_cli.commands.execution import execute, study
+from trms_cli.commands.execution import execute, help_of_options, study
 from trms_cli.composition.composer import Composition, Outcome, compose
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.library.tasks.validated_models import model_list, named_sets, one_of
@@ -40,11 +40,7 @@ examples
   trms validate real=tras.csv model=tras data.command_delay=1   a row's command acts one row later
 
 options
-  -m, --multirun     one validation for each combination of the values that commas part
-  --cfg job          print the composed configuration and stop
-  --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
-  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
-"""
+""" + help_of_options("validation")
 
 
 def main(argv: Sequence[str]) -> int:

@@ -199,6 +199,11 @@ class Primary(NamedTuple):
     about: dict[str, str]  #: group → the comment on its line of the defaults
     body: dict[str, Any]  #: the keys that are no group, with their defaults
 
+    @property
+    def names(self) -> set[str]:
+        """First names of all of its keys."""
+        return {*self.defaults, *self.body}
+
 
 def read_primary(primary: str, config_dirs: Sequence[Path] = ()) -> Primary:
     """The defaults list and the own keys of a primary configuration."""
@@ -223,26 +228,18 @@ def find_group(groups: Groups, name: str) -> dict[str, Option]:
 
     Raises ConfigurationError if there is no such group; it names the nearest.
     """
-    from trms_cli.core.plugins import nearest
+    from trms_cli.core.plugins import require_known
 
-    if name not in groups:
-        raise ConfigurationError(
-            f"there is no group {name!r}", where="trms list", remedy=nearest(name, groups)
-        )
+    require_known(name, groups, f"there is no group {name!r}", "trms list")
     return groups[name]
 
 
 def find_option(groups: Groups, group: str, name: str) -> Option:
     """An option of a group; raises ConfigurationError if there is none; it names the nearest."""
-    from trms_cli.core.plugins import nearest
+    from trms_cli.core.plugins import require_known
 
     options = find_group(groups, group)
-    if name not in options:
-        raise ConfigurationError(
-            f"group {group} has no option {name!r}",
-            where="trms list",
-            remedy=nearest(name, options),
-        )
+    require_known(name, options, f"group {group} has no option {name!r}", "trms list")
     return options[name]
 
 

@@ -21,7 +21,7 @@ from trms_cli.composition.catalogue import Groups, Primary, read_yaml
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, quoted
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import TARGET, nearest
+from trms_cli.core.plugins import TARGET, nearest, require_known
 
 #: What one command draws is a picture, and what another writes is a page with pictures.
 _SAME = {"picture": "page", "page": "picture"}
@@ -86,21 +86,16 @@ def _hydra_key(override: Override) -> ConfigurationError:
 
 def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Override:
     """A group that another option includes at a place of its own: ``signal@ref.alpha_v=sine``."""
-    if override.key not in groups:
-        raise ConfigurationError(
-            f"there is no group {override.key!r}",
-            where=override.key + override.package,
-            remedy=nearest(override.key, groups),
-        )
+    where = override.key + override.package
+    require_known(override.key, groups, f"there is no group {override.key!r}", where)
     first = override.package[1:].split(".")[0]
-    allowed = {*primary.defaults, *primary.body}
-    if first not in allowed:
-        raise unknown_key(first, None, override.key + override.package, allowed)
+    if first not in primary.names:
+        raise unknown_key(first, None, where, primary.names)
     if (override.value or "").strip() in ("null", "None", ""):
         # Hydra has no word for taking a choice away that another option makes.
         raise ConfigurationError(
             f"{override.value!r} given, and one of the group {override.key} is wanted",
-            where=override.key + override.package,
+            where=where,
             remedy=f"there are: {', '.join(groups[override.key])}; what is left out of the command "
             "line is not chosen",
         )
@@ -113,7 +108,7 @@ def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Over
 
 def _check_first_name(override: Override, primary: Primary, groups: Groups) -> None:
     first = override.key.split(".")[0]
-    allowed = {*primary.defaults, *primary.body}
+    allowed = primary.names
     if first in allowed:
         return
     other = _SAME.get(first)
@@ -173,11 +168,8 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
 
 
 def _require_option(group: str, name: str, groups: Groups, package: str = "") -> None:
-    options = groups.get(group, {})
-    if name not in options:
-        raise ConfigurationError(
-            f"{group} has no option {name!r}", where=group + package, remedy=nearest(name, options)
-        )
+    problem = f"{group} has no option {name!r}"
+    require_known(name, groups.get(group, {}), problem, group + package)
 
 
 def _names(value: str) -> list[str] | None:
@@ -345,8 +337,7 @@ def _near(folder: Path) -> str:
 
 def check_composed(config: Mapping[Any, Any], declared: Primary) -> None:
     """Hydra's ``+`` and an experiment's YAML can add any key: refuse what is not declared."""
-    allowed = {*declared.defaults, *declared.body}
-    _refuse_unknown(config, allowed, "")
+    _refuse_unknown(config, declared.names, "")
     for group, option in declared.defaults.items():
         if option is not None and config.get(group) is None:
             raise ConfigurationError(

@@ -32,7 +32,7 @@ from trms_cli.composition.checks import unknown_key
 from trms_cli.composition.overrides import parse
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.data_file import read_bytes
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, first_line
 from trms_cli.core.plugins import nearest
 from trms_cli.core.yaml_data import MOST_BYTES, check_yaml
 
@@ -287,7 +287,6 @@ def explained(
     `compose` composes with fewer overrides than those given to Hydra, for finding the keys that a
     misspelt one is near to.
     """
-    import yaml
     from hydra.errors import HydraException, MissingConfigException, OverrideParseException
     from omegaconf.errors import OmegaConfBaseException
 
@@ -307,7 +306,7 @@ def explained(
 
 def _unreadable(error: Any) -> ConfigurationError:
     return ConfigurationError(
-        f"cannot read {error.override!r}: {_first_line(error.message)}",
+        f"cannot read {error.override!r}: {first_line(error.message)}",
         where="the command line",
         remedy="write KEY=VALUE; quote a value that holds commas, brackets or equals signs: "
         "'KEY=\"VALUE\"'",
@@ -334,7 +333,7 @@ def _unresolvable(error: Any) -> ConfigurationError:
         )
     key = getattr(error, "full_key", None) or "the configuration"
     return ConfigurationError(
-        f"cannot be resolved: {_first_line(str(error))}",
+        f"cannot be resolved: {first_line(error)}",
         where=str(key),
         remedy="`--cfg job` shows the configuration; an interpolation ${a.b} needs the key a.b",
     )
@@ -389,9 +388,9 @@ def _refused(
             remedy="write KEY=VALUE, or 'KEY=range(3)' with -m",
         )
     cause = error.__cause__
-    detail = f": {_first_line(str(cause))}" if cause and str(cause) not in message else ""
+    detail = f": {first_line(cause)}" if cause and str(cause) not in message else ""
     return ConfigurationError(
-        f"the configuration cannot be composed: {_first_line(message)}{detail}",
+        f"the configuration cannot be composed: {first_line(message)}{detail}",
         where="the configuration",
         remedy="see `trms list` for what can be chosen, `--cfg job` for what was composed",
     )
@@ -446,7 +445,7 @@ def _cannot_be_set(
     if node is not None and not isinstance(node, Mapping | list):
         return _unknown_key(key, overrides, declared, compose)
     return ConfigurationError(
-        f"{value} cannot be set: {_first_line(str(cause or ''))}",
+        f"{value} cannot be set: {first_line(cause)}",
         where=key,
         remedy="`--cfg job` without this override shows what stands there",
     )
@@ -464,7 +463,3 @@ def _with_choices_only(
         return compose(choices)
     except Exception:  # the choices alone fail too: no keys to tell
         return {}
-
-
-def _first_line(text: str) -> str:
-    return next((line.strip() for line in text.splitlines() if line.strip()), "no reason given")

@@ -88,10 +88,9 @@ def _unknown_option(
 ) -> ConfigurationError:
     """A key that was typed as an option is answered with the whole line as it is typed here."""
     declared = read_primary(primary, config_dirs)
-    keys = {*declared.defaults, *declared.body}
+    keys = declared.names
     if {"-m", "--multirun"} & set(argv):
-        own = read_primary("sweep", config_dirs)
-        keys |= {*own.defaults, *own.body}
+        keys |= read_primary("sweep", config_dirs).names
     corrected = _as_overrides(argv, keys)
     if word in corrected:
         return ConfigurationError(

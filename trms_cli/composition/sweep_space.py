@@ -40,7 +40,7 @@ from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse
 from trms_cli.composition.plain_values import value_at, whole_number
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import build, nearest
+from trms_cli.core.plugins import build, nearest, require_known
 from trms_cli.models.parameters import DRAW_LIMIT_SD, Parameter
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
@@ -81,7 +81,7 @@ def divided(overrides: Sequence[str], primary: str, config_dirs: Sequence[Path])
     Raises ConfigurationError for Hydra's own keys; it tells what to write instead.
     """
     groups = read_groups(config_dirs)
-    own = names_of(read_primary(PRIMARY, config_dirs))
+    own = read_primary(PRIMARY, config_dirs).names
     runs: list[str] = []
     settings: list[str] = []
     out: str | None = None
@@ -98,11 +98,6 @@ def divided(overrides: Sequence[str], primary: str, config_dirs: Sequence[Path])
         else:
             runs.append(text)
     return Divided((*_added(runs, primary, groups, config_dirs), *runs), tuple(settings), out)
-
-
-def names_of(declared: Primary) -> set[str]:
-    """First names of the sweep's own keys."""
-    return {*declared.defaults, *declared.body}
 
 
 def settings_of(settings: Sequence[str], config_dirs: Sequence[Path]) -> Settings:
@@ -492,11 +487,8 @@ def _of_table(
     scale = float(config["plant"].get("prior_scale", 1.0)) if owner == "plant" else 1.0
     if name:
         if name not in table:
-            raise ConfigurationError(
-                f"there is no parameter {name!r} to be drawn",
-                where=key,
-                remedy=nearest(name, _with_prior(table)),
-            )
+            problem = f"there is no parameter {name!r} to be drawn"
+            require_known(name, _with_prior(table), problem, key)
         return [_prior(key, table[name], scale, _with_prior(table))]
     given = config[owner].get("parameters") or {}
     names = [each for each in _with_prior(table) if each not in given]

@@ -65,9 +65,12 @@ def recorded_bytes(path: Path, usual: int) -> bytes:
     except FileNotFoundError as error:
         raise RecordingError("there is no such file", where=str(path)) from error
     except OSError as error:
-        raise RecordingError(
-            f"it cannot be read ({error.strerror or error})", where=str(path)
-        ) from error
+        raise unreadable(error, path) from error
+
+
+def unreadable(error: OSError, path: Path) -> RecordingError:
+    """The words for a file that the system does not let be read."""
+    return RecordingError(f"it cannot be read ({error.strerror or error})", where=str(path))
 
 
 def too_large(size: int, most: int) -> str:
@@ -82,6 +85,14 @@ def how_to_raise(size: int) -> str:
         "if the file is yours and the memory is there, raise the limit for this call (MiB): "
         f"{ENVIRONMENT}={needed} trms …"
     )
+
+
+def json_or_none(text: str | None) -> Any:
+    """What a stranger's text holds as JSON; None if it is none."""
+    try:
+        return json.loads(text or "null")
+    except (ValueError, RecursionError):
+        return None
 
 
 def read_json(path: Path, most: int = LARGEST_DOCUMENT) -> Any:

@@ -21,6 +21,11 @@ def interrupted_code(error: KeyboardInterrupt) -> int:
     return EXIT_TERMINATED if isinstance(error, Terminated) else EXIT_INTERRUPTED
 
 
+def first_line(error: object, otherwise: str = "no reason given") -> str:
+    """The first line of what an error says."""
+    return next((line.strip() for line in str(error or "").splitlines() if line.strip()), otherwise)
+
+
 class TrmsError(Exception):
     """A failure that is explained to the user instead of shown as a traceback.
 

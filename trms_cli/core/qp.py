@@ -61,11 +61,9 @@ class QpSolver(Protocol):
 
     def start(self) -> Any:
         """A fresh workspace."""
-        ...
 
     def solve(self, workspace: Any, qp: Qp) -> QpResult:
         """Solve, warm-started from the workspace's last solution of the same size."""
-        ...
 
 
 def solve_or_fail(solver: QpSolver, workspace: Any, qp: Qp) -> tuple[QpResult, Any]:

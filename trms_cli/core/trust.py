@@ -79,9 +79,7 @@ def allowed_for_good() -> dict[str, Path | None]:
             for name, place in packages.items()
             if _NAME.fullmatch(str(name)) and _refusal(str(name)) is None
         }
-    except (FileNotFoundError, NotADirectoryError):
-        return {}
-    except PermissionError:
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
         return {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigurationError(

@@ -8,7 +8,6 @@ that a log of any length takes about a millisecond. Their checksums are therefor
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from trms_cli.core.data_file import json_or_none, unreadable
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.topics import CONFIG_ATTACHMENT, RUN_METADATA, SCORE_METADATA
 
@@ -65,15 +65,14 @@ def read_log_head(path: Path | str) -> LogHead:
                 raise RecordingError(_no_mcap(path), where=str(path))
             _walk(file, os.fstat(file.fileno()).st_size, words)
     except OSError as error:
-        reason = error.strerror or error
-        raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
+        raise unreadable(error, path) from error
     score = words.metadata.get(SCORE_METADATA)
     return LogHead(
         path=path,
         finished=words.finished,
         of_trms=RUN_METADATA in words.metadata or words.library.startswith("trms"),
         run=words.metadata.get(RUN_METADATA, {}),
-        score=None if score is None else {key: _json(text) for key, text in score.items()},
+        score=None if score is None else {key: json_or_none(text) for key, text in score.items()},
         config=words.config.decode(errors="replace"),
     )
 
@@ -122,10 +121,3 @@ def _take(opcode: int, body: bytes, words: _Words, path: Path) -> None:
 def _no_mcap(path: Path) -> str:
     empty = path.stat().st_size < len(_MAGIC)
     return "the file is empty, or cut off in its first bytes" if empty else "it is no MCAP file"
-
-
-def _json(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):  # written by another tool
-        return None

@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
+from trms_cli.core.data_file import unreadable
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import (
     MESSAGE,
@@ -90,7 +91,7 @@ class LogTail:
         except FileNotFoundError as error:
             raise RecordingError("there is no such file", where=str(path)) from error
         except OSError as error:
-            raise self._unreadable(error) from error
+            raise unreadable(error, self.path) from error
 
     @property
     def of_trms(self) -> bool:
@@ -178,12 +179,7 @@ class LogTail:
         try:
             return os.pread(self._descriptor, size, self._offset)
         except OSError as error:
-            raise self._unreadable(error) from error
-
-    def _unreadable(self, error: OSError) -> RecordingError:
-        return RecordingError(
-            f"it cannot be read ({error.strerror or error})", where=str(self.path)
-        )
+            raise unreadable(error, self.path) from error
 
     def _take(self, opcode: int, body: memoryview) -> None:
         try:

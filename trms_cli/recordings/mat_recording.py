@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trms_cli.core.data_file import MEBIBYTE, largest, not_as_written, recorded_bytes
+from trms_cli.core.data_file import MEBIBYTE, largest, not_as_written, recorded_bytes, unreadable
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.channels import REFERENCE_OF_AXIS, find_channel, to_si
 from trms_cli.recordings.recording import Recording, require_channels, require_values
@@ -343,8 +343,7 @@ def _variables(path: Path) -> dict[str, Any]:
         names = plain_variables(data) if is_level_5(data) else None
         content = loadmat(BytesIO(data), simplify_cells=True, variable_names=names)
     except OSError as error:
-        reason = error.strerror or error
-        raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
+        raise unreadable(error, path) from error
     except MemoryError as error:
         raise RecordingError("it does not fit into the memory", where=str(path)) from error
     except NotImplementedError as error:

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.recordings.recording import GAP_FACTOR, Recording, on_grid
 from trms_cli.recordings.summary import describe_outliers, find_outliers, remarks_on
 
@@ -124,12 +124,8 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
     first, last = recording.time[0], recording.time[-1]
     channels = dict(recording.channels)
     for name, delay in delays.items():
-        if name not in channels:
-            raise RecordingError(
-                f"the recording has no {name!r} to shift",
-                where=f"delays.{name}",
-                remedy=nearest(name, channels),
-            )
+        problem = f"the recording has no {name!r} to shift"
+        require_known(name, channels, problem, f"delays.{name}", RecordingError)
         whole = round(delay / step)
         if name in held and abs(delay - whole * step) > 0.01 * step:
             raise RecordingError(

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from trms_cli.core.data_file import json_or_none, unreadable
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
 from trms_cli.recordings.log_head import LogHead, read_log_head
@@ -62,9 +63,9 @@ def _entry(head: LogHead) -> IndexEntry:
     run, path = head.run, head.path
     outcome = run.get("outcome", "")
     outcome = outcome if outcome in _ENDINGS else "unfinished"
-    overrides = _strings(_json(run, "overrides"))
+    overrides = _strings(json_or_none(run.get("overrides")))
     choices = _choices(head, overrides)
-    versions = _json(run, "versions")
+    versions = json_or_none(run.get("versions"))
     score = head.score or _scored(path)
     figures = figures_of(score)
     begin, end = _moment(run.get("start")), _moment(run.get("end"))
@@ -111,7 +112,7 @@ def cells(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _choices(head: LogHead, overrides: list[str]) -> dict[str, Any]:
     """The option of each group; logs of older versions do not name them."""
-    choices = _json(head.run, "choices")
+    choices = json_or_none(head.run.get("choices"))
     if isinstance(choices, Mapping) and choices:
         return dict(choices)
     from trms_cli.core.yaml_data import load_yaml
@@ -174,13 +175,6 @@ def _parsed(text: str) -> Any:
         return value if abs(value) < 1e300 else text
     words = {"true": True, "false": False, "null": None}
     return words.get(text.lower(), text.strip("'\""))
-
-
-def _json(run: Mapping[str, str], key: str) -> Any:
-    try:
-        return json.loads(run.get(key, "null"))
-    except (ValueError, RecursionError):
-        return None
 
 
 def _strings(value: Any) -> list[str]:
@@ -250,8 +244,7 @@ def read_status(path: Path) -> IndexEntry | None:
     try:
         document = status_document(path)
     except OSError as error:
-        reason = error.strerror or error
-        raise RecordingError(f"it cannot be read ({reason})", where=str(path)) from error
+        raise unreadable(error, path) from error
     if document is None:
         return None
     given = document.get("overrides")

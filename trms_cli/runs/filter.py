@@ -198,8 +198,7 @@ class _Translation:
             word = " AND " if isinstance(node.op, ast.And) else " OR "
             return _joined([self.condition(value) for value in node.values], word)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            inner = self.condition(node.operand)
-            return Sql(f"(NOT {inner.text})", inner.values)
+            return _negated(self.condition(node.operand))
         if isinstance(node, ast.Compare):
             return self._comparison(node)
         if isinstance(node, ast.BinOp) and isinstance(
@@ -225,9 +224,7 @@ class _Translation:
     def _compared(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> Sql:
         if isinstance(operator, ast.In | ast.NotIn):
             found = self._membership(left, right)
-            return (
-                found if isinstance(operator, ast.In) else Sql(f"(NOT {found.text})", found.values)
-            )
+            return found if isinstance(operator, ast.In) else _negated(found)
         a, b = self._value(left), self._value(right, beside=left)
         if type(operator) in _ORDER:
             return self._order(a, _ORDER[type(operator)], b)
@@ -296,9 +293,7 @@ class _Translation:
             )
         else:
             found = self._like(node)
-        if isinstance(node.op, NOT_LIKE | NOT_CONTAINS):
-            return Sql(f"(NOT {found.text})", found.values)
-        return found
+        return _negated(found) if isinstance(node.op, NOT_LIKE | NOT_CONTAINS) else found
 
     def _like(self, node: ast.BinOp) -> Sql:
         value, pattern = self._value(node.left), node.right
@@ -418,6 +413,10 @@ def dotted(node: ast.expr) -> str | None:
         parts.append(node.attr)
         node = node.value
     return ".".join(reversed([*parts, node.id])) if isinstance(node, ast.Name) else None
+
+
+def _negated(condition: Sql) -> Sql:
+    return Sql(f"(NOT {condition.text})", condition.values)
 
 
 def _joined(parts: list[Sql], word: str) -> Sql:

@@ -7,7 +7,6 @@ RMSE, share of saturation, percentile and misses (:mod:`trms_cli.scoring.score`)
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import re
 from bisect import bisect_right
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.data_file import json_or_none
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_head import read_log_head
 from trms_cli.recordings.log_tail import LogPiece, LogTail
@@ -293,7 +293,7 @@ class RunSamples:
     def _limits_of(self, name: str) -> tuple[float, float]:
         """Lower and upper limit of a command; infinite where the log has none."""
         if self._limits is None:
-            given = _json(self._run.get("limits"))
+            given = json_or_none(self._run.get("limits"))
             self._limits = {
                 str(key): (
                     -math.inf if pair[0] is None else float(pair[0]),
@@ -413,13 +413,6 @@ def _at_limit(values: FloatArray, lower: float, upper: float) -> FloatArray:
     return np.where(np.isnan(values), np.nan, at)
 
 
-def _json(text: str | None) -> Any:
-    try:
-        return json.loads(text or "null")
-    except (ValueError, RecursionError):
-        return None
-
-
 def _start_ns(run: dict[str, str]) -> int | None:
     try:
         return int(datetime.fromisoformat(run.get("start", "")).timestamp() * 1e9)
@@ -471,7 +464,7 @@ class RunFollower:
     @property
     def choices(self) -> dict[str, Any]:
         """The option of each group; empty for what is no run of the loop."""
-        found = _json(self.run.get("choices"))
+        found = json_or_none(self.run.get("choices"))
         return found if isinstance(found, dict) else {}
 
     @property

@@ -86,7 +86,8 @@ def compare(score: Mapping[str, Any], baseline: Baseline) -> list[BaselineRow]:
         new, old = (side[key].value if key in side else None for side in (now, then))
         if new is None and old is None:
             continue
-        chosen = _chosen_tolerance(key, baseline.tolerances) or entry.figure.tolerance
+        own = baseline.tolerances
+        chosen = own.get(key) or own.get(key.rpartition(".")[2]) or entry.figure.tolerance
         allowed = chosen.allowed(old) if chosen is not None and old is not None else 0.0
         verdict = _verdict(new, old, allowed)
         rows.append(BaselineRow(key, old, new, allowed, entry.unit, verdict, entry.figure.judged))
@@ -174,12 +175,6 @@ def _compared(score: Mapping[str, Any]) -> dict[str, figures.Entry]:
     return {
         entry.key: entry for entry in figures.entries(score) if entry.figure.tolerance is not None
     }
-
-
-def _chosen_tolerance(
-    key: str, tolerances: Mapping[str, FigureTolerance]
-) -> FigureTolerance | None:
-    return tolerances.get(key) or tolerances.get(key.rpartition(".")[2])
 
 
 def _verdict(now: float | None, then: float | None, allowed: float) -> Verdict:

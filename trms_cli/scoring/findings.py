@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Cell, Judged, Judgement, Measure, Table
+from trms_cli.core.findings import Cell, Column, Judged, Judgement, Measure, Table, table
 from trms_cli.scoring import figures
 from trms_cli.scoring.baseline import BaselineRow, regressed
 from trms_cli.scoring.figures import Figure, finite, part
@@ -157,25 +157,20 @@ def scored_on(score: Mapping[str, Any]) -> str:
 
 def comparison_table(rows: Sequence[BaselineRow], name: str, *, everything: bool = False) -> Table:
     """The figures that moved beyond their tolerance, or all; those that decide are judged."""
-    cells: list[list[Cell]] = []
-    for row in rows:
-        if not everything and row.verdict == "same":
-            continue
-        judgement: Judgement = "bad" if row.regressed else "good" if row.verdict == "better" else ""
-        digits = row.tolerance or None
-        cells.append(
-            [
-                wording.titled(_key_in_words(row.key), row.unit),
-                Judged(row.baseline, sd=digits),
-                Judged(row.now, judgement, sd=digits),
-                f"±{wording.number(row.tolerance)}",
-                Judged(row.verdict if row.judged else f"({row.verdict})", judgement),
-            ]
-        )
+
+    def judgement(row: BaselineRow) -> Judgement:
+        return "bad" if row.regressed else "good" if row.verdict == "better" else ""
+
+    shown = [row for row in rows if everything or row.verdict != "same"]
+    columns = [
+        Column(f"against {name}", lambda r: wording.titled(_key_in_words(r.key), r.unit)),
+        Column("baseline", lambda r: Judged(r.baseline, sd=r.tolerance or None)),
+        Column("now", lambda r: Judged(r.now, judgement(r), sd=r.tolerance or None)),
+        Column("tolerance", lambda r: f"±{wording.number(r.tolerance)}"),
+        Column("", lambda r: Judged(r.verdict if r.judged else f"({r.verdict})", judgement(r))),
+    ]
     hint = "In brackets: shown only, does not decide."
-    shown_only = any(not row.judged for row in rows if everything or row.verdict != "same")
-    return Table([f"against {name}", "baseline", "now", "tolerance", ""], cells,
-                 hint if shown_only else "")  # fmt: skip
+    return table(shown, columns, hint if any(not row.judged for row in shown) else "")
 
 
 def comparison_sentence(rows: Sequence[BaselineRow]) -> str:

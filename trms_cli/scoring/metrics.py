@@ -127,17 +127,14 @@ class Columns(Protocol):
     @property
     def time(self) -> Array:
         """(n,) s, rising."""
-        ...
 
     @property
     def columns(self) -> Mapping[str, Any]:
         """(n,) arrays by name."""
-        ...
 
     @property
     def units(self) -> Mapping[str, str]:
         """Units by name; a signal that it lacks is scored without one."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -290,7 +290,8 @@ def estimate_figures(tables: Mapping[str, Columns]) -> dict[str, Any]:
     nees, states = _nees(estimate, errors)
     rejected = _rejected(estimate, tables.get("/event"))
     innovations, spreads, missing = _innovations(estimate, rejected)
-    settled = estimate.time >= _end_of_transient(estimate.time)
+    time = estimate.time
+    settled = time >= (time[0] + _TRANSIENT * (time[-1] - time[0]) if time.size else 0.0)
     late = {name: values[settled] for name, values in innovations.items()}
     p_values = {name: metrics.whiteness_p(values) for name, values in late.items()}
     return {
@@ -404,10 +405,6 @@ def _nees(estimate: Columns, errors: Mapping[str, Array]) -> tuple[float, int]:
     values = metrics.nees(error, deviation)
     present = values[~np.isnan(values)]
     return (float(np.mean(present)) if present.size else math.nan), len(columns)
-
-
-def _end_of_transient(time: Array) -> float:
-    return float(time[0] + _TRANSIENT * (time[-1] - time[0])) if time.size else 0.0
 
 
 INNOVATIONS_SCHEMA = "trms.innovations/1"

@@ -27,7 +27,7 @@ def canonical(name: str, where: str) -> str:
     column = COLUMNS.get(found)
     if found == MERIT or (column is not None and column.is_number):
         return found
-    said = _all_names()
+    said = [*with_aliases(n for n, each in COLUMNS.items() if each.is_number), MERIT]
     of_channel = column is None and any(found.startswith(f"{stem}_") for stem in figure_stems())
     if of_channel and not get_close_matches(found, said, n=1, cutoff=_MISSPELT):
         return found  # of a channel that the twin rotor does not have
@@ -51,10 +51,10 @@ def objective_name(name: str, typed: Iterable[str]) -> str:
     return next((each for each in typed if ALIASES.get(each, each) == name), name)
 
 
-def _all_names() -> list[str]:
-    """Figures by all of their names."""
-    numbers = [n for n, each in COLUMNS.items() if each.is_number]
-    return [*numbers, *(n for n, meant in ALIASES.items() if meant in numbers), MERIT]
+def with_aliases(names: Iterable[str]) -> list[str]:
+    """Figures by their names in scores, and by those that are typed for them."""
+    known = list(names)
+    return [*known, *(typed for typed, meant in ALIASES.items() if meant in known)]
 
 
 def canonical_all(names: Iterable[str], where: str) -> tuple[str, ...]:

@@ -24,7 +24,6 @@ class Proposals(Protocol):
     @property
     def total(self) -> int | None:
         """Points there will be in all; None where nobody knows."""
-        ...
 
     def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
         """The next points.
@@ -42,7 +41,6 @@ class Proposals(Protocol):
             Numbered on from the last. Empty while some are still at work: nothing until further
             results come. Empty when none is at work: the sweep is complete.
         """
-        ...
 
     def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
         """What the sampler has to say at the end, JSON data for ``sweep.json`` (may be empty).
@@ -50,7 +48,6 @@ class Proposals(Protocol):
         Keys of an optimiser: ``objectives`` (names), ``pareto`` (numbers of points, or of trials
         with their means), ``best``.
         """
-        ...
 
 
 class Sampler(Protocol):
@@ -72,7 +69,6 @@ class Sampler(Protocol):
         ConfigurationError
             If the space does not suit the sampler: a range under ``grid``, nothing to vary, …
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -107,11 +103,9 @@ class Workers(Protocol):
     @property
     def workers(self) -> int:
         """How many runs are made at once."""
-        ...
 
     def submit(self, attempts: Sequence[Attempt]) -> None:
         """Have runs made; returns at once."""
-        ...
 
     def ended(self, timeout_s: float) -> list[Ended]:
         """Those that have ended since the last call; waits up to `timeout_s` for the first.
@@ -119,7 +113,6 @@ class Workers(Protocol):
         When a worker dies its attempts are among them, and the crew goes on with new workers (or
         raises TrmsError when there are none to be had).
         """
-        ...
 
 
 class Launcher(Protocol):
@@ -130,4 +123,3 @@ class Launcher(Protocol):
 
         Raises ConfigurationError if the engine is not installed or cannot be reached.
         """
-        ...

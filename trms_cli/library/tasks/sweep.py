@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.composer import Composition, Task, compose
 from trms_cli.composition.overrides import ComposeRequest
-from trms_cli.composition.sweep_space import Settings, names_of, settings_of
+from trms_cli.composition.sweep_space import Settings, settings_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.invocation import note
 from trms_cli.core.plugins import TARGET
@@ -249,7 +249,7 @@ def resumed_settings(plan: SweepPlan, changed: Sequence[str]) -> Settings:
     from trms_cli.composition.catalogue import read_primary
 
     config_dirs = tuple(map(Path, plan.config_dirs))
-    names = names_of(read_primary("sweep", config_dirs))
+    names = read_primary("sweep", config_dirs).names
     for text in changed:
         key = text.partition("=")[0].lstrip("+")
         first = key.split(".")[0]

@@ -199,6 +199,8 @@ def _pair(interval: RatioInterval | None) -> list[float] | None:
 
 #: As many failed runs or settings are listed; JSON has all.
 _MOST_LISTED = 12
+#: Of an entrant that is told from the first, and of one that is not.
+_MARKS = {None: "", True: "≠", False: "="}
 #: What moved by less is not coloured.
 _LEAST_CHANGE = 0.01
 
@@ -244,7 +246,7 @@ def ranking_tables(ranking: Ranking, shown: Sequence[Standing]) -> list[Table]:
         Column("95 %", lambda each: _between(each[0].interval)),
         Column("over first", lambda each: _after_first(each[0], _ratio(each[0].against_first))),
         Column("95 %", lambda each: _after_first(each[0], _between(each[0].against_interval))),
-        Column("told apart", lambda each: _after_first(each[0], _mark(each[0]))),
+        Column("told apart", lambda each: _after_first(each[0], _MARKS[each[0].different])),
         Column("p95", lambda each: _ratio(each[1].ratio_p95)),
         Column("worst", lambda each: _ratio(each[1].ratio_worst)),
     ]
@@ -317,7 +319,11 @@ def trouble(gathered: RunCollection) -> Iterator[tuple[str, Table]]:
 
 
 def _runs_that_are(state: State, gathered: RunCollection) -> list[tuple[str, str]]:
-    return [(run.path, _reason(run)) for run in gathered.runs if run.state is state]
+    return [
+        (run.path, next(iter(run.message.splitlines()), ""))
+        for run in gathered.runs
+        if run.state is state
+    ]
 
 
 def pair_findings(pair: Pair) -> Findings:
@@ -364,10 +370,6 @@ def _at_most(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     return Table(columns, [list(row) for row in rows[:_MOST_LISTED]], caption)
 
 
-def _reason(run: ComparisonRun) -> str:
-    return run.message.splitlines()[0] if run.message else ""
-
-
 def _best(each: tuple[Standing, Figures]) -> Cell:
     ratio = _ratio(each[0].ratio)
     return Judged(ratio, "best") if each[0].rank == 1 else ratio
@@ -375,10 +377,6 @@ def _best(each: tuple[Standing, Figures]) -> Cell:
 
 def _after_first(standing: Standing, cell: Cell) -> Cell:
     return "" if standing.rank == 1 else cell
-
-
-def _mark(standing: Standing) -> str:
-    return {None: "", True: "≠", False: "="}[standing.different]
 
 
 def _alarm(amount: int | None) -> Cell:

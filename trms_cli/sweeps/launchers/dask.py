@@ -16,12 +16,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Annotated, Any
 
 from msgspec import Meta
 
-from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.sweeps.launchers.local import ONE_THREAD, arrived, first_line
+from trms_cli.core.errors import ConfigurationError, TrmsError, first_line
+from trms_cli.sweeps.launchers.local import ONE_THREAD, arrived
 from trms_cli.sweeps.plugins import Attempt, Ended, Work, Workers
 
 INSTALL = "pip install 'trms-cli[cluster]'"
@@ -45,7 +46,7 @@ class DaskLauncher:
     @contextmanager
     def crew(self, work: Work) -> Iterator[Workers]:
         """Connect to the scheduler, or start a cluster."""
-        dask = require_distributed("dask")
+        dask = require_package("distributed", "dask")
         if self.address is not None and self.workers is not None:
             raise ConfigurationError(
                 f"{self.workers} given, and the scheduler at {self.address} has its own workers",
@@ -67,20 +68,19 @@ class DaskLauncher:
             yield crew
 
 
-def require_distributed(launcher: str) -> Any:
-    """The package ``distributed``.
+def require_package(name: str, launcher: str) -> Any:
+    """A package of the extra ``cluster``.
 
     Raises ConfigurationError if it is not installed; it tells the line that installs it.
     """
     try:
-        import distributed
+        return import_module(name)
     except ImportError as error:
         raise ConfigurationError(
-            f"launcher={launcher} needs the package distributed, which is not installed",
+            f"launcher={launcher} needs the package {name}, which is not installed",
             where="launcher",
             remedy=f"{INSTALL}, or launcher=local for the cores of this machine",
         ) from error
-    return distributed
 
 
 @contextmanager

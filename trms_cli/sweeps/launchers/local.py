@@ -21,7 +21,7 @@ from typing import Annotated, Any, TypeVar
 
 from msgspec import Meta
 
-from trms_cli.core.errors import TrmsError
+from trms_cli.core.errors import TrmsError, first_line
 from trms_cli.sweeps.plugins import Attempt, Ended, Work, Workers
 
 #: Matrices are small here: threads of linear algebra only wait for one another.
@@ -184,8 +184,3 @@ def arrived(came: queue.SimpleQueue[_T], timeout_s: float) -> list[_T]:
         while True:
             found.append(came.get_nowait())
     return found
-
-
-def first_line(error: BaseException | None, otherwise: str = "no reason given") -> str:
-    """The first line of what an error says."""
-    return next((line.strip() for line in str(error or "").splitlines() if line.strip()), otherwise)

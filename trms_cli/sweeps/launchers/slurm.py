@@ -27,11 +27,10 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.sweeps.launchers.dask import (
-    INSTALL,
     DaskWorkers,
     cluster,
     connected,
-    require_distributed,
+    require_package,
     wait_for_workers,
 )
 from trms_cli.sweeps.launchers.local import ONE_THREAD, InProcess
@@ -75,7 +74,7 @@ class SlurmLauncher:
         if self.cluster == "debug":
             yield InProcess(work)
             return
-        distributed = require_distributed("slurm")
+        distributed = require_package("distributed", "slurm")
         executor = self._executor(self._logs(work))
         host = self.host or ("127.0.0.1" if self.cluster == "local" else _own_address())
         with contextlib.ExitStack() as stack:
@@ -98,14 +97,7 @@ class SlurmLauncher:
         return Path(getattr(work, "folder", "")).absolute() / "slurm-logs"
 
     def _executor(self, folder: Path) -> Any:
-        try:
-            import submitit
-        except ImportError as error:
-            raise ConfigurationError(
-                "launcher=slurm needs the package submitit, which is not installed",
-                where="launcher",
-                remedy=f"{INSTALL}, or launcher=local for the cores of this machine",
-            ) from error
+        submitit = require_package("submitit", "slurm")
         # Without SLURM's accounting it warns again and again; ended jobs are found all the same.
         logging.getLogger("submitit").setLevel(logging.CRITICAL)
         try:

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.runs.columns import ALIASES
-from trms_cli.sweeps.figures import figure_of, near_figures, objective_name
+from trms_cli.sweeps.figures import figure_of, near_figures, objective_name, with_aliases
 from trms_cli.sweeps.space import RunResult
 
 FloatArray = npt.NDArray[np.float64]
@@ -98,19 +97,13 @@ class Aims:
         for name in (*self.objectives, *self.limits):
             if done and all(figure_of(result, name) is None for result in done):
                 said = objective_name(name, self.typed)
-                known = {n for result in done for n in result.figures}
+                known = with_aliases({n for result in done for n in result.figures})
                 reason = _UNSETTLED if name.startswith("settling_time") else ""
                 raise ConfigurationError(
                     f"none of the {len(done)} runs of {of} has a figure {said!r}{reason}",
                     where="sampler.objectives" if name in self.objectives else "sampler.limits",
-                    remedy="; ".join(filter(None, (near_figures(said, _all_names(known)), remedy))),
+                    remedy="; ".join(filter(None, (near_figures(said, known), remedy))),
                 )
-
-
-def _all_names(known: Iterable[str]) -> set[str]:
-    """Figures by their names in scores, and by those that are typed for them."""
-    names = set(known)
-    return names | {said for said, meant in ALIASES.items() if meant in names}
 
 
 def _limited(name: str) -> str:
