@@ -65,6 +65,73 @@ class ProgressLine:
         self._width = max(self._width, len(doing))
 
 
+class _Bar:
+    """A bar on standard error with some words behind it, once it is worth one.
+
+    `columns`: the words' names, and their styles. `head`: what stands before the bar.
+    """
+
+    _PATIENCE = 0.5  # s; what ends before needs no bar
+
+    def __init__(
+        self,
+        columns: Mapping[str, str],
+        head: str = "{task.percentage:>3.0f} %",
+        total: float = 1.0,
+        *,
+        elapsed: bool = True,
+    ) -> None:
+        self._columns, self._head, self._total, self._elapsed = columns, head, total, elapsed
+        self.begin = perf_counter()
+        self._bar: Any = None
+        self._task: Any = None
+
+    def show(self, completed: float, **fields: str) -> None:
+        if perf_counter() - self.begin < self._PATIENCE:
+            return
+        if self._bar is None:
+            self._bar = self._made()
+            blank: dict[str, Any] = dict.fromkeys(self._columns, "")
+            self._task = self._bar.add_task("", total=self._total, **blank)
+            self._bar.start()
+        self._bar.update(self._task, completed=completed, **fields)
+
+    def say(self, words: str) -> bool:
+        """Words over the bar; False where there is none."""
+        if self._bar is not None:
+            self._bar.console.print(words)
+        return self._bar is not None
+
+    def stop(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def _made(self) -> Any:
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        words = [
+            TextColumn(f"{{task.fields[{name}]}}", style=style)
+            for name, style in self._columns.items()
+        ]
+        return Progress(
+            TextColumn(self._head),
+            BarColumn(bar_width=20),
+            *words,
+            *((TimeElapsedColumn(), TextColumn("left")) if self._elapsed else ()),
+            TimeRemainingColumn(compact=True),
+            console=Console(file=sys.stderr, force_jupyter=False),
+            transient=True,
+        )
+
+
 class FitProgress:
     """Progress of a fit; see :class:`trms_cli.identification.problem.Progress`.
 
@@ -75,8 +142,6 @@ class FitProgress:
     sweep.
     """
 
-    #: A fit that ends before this needs no bar (s).
-    _PATIENCE = 0.5
     #: s between two writes of the state.
     _PAUSE = 0.5
     _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -87,16 +152,14 @@ class FitProgress:
     def __init__(self, file: Path, *, resume: bool = False, quiet: bool = False) -> None:
         self._file, self._resume = file, resume
         self._visible = sys.stderr.isatty() and not quiet
-        self._begin = perf_counter()
+        self._bar = _Bar(self._COLUMNS)
         self._state: Mapping[str, Any] | None = None
         self._written = 0.0
-        self._bar: Any = None
-        self._task: Any = None
         self._before: dict[int, Any] = {}
         self.exit_code: int | None = None  #: once somebody asked to stop
 
     def __enter__(self) -> Self:
-        self._begin = perf_counter()
+        self._bar.begin = perf_counter()
         if threading.current_thread() is threading.main_thread():
             for number in self._SIGNALS:
                 self._before[number] = signal.signal(number, self._on_signal)
@@ -105,9 +168,7 @@ class FitProgress:
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
+        self._bar.stop()
         self._write()
 
     def update(self, fraction: float, cost: float, message: str) -> bool:
@@ -116,12 +177,8 @@ class FitProgress:
         return self.exit_code is None
 
     def _show(self, fraction: float, **fields: str) -> None:
-        if not self._visible or perf_counter() - self._begin < self._PATIENCE:
-            return
-        if self._bar is None:
-            self._bar, self._task = _bar(self._COLUMNS)
-            self._bar.start()
-        self._bar.update(self._task, completed=fraction, **fields)
+        if self._visible:
+            self._bar.show(fraction, **fields)
 
     def save(self, state: Mapping[str, Any]) -> None:
         """Keep a state; it is on the disk a moment later."""
@@ -166,12 +223,9 @@ class FitProgress:
         if self.exit_code is not None:
             raise Terminated if terminated else KeyboardInterrupt
         self.exit_code = EXIT_TERMINATED if terminated else EXIT_INTERRUPTED
-        words = self._STOPPING
-        if self._bar is not None:
-            self._bar.console.print(words)
-        else:
+        if not self._bar.say(self._STOPPING):
             # Not sys.stderr: a signal may come while it is being written to.
-            os.write(2, f"\n{words}\n".encode())
+            os.write(2, f"\n{self._STOPPING}\n".encode())
 
 
 class DiagnoseProgress(FitProgress):
@@ -235,111 +289,34 @@ class DiagnoseProgress(FitProgress):
         """A line in the log; a disk that is full costs the line, not the diagnosis."""
         try:
             with self._log.open("a", encoding="utf-8") as log:
-                log.write(f"{perf_counter() - self._begin:8.1f} s  {text}\n")
+                log.write(f"{perf_counter() - self._bar.begin:8.1f} s  {text}\n")
         except OSError:
             pass
 
 
-def _bar(columns: Mapping[str, str]) -> tuple[Any, Any]:
-    """A bar on standard error with some words behind it, by their styles."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    bar = Progress(
-        TextColumn("{task.percentage:>3.0f} %"),
-        BarColumn(bar_width=20),
-        *(TextColumn(f"{{task.fields[{name}]}}", style=style) for name, style in columns.items()),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(compact=True),
-        console=Console(file=sys.stderr, force_jupyter=False),
-        transient=True,
-    )
-    fields: dict[str, Any] = dict.fromkeys(columns, "")
-    return bar, bar.add_task("", total=1.0, **fields)
-
-
-class ReadingProgress:
+class ReadingProgress(ProgressLine):
     """Tells how many logs are left to be read, on a terminal and when it takes a while."""
-
-    _PATIENCE = 0.5  # s
-
-    def __init__(self, *, quiet: bool = False) -> None:
-        self._visible = sys.stderr.isatty() and not quiet
-
-    def __enter__(self) -> Self:
-        self._begin, self._told, self._shown = perf_counter(), 0.0, False
-        return self
 
     def __call__(self, done: int, of: int) -> None:
         """Say that `done` logs of `of` have been read."""
-        now = perf_counter()
-        if now - max(self._begin, self._told) < self._PATIENCE or not self._visible:
-            return
-        self._told, self._shown = now, True
-        sys.stderr.write(f"\rreading logs: {done} of {of}  ")
-        sys.stderr.flush()
-
-    def __exit__(self, *_: object) -> None:
-        if self._shown:
-            sys.stderr.write("\r" + " " * 48 + "\r")
-            sys.stderr.flush()
+        self.tell(f"reading logs: {done} of {of}")
 
 
 class LoopBar:
-    """A bar on standard error for a loop, which one that ends at once does not need.
-
-    Parameters
-    ----------
-    duration : float
-        Of the run, s.
-    """
-
-    _PATIENCE = 0.5  # s
+    """A bar on standard error for a loop of so many seconds, which one that ends at once lacks."""
 
     def __init__(self, duration: float) -> None:
-        self._duration = duration
-        self._bar: Any = None
-        self._task: Any = None
+        head = "{task.completed:.0f} / {task.total:g} s"
+        self._bar = _Bar({"speed": "", "error": ""}, head, duration, elapsed=False)
 
     def __enter__(self) -> Callable[[float, float], None]:
-        self._begin = perf_counter()
+        self._bar.begin = perf_counter()
         return self._tell
 
     def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
+        self._bar.stop()
 
     def _tell(self, time: float, error: float) -> None:
         """Simulated time (s) and the largest present tracking error (rad)."""
-        spent = perf_counter() - self._begin
-        if spent < self._PATIENCE:
-            return
-        if self._bar is None:
-            self._bar = _loop_bar()
-            self._task = self._bar.add_task("", total=self._duration, speed="", error="")
-            self._bar.start()
-        speed = f"{time / spent:.0f}× real time"
-        self._bar.update(self._task, completed=time, speed=speed, error=f"error {error:.3f} rad")
-
-
-def _loop_bar() -> Any:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(
-        TextColumn("{task.completed:.0f} / {task.total:g} s"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.fields[speed]}"),
-        TextColumn("{task.fields[error]}"),
-        TimeRemainingColumn(compact=True),
-        console=Console(file=sys.stderr, force_jupyter=False),
-        transient=True,
-    )
+        speed = f"{time / max(perf_counter() - self._bar.begin, 1e-9):.0f}× real time"
+        self._bar.show(time, speed=speed, error=f"error {error:.3f} rad")

@@ -224,10 +224,6 @@ def _table_of(channels: Mapping[str, Any]) -> Table:
     return table(channels.items(), columns, "Of a consistent observer: (ν/σ)² 1, within ±2σ 95 %.")
 
 
-def _channel(each: tuple[str, Mapping[str, Any]]) -> str:
-    return wording.titled(wording.signal(each[0]), each[1]["unit"])
-
-
 def _p(p: float | None) -> Cell:
     return "<0.001" if p is not None and p < 1e-3 else p
 
