@@ -33,8 +33,7 @@ def drawn(mark):
 
 
 @given(
-    st.lists(st.floats(-1e6, 1e6) | st.just(np.nan), min_size=1, max_size=400),
-    st.integers(4, 60),
+    st.lists(st.floats(-1e6, 1e6) | st.just(np.nan), min_size=1, max_size=400), st.integers(4, 60)
 )
 def test_thinning_keeps_extremes_order_and_gaps(values, most):
     values = np.array(values)

@@ -241,9 +241,7 @@ class TestRun:
         kept = ("/measurement", "/command")
         page = findings_of_run(
             ReportedRun(
-                name="rig",
-                tables={topic: run.tables[topic] for topic in kept},
-                duration=20.0,
+                name="rig", tables={topic: run.tables[topic] for topic in kept}, duration=20.0
             )
         )
         assert set(plots_of(page)) >= {"pitch", "yaw", "commands", "pitch against yaw"}

@@ -122,10 +122,7 @@ def test_events_change_the_picture(tmp_path):
     for happened in (
         [],
         [(2.0, "saturation_begin", "u_v", "", 3.0)],
-        [
-            (2.0, "saturation_begin", "u_v", "", 3.0),
-            (4.0, "saturation_end", "u_v", "", 0),
-        ],
+        [(2.0, "saturation_begin", "u_v", "", 3.0), (4.0, "saturation_end", "u_v", "", 0)],
         [(2.0, "fault", "controller", "", np.nan)],
         [(2.0, "fault_end", "controller", "", np.nan)],
     ):

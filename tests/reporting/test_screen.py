@@ -36,10 +36,7 @@ def test_a_table_keeps_every_figure_and_its_width(width):
     assert "newtonian" in text and "model.yaml" in text.replace("\n", "")
 
 
-@given(
-    st.lists(st.integers(1, 14), min_size=1, max_size=12),
-    st.integers(30, 120),
-)
+@given(st.lists(st.integers(1, 14), min_size=1, max_size=12), st.integers(30, 120))
 def test_parts_hold_each_column_once_and_repeat_the_heads(widths, width):
     columns = ["name", *("x" * n for n in widths)]
     rows = [["a name", *("1" * n for n in widths)]]

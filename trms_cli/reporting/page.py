@@ -83,11 +83,7 @@ def write_page(
 
 
 def page_html(
-    findings: Findings,
-    subject: str = "",
-    pictures: Path | None = None,
-    *,
-    interactive: bool = True,
+    findings: Findings, subject: str = "", pictures: Path | None = None, *, interactive: bool = True
 ) -> str:
     """The page as text; `pictures`: the folder that each chart is written into as a PNG too."""
     from markupsafe import Markup

@@ -11,17 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.core.chart import (
-    Axis,
-    Boxes,
-    Colour,
-    Curve,
-    Heat,
-    Mark,
-    Panel,
-    Points,
-    page_look,
-)
+from trms_cli.core.chart import Axis, Boxes, Colour, Curve, Heat, Mark, Panel, Points, page_look
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
 from trms_cli.reporting.run_panels import histogram
 from trms_cli.reporting.signals import FloatArray

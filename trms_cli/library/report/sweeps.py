@@ -202,9 +202,7 @@ def _renamed(run: SweepRun, names: Mapping[str, str]) -> SweepRun:
 
 
 def keys_of(
-    rows: Sequence[Mapping[str, Any]],
-    typed: Sequence[Mapping[str, Any]],
-    last: Sequence[str] = (),
+    rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]], last: Sequence[str] = ()
 ) -> list[str]:
     """Options and typed keys in which runs differ; `last` behind the others, in their order."""
     found = [o for o in _OPTIONS if len({row.get(o) or "" for row in rows}) > 1]
