@@ -11,7 +11,7 @@ from pathlib import Path
 from trms_cli.composition.composer import compose
 from trms_cli.identification.validation import charts
 from trms_cli.identification.validation.validate import validate_all
-from trms_cli.library.tasks.validation_request import validation_of
+from trms_cli.library.tasks.validate import validation_of
 from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.style import house_style, save_png
 

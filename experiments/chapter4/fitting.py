@@ -79,7 +79,7 @@ def _fit(
 ) -> None:
     from trms_cli.composition.composer import compose
     from trms_cli.identification.population import SimulationCost
-    from trms_cli.library.tasks.identification_request import identification_of
+    from trms_cli.library.tasks.identify import identification_of
 
     overrides = [f"real='{fit}'", f"validation.real='{held_out}'", "jobs=1"]
     asked = identification_of(compose([*overrides, *outcome.case.identify, *words], "identify"))

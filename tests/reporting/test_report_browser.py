@@ -15,8 +15,7 @@ from trms_cli.core.chart import Axis, Chart, Curve, Panel
 from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.reporting.chart_plot import Plot, script_json
 from trms_cli.reporting.page import page_html
-from trms_cli.reporting.report_comparison import findings_of_comparison
-from trms_cli.reporting.report_run import findings_of_run
+from trms_cli.reporting.report_runs import findings_of_comparison, findings_of_run
 from trms_cli.reporting.report_sweep import findings_of_sweep
 from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
 from trms_cli.scoring.metrics import Series

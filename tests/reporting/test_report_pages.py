@@ -22,10 +22,8 @@ from tests.reporting.conftest import logged, with_columns
 from trms_cli.core.findings import Findings, Judged, Section, Table
 from trms_cli.library.report.sweeps import relative_link
 from trms_cli.reporting.chart_plot import MOST_POINTS
-from trms_cli.reporting.page import page_html
-from trms_cli.reporting.page_scripts import policy
-from trms_cli.reporting.report_comparison import findings_of_comparison
-from trms_cli.reporting.report_run import findings_of_run
+from trms_cli.reporting.page import page_html, policy
+from trms_cli.reporting.report_runs import findings_of_comparison, findings_of_run
 from trms_cli.reporting.report_sweep import findings_of_sweep
 from trms_cli.reporting.reported_sweep import (
     Correlation,
@@ -497,7 +495,7 @@ class TestSafety:
 
     def test_the_script_is_compressed_once_and_plotly_is_not_imported(self, tmp_path):
         write = (
-            "import sys, gzip; from trms_cli.reporting.page_scripts import plotly_script\n"
+            "import sys, gzip; from trms_cli.reporting.page import plotly_script\n"
             "gzip.compress = (lambda real: lambda *a, **k: (print('compressed'), real(*a, **k))[1])"
             "(gzip.compress)\n"
             "plotly_script(), plotly_script()\n"

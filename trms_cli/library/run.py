@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from trms_cli.library.tasks.task import Done, Listener
     from trms_cli.recordings.log_reader import LoggedRun
-    from trms_cli.reporting.notebook_figure import NotebookFigure
+    from trms_cli.reporting.style import NotebookFigure
     from trms_cli.simulation.closed_loop import Experiment
 
 #: Pixels of the picture in a notebook.
@@ -183,7 +183,7 @@ class Run(Result):
         drawn = self.pictures.get("run")
         if drawn is None:
             return self.figure()._repr_png_()
-        from trms_cli.reporting.notebook_figure import small_png
+        from trms_cli.reporting.style import small_png
 
         return small_png(drawn.read_bytes(), width=_WIDTH)
 

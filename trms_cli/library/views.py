@@ -13,7 +13,7 @@ from trms_cli.library.call import turn
 from trms_cli.library.result import RunPath, run_paths
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.notebook_figure import NotebookFigure
+    from trms_cli.reporting.style import NotebookFigure
 
 
 def report(
@@ -103,8 +103,8 @@ def plot(
     >>> plot(lqr, pid, what=["tracking", "errors"], start=5, end=15)
     """
     from trms_cli.recordings.log_reader import read_log
-    from trms_cli.reporting.notebook_figure import shown
     from trms_cli.reporting.plot import plot as drawn
+    from trms_cli.reporting.style import shown
     from trms_cli.runs.run_folder import log_of
 
     if "scene" in ([what] if isinstance(what, str) else what):

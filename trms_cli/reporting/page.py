@@ -4,18 +4,29 @@ One page for every command: who has something to tell makes
 :class:`~trms_cli.core.findings.Findings` of it, and this is how a browser shows them: the answer,
 its figures first, what limits it, what proves it, what to type. It reads well on a telephone, in a
 dark room (the browser's own setting) and on paper. Text is escaped; ``**bold**`` and ```code``` are
-understood in it, and nothing else. A page with plots, or with rows to filter, carries the scripts
-that it needs (:mod:`~trms_cli.reporting.page_scripts`); others carry none.
+understood in it, and nothing else.
+
+A page with plots, or with rows to filter, carries the scripts that it needs; others carry none. It
+may hold text of strangers: names of files, messages of events, configurations. Should a mistake let
+markup through all the same, the page's Content-Security-Policy refuses it: nothing is fetched from
+anywhere, and only two scripts run, by their hashes: ours (``assets/page.js``) and plotly.js, as the
+installed package ``plotly`` has it. That is 4.8 MB of text, and a page carries it compressed, as
+data that no browser runs; our script unpacks it and adds it to the page.
 """
 
 from __future__ import annotations
 
 import base64
+import gzip
+import hashlib
 import io
 import math
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,15 +45,64 @@ from trms_cli.core.findings import (
     plain,
 )
 from trms_cli.core.invocation import note
+from trms_cli.core.result_cache import cached_result
 from trms_cli.core.whole_file import replace_whole
-from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.chart_plot import plots_of, script_json
-from trms_cli.reporting.page_scripts import page_script, plotly_script, policy, text_digest
-from trms_cli.reporting.rig_diagram import diagram
-from trms_cli.reporting.style import house_style, save_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class PackedScript:
+    """A script as a page carries it: gzip, in base64."""
+
+    packed: str
+    digest: bytes  #: SHA-256 of the text that comes out
+
+
+@cache
+def page_script() -> str:
+    """Our script: draws plots, links their axes, sorts and filters tables."""
+    return Path(__file__).with_name("assets").joinpath("page.js").read_text(encoding="utf-8")
+
+
+@cache
+def plotly_script() -> PackedScript:
+    """plotly.js of the installed package; that package itself is not imported, which takes time.
+
+    Raises ModuleNotFoundError where it is not installed, and OSError where its script is missing.
+    """
+    package = find_spec("plotly")
+    if package is None or package.origin is None:
+        raise ModuleNotFoundError("No module named 'plotly'", name="plotly")
+    text = Path(package.origin).with_name("package_data").joinpath("plotly.min.js").read_bytes()
+    digest = hashlib.sha256(text).digest()
+    packed = cached_result(__file__, [digest], str, lambda: _packed(text))
+    return PackedScript(packed, digest)
+
+
+def _packed(text: bytes) -> str:
+    return base64.b64encode(gzip.compress(text, compresslevel=9, mtime=0)).decode("ascii")
+
+
+def text_digest(script: str) -> bytes:
+    """SHA-256 of a script that stands in a page as it is."""
+    return hashlib.sha256(script.encode()).digest()
+
+
+def policy(digests: Sequence[bytes] = ()) -> str:
+    """The Content-Security-Policy of a page that runs the scripts with these hashes alone.
+
+    Styles are inline: plotly.js sets the places of its parts so. Images come from the page itself,
+    where a reader saves a plot as a file.
+    """
+    hashes = (f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in digests)
+    return (
+        f"default-src 'none'; script-src {' '.join(hashes) or chr(39) + 'none' + chr(39)}; "
+        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+
 
 #: A drawing with more points in its curves than this is embedded as pixels instead.
 _MOST_POINTS = 4_000
@@ -94,8 +154,7 @@ def page_html(
         sections.insert(0, Section("What limits this", blocks=[limits]))
     if findings.next:
         sections.append(Section("Next", blocks=findings.next))
-    with house_style():
-        shown = [_section(section, pictures, interactive) for section in sections]
+    shown = [_section(section, pictures, interactive) for section in sections]
     for number, section in enumerate(shown):
         taken = [other["anchor"] for other in shown[:number]]
         section["anchor"] += f"-{number + 1}" if section["anchor"] in taken else ""
@@ -157,16 +216,23 @@ def _chart(chart: Chart | RigDiagram, pictures: Path | None, interactive: bool) 
     from markupsafe import Markup
 
     plots = plots_of(chart) if isinstance(chart, Chart) and interactive else None
-    if plots is None or pictures is not None:
+    shown = [(plot, Markup(script_json(plot.document()))) for plot in plots or ()]
+    if plots is not None and pictures is None:
+        return {"kind": "plots", "plots": shown}
+    # matplotlib takes a third of a second to import, which interactive pages do without
+    from trms_cli.reporting.chart_picture import picture_of
+    from trms_cli.reporting.rig_diagram import diagram
+    from trms_cli.reporting.style import house_style, save_png
+
+    with house_style():
         figure = diagram(chart) if isinstance(chart, RigDiagram) else picture_of(chart)
-    if pictures is not None:
-        save_png(figure, pictures / f"{chart.name}.png", colours=256)
-    if plots is None:
+        if pictures is not None:
+            save_png(figure, pictures / f"{chart.name}.png", colours=256)
+        if plots is not None:
+            return {"kind": "plots", "plots": shown}
         kind, content = embedded(figure)
-        source = f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
-        return {"kind": "figure", "source": source, "caption": chart.caption}
-    shown = [(plot, Markup(script_json(plot.document()))) for plot in plots]
-    return {"kind": "plots", "plots": shown}
+    source = f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+    return {"kind": "figure", "source": source, "caption": chart.caption}
 
 
 def _table(table: Table) -> dict[str, Any]:
@@ -223,6 +289,8 @@ def _is_number(cell: Cell) -> bool:
 def embedded(figure: Figure) -> tuple[str, bytes]:
     """Media type and bytes of a drawing; equal figures give equal bytes."""
     import numpy as np
+
+    from trms_cli.reporting.style import house_style
 
     drawn = io.BytesIO()
     lines = [line for axes in figure.axes for line in axes.lines]

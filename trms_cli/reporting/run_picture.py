@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
     from trms_cli.core.chart import Panel
-    from trms_cli.reporting.notebook_figure import NotebookFigure
+    from trms_cli.reporting.style import NotebookFigure
     from trms_cli.scoring.metrics import Columns
 
 #: Topics that a picture shows.
@@ -208,8 +208,7 @@ def _sheet(
 ) -> NotebookFigure:
     from trms_cli.core.chart import Axis, Chart
     from trms_cli.reporting.chart_picture import sheet_of
-    from trms_cli.reporting.notebook_figure import shown
-    from trms_cli.reporting.style import house_style
+    from trms_cli.reporting.style import house_style, shown
 
     time = Axis("time", "s", span)
     panels = [replace(panel, x=time, title="") for panel in panels]

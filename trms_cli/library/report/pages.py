@@ -2,7 +2,6 @@
 
 ::
 
-    from trms_cli.library.report.pages import report_of
     report = report_of(["first", "second/run.mcap"])
     write_page(report.findings, Path("report.html"), pictures=False)
 """
@@ -10,22 +9,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.library.report.logs import name_of, read_run
-from trms_cli.library.report.ranking import compared, ranking_of
 from trms_cli.library.report.summary import drawn_keys
 from trms_cli.library.report.sweeps import (
     PAGE_NAME,
     SWEEP_NAME,
     from_scores,
+    keys_of,
     read_sweep,
     rows_of,
     sweep_document,
+    typed_of,
+    value_of,
 )
 from trms_cli.runs.run_folder import LOG_NAME
 
@@ -34,6 +35,92 @@ if TYPE_CHECKING:
     from trms_cli.reporting.signals import ReportedRun
     from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.ranking import Ranking
+    from trms_cli.scoring.comparison.runs import ComparisonRun
+
+#: Coordinates that every ranking looks at, also where runs do not differ in them.
+_DRAW = "draw"
+_RANKED = ("controller", "observer", "ref", "model", "plant", "seed")
+
+
+def ranking_of(runs: Sequence[ComparisonRun]) -> Ranking | None:
+    """The ranking that ``trms compare`` prints; None where nobody can be ranked."""
+    from trms_cli.scoring.comparison.ranking import group, rank
+
+    contest = group(runs)
+    # Who differs from the others in draws or seeds alone is luckier, not better.
+    if contest.by and set(contest.by) <= {_DRAW, "seed"}:
+        return None
+    ranking = rank(contest)
+    return ranking if ranking.best else None
+
+
+def compared(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparisonRun]:
+    """Rows of the index as a ranking takes them, without reading a log again.
+
+    All that was `drawn` for a run is one coordinate, its draw: a condition, and no entrant's.
+    """
+    from trms_cli.scoring.comparison.runs import ComparisonRun
+
+    typed = [typed_of(row) for row in found.runs]
+    keys = [key for key in keys_of(found.runs, typed) if key not in drawn]
+    draws: dict[tuple[str, ...], str] = {}
+
+    def coordinates(row: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, str]:
+        told = {key: _coordinate(row, values, key) for key in (*_RANKED, *keys)}
+        if drawn:
+            place = tuple(str(values.get(key)) for key in drawn)
+            told[_DRAW] = draws.setdefault(place, str(len(draws) + 1))
+        return told
+
+    return [
+        ComparisonRun(
+            path=str(row["path"]),
+            coordinates=coordinates(row, values),
+            state=_state(row),
+            score=_score(row),
+            message=str(row.get("problem") or ""),
+        )
+        for row, values in zip(found.runs, typed, strict=True)
+    ]
+
+
+def _coordinate(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> str:
+    value = value_of(row, typed, key)
+    if value in (None, ""):
+        return "none" if key in row or key in typed else "–"
+    return str(value)
+
+
+def _state(row: Mapping[str, Any]) -> Any:
+    from trms_cli.scoring.comparison.runs import State
+
+    if row.get("outcome") == "failed":
+        return State.FAILED
+    return State.DONE if row.get("complete") else State.INCOMPLETE
+
+
+def _score(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of a row in the shape of a score, as far as a ranking asks for them."""
+    from trms_cli.scoring.figures import of_group
+
+    def of(group: Any, name: str) -> dict[str, Any]:
+        return {f.key: row.get(f"{f.column_name}_{name}") for f in of_group(group)}
+
+    channels = {
+        n: of("channels", n) for n in ("alpha_v", "alpha_h") if row.get(f"rmse_{n}") is not None
+    }
+    inputs = {n: of("inputs", n) for n in ("u_v", "u_h") if row.get(f"effort_{n}") is not None}
+    return {
+        "duration_s": row.get("duration"),
+        "channels": channels,
+        "inputs": inputs,
+        "solver": {
+            "time_ms": {key: row.get(f"solve_{key}") for key in ("median", "p99", "max")},
+            "failures": row.get("failures"),
+            "deadline_misses": row.get("deadline_misses"),
+        },
+    }
+
 
 #: More runs than this are told as a sweep: curves over one another could not be told apart.
 MOST_OVERLAID = 8
@@ -136,11 +223,11 @@ def _of_logs(
     logs: Sequence[Path], folder: Path, title: str, left_out: Sequence[tuple[str, str]]
 ) -> Report:
     if len(logs) == 1:
-        from trms_cli.reporting.report_run import findings_of_run
+        from trms_cli.reporting.report_runs import findings_of_run
 
         findings = findings_of_run(read_run(logs[0]), title=title)
         return Report(findings, "run", (str(logs[0]),), folder, tuple(left_out))
-    from trms_cli.reporting.report_comparison import findings_of_comparison
+    from trms_cli.reporting.report_runs import findings_of_comparison
 
     names = _names(logs)
     runs: list[ReportedRun] = []

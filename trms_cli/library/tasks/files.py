@@ -16,7 +16,7 @@ from trms_cli.core.whole_file import replace_whole
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import FitResult
-from trms_cli.library.tasks.identification_request import Identification
+from trms_cli.library.tasks.identify import Identification
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import parameter_file
 

@@ -2,16 +2,171 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from trms_cli.composition.composer import Composition
+from trms_cli.composition.plain_values import check_out, model_of_choice, truth
 from trms_cli.core import wording
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import TARGET, build
 from trms_cli.core.versions import versions
-from trms_cli.library.tasks import validation_request
+from trms_cli.identification.admission import Admission, admit, together
+from trms_cli.identification.data import DataOptions, load_datasets
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.validation.validate import ValidationOptions
+from trms_cli.library.tasks.subject import driven_model, driven_recordings, model_of, several
 from trms_cli.library.tasks.task import Done, Listener
-from trms_cli.library.tasks.validation_request import ValidationRequest
+from trms_cli.library.tasks.validated_models import shown_names
+from trms_cli.models.model import Model
+
+if TYPE_CHECKING:
+    from trms_cli.identification.validation.validate import ModelValidation
+
+_OPTIONS = "trms_cli.identification.validation.validate.ValidationOptions"
+#: What a channel without declared noise is given, so that filters stay invertible.
+_NO_NOISE = 1e-6
+#: Keys of the configuration that make up a :class:`ValidationOptions`.
+_OPTION_KEYS = ("horizons", "windows", "predictor", "tests", "block", "seed")
+
+
+@dataclass(frozen=True)
+class ValidationRequest:
+    """What is validated."""
+
+    models: Mapping[str, Model]  #: By the name that is shown
+    datasets: Mapping[str, Sequence[Dataset]]  #: The recordings as each model takes them
+    options: ValidationOptions
+    data: DataOptions
+    driven: tuple[str, ...]
+    effects: tuple[str, ...]
+    page: bool
+    admission: Admission  #: What was found in the recordings, by all models together
+
+
+def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> ValidationRequest:
+    """Build everything that was asked for.
+
+    Raises TrmsError for the first key or recording that is wrong.
+    """
+    config = compositions[0].config
+    options = build({TARGET: _OPTIONS, **{key: config[key] for key in _OPTION_KEYS}})
+    data = build(config["data"], "data")
+    real = several(config["real"], "real")
+    driven = several(config["driven"], "driven")
+    truth(config["page"], "page")
+    check_out(config["out"])
+    models: dict[str, Model] = {}
+    recordings: dict[str, Sequence[Dataset]] = {}
+    admissions: dict[str, Admission] = {}
+    shown = shown_names(given or [model_of_choice(compositions[0])])
+    for name, composition in zip(shown, compositions, strict=True):
+        model = model_of(composition.config)
+        simulated = driven_model(model, driven)
+        loaded = load_datasets(real, model, data)
+        admissions[name] = admit(loaded, model, purpose="validation")
+        models[name], recordings[name] = simulated, loaded
+    admission = together(admissions)
+    admission.require()
+    datasets = {name: driven_recordings(loaded, driven) for name, loaded in recordings.items()}
+    for driven_ones in datasets.values():
+        _check_noise(driven_ones)
+    return ValidationRequest(
+        models=models,
+        datasets=datasets,
+        options=options,
+        data=data,
+        driven=driven,
+        effects=tuple(config["effect"] or ()),
+        page=config["page"],
+        admission=admission,
+    )
+
+
+def _check_noise(datasets: Sequence[Dataset]) -> None:
+    """A channel without noise would weigh infinitely much, and no band would hold."""
+    for dataset in datasets:
+        for signal, sd in zip(dataset.outputs, dataset.noise_sd, strict=True):
+            if not sd > _NO_NOISE:
+                raise ConfigurationError(
+                    f"no noise of {signal.name} is declared",
+                    where="data.noise_sd",
+                    remedy=f"data.noise_sd.{signal.name}=… ({signal.unit}), or "
+                    "data.noise_sd=estimate",
+                )
+
+
+def calibrated(
+    validations: Sequence[ModelValidation],
+    request: ValidationRequest,
+    progress: Callable[[str], None],
+) -> tuple[list[ModelValidation], list[str]]:
+    """p-values from simulation, where they are asked for; and what to say of it."""
+    if request.options.tests.calibration != "simulated":
+        return list(validations), []
+    from trms_cli.identification.validation.validate import calibrated as simulated_p_values
+
+    done, notes = [], []
+    wanted = request.options.tests.simulations
+    for validation in validations:
+
+        def tell(count: int, name: str = validation.name) -> None:
+            progress(f"{name}: simulation {count} of {wanted}")
+
+        tests = simulated_p_values(validation, request.data.quantum, tell)
+        if tests is None:
+            notes.append(
+                f"{validation.name}: left alone over the recording it leaves the range of what was "
+                "measured, so its p-values are not from simulations"
+            )
+        done.append(validation if tests is None else replace(validation, tests=tests))
+    return done, notes
+
+
+def warnings_of(request: ValidationRequest) -> list[dict[str, str]]:
+    """What the recordings are not as good for as they might be, for the document."""
+    return Admission(request.admission.warnings).as_data()
+
+
+def notes_on(request: ValidationRequest) -> list[str]:
+    """What a reader should know of how the figures came about."""
+    return list(dict.fromkeys(_notes(request)))
+
+
+def _notes(request: ValidationRequest) -> Iterator[str]:
+    if request.driven:
+        yield f"driven by the measured {', '.join(request.driven)}: its errors have no part here"
+    if request.effects:
+        yield f"with {', '.join(request.effects)} added to the model"
+    if request.options.windows.start == "fitted":
+        yield (
+            "the starts of the windows were fitted to the windows themselves: the errors flatter, "
+            "most over short horizons"
+        )
+    several = len(request.models) > 1
+    for model, datasets in request.datasets.items():
+        for dataset in datasets:
+            prefix = f"{model}, {dataset.name}: " if several else f"{dataset.name}: "
+            for remark in dataset.remarks:
+                yield prefix + remark
+
+
+def objective(document: Mapping[str, Any]) -> float | None:
+    """What a sweeper minimises: errors over those of no change, geometric mean."""
+    if "models" in document:
+        return None
+    ratios = [
+        row["rms"] / row["unchanged_rms"]
+        for rows in document["by_horizon"].values()
+        for row in rows.values()
+        if row["rms"] and row["unchanged_rms"]
+    ]
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
+
 
 #: Files of a validation in its folder.
 DOCUMENT_NAME, PAGE_NAME = "validation.json", "validation.html"
@@ -30,15 +185,15 @@ def perform(
     from trms_cli.runs.run_folder import write_document
 
     begin = perf_counter()
-    request = validation_request.validation_of(compositions, given)
+    request = validation_of(compositions, given)
     listener.begin(", ".join(request.models), dict(_facts(request)))
     with listener.progress() as line:
         validations = validate_all(request.models, request.datasets, request.options, line.tell)
-        validations, notes = validation_request.calibrated(validations, request, line.tell)
+        validations, notes = calibrated(validations, request, line.tell)
         line.tell("figures")
         document = document_of(validations)
-        document["notes"] = [*validation_request.notes_on(request), *notes]
-        document["warnings"] = validation_request.warnings_of(request)
+        document["notes"] = [*notes_on(request), *notes]
+        document["warnings"] = warnings_of(request)
         document["versions"] = versions()
         folder = compositions[0].folder("validate")
         files = {"figures": folder / DOCUMENT_NAME}
@@ -56,7 +211,7 @@ def perform(
     told = replace(told, facts=facts, files=files, measures=(), warnings=())
     if compositions[0].job is not None:
         told = replace(told, lead=[findings.in_short(document)])
-    return Done(folder, told, objective=validation_request.objective(document))
+    return Done(folder, told, objective=objective(document))
 
 
 def _facts(request: ValidationRequest) -> Iterator[tuple[str, str]]:
@@ -65,7 +220,7 @@ def _facts(request: ValidationRequest) -> Iterator[tuple[str, str]]:
         "on",
         "\n".join(f"{d.source}  {d.duration:g} s at {1 / d.sample_time:g} Hz" for d in datasets),
     )
-    notes = dict.fromkeys(_without_model(n, request) for n in validation_request.notes_on(request))
+    notes = dict.fromkeys(_without_model(n, request) for n in notes_on(request))
     if notes:
         yield "note", "\n".join(notes)
     if request.admission.warnings:
