@@ -1,4 +1,4 @@
-"""What a fit leaves on the disk besides figures: its configuration and the fitted model."""
+"""What a fit or a diagnosis leaves besides figures: its request, and what a model file says."""
 
 from __future__ import annotations
 
@@ -10,14 +10,10 @@ from typing import Any
 from trms_cli.composition.catalogue import config_folder, read_yaml
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.core.invocation import command_line
 from trms_cli.core.plugins import TARGET
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
-from trms_cli.identification.problem import FitResult
-from trms_cli.library.tasks.identify import Identification
-from trms_cli.models.model import Model
+from trms_cli.identification.model_writer import ModelOrigin
 from trms_cli.models.parameters import parameter_file
 
 #: What was typed, for `resume`.
@@ -65,53 +61,6 @@ def origin_of(composition: Composition) -> ModelOrigin | None:
     name = node.get("parameter_set")
     limits = dict(parameter_file(name).limits) if isinstance(name, str) else {}
     return ModelOrigin(option=option, limits=limits, effects=own)
-
-
-def write_fitted_model(
-    request: Identification,
-    result: FitResult,
-    deviations: Mapping[str, float | None],
-    origin: ModelOrigin | None,
-    path: Path,
-) -> Path:
-    """Write the fitted model."""
-    source = source_words(request)
-    if result.model_document is not None:
-        document = dict(result.model_document)
-        document.setdefault("source", source)
-    else:
-        assert origin is not None
-        document = model_document(
-            request.recordings[0].name,
-            request.model,
-            origin,
-            values=result.values,
-            deviations=deviations,
-            free=request.problem.free,
-            source=source,
-        )
-    heading = (
-        f"{command_line()}\n"
-        f"{result.outcome.value}; sd: standard deviation of a fitted value, "
-        "prior_sd: of what was known before, relative"
-    )
-    write_model(document, path, heading)
-    return path
-
-
-def network_of(result: FitResult, file: Path) -> Model | None:
-    """The model that a network was trained to, as its file says; None for parameters."""
-    if result.model_document is None:
-        return None
-    from trms_cli.effects.model_file import load_model
-
-    return load_model(str(file))
-
-
-def source_words(request: Identification) -> str:
-    """What was fitted to what."""
-    driven = f", driven by the measured {', '.join(request.driven)}" if request.driven else ""
-    return f"fitted to {names_of_files(request.problem.datasets)}{driven}"
 
 
 def names_of_files(datasets: Iterable[Dataset]) -> str:

@@ -32,6 +32,7 @@ from trms_cli.identification.free_runs import (
     at_bounds,
     error_figures,
 )
+from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import FitOutcome as Ended
 from trms_cli.identification.problem import (
     FitProblem,
@@ -312,10 +313,10 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         files.write_config(composition, folder)
     _require_simulated(result)
     fitted = assess(request.problem, result)
-    model = files.write_fitted_model(
+    model = write_fitted_model(
         request, fitted.result, fitted.deviations, origin, folder / MODEL_NAME
     )
-    add_free_runs(request.problem, fitted, files.network_of(result, model))
+    add_free_runs(request.problem, fitted, network_of(result, model))
     document = document_of(composition, request, fitted, perf_counter() - begin)
     written = {"model": model, "numbers": folder / DOCUMENT_NAME}
     write_document(document, written["numbers"])
@@ -338,6 +339,48 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     if composition.job is not None:
         told = replace(told, lead=[in_short(document)])
     return Done(folder, told, exit_code=code, objective=result.cost)
+
+
+def write_fitted_model(
+    request: Identification,
+    result: FitResult,
+    deviations: Mapping[str, float | None],
+    origin: ModelOrigin | None,
+    path: Path,
+) -> Path:
+    """Write the fitted model."""
+    driven = f", driven by the measured {', '.join(request.driven)}" if request.driven else ""
+    source = f"fitted to {files.names_of_files(request.problem.datasets)}{driven}"
+    if result.model_document is not None:
+        document = dict(result.model_document)
+        document.setdefault("source", source)
+    else:
+        assert origin is not None
+        document = model_document(
+            request.recordings[0].name,
+            request.model,
+            origin,
+            values=result.values,
+            deviations=deviations,
+            free=request.problem.free,
+            source=source,
+        )
+    heading = (
+        f"{command_line()}\n"
+        f"{result.outcome.value}; sd: standard deviation of a fitted value, "
+        "prior_sd: of what was known before, relative"
+    )
+    write_model(document, path, heading)
+    return path
+
+
+def network_of(result: FitResult, file: Path) -> Model | None:
+    """The model that a network was trained to, as its file says; None for parameters."""
+    if result.model_document is None:
+        return None
+    from trms_cli.effects.model_file import load_model
+
+    return load_model(str(file))
 
 
 def _require_simulated(result: FitResult) -> None:
