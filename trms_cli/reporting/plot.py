@@ -30,9 +30,9 @@ from matplotlib.ticker import MaxNLocator
 
 from trms_cli.core.chart import Bars, Panel
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.reporting import run_panels
+from trms_cli.reporting import plot_kinds
 from trms_cli.reporting.chart_picture import Handle, draw_panel
-from trms_cli.reporting.run_panels import Absent
+from trms_cli.reporting.plot_kinds import Absent
 from trms_cli.reporting.signals import ReportedRun, limits_in
 from trms_cli.reporting.style import VARIANTS, Variant, house_style, letter_size, new_figure
 
@@ -65,16 +65,16 @@ _Panels = Callable[[Sequence[ReportedRun]], list[Panel]]
 #: The kinds of plots by name; the first line of each one's docstring says what it shows.
 KINDS: Mapping[str, _Panels] = MappingProxyType(
     {
-        "tracking": run_panels.tracking,
-        "errors": run_panels.errors,
-        "inputs": run_panels.inputs,
-        "rates": run_panels.rates,
-        "estimate": run_panels.estimate,
-        "phase": run_panels.phase,
-        "prediction": run_panels.prediction,
-        "solver": run_panels.solver,
-        "torques": run_panels.torques,
-        "comparison": run_panels.comparison,
+        "tracking": plot_kinds.tracking,
+        "errors": plot_kinds.errors,
+        "inputs": plot_kinds.inputs,
+        "rates": plot_kinds.rates,
+        "estimate": plot_kinds.estimate,
+        "phase": plot_kinds.phase,
+        "prediction": plot_kinds.prediction,
+        "solver": plot_kinds.solver,
+        "torques": plot_kinds.torques,
+        "comparison": plot_kinds.comparison,
     }
 )
 DEFAULT_WHAT = ("tracking", "inputs")
@@ -148,8 +148,7 @@ def plot(
         raise ConfigurationError(
             f"{style!r} given", where="style", remedy=f"one of {', '.join(VARIANTS)}"
         )
-    reasons = _reasons(plotted, wanted)
-    panels = [panel for kind in wanted if kind not in reasons for panel in KINDS[kind](plotted)]
+    panels, reasons = _panels(plotted, wanted)
     if not panels:
         raise ConfigurationError(
             "there is nothing to be drawn: " + "; ".join(reasons.values()),
@@ -169,7 +168,7 @@ def absences(
     end: float | None = None,
 ) -> dict[str, str]:
     """Why kinds of plots cannot be drawn of logs, by kind; empty if all can."""
-    return _reasons(_plotted(logs, start, end, None), _kinds(what))
+    return _panels(_plotted(logs, start, end, None), _kinds(what))[1]
 
 
 def size_of(width: str | None, style: Variant) -> tuple[float, float | None]:
@@ -255,14 +254,18 @@ def _kinds(what: str | Sequence[str]) -> list[str]:
     return list(dict.fromkeys(kinds))
 
 
-def _reasons(logs: Sequence[ReportedRun], kinds: Sequence[str]) -> dict[str, str]:
+def _panels(
+    logs: Sequence[ReportedRun], kinds: Sequence[str]
+) -> tuple[list[Panel], dict[str, str]]:
+    """The panels of all kinds, and why some kinds have none."""
+    panels: list[Panel] = []
     reasons = {}
     for kind in kinds:
         try:
-            KINDS[kind](logs)
+            panels += KINDS[kind](logs)
         except Absent as absent:
             reasons[kind] = str(absent)
-    return reasons
+    return panels, reasons
 
 
 def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:

@@ -29,7 +29,7 @@ from trms_cli.core.findings import (
     Table,
     table,
 )
-from trms_cli.reporting import run_panels
+from trms_cli.reporting import plot_kinds, run_panels
 from trms_cli.reporting.chart_plot import MOST_POINTS
 from trms_cli.reporting.signals import ReportedRun, RunEvent, RunSignals
 from trms_cli.scoring.comparison.findings import ranking_tables
@@ -111,10 +111,10 @@ def plotted(
 
 def phases_of(runs: Sequence[RunSignals], channels: Sequence[str]) -> list[Panel]:
     """Each of the first channels against its rate, and the first two against each other."""
-    panels = run_panels.phase_panels(runs, channels[:4], page_look)
+    panels = plot_kinds.phase_panels(runs, channels[:4], page_look)
     path = None
     if len(channels) > 1:
-        path = run_panels.path_panel(runs, channels[1], channels[0], page_look)
+        path = plot_kinds.path_panel(runs, channels[1], channels[0], page_look)
     return [*panels, path] if path is not None else panels
 
 
@@ -209,8 +209,8 @@ def findings_of_comparison(
         Default: the names of the runs.
     """
     names = [run.name for run in runs]
-    boxes = run_panels.time_boxes(runs)
-    solver = _where_there(run_panels.solver, runs)
+    boxes = plot_kinds.time_boxes(runs)
+    solver = _where_there(plot_kinds.solver, runs)
     given = Table(["", *names], [[key, *values] for key, values in differences])
     best = "A star: the best, where it differs by more than 0.1 %."
     scores = Table(["", *names], compared_rows([run.score for run in runs]), best)
@@ -218,7 +218,7 @@ def findings_of_comparison(
     sections = [
         Section("How they differ", blocks=[given] if given.rows else []),
         plotted("Tracking", _tracking(runs), HOW_TO_TURN),
-        plotted("Commands", _where_there(run_panels.inputs, runs)),
+        plotted("Commands", _where_there(plot_kinds.inputs, runs)),
         Section("Score", blocks=[scores] if scores.rows else []),
         plotted("Solver", [boxes, *solver] if boxes is not None else solver),
         plotted("Phase plots", phases_of(runs, runs[0].channels()), folded=True),
@@ -262,8 +262,8 @@ def _ratios(standings: Sequence[Standing]) -> list[Panel]:
 
 def _tracking(runs: Sequence[ReportedRun]) -> list[Panel]:
     """Per channel: where all runs were, and by how much they missed."""
-    where = _where_there(run_panels.tracking, runs)
-    errors = _where_there(run_panels.errors, runs)
+    where = _where_there(plot_kinds.tracking, runs)
+    errors = _where_there(plot_kinds.errors, runs)
     ordered = []
     for panel in where:
         ordered += [panel, *(each for each in errors if each.title.endswith(panel.title))]
@@ -274,7 +274,7 @@ def _where_there(draw: Callable[..., list[Panel]], runs: Sequence[ReportedRun]) 
     """Panels of runs, in the colours of a page; none where no run has what they show."""
     try:
         return draw(runs, page_look)
-    except run_panels.Absent:
+    except plot_kinds.Absent:
         return []
 
 

@@ -1,0 +1,433 @@
+"""The kinds of ``trms plot``: signals of runs over one another, each a panel or a few.
+
+What pitch and the main rotor have is blue, what yaw and the tail rotor have is vermilion, where one
+run is drawn alone; several have a colour each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trms_cli.core import wording
+from trms_cli.core.chart import (
+    Axis,
+    Band,
+    Bars,
+    Boxes,
+    Curve,
+    Line,
+    Mark,
+    Marker,
+    Panel,
+    Points,
+    curve_look,
+    page_look,
+)
+from trms_cli.reporting.run_panels import (
+    Look,
+    Pick,
+    Runs,
+    channel_panel,
+    curves_of,
+    fan_panels,
+    framed,
+    in_small_unit,
+    iteration_panels,
+    label_of,
+    reference_curve,
+    step_axis,
+    symbol_label,
+    time_axis,
+    with_band,
+    with_limits,
+)
+from trms_cli.reporting.signals import FloatArray, ReportedRun, RunSignals, TimeSeries
+from trms_cli.scoring.figures import finite, part
+
+if TYPE_CHECKING:
+    from trms_cli.core.chart import Values
+
+_ANGLES, _SPEEDS = ("alpha_v", "alpha_h"), ("omega_v", "omega_h")
+
+
+class Absent(Exception):
+    """Why something cannot be drawn, as a sentence."""
+
+
+def tracking(runs: Runs, look: Look = curve_look) -> list[Panel]:
+    """What was asked of each controlled axis, and what the rig did."""
+    found = _in_order(
+        name for run in runs for name in [*run.names("/reference"), *_angles(run)]
+    ) or _in_order(name for run in runs for name in run.channels())
+    if not found:
+        raise Absent("no log has an angle: a motor or a propeller alone has none")
+    if len(runs) == 1:
+        return [channel_panel(runs[0], name) for name in found]
+    panels = []
+    for name in found:
+        marks, seen, unit = curves_of(runs, RunSignals.truth, name, look)
+        references = _references(runs, name, look)
+        limits, lines = with_limits(runs, [name], framed([*seen, *(c.y for c in references)]))
+        axis = Axis(label_of(name), unit or "rad", limits)
+        panels.append(Panel(time_axis(*runs), axis, [*references, *marks, *lines], label_of(name)))
+    return panels
+
+
+def errors(runs: Runs, look: Look = curve_look) -> list[Panel]:
+    """Reference minus what the rig did."""
+    names = _in_order(name for run in runs for name in run.names("/reference"))
+    if not names:
+        raise Absent("no log has a reference: nothing was to be followed")
+    return [
+        _over_time(
+            runs, f"{label_of(name)} error", RunSignals.error, name, look,
+            title=f"tracking error of {label_of(name)}",
+        )
+        for name in names
+    ]  # fmt: skip
+
+
+def inputs(runs: Runs, look: Look = curve_look) -> list[Panel]:
+    """The commands as they were applied, held from sample to sample."""
+    names = _in_order(name for run in runs for name in run.inputs())
+    if not names:
+        raise Absent("no log has a command")
+    panels = []
+    for name in names:
+        marks, seen, unit = curves_of(runs, _command, name, look, held=True)
+        limits, lines = with_limits(runs, [name], framed(seen), of_commands=True)
+        label = f"{label_of(name)}\ncommand" if label_of(name) != name else name
+        axis = Axis(label, unit or "V", limits)
+        panels.append(Panel(time_axis(*runs), axis, [*marks, *lines], symbol_label(name),
+                            row_height=0.8))  # fmt: skip
+    return panels
+
+
+def rates(runs: Runs) -> list[Panel]:
+    """How fast the axes turn, and the rotors."""
+    panels = [
+        _over_time(runs, f"{label_of(name)} rate\n", _rate, name, height=0.8)
+        for name in _in_order(name for run in runs for name in _angles(run))
+    ]
+    panels += [
+        _over_time(runs, f"{label_of(name)}\n", RunSignals.truth, name, height=0.8)
+        for name in _SPEEDS
+        if any(run.truth(name) is not None for run in runs)
+    ]
+    if not panels:
+        raise Absent("no log has an angle or a rotor's speed")
+    return panels
+
+
+def _command(run: RunSignals, name: str) -> TimeSeries | None:
+    return run.signal("/command", name)
+
+
+def _rate(run: RunSignals, name: str) -> TimeSeries | None:
+    smooth = run.smooth(name)
+    return smooth.rate if smooth is not None else None
+
+
+def estimate(runs: Runs) -> list[Panel]:
+    """Estimated minus true, with two standard deviations; without a true state, innovations."""
+    names = {run.name: [n for n in run.names("/estimate") if not n.endswith(("_moment", "_motor"))
+                        and run.estimated(n) is not None] for run in runs}  # fmt: skip
+    if not any(names.values()):
+        if any(run.names("/estimate") for run in runs):
+            raise Absent("the observer is handed the true state (full_state): it estimates nothing")
+        raise Absent("no log has an estimate: no observer ran")
+    known = _in_order(
+        name
+        for run in runs
+        for name in names[run.name]
+        if run.signal("/plant/state", name) is not None
+        or f"innovation_{name}" in run.names("/estimate")
+    )
+    return [_off_panel(runs, name) for name in known]
+
+
+def _off_panel(runs: Runs, name: str) -> Panel:
+    marks: list[Mark] = [Line(y=0.0, colour="sky", style="solid")]
+    what, unit = "", ""
+    for i, run in enumerate(runs):
+        found = _off(run, name)
+        if found is None:
+            continue
+        what, off, deviation = found
+        unit, factor = wording.small_unit(off.unit)
+        settled = len(deviation) // 20  # an observer that finds its feet hides the rest
+        band = 2 * factor * deviation[settled:]
+        alone = len(runs) == 1
+        look: dict[str, Any] = {"colour": "green"} if alone else curve_look(i)
+        if len(band):
+            label = "±2 standard deviations" if alone else ""
+            colour = "measured" if alone else look["colour"]
+            marks.append(
+                Band(off.time[settled:], -band, band, label, colour, 0.44 if alone else 0.15)  # type: ignore[arg-type]
+            )
+        label = what if alone else run.name
+        marks.append(Curve(off.time, factor * off.values, label, **look))
+    kind = "innovation" if what == "innovation" else "error"
+    return Panel(time_axis(*runs), Axis(f"{_symbol(name)}\n{kind}", unit), marks, row_height=0.8)
+
+
+def _off(run: RunSignals, name: str) -> tuple[str, TimeSeries, FloatArray] | None:
+    """What an estimate is off by, in words, as a curve and with its deviation; or innovations."""
+    guess, true = run.signal("/estimate", name), run.signal("/plant/state", name)
+    if guess is not None and true is not None and len(true.values) == len(guess.values):
+        off = TimeSeries(guess.time, guess.values - true.values, guess.unit)
+        return "estimate − true", off, run.numbers("/estimate", f"sd_{name}")
+    innovation = run.signal("/estimate", f"innovation_{name}")
+    if innovation is None:
+        return None
+    return "innovation", innovation, run.numbers("/estimate", f"innovation_sd_{name}")
+
+
+def torques(runs: Runs) -> list[Panel]:
+    """Torques that the observer needs besides its model, with two standard deviations."""
+    found = (names for run in runs for place, names in run.torques().items() if place != "pushes")
+    names = _in_order(name for some in found for name in some)
+    if not names:
+        raise Absent("no log has an estimated torque: its observer estimates none")
+    panels = []
+    for name in names:
+        marks: list[Mark] = [Line(y=0.0, colour="sky", style="solid")]
+        unit = ""
+        for i, run in enumerate(runs):
+            guess = run.estimated(name)
+            if guess is None:
+                continue
+            torque, factor = in_small_unit(guess[0])
+            guess[1][: len(guess[1]) // 20] = np.nan  # an observer that finds its feet
+            unit = torque.unit
+            look = {"colour": "vermilion"} if len(runs) == 1 else curve_look(i)
+            label = "estimate" if len(runs) == 1 else run.name
+            marks += with_band(torque, factor * guess[1], label, look.pop("colour"), 1.4, **look)
+        axis = Axis(f"{name.replace('_', ' ')}\n", unit)
+        panels.append(Panel(time_axis(*runs), axis, marks, row_height=0.8))
+    return panels
+
+
+def solver(runs: Runs, look: Look = curve_look) -> list[Panel]:
+    """Time of each control step against its deadline, and the solver's iterations."""
+    timed = [
+        (i, run, times) for i, run in enumerate(runs) if (times := run.step_times()) is not None
+    ]
+    if not timed:
+        raise Absent("no log has a controller's times: no controller ran (a recording has none)")
+    marks: list[Mark] = []
+    deadlines: dict[float, list[int]] = {}  # ms, and whose
+    shapes: Sequence[Marker] = ("dot", "square", "triangle", "diamond", "down")
+    for i, run, times in timed:
+        colour, marker = look(i)["colour"], shapes[i % len(shapes)]
+        label = run.name if len(runs) > 1 else "time of a step"
+        marks.append(Points(run.time("/controller"), times, label, marker, colour, size=1.6))
+        if run.deadline is not None:
+            deadlines.setdefault(run.deadline, []).append(i)
+    for deadline, whose in deadlines.items():
+        if len(deadlines) == 1:
+            marks.append(Line(y=deadline, label="deadline", colour="alarm"))
+        else:
+            named = ", ".join(runs[i].name for i in whose)
+            marks.append(Line(y=deadline, label=f"deadline of {named}, {deadline:g} ms",
+                              colour=look(whose[0])["colour"]))  # fmt: skip
+    panel = Panel(time_axis(*runs), step_axis(), marks, "time of a control step")
+    return [panel, *iteration_panels(runs, look)]
+
+
+def time_boxes(runs: Runs) -> Panel | None:
+    """Times of a control step of several runs beside one another."""
+    timed = [(run, times) for run in runs if (times := run.step_times()) is not None]
+    if not timed:
+        return None
+    shares = (0.01, 0.25, 0.5, 0.75, 0.99)
+    quantiles = [np.quantile(times[np.isfinite(times)], shares).tolist() for _, times in timed]
+    deadlines = [(i, run.deadline) for i, (run, _) in enumerate(timed) if run.deadline is not None]
+    colours = [page_look(i)["colour"] for i in range(len(timed))]
+    marks: list[Mark] = [Boxes(range(len(timed)), quantiles, colours=colours)]
+    marks.append(
+        Points([d for _, d in deadlines], [i for i, _ in deadlines], "", "diamond", "alarm")
+    )
+    caption = "Box: quartiles and median; whiskers: 1st and 99th percentile; diamond: deadline."
+    names = Axis("", categories=[run.name for run, _ in timed])
+    return Panel(step_axis(), names, marks, "times of a control step", caption=caption,
+                 row_height=(60 + 44 * len(timed)) / 240)  # fmt: skip
+
+
+def phase(runs: Runs, look: Look = curve_look) -> list[Panel]:
+    """Each axis's rate over its angle."""
+    names = [n for n in _ANGLES if any(run.truth(n) is not None for run in runs)]
+    if not names:
+        raise Absent("no log has an angle: a motor or a propeller alone has none")
+    return phase_panels(runs, names, look)
+
+
+def phase_panels(runs: Runs, names: Sequence[str], look: Look = curve_look) -> list[Panel]:
+    """Each channel's rate over it; the rate is the central difference of the smoothest there is."""
+    panels = []
+    for name in names:
+        marks: list[Mark] = []
+        unit = ""
+        for i, run in enumerate(runs):
+            found = _rising(run.smooth(name))
+            if found is not None:
+                unit = found.unit
+                label = run.name if len(runs) > 1 else found.source
+                marks += _trajectory(
+                    found.values, found.rate.values, label, look(i), alone=len(runs) == 1
+                )
+        words = label_of(name)
+        if marks:
+            across, up = Axis(words, unit), Axis(f"{words} rate", f"{unit}/s")
+            panels.append(
+                Panel(across, up, marks, f"{words} against its rate", half=len(names) > 1,
+                      row_height=1.9)
+            )  # fmt: skip
+    return panels
+
+
+def path_panel(runs: Runs, yaw: str, pitch: str, look: Look = curve_look) -> Panel | None:
+    """Two channels against each other, with the places where they were to be."""
+    marks: list[Mark] = []
+    for i, run in enumerate(runs):
+        one, other = run.smooth(yaw), run.smooth(pitch)
+        if one is not None and other is not None and len(one.values) == len(other.values):
+            label = run.name if len(runs) > 1 else one.source
+            marks += _trajectory(one.values, other.values, label, look(i), alone=len(runs) == 1)
+    if not marks:
+        return None
+    path = np.column_stack(
+        [runs[0].numbers("/reference", yaw), runs[0].numbers("/reference", pitch)]
+    )
+    places = np.unique(path[np.isfinite(path).all(axis=1)], axis=0)
+    if 0 < len(places) <= 40:  # places to be at, not a course that moves all the time
+        marks.append(Points(places[:, 0], places[:, 1], "reference", "cross", "ink"))
+    title = f"{label_of(pitch)} against {label_of(yaw)}"
+    across, up = Axis(label_of(yaw), "rad"), Axis(label_of(pitch), "rad")
+    return Panel(across, up, marks, title, half=True, row_height=1.9)
+
+
+def _rising(signal: TimeSeries | None) -> TimeSeries | None:
+    """A signal without gaps and repeated times, which can be differentiated."""
+    if signal is None:
+        return None
+    known = np.isfinite(signal.values)
+    time, values = signal.time[known], signal.values[known]
+    rising = np.concatenate([[True], np.diff(time) > 0])
+    if np.count_nonzero(rising) < 2:
+        return None
+    return TimeSeries(time[rising], values[rising], signal.unit, signal.source)
+
+
+def _trajectory(
+    x: Values, y: Values, label: str, look: Mapping[str, Any], *, alone: bool
+) -> list[Mark]:
+    marks: list[Mark] = [Curve(x, y, label, width=1.2, **look)]
+    marks.append(Points(x[:1], y[:1], "begin" if alone else "", "unstable", look["colour"]))
+    return [*marks, Points(x[-1:], y[-1:], "end", "stable", look["colour"])] if alone else marks
+
+
+def prediction(runs: Runs) -> list[Panel]:
+    """What the controller foretold, again and again, over what came."""
+    panels = []
+    for run in runs:
+        for panel in fan_panels(run, most=60):
+            if panel.y.label in map(label_of, _ANGLES):
+                panels.append(replace(panel, note=run.name if len(runs) > 1 else ""))
+    if not panels:
+        raise Absent(
+            "no log has a prediction: only controllers that plan ahead tell any (newton_mpc, nmpc, "
+            "linear_mpc, robust_mpc), and none with sim.prediction_every=0"
+        )
+    return panels
+
+
+def comparison(runs: Sequence[ReportedRun]) -> list[Panel]:
+    """Scores beside each other, one bar a log."""
+    if len(runs) < 2:
+        raise Absent("one log compares with nothing: give two or more")
+    if not any(run.score for run in runs):
+        raise Absent("no log has a score: the runs did not end, or are recordings")
+    names = {key: dict.fromkeys(name for run in runs for name in part(run.score, key))
+             for key in ("channels", "inputs")}  # fmt: skip
+    figures = [
+        *((f"RMSE of {label_of(n)}", "rad", ("channels", n, "rmse")) for n in names["channels"]),
+        *((f"effort, {label_of(n)}", "V² s", ("inputs", n, "effort")) for n in names["inputs"]),
+        ("step time, median", "ms", ("solver", "time_ms", "median")),
+    ]
+    panels: list[Panel] = []
+    for words, unit, (first, second, last) in figures:
+        found = [finite(part(part(run.score, first), second).get(last)) for run in runs]
+        values = [math.nan if value is None else value for value in found]
+        known = [value for value in values if math.isfinite(value)]
+        if not known:
+            continue
+        named = len(panels) % 2 == 0
+        marks = [Bars([run.name if named else "" for run in runs], np.nan_to_num(values),
+                      [curve_look(i)["colour"] for i in range(len(runs))],
+                      notes=[f" {wording.number(value)}" for value in values])]  # fmt: skip
+        limits = (0.0, 1.05 * max(known) if max(known) > 0 else 1.0)
+        height = 0.35 + 0.17 * len(runs)
+        panels.append(
+            Panel(Axis(words, unit, limits), Axis(""), marks, row_height=height, half=True)
+        )
+    if not panels:
+        raise Absent("the scores of these logs have no figure in common")
+    return panels
+
+
+def _over_time(
+    runs: Runs, label: str, pick: Pick, name: str, look: Look = curve_look,
+    *, title: str = "", height: float = 0.0,
+) -> Panel:  # fmt: skip
+    """A panel into which each run draws one curve; a log alone is named by what its curve is."""
+    marks, seen, unit = curves_of(runs, pick, name, look)
+    zero = [Line(y=0.0, colour="sky", style="solid")] if "error" in label else []
+    axis = Axis(label, unit, framed(seen))
+    return Panel(time_axis(*runs), axis, [*zero, *marks], title, row_height=height)
+
+
+def _references(runs: Runs, name: str, look: Look) -> list[Curve]:
+    """One dashed line for a reference that all share, else one each in the run's colour."""
+    told = [(i, wanted) for i, run in enumerate(runs)
+            if (wanted := run.signal("/reference", name)) is not None]  # fmt: skip
+    if not told:
+        return []
+    longest = max((wanted for _, wanted in told), key=lambda wanted: float(wanted.time[-1]))
+    if all(_same(wanted, longest) for _, wanted in told):
+        return [reference_curve(longest)]
+    return [
+        reference_curve(wanted, label=f"reference of {runs[i].name}", colour=look(i)["colour"])
+        for i, wanted in told
+    ]
+
+
+def _same(one: TimeSeries, longest: TimeSeries) -> bool:
+    """Whether a reference is the beginning of another one, also where it was sampled otherwise."""
+    at = np.searchsorted(longest.time, one.time + 1e-9, side="right") - 1
+    # at a step itself one of them may be a sample behind
+    off = np.abs(longest.values[np.clip(at, 0, None)] - one.values) > 1e-9
+    return bool(np.mean(off) < 0.02) if len(off) else True
+
+
+def _angles(run: RunSignals) -> list[str]:
+    return [name for name in _ANGLES if run.truth(name) is not None]
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    """Without repetitions; pitch before yaw, angles before speeds."""
+    usual = (*_ANGLES, "u_v", "u_h", "S_v", "S_h", *_SPEEDS)
+    found = list(dict.fromkeys(names))
+    return sorted(found, key=lambda name: usual.index(name) if name in usual else len(usual))
+
+
+def _symbol(name: str) -> str:
+    """A state in words, or by its symbol: ``S_v``."""
+    letter, _, of = name.partition("_")
+    words = wording.SIGNALS.get(name)
+    return words or (f"${letter}_{of}$" if len(letter) == len(of) == 1 else name)
