@@ -159,16 +159,7 @@ def survey(
         tell(f"proof for every {setting.over}")
         width = setting.bounds[1] - setting.bounds[0]
         pieces = over_range(prover, v, index, setting.bounds, _RESOLUTION * width)
-    return Survey(
-        setting=setting,
-        system=system,
-        equations=equations,
-        box=bounds,
-        curves=tuple(surveyed),
-        checks=checks,
-        pieces=pieces,
-        late=late,
-    )
+    return Survey(setting, system, equations, bounds, tuple(surveyed), checks, pieces, late)
 
 
 def complete_curves(

@@ -394,18 +394,10 @@ def modes_of_matrix(
             share, defective = _joint(a, values[group], value)
             participation = share / share.sum()
         rate = rate_of(value, sample_time)
-        modes.append(
-            EigenMode(
-                mode_name(parts, participation, rate),
-                rate,
-                participation,
-                whole.right[:, i],
-                whole.left[:, i],
-                len(group),
-                defective,
-                sample_time is not None and value.real < 0 and abs(value.imag) <= STILL,
-            )
-        )
+        alternating = sample_time is not None and value.real < 0 and abs(value.imag) <= STILL
+        name, vectors = mode_name(parts, participation, rate), (whole.right[:, i], whole.left[:, i])
+        mode = EigenMode(name, rate, participation, *vectors, len(group), defective, alternating)
+        modes.append(mode)
     modes.sort(key=lambda mode: (-abs(mode.eigenvalue), mode.name))
     named = distinct_names([mode.name for mode in modes], "faster", "slower")
     modes = [replace(mode, name=name) for mode, name in zip(modes, named, strict=True)]

@@ -269,28 +269,6 @@ class StabilityClaim:
         return self.how not in ("failed", "open")
 
 
-def equilibrium_claim(candidate: EnergyCandidate) -> StabilityClaim:
-    """That there is one, between bounds."""
-    width = float(candidate.rest.width.max())
-    return StabilityClaim(
-        "equilibrium",
-        "There is an equilibrium within the bounds, and V and V̇ are zero there",
-        "intervals",
-        f"change of sign of each balance; bounds no wider than {width:.1g} rad/s or rad",
-    )
-
-
-def derivation_claim(candidate: EnergyCandidate, seed: int) -> StabilityClaim:
-    """V̇ along the model's equations against −zᵀQz."""
-    residual = identity_residual(candidate, seed)
-    return StabilityClaim(
-        "derivation",
-        "V̇ = −zᵀQz along the model's own equations",
-        "identity" if residual <= _TOLERANCE else "failed",
-        f"largest difference at {_STATES} random states: {residual:.1g} of the largest term",
-    )
-
-
 def identity_residual(candidate: EnergyCandidate, seed: int, states: int = _STATES) -> float:
     """Largest difference between the two sides, as a share of the largest term of either."""
     energy, k, y = candidate.energy, candidate.energy.k, candidate.centre
@@ -495,9 +473,23 @@ def certify(
         seek = lowest_rising if found.level > 0.0 else fastest_rising
         rising = seek(found.candidate, found.wells, ceiling)
     tell("claims")
+    width, residual = (
+        float(found.candidate.rest.width.max()),
+        identity_residual(found.candidate, seed),
+    )
     made = [
-        equilibrium_claim(found.candidate),
-        derivation_claim(found.candidate, seed),
+        StabilityClaim(
+            "equilibrium",
+            "There is an equilibrium within the bounds, and V and V̇ are zero there",
+            "intervals",
+            f"change of sign of each balance; bounds no wider than {width:.1g} rad/s or rad",
+        ),
+        StabilityClaim(
+            "derivation",
+            "V̇ = −zᵀQz along the model's own equations",
+            "identity" if residual <= _TOLERANCE else "failed",
+            f"largest difference at {_STATES} random states: {residual:.1g} of the largest term",
+        ),
         positive_claim(found),
         *([everywhere] if everywhere is not None else []),
     ]

@@ -81,7 +81,6 @@ _ROTOR_OF_AXIS = {"v": "mr", "h": "tr"}
 class RotorAtRest:
     """Expressions of one rotor with its command held."""
 
-    axis: str  #: ``h`` or ``v``
     omega: ca.SX  #: The speed, rad/s, of which the others are functions
     settling: ca.SX  #: s, rad/s²
     stored: ca.SX  #: An antiderivative of s, (rad/s)²/s
@@ -103,28 +102,22 @@ def rotor_at_rest(axis: str, volt: float, c: Mapping[str, float]) -> RotorAtRest
     size = ca.fabs(omega)
     drag = by_direction(omega, constants[f"k_t{axis}p"], constants[f"k_t{axis}n"])
     stored = (0.5 * resisting * omega**2 + drag * size**3 / 3 - driving * omega) / inertia
-    pieces = [
-        _ratio(c[f"k_f{axis}{d}"], c[f"k_t{axis}{d}"], resisting, inertia, size) for d in "pn"
-    ]
-    bounds = [
-        c[f"k_f{axis}{d}"] * inertia / c[f"k_t{axis}{d}"] if c[f"k_t{axis}{d}"] else float("inf")
-        for d in "pn"
-    ]
-    return RotorAtRest(
-        axis,
-        omega,
-        settling,
-        stored,
-        motor.thrust(omega, constants),
-        ca.if_else(omega >= 0, *pieces),
-        max(bounds),
+    pieces, bounds = zip(
+        *(_ratio(c[f"k_f{axis}{d}"], c[f"k_t{axis}{d}"], resisting, inertia, size) for d in "pn"),
+        strict=True,
     )
+    thrust, ratio = motor.thrust(omega, constants), ca.if_else(omega >= 0, *pieces)
+    return RotorAtRest(omega, settling, stored, thrust, ratio, max(bounds))
 
 
-def _ratio(thrust: float, drag: float, resisting: float, inertia: float, size: ca.SX) -> ca.SX:
+def _ratio(
+    thrust: float, drag: float, resisting: float, inertia: float, size: ca.SX
+) -> tuple[ca.SX, float]:
+    """F'/s' in one direction, and what it stays below."""
     if drag == 0.0:
-        return 2 * thrust * inertia / resisting * size
-    return thrust * inertia / drag * (1 - resisting / (resisting + 2 * drag * size))
+        return 2 * thrust * inertia / resisting * size, float("inf")
+    bound = thrust * inertia / drag
+    return bound * (1 - resisting / (resisting + 2 * drag * size)), bound
 
 
 @dataclass(frozen=True)

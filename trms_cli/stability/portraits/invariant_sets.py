@@ -175,16 +175,8 @@ def rest_point(section: StateSection, x: FloatArray) -> RestPoint:
     placed = section.place(c)[0]
     near = 1e-5 * np.maximum(1.0, np.abs(x))
     on = bool(np.isfinite(placed).all() and np.all(np.abs(placed - x) <= near))
-    return RestPoint(
-        x,
-        c,
-        eigenvalues,
-        kind_of(eigenvalues),
-        on,
-        _shown(vectors, coordinates.own),
-        _on_a_line(section, x, eigenvalues, vectors),
-        switches,
-    )
+    shown, line = _shown(vectors, coordinates.own), _on_a_line(section, x, eigenvalues, vectors)
+    return RestPoint(x, c, eigenvalues, kind_of(eigenvalues), on, shown, line, switches)
 
 
 def _shown(vectors: ComplexArray, own: tuple[int, ...]) -> BoolArray:

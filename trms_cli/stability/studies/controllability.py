@@ -208,13 +208,9 @@ def controllability_findings(result: ControllabilityResult) -> Findings:
         "Where a rotor's speed goes through zero its gain goes to zero with |ω|."
     )
     over = Section(f"Over {path.over}", [method], (_loss_chart(result), _volts_chart(result)))
-    return Findings(
-        "Controllability and observability",
-        _lead(result),
-        (_inputs(result), over, _sensors(result), _torques(result)),
-        json_data(_data(result)),
-        _warnings(result),
-    )
+    sections = _inputs(result), over, _sensors(result), _torques(result)
+    title, data = "Controllability and observability", json_data(_data(result))
+    return Findings(title, _lead(result), sections, data, _warnings(result))
 
 
 def _data(result: ControllabilityResult) -> dict[str, Any]:

@@ -185,12 +185,7 @@ class Hunting:
         return _sweep("torques", "friction", curves, factors, one, tell)
 
     def _over_integrals(
-        self,
-        case: LoopCase,
-        pid: Pid | None,
-        events: StickSlip | None,
-        duration: float,
-        tell: Tell,
+        self, case: LoopCase, pid: Pid | None, events: StickSlip | None, duration: float, tell: Tell
     ) -> LevelSweep:
         factors = self.integrals if self.integrals is not None else (0.5, 2.0) if events else ()
         if pid is None or events is None or not factors:

@@ -501,8 +501,8 @@ def plane_chart(
 
 def _grid(
     certificate: LyapunovCertificate, first: tuple[str, str], second: tuple[str, str], level: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Grid lines around {V <= level}, and states of motion (rows, columns, 3k)."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Grid lines around {V <= level}, states of motion on them (m, 3k), and V (rows, columns)."""
     candidate = certificate.search.candidate
     energy, rest = candidate.energy, candidate.centre
     box = candidate.extent(level, certificate.search.wells.ends)
@@ -520,7 +520,8 @@ def _grid(
     places = np.tile(rest, (_GRID, _GRID, 1))
     places[:, :, energy.index(*first)] = lines[0][None, :]
     places[:, :, energy.index(*second)] = lines[1][:, None]
-    return lines[0], lines[1], places
+    flat = places.reshape(-1, places.shape[2])
+    return lines[0], lines[1], flat, candidate.value(flat).reshape(_GRID, _GRID)
 
 
 def _plane(
@@ -528,8 +529,7 @@ def _plane(
 ) -> Panel:
     candidate, wells = certificate.search.candidate, certificate.search.wells
     energy = candidate.energy
-    x, y, places = _grid(certificate, ("alpha", axis), ("Omega", axis), display)
-    value = candidate.value(places.reshape(-1, places.shape[2])).reshape(_GRID, _GRID)
+    x, y, _, value = _grid(certificate, ("alpha", axis), ("Omega", axis), display)
     i = energy.axes.index(axis)
     between = (x > wells.ends.lower[i]) & (x < wells.ends.upper[i])
     marks: list[Mark] = _sets(certificate, x, y, value, between)
@@ -580,9 +580,7 @@ def _limits(
     """Where Q is not definite, beside N."""
     candidate = certificate.search.candidate
     whole = certificate.outer >= certificate.search.wells.depth * (1.0 - 1e-6)
-    x, y, places = _grid(certificate, first, second, display if whole else 1.6 * display)
-    flat = places.reshape(-1, places.shape[2])
-    value = candidate.value(flat).reshape(_GRID, _GRID)
+    x, y, flat, value = _grid(certificate, first, second, display if whole else 1.6 * display)
     bad = ~definite(candidate.matrices(Interval.point(flat)))[0].reshape(_GRID, _GRID)
     marks = _sets(certificate, x, y, value, np.ones(_GRID, dtype=bool))
     if bad.any():
@@ -603,10 +601,8 @@ def _rates(certificate: LyapunovCertificate, axis: str, display: float) -> Panel
     """V̇ over rotor speed and rate."""
     candidate = certificate.search.candidate
     first, second = ("omega", axis), ("Omega", axis)
-    x, y, places = _grid(certificate, first, second, display)
-    flat = places.reshape(-1, places.shape[2])
+    x, y, flat, value = _grid(certificate, first, second, display)
     rate = candidate.derivative(candidate.states(flat)).reshape(_GRID, _GRID)
-    value = candidate.value(flat).reshape(_GRID, _GRID)
     marks = _sets(certificate, x, y, value, np.ones(_GRID, dtype=bool))
     # The decay −V̇: the minus sign of a negative level is lost in the line that it stands on.
     fastest = float(-rate.min())

@@ -186,11 +186,7 @@ class PhasePortrait:
         )
         at_bound = float(np.mean(np.concatenate([run.saturated for run in paths])))
         parts = [
-            Section(
-                "The portrait",
-                of_loop(result, loop.names["observer"]),
-                [chart(result)],
-            ),
+            Section("The portrait", of_loop(result, loop.names["observer"]), [chart(result)]),
             ends_section(result),
         ]
         results = _results(result) | {

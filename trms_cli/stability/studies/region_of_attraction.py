@@ -415,11 +415,7 @@ def _panel(region: AttractionRegion, box: FloatArray, title: str) -> Panel:
 
 
 def box_axes(
-    model: Model,
-    states: Sequence[str],
-    origin: FloatArray,
-    box: FloatArray,
-    of: tuple[int, int],
+    model: Model, states: Sequence[str], origin: FloatArray, box: FloatArray, of: tuple[int, int]
 ) -> list[Axis]:
     """Axes of two states across a box about an origin."""
     return [

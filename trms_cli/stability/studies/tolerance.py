@@ -72,15 +72,8 @@ class Tolerance:
         """
         loop = subject.require_loop("study=tolerance")
         model, point = subject.model, point_of(subject, self.at)
-        trial = ToleranceTrial(
-            subject,
-            loop,
-            point,
-            self._start(subject),
-            self.duration,
-            Bounds(self.rest, self.swing, self.chatter),
-            self.lost,
-        )
+        start, bounds = self._start(subject), Bounds(self.rest, self.swing, self.chatter)
+        trial = ToleranceTrial(subject, loop, point, start, self.duration, bounds, self.lost)
         scans = {"delay": self.delays, "gain": self.gains, "friction": self.frictions}
         wanted = [one for one in impairments_of(model) if scans[one.kind]]
         if not wanted:
