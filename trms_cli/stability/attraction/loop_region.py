@@ -94,12 +94,6 @@ class LinearLawLoop(Model):
         """(K, K_i), (n_u, n_x + n_r)."""
         return np.hstack([self._law.regulator.K, self._law.regulator.K_i])
 
-    def unsaturated_rows(self) -> FloatArray:
-        """Rows with \\|row · y\\| < 1 where no command is at a limit, (n_u, n)."""
-        lower, upper = self._base.input_bounds()
-        room = np.minimum(upper - self._law.point.u, self._law.point.u - lower)
-        return np.asarray(self.gain / room[:, None])
-
     def starts(self) -> tuple[FloatArray, FloatArray]:
         """L, o with y = L (x − x̄) + o at the start, (n, n_x) and (n,)."""
         n = self._base.n_x
@@ -198,7 +192,10 @@ def loop_region(
         kept = list(system.kept)
         columns = [model.state_index(name) for name in known]
         starts = StartSet(known, matrix[np.ix_(kept, columns)], offset[kept])
-        linear = around(free, free.point), closed.unsaturated_rows()[:, kept]
+        # Rows with |row · y| < 1 where no command is at a limit.
+        lower, upper = model.input_bounds()
+        rows_of_limits = closed.gain / np.minimum(upper - point.u, point.u - lower)[:, None]
+        linear = around(free, free.point), rows_of_limits[:, kept]
         asked = replace(request, box={}, duration=None)
         region = attraction_region(
             system, asked, tell, starts=starts, linear_inside=linear, box=box

@@ -185,23 +185,16 @@ def _bounded(
         return StateBlock(named, None, False, False)
     n = len(box[0])
     everything = Interval.of(np.full((1, n), -np.inf), np.full((1, n), np.inf))
-    for region, everywhere in ((everything, True), (_cut(divergence, box), False)):
+    # The box in pieces along the states that the divergence depends on.
+    acting = set(divergence.sparsity_jac(0, 0).get_triplet()[1])
+    count = [_CUTS + 1 if i in acting else 2 for i in range(n)]
+    pieces = _pieces([np.linspace(*ends) for ends in zip(*box, count, strict=True)])
+    for region, everywhere in ((everything, True), (pieces, False)):
         bounds = enclosure(region)[0]
         low, high = float(bounds.lower.min()), float(bounds.upper.max())
         if high < 0.0 or low > 0.0:
             return StateBlock(named, (low, high), everywhere, True)
     return StateBlock(named, (low, high), False, False)
-
-
-def _cut(divergence: ca.Function, box: tuple[FloatArray, FloatArray]) -> Interval:
-    """The box in pieces along the states that the divergence depends on."""
-    low, high = box
-    acting = sorted(set(divergence.sparsity_jac(0, 0).get_triplet()[1]))
-    cuts = [
-        np.linspace(low[i], high[i], _CUTS + 1) if i in acting else np.array([low[i], high[i]])
-        for i in range(len(low))
-    ]
-    return _pieces(cuts)
 
 
 def _pieces(cuts: Sequence[FloatArray]) -> Interval:

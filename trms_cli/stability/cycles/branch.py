@@ -196,17 +196,18 @@ class Branch:
     def changes(self, channel: int, state: int) -> list[Change]:
         """Folds, period doublings and tori."""
         changes = []
-        for i in range(len(self.orbits) - 1):
-            one, other = self.orbits[i : i + 2]
-            if _outside(one) == _outside(other) or (
-                _unresolved(one) and _unresolved(other) and not self._turns(i, channel)
-            ):
+        rows = np.array([_row(orbit, channel, state) for orbit in self.orbits])
+        for i, (one, other) in enumerate(pairwise(self.orbits)):
+            # Whether the command turns back about the step after an orbit.
+            steps = np.diff(rows[max(i - 1, 0) : i + 3, 0])
+            turns = bool(steps.min() < 0.0 < steps.max())
+            unsure = _unresolved(one) and _unresolved(other) and not turns
+            if unsure or _outside(one) == _outside(other):
                 continue
             before, after = abs(one.largest), abs(other.largest)
             share = (1.0 - before) / (after - before) if after != before else 0.5
             share = min(max(share, 0.0), 1.0)
             kind = _kind(one.largest if abs(before - 1) < abs(after - 1) else other.largest)
-            rows = np.array([_row(orbit, channel, state) for orbit in self.orbits])
             values = rows[i] + share * (rows[i + 1] - rows[i])
             if kind == "fold" and 0 < i < len(rows) - 2:
                 values = _turn(rows[i - 1 : i + 3])
@@ -222,11 +223,6 @@ class Branch:
             return stable
         nearest = np.abs(np.arange(len(stable))[:, None] - clear[None, :]).argmin(axis=1)
         return np.asarray(stable[clear[nearest]])
-
-    def _turns(self, i: int, channel: int) -> bool:
-        """Whether the command turns back about the step after an orbit."""
-        steps = np.diff(self.commands(channel)[max(i - 1, 0) : i + 3])
-        return bool(steps.min() < 0.0 < steps.max())
 
 
 def _row(orbit: Orbit, channel: int, state: int) -> list[float]:
@@ -329,7 +325,9 @@ def follow_branch(
         if turned and step > _TURNING_STEP:
             # A fold lies here: come up to it in small steps.
             return None, max(step / 3.0, _TURNING_STEP)
-        if trial is None or _jumped(last, trial, step):
+        moved = None if trial is None else np.abs(trial.swing - last.swing).max()
+        if trial is None or trial.swing.max() < 1e-4 or moved > 0.3 + 4.0 * step * last.swing.max():
+            # None, the equilibrium, or an orbit of another branch.
             return None, step / 2.0
         at = packed(trial.nodes, trial.period, trial.u, channel)
         return (trial, at, z), min(1.4 * step, _MOST_STEP)
@@ -367,13 +365,6 @@ def _scale(orbit: Orbit) -> FloatArray:
     swings = np.maximum(np.maximum(orbit.swing, 0.5), 0.3 * np.abs(orbit.path).max(axis=0))
     each = np.tile(swings, (len(orbit.nodes), 1)).ravel() * math.sqrt(len(orbit.nodes))
     return np.concatenate([each, [orbit.period, _COMMAND_SCALE]])
-
-
-def _jumped(one: Orbit, other: Orbit, step: float) -> bool:
-    """Whether another branch was found, or the equilibrium, instead of the next orbit."""
-    if other.swing.max() < 1e-4:
-        return True
-    return bool(np.abs(other.swing - one.swing).max() > 0.3 + 4.0 * step * one.swing.max())
 
 
 def _beyond(model: Model, orbit: Orbit) -> bool:

@@ -37,13 +37,6 @@ def entry_words(model: Model, i: int, j: int) -> str:
     return f"{_words_of(model, i)[1]} per {state_words(model, j)}"
 
 
-def entry_symbol(model: Model, i: int, j: int) -> str:
-    """``∂(dS_v/dt)/∂S_h``, or ``∂alpha_v⁺/∂u_v`` of a model that steps."""
-    row, column = model.state_names[i], model.state_names[j]
-    after = f"d{row}/dt" if model.sample_time is None else f"{row}⁺"
-    return f"∂({after})/∂{column}"
-
-
 def state_words(model: Model, j: int) -> str:
     """``yaw rate`` for S_h: what a state stands for."""
     return _words_of(model, j)[0]
@@ -287,6 +280,12 @@ def share_table(path: OperatingPath, why: ModeSensitivity) -> Table:
     total = why.sensitivity.total
     unit = path.unit or "1"
 
+    def symbol(one: EntryShare) -> str:
+        """``∂(dS_v/dt)/∂S_h``, or ``∂alpha_v⁺/∂u_v`` of a model that steps."""
+        row, column = (path.model.state_names[k] for k in (one.row, one.column))
+        after = f"d{row}/dt" if path.model.sample_time is None else f"{row}⁺"
+        return f"∂({after})/∂{column}"
+
     def share(one: EntryShare) -> str | None:
         return _percent(one.part.real / total.real) if abs(total.real) > 1e-12 else None
 
@@ -294,7 +293,7 @@ def share_table(path: OperatingPath, why: ModeSensitivity) -> Table:
         _large(why.sensitivity.shares)[:8],
         [
             Column("entry", lambda s: entry_words(path.model, s.row, s.column)),
-            Column("symbol", lambda s: entry_symbol(path.model, s.row, s.column)),
+            Column("symbol", symbol),
             Column(f"change per {unit}", lambda s: rounded(s.change)),
             Column(f"of d Re λ [1/s per {unit}]", lambda s: rounded(s.part.real)),
             Column(f"of d Im λ [rad/s per {unit}]", lambda s: rounded(s.part.imag)),

@@ -371,21 +371,17 @@ def _filled(
     if matched is None:
         return None
     place, sure = matched
-    if (sure < _SURE or _leaps(last.spectrum, place.spectrum)) and depth < _DEEPEST:
+    # Whether a curve through the eigenvalues would show corners.
+    pace = np.abs(last.spectrum.values)
+    typical = float(np.median(pace))
+    leaps = np.abs(place.spectrum.values - last.spectrum.values)[pace <= _SLOW * typical]
+    corners = bool(leaps.max(initial=0.0) > _CORNER * typical)
+    if (sure < _SURE or corners) and depth < _DEEPEST:
         first = _filled(path, last, 0.5 * (last.value + value), depth + 1)
         second = None if first is None else _filled(path, first[-1], value, depth + 1)
         if first is not None and second is not None:
             return [*first, *second]
     return [place]
-
-
-def _leaps(before: EigenSpectrum, after: EigenSpectrum) -> bool:
-    """Whether a curve through the eigenvalues would show corners."""
-    pace = np.abs(before.values)
-    typical = float(np.median(pace))
-    slow = pace <= _SLOW * typical
-    moves = np.abs(after.values - before.values)[slow]
-    return bool(moves.max(initial=0.0) > _CORNER * typical)
 
 
 def _end(path: OperatingPath, last: LocusPoint, value: float) -> tuple[LocusPoint | None, str]:

@@ -65,6 +65,11 @@ def mode_table(modes: Modes, caption: str = "") -> Table:
         """A cell of what swings only."""
         return lambda mode: _sig(value(mode)) if mode.oscillates else None
 
+    def verdict(mode: EigenMode) -> Judged:
+        grows = mode.verdict == "unstable" and mode.eigenvalue.real <= STILL
+        words = "unstable (grows with t)" if grows else mode.verdict
+        return Judged(words, _JUDGED[mode.verdict])
+
     return table(
         modes.modes,
         [
@@ -75,17 +80,10 @@ def mode_table(modes: Modes, caption: str = "") -> Table:
             Column("ω_d [rad/s]", swing(lambda m: m.damped_frequency)),
             Column("f_d [Hz]", swing(lambda m: m.damped_frequency / (2 * math.pi))),
             Column("τ [s]", lambda m: _sig(m.time_constant)),
-            Column("verdict", lambda m: Judged(verdict_words(m), _JUDGED[m.verdict])),
+            Column("verdict", verdict),
         ],
         caption,
     )
-
-
-def verdict_words(mode: EigenMode) -> str:
-    """``stable``, ``unstable``, ``marginal``, ``unstable (grows with t)``."""
-    if mode.verdict == "unstable" and mode.eigenvalue.real <= STILL:
-        return "unstable (grows with t)"
-    return mode.verdict
 
 
 def participation_table(model: Model, modes: Modes) -> Table:

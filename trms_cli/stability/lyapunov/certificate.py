@@ -431,18 +431,6 @@ class LyapunovCertificate:
         return self.outer > 0.0 and all(claim.holds for claim in self.claims)
 
 
-def wants_cross_terms(energy: Energy) -> bool:
-    """Whether the plain energy cannot fall: yaw is held against the tail rotor's thrust.
-
-    The thrust's moment on yaw turns with cos α_v and has no potential: V̇ has a term
-    l_t F̄_h (cos α_v − cos ᾱ_v) Ω_h that nothing in −zᵀQz outweighs without the angles in z.
-    """
-    if energy.k != 2:
-        return False
-    command = energy.u[[s.name for s in energy.model.inputs].index("u_h")]
-    return bool(abs(command) > 0.0)
-
-
 def certify(
     rig: EnergyRig, point: OperatingPoint, function: str, budget: int, seed: int, tell: Tell
 ) -> LyapunovCertificate:
@@ -452,7 +440,12 @@ def certify(
     cross terms would meet.
     """
     energy = Energy(rig.model, point.u)
-    strict = function == "strict" or (function == "auto" and wants_cross_terms(energy))
+    # Where yaw is held against the tail rotor's thrust the plain energy cannot fall: its moment
+    # turns with cos α_v and has no potential, and V̇ has a term l_t F̄_h (cos α_v − cos ᾱ_v) Ω_h
+    # that nothing in −zᵀQz outweighs without the angles in z.
+    inputs = [signal.name for signal in energy.model.inputs]
+    pushed = energy.k == 2 and bool(abs(energy.u[inputs.index("u_h")]) > 0.0)
+    strict = function == "strict" or (function == "auto" and pushed)
     if strict and rig.resisting:
         raise ConfigurationError(
             f"a strict function does not fall by friction alone, and {rig.resisting[0]} is given",

@@ -129,6 +129,7 @@ def search(section: StateSection, window: FloatArray) -> tuple[RestPoint, ...]:
     coordinates, point = section.coordinates, section.point
     starts = section.place(grid(window, _STARTS[len(coordinates)]).reshape(-1, len(coordinates)))
     width = np.maximum(window[:, 1] - window[:, 0], 1e-12)
+    unseen = [i for i in coordinates.others if coordinates.model.states[i].unit == "rad"]
     found: list[FloatArray] = []
     for start in (point.x, *starts[np.isfinite(starts).all(axis=1)]):
         x = refined(coordinates.field, start, point.u)
@@ -137,7 +138,7 @@ def search(section: StateSection, window: FloatArray) -> tuple[RestPoint, ...]:
         c = coordinates.values(x, point.u)
         if np.any(c < window[:, 0] - _SAME * width) or np.any(c > window[:, 1] + _SAME * width):
             continue
-        if _turned(section, x):
+        if np.any(np.abs(x - point.x)[unseen] > _HALF_A_TURN):
             continue
         scale = np.maximum(1.0, np.abs(x))
         if all(np.abs((x - other) / scale).max() > _SAME for other in found):
@@ -149,13 +150,6 @@ def search(section: StateSection, window: FloatArray) -> tuple[RestPoint, ...]:
         if rest.isolated or not again:
             points.append(rest)
     return tuple(sorted(points, key=lambda rest: tuple(rest.c.round(6))))
-
-
-def _turned(section: StateSection, x: FloatArray) -> bool:
-    """Whether an angle that the portrait does not show is more than half a turn away."""
-    model = section.coordinates.model
-    unseen = [i for i in section.coordinates.others if model.states[i].unit == "rad"]
-    return bool(np.any(np.abs(x - section.point.x)[unseen] > _HALF_A_TURN))
 
 
 def rest_point(section: StateSection, x: FloatArray) -> RestPoint:

@@ -50,7 +50,9 @@ def trajectories(
     line from the start to the end of the first step would show the fall along it aslant.
     """
     coordinates, u = section.coordinates, section.point.u
-    fine = _fine_step(section, step)
+    slopes, _ = coordinates.field.linearised(section.point.x, u)
+    fastest = float(np.abs(np.linalg.eigvals(slopes).real).max())
+    fine = _FINE / fastest if fastest * step > 1.0 else 0.0  # s; 0 where a step shows it
     time: FloatArray = np.arange(max(1, round(duration / step)) + 1, dtype=np.float64) * step
     if fine:
         early = np.arange(_FINE_STEPS + 1) * fine
@@ -69,13 +71,6 @@ def trajectories(
             c = coordinates.values(x[:, i], u)
             found.append(PortraitTrajectory(time, x[:, i], c, never))
     return tuple(found)
-
-
-def _fine_step(section: StateSection, step: float) -> float:
-    """s between points while the fastest mode lasts; 0 where a step shows it."""
-    slopes, _ = section.coordinates.field.linearised(section.point.x, section.point.u)
-    fastest = float(np.abs(np.linalg.eigvals(slopes).real).max())
-    return _FINE / fastest if fastest * step > 1.0 else 0.0
 
 
 def drawn_points(

@@ -291,11 +291,6 @@ def held_words(section: StateSection, held: StickingSet) -> str:
     return f"{what}{item.label} = {low} to {high} {item.unit}"
 
 
-def _rests_along(section: StateSection, held: StickingSet) -> bool:
-    """Whether the set extends along the angle that is held, and so consists of rest points."""
-    return held.what == section.coordinates.items[held.along].label
-
-
 def legend(section: StateSection, end: TrajectoryEnd, rests: Sequence[RestPoint]) -> str:
     """An end in the legend: by its kind where that is enough."""
     if end.what == "held":
@@ -334,7 +329,9 @@ def lead_of_model(result: PortraitResult) -> list[str]:
             "The motions into the saddle (the separatrix) part the starts by where they end."
         )
     lead += _beyond_stops(section, saddles)
-    lines = [held for held in result.sticking if _rests_along(section, held)]
+    # Those along the angle that is held consist of rest points.
+    items = section.coordinates.items
+    lines = [held for held in result.sticking if held.what == items[held.along].label]
     if lines:
         sets = " and ".join(held_words(section, held) for held in lines)
         lead.append(
