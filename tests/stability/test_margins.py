@@ -31,20 +31,18 @@ from trms_cli.references.constant import Constant
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.loops.frequency_response import (
     Analyser,
+    DiskMargin,
     FrequencyResponse,
+    MarginResult,
     NoLoopError,
     NoResponse,
-    held_by_friction,
-    multisine,
-)
-from trms_cli.stability.loops.margins import (
-    DiskMargin,
-    MarginResult,
     classical_margins,
     continuous,
     diagonal_mu,
     disk_margin,
+    held_by_friction,
     interpolated,
+    multisine,
 )
 from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.study import silent

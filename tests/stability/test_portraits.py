@@ -29,13 +29,16 @@ from trms_cli.stability.portraits.invariant_sets import (
     sticking_sets,
 )
 from trms_cli.stability.portraits.section import default_states, section_of
-from trms_cli.stability.portraits.trajectories import NEAR, drawn_points, ends_of, trajectories
-from trms_cli.stability.portraits.window import (
+from trms_cli.stability.portraits.trajectories import (
+    NEAR,
     checked_window,
     default_starts,
     default_window,
+    drawn_points,
+    ends_of,
     given_starts,
     loop_starts,
+    trajectories,
 )
 
 VERTICAL = Newtonian(freedom="vertical")

@@ -19,10 +19,7 @@ class Study(Protocol):
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """The answer for a subject.
 
-        Raises
-        ------
-        ModelError
-            If the question makes no sense for this model; it says what is possible instead.
+        Raises ModelError if the question makes no sense for this model, with what is possible.
         """
         ...
 

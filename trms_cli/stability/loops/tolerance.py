@@ -27,7 +27,7 @@ from trms_cli.effects.extended_model import extended
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import LoopRun, Path, run_loop
-from trms_cli.stability.loops.margins import MarginResult
+from trms_cli.stability.loops.frequency_response import MarginResult
 from trms_cli.stability.subject import LoopParts, Subject
 
 ImpairmentKind = Literal["delay", "gain", "friction"]

@@ -98,17 +98,17 @@ class Equilibria:
             "surveys": [_survey_data(one) for one in surveys],
             "named": [_named_data(model, point) for point in named],
         }
-        return Findings(
-            "Equilibria",
-            _lead(result),
-            [
-                *(_section(one, named) for one in surveys),
-                *_map_sections(result),
-                _special_section(result),
-            ],
-            json_data(data),
-            [*missing, *warnings, *held_outside],
-        )
+        sections = [_section(one, named) for one in surveys]
+        chart = None if stable_map is None else _map_chart(result, stable_map)
+        if chart is not None and chart.panels:
+            text = (
+                "Each point is the stable equilibrium that a step of the command leads to from its "
+                "neighbour; it is searched for, not proved to be the only one."
+            )
+            sections.append(Section("Over both inputs", [text], [chart]))
+        sections.append(_special_section(result))
+        notes = [*missing, *warnings, *held_outside]
+        return Findings("Equilibria", _lead(result), sections, json_data(data), notes)
 
     def _named(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
         """The named points; rest and hover only within the box, and why one is missing."""
@@ -499,15 +499,6 @@ def _stability(point: EquilibriumPoint) -> Judged:
     if point.verdict == "unstable":
         return Judged("grows with t", "bad")
     return Judged(point.verdict, "good" if point.verdict == "stable" else "doubtful")
-
-
-def _map_sections(result: EquilibriaResult) -> list[Section]:
-    if result.map is None:
-        return []
-    chart = _map_chart(result, result.map)
-    text = "Each point is the stable equilibrium that a step of the command leads to from its "
-    text += "neighbour; it is searched for, not proved to be the only one."
-    return [Section("Over both inputs", [text], [chart])] if chart.panels else []
 
 
 def _special_section(result: EquilibriaResult) -> Section:

@@ -26,15 +26,18 @@ from trms_cli.core.chart import (
 )
 from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.loops.frequency_response import Analyser, NoResponse, measured, point_of
-from trms_cli.stability.loops.margins import (
+from trms_cli.stability.loops.frequency_response import (
+    Analyser,
     ClassicalMargins,
     DiskMargin,
     LoopMargins,
     MarginResult,
+    NoResponse,
     StabilityLimit,
     diagonal_mu,
     largest_singular_value,
+    measured,
+    point_of,
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject

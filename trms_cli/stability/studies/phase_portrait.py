@@ -15,7 +15,7 @@ from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Column, Findings, Judged, Section, Table, json_data, table
 from trms_cli.core.wording import listing, symbol
-from trms_cli.models.model import names
+from trms_cli.models.model import by_name
 from trms_cli.stability.portraits.charts import PortraitResult, has_field, is_hidden, portrait
 from trms_cli.stability.portraits.invariant_sets import (
     RestPoint,
@@ -31,20 +31,18 @@ from trms_cli.stability.portraits.invariant_sets import (
 )
 from trms_cli.stability.portraits.section import StateSection, section_of
 from trms_cli.stability.portraits.trajectories import (
-    NEAR,
-    TrajectoryEnd,
-    ends_of,
-    loop_trajectories,
-    trajectories,
-)
-from trms_cli.stability.portraits.window import (
     DEFAULT_COUNT,
     LOOP_COUNT,
+    NEAR,
+    TrajectoryEnd,
     checked_window,
     default_starts,
     default_window,
+    ends_of,
     given_starts,
     loop_starts,
+    loop_trajectories,
+    trajectories,
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
@@ -704,9 +702,6 @@ def _results(result: PortraitResult) -> dict[str, Any]:
     section, items = result.section, result.section.coordinates.items
     model, total = section.coordinates.model, len(result.trajectories)
 
-    def named(x: FloatArray) -> dict[str, float]:
-        return dict(zip(model.state_names, x, strict=True))
-
     def placed(c: FloatArray) -> dict[str, float]:
         return dict(zip(section.coordinates.names, c, strict=True))
 
@@ -714,15 +709,15 @@ def _results(result: PortraitResult) -> dict[str, Any]:
         "coordinates": [{"name": item.name, "unit": item.unit} for item in items],
         "window": placed(result.window),
         "operating_point": {
-            "x": named(section.point.x),
-            "u": dict(zip(names(model.inputs), section.point.u, strict=True)),
+            "x": by_name(model.states, section.point.x),
+            "u": by_name(model.inputs, section.point.u),
         },
         "held": [model.state_names[i] for i in section.held],
         "settled": [model.state_names[i] for i in section.settled],
         "section_is_invariant": None if result.loop else result.invariant,
         "equilibria": [
             {
-                "x": named(rest.x),
+                "x": by_name(model.states, rest.x),
                 "coordinates": placed(rest.c),
                 "kind": rest.kind,
                 "isolated": rest.isolated,
@@ -741,7 +736,7 @@ def _results(result: PortraitResult) -> dict[str, Any]:
             "ends": [
                 {
                     "what": end.what,
-                    "at": None if end.rest is None else named(end.rest.x),
+                    "at": None if end.rest is None else by_name(model.states, end.rest.x),
                     "held_in": None if end.held is None else end.held.reach,
                     "starts": end.members,
                     "share": len(end.members) / total,

@@ -14,8 +14,13 @@ from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, table
 from trms_cli.core.plugins import nearest
-from trms_cli.stability.loops.frequency_response import Analyser, NoResponse, measured, point_of
-from trms_cli.stability.loops.margins import MarginResult
+from trms_cli.stability.loops.frequency_response import (
+    Analyser,
+    MarginResult,
+    NoResponse,
+    measured,
+    point_of,
+)
 from trms_cli.stability.loops.tolerance import (
     Bounds,
     FailureBracket,
