@@ -22,9 +22,9 @@ from trms_cli.references.step import Step
 SETUP = PlantSetup(sample_time=0.02, samples=1000, seed=1)
 
 
-def run(rig: SimulatedRig, command: list[float], setup: PlantSetup = SETUP) -> dict[str, Any]:
+def run(command: list[float], setup: PlantSetup = SETUP, **rig: Any) -> dict[str, Any]:
     """States and measurements of a run at a constant command."""
-    plant = rig.init(setup)
+    plant = SimulatedRig(**({"model": Newtonian()} | rig)).init(setup)
     u, states, measured = np.array(command), [], []
     for _ in range(setup.samples):
         measured.append(plant.measure())
@@ -39,22 +39,21 @@ def run(rig: SimulatedRig, command: list[float], setup: PlantSetup = SETUP) -> d
 
 
 def test_perfect_sensors_show_the_state() -> None:
-    ran = run(SimulatedRig(model=Newtonian()), [1.6, 0.4])
+    ran = run([1.6, 0.4])
     assert np.array_equal(ran["y"][:, 0], ran["alpha_v"])
     assert np.array_equal(ran["y"][:, 3], ran["omega_h"])
 
 
 def test_integration_is_finer_than_a_model_at_the_sample_and_converged() -> None:
-    coarse = run(SimulatedRig(model=Newtonian()), [1.9, 0.8])
-    fine = run(SimulatedRig(model=Newtonian(), integration_step=0.0005), [1.9, 0.8])
+    coarse = run([1.9, 0.8])
+    fine = run([1.9, 0.8], integration_step=0.0005)
     assert coarse["alpha_v"] == pytest.approx(fine["alpha_v"], abs=1e-7)
     assert coarse["alpha_h"] == pytest.approx(fine["alpha_h"], abs=1e-7)
 
 
 def test_noise_and_quanta_are_as_declared() -> None:
     sensors = Sensors(noise_sd={"omega_v": 2.0}, quantum={"alpha_v": 0.01})
-    rig = SimulatedRig(model=Newtonian(), sensors=sensors)
-    ran = run(rig, [1.2, 0.0])
+    ran = run([1.2, 0.0], sensors=sensors)
     noise = ran["y"][:, 2] - ran["omega_v"]
     assert noise.std() == pytest.approx(2.0, rel=0.1)
     assert np.abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.12
@@ -65,31 +64,30 @@ def test_noise_and_quanta_are_as_declared() -> None:
 
 
 def test_seed_decides_the_noise_and_nothing_else_does() -> None:
-    rig = SimulatedRig(model=Newtonian(), sensors=Sensors(noise_sd={"omega_v": 1.0}))
-    once, again = run(rig, [1.0, 0.0]), run(rig, [1.0, 0.0])
-    other = run(rig, [1.0, 0.0], replace(SETUP, seed=2))
+    sensors = Sensors(noise_sd={"omega_v": 1.0})
+    once, again, other = (
+        run([1.0, 0.0], replace(SETUP, seed=seed), sensors=sensors) for seed in (1, 1, 2)
+    )
     assert np.array_equal(once["y"], again["y"])
     assert not np.array_equal(once["y"], other["y"])
     assert np.array_equal(once["alpha_v"], other["alpha_v"])
 
 
 def test_lost_samples_are_missing_as_a_whole() -> None:
-    rig = SimulatedRig(model=Newtonian(), sensors=Sensors(loss_probability=0.2))
-    lost = np.isnan(run(rig, [1.0, 0.0])["y"])
+    lost = np.isnan(run([1.0, 0.0], sensors=Sensors(loss_probability=0.2))["y"])
     assert lost.all(axis=1).mean() == pytest.approx(0.2, abs=0.05)
     assert np.array_equal(lost.any(axis=1), lost.all(axis=1))
 
 
 def test_some_channels_only() -> None:
-    rig = SimulatedRig(model=Newtonian(), sensors=Sensors(channels=("alpha_h", "alpha_v")))
-    ran = run(rig, [1.5, 0.5])
+    ran = run([1.5, 0.5], sensors=Sensors(channels=("alpha_h", "alpha_v")))
     assert np.array_equal(ran["y"], np.column_stack([ran["alpha_h"], ran["alpha_v"]]))
 
 
 def test_true_parameters_are_the_rigs_own() -> None:
     model = Newtonian()
-    weaker = run(SimulatedRig(model=model, parameters={"k_fvp": 1.2e-5}), [1.4, 0.0])
-    nominal = run(SimulatedRig(model=model), [1.4, 0.0])
+    weaker = run([1.4, 0.0], parameters={"k_fvp": 1.2e-5})
+    nominal = run([1.4, 0.0], model=model)
     assert weaker["alpha_v"][-1] < nominal["alpha_v"][-1] - 0.1
     assert model.parameters["k_fvp"].value == 1.62e-5
 
@@ -105,15 +103,12 @@ def test_draw_from_the_priors_repeats_and_yields_to_given_values() -> None:
 
 
 def test_effects_and_stops_are_parameters_too() -> None:
-    rig = SimulatedRig(
-        model=Newtonian(),
+    free = run(
+        [1.0, 0.6],
         effects={"yaw_coulomb_friction": CoulombFriction(axis="yaw", torque=0.01)},
         parameters={"yaw_coulomb_friction.torque": 0.0},
     )
-    free = run(rig, [1.0, 0.6])
-    assert np.array_equal(
-        free["alpha_h"], run(SimulatedRig(model=Newtonian()), [1.0, 0.6])["alpha_h"]
-    )
+    assert np.array_equal(free["alpha_h"], run([1.0, 0.6])["alpha_h"])
 
 
 def test_mechanical_stop_ends_the_travel_without_rebound_and_lets_go() -> None:
@@ -131,20 +126,16 @@ def test_mechanical_stop_ends_the_travel_without_rebound_and_lets_go() -> None:
 
 
 def test_no_stops_when_asked() -> None:
-    rig = SimulatedRig(
-        model=Newtonian(freedom="horizontal"),
-        initial={"alpha_h": 2.7, "S_h": 1.5},
-        mechanical_stops=False,
-    )
-    assert run(rig, [2.5])["alpha_h"].max() > 3.0
+    model, start = Newtonian(freedom="horizontal"), {"alpha_h": 2.7, "S_h": 1.5}
+    assert run([2.5], model=model, initial=start, mechanical_stops=False)["alpha_h"].max() > 3.0
 
 
 def test_external_torque_acts_on_its_equation_from_its_time_on() -> None:
     push = ScheduledDisturbance(
         equation="yaw_moment", torque=Step(amplitude=0.01, start=5.0), known=True
     )
-    pushed = run(SimulatedRig(model=Newtonian(), disturbances={"push": push}), [1.4, 0.0])
-    free = run(SimulatedRig(model=Newtonian()), [1.4, 0.0])
+    pushed = run([1.4, 0.0], disturbances={"push": push})
+    free = run([1.4, 0.0])
     assert np.array_equal(pushed["alpha_h"][:251], free["alpha_h"][:251])
     # One sample after the push nothing but the torque has acted on the difference.
     g = geometry({p.name: p.value for p in Newtonian().parameters})
@@ -173,16 +164,15 @@ def test_commands_before_time_zero_fill_the_memory() -> None:
 
 
 def test_eight_state_rig_agrees_with_the_six_state_one() -> None:
-    full = run(SimulatedRig(model=Newtonian(currents="dynamic")), [1.7, 0.5])
-    plain = run(SimulatedRig(model=Newtonian()), [1.7, 0.5])
+    full = run([1.7, 0.5], model=Newtonian(currents="dynamic"))
+    plain = run([1.7, 0.5])
     assert full["alpha_v"] == pytest.approx(plain["alpha_v"], abs=2e-4)
     assert full["alpha_h"] == pytest.approx(plain["alpha_h"], abs=2e-4)
 
 
 def test_a_state_that_is_not_finite_stops_the_run() -> None:
-    rig = SimulatedRig(model=Newtonian(), initial={"omega_v": 1e200}, mechanical_stops=False)
     with pytest.raises(SimulationError, match="no longer finite"):
-        run(rig, [0.0, 0.0])
+        run([0.0, 0.0], initial={"omega_v": 1e200}, mechanical_stops=False)
 
 
 @pytest.mark.parametrize(

@@ -205,20 +205,17 @@ def _signals(export: Export) -> str:
     preview = export.controller.preview(export.setup)
     lines = ["## Signals\n", "| argument | position | signal | unit |", "|---|---|---|---|"]
     groups = {
-        "x_hat": [(s.name, s.unit, s.description) for s in model.states],
-        "w_hat": [(s.name, s.unit, s.description) for s in model.disturbances],
-        "u, u_previous": [(s.name, s.unit, s.description) for s in model.inputs],
+        "x_hat": model.states,
+        "w_hat": model.disturbances,
+        "u, u_previous": model.inputs,
     }
     if export.observer is not None:
         outputs = {s.name: s for s in model.outputs}
-        groups["y"] = [
-            (name, outputs[name].unit, outputs[name].description)
-            for name in export.observer.channels
-        ]
+        groups["y"] = tuple(outputs[name] for name in export.observer.channels)
     for argument, signals in groups.items():
-        for i, (name, unit, description) in enumerate(signals):
-            words = f"{name}: {description}" if description else name
-            lines.append(f"| `{argument}` | {i} | {words} | {unit} |")
+        for i, s in enumerate(signals):
+            words = f"{s.name}: {s.description}" if s.description else s.name
+            lines.append(f"| `{argument}` | {i} | {words} | {s.unit} |")
     followed = ", ".join(model.controlled)
     lower, upper_bound = model.input_bounds()
     limits = ", ".join(
@@ -243,31 +240,26 @@ def _figures(export: Export, measured: Measured | None) -> str:
         return (
             f"## Memory and time\n\n{what}. Not measured here: `make check` and `make size` do.\n"
         )
-    rows = [
-        ("step, median", f"{measured.median:.1f} µs"),
-        ("step, 99 %", f"{measured.p99:.1f} µs"),
-        ("step, slowest sample in the best of five passes", f"{measured.slowest:.1f} µs"),
-        ("step, longest of all", f"{measured.longest:.1f} µs"),
-        *(
-            [
-                ("observer, median", f"{measured.observer_median:.1f} µs"),
-                ("observer, 99 %", f"{measured.observer_p99:.1f} µs"),
-                ("observer, longest", f"{measured.observer_longest:.1f} µs"),
-            ]
-            if measured.observer_median is not None
-            else []
-        ),
-        ("largest difference to the Python controller", f"{measured.largest_difference:.2g} V"),
-        ("context (`sizeof`)", _bytes(measured.context_bytes)),
-    ]
-    if measured.observer_bytes:
-        rows.append(("observer (`sizeof`)", _bytes(measured.observer_bytes)))
-    if measured.code_bytes is not None:
-        rows.append(("code and constants", _bytes(measured.code_bytes)))
-    if measured.data_bytes is not None:
-        rows.append(("`.data` and `.bss`", _bytes(measured.data_bytes)))
-    if measured.stack_bytes is not None:
-        rows.append(("stack, at the most (all frames together)", _bytes(measured.stack_bytes)))
+    times = {
+        "step, median": measured.median,
+        "step, 99 %": measured.p99,
+        "step, slowest sample in the best of five passes": measured.slowest,
+        "step, longest of all": measured.longest,
+        "observer, median": measured.observer_median,
+        "observer, 99 %": measured.observer_p99,
+        "observer, longest": measured.observer_longest,
+    }
+    room = {
+        "context (`sizeof`)": measured.context_bytes,
+        "observer (`sizeof`)": measured.observer_bytes or None,
+        "code and constants": measured.code_bytes,
+        "`.data` and `.bss`": measured.data_bytes,
+        "stack, at the most (all frames together)": measured.stack_bytes,
+    }
+    rows = [(key, f"{value:.1f} µs") for key, value in times.items() if value is not None]
+    difference = f"{measured.largest_difference:.2g} V"
+    rows.append(("largest difference to the Python controller", difference))
+    rows += [(key, _bytes(count)) for key, count in room.items() if count is not None]
     table = "\n".join(f"| {key} | {value} |" for key, value in rows)
     return f"""\
 ## Memory and time
