@@ -167,6 +167,26 @@ def _right_hand_side(model):
     return lambda x, u, w: np.asarray(function(x, u, p, w)).ravel()
 
 
+def _accelerations(model):
+    """``(x, u, w)`` → those of pitch and yaw, rad/s², without torques where none are given."""
+    at = model.symbols()
+    f = model.dynamics(*at)
+    rates = f[[model.state_index("alpha_v"), model.state_index("alpha_h")]]
+    function = ca.Function("a", list(at), [ca.jtimes(rates, at[0], f)])
+    p, still = model.parameters.values, np.zeros(model.n_w)
+    return lambda x, u, w=still: np.asarray(function(x, u, p, w)).ravel()
+
+
+def _quantities(model, x):
+    """What a model names at a state without commands, by name."""
+    at = model.symbols()[:3]
+    known = model.quantities(*at)
+    values = ca.Function("q", list(at), list(known.values()))(
+        x, np.zeros(model.n_u), model.parameters.values
+    )
+    return {name: float(value) for name, value in zip(known, values, strict=True)}
+
+
 @pytest.fixture(scope="session")
 def rig() -> SimpleNamespace:
     return SimpleNamespace(
@@ -180,6 +200,8 @@ def rig() -> SimpleNamespace:
         rich_input=_rich_input,
         exactly=_exactly,
         right_hand_side=_right_hand_side,
+        accelerations=_accelerations,
+        quantities=_quantities,
         turntable=Turntable,
         newtonian=Newtonian,
         extended=extended,

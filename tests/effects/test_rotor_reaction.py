@@ -42,24 +42,6 @@ def test_yaw_drifts_to_the_check_value_without_a_tail_command(rig):
     assert x[-1, base.state_index("alpha_h")] == pytest.approx(1.23, abs=0.01)
 
 
-def accelerations(model):
-    x, u, p, w = model.symbols()
-    f = model.dynamics(x, u, p, w)
-    rates = f[[model.state_index("alpha_v"), model.state_index("alpha_h")]]
-    function = ca.Function(
-        "a",
-        [x, u],
-        [
-            ca.substitute(
-                ca.jtimes(rates, x, f),
-                ca.vertcat(p, w),
-                ca.vertcat(ca.DM(model.parameters.values), ca.DM.zeros(model.n_w)),
-            )
-        ],
-    )
-    return lambda x, u: np.asarray(function(x, u)).ravel()
-
-
 @given(seed=st.integers(0, 1000), inertia=st.floats(-1e-4, 1e-4))
 @settings(max_examples=8, deadline=None)
 def test_its_inertia_is_that_of_the_model_s_own_coupling(rig, seed, inertia):
@@ -80,7 +62,10 @@ def test_its_inertia_is_that_of_the_model_s_own_coupling(rig, seed, inertia):
     row = base.state_index("alpha_h")
     y[base.state_index("S_h")] -= f[row] - rates(x, u, np.zeros(4))[row]
     np.testing.assert_allclose(
-        accelerations(with_effect)(x, u)[1], accelerations(changed)(y, u)[1], rtol=1e-9, atol=1e-9
+        rig.accelerations(with_effect)(x, u)[1],
+        rig.accelerations(changed)(y, u)[1],
+        rtol=1e-9,
+        atol=1e-9,
     )
 
 
@@ -157,19 +142,16 @@ def test_with_the_reaction_it_is_the_model_s_own_coupling(rig):
     x = base.rest()
     for name, value in (("omega_v", speed), ("alpha_v", alpha), ("S_v", 1.0), ("S_h", 0.3)):
         x[base.state_index(name)] = value
-    inertia = inertia_of_yaw(base)
+
+    def inertia(at):
+        return rig.quantities(base, at)["inertia_yaw"]
+
     same_rates = x.copy()
     same_rates[base.state_index("S_h")] -= k_m * speed * np.cos(alpha) / inertia(x)
     sides = [x.copy(), x.copy()]
     for side, sign in zip(sides, (1, -1), strict=True):
         side[base.state_index("alpha_v")] += sign * step
     turning = (1 / inertia(sides[0]) - 1 / inertia(sides[1])) / (2 * step)
-    own = accelerations(base)(same_rates, u)[1] - k_m * speed * np.cos(alpha) * turning
-    assert accelerations(with_effect)(x, u)[1] == pytest.approx(own, rel=1e-6)
-    assert accelerations(without)(x, u)[1] != pytest.approx(own, rel=1e-2)
-
-
-def inertia_of_yaw(model):
-    x, u, p, _ = model.symbols()
-    function = ca.Function("J", [x, u, p], [model.quantities(x, u, p)["inertia_yaw"]])
-    return lambda at: float(function(at, np.zeros(2), model.parameters.values))
+    own = rig.accelerations(base)(same_rates, u)[1] - k_m * speed * np.cos(alpha) * turning
+    assert rig.accelerations(with_effect)(x, u)[1] == pytest.approx(own, rel=1e-6)
+    assert rig.accelerations(without)(x, u)[1] != pytest.approx(own, rel=1e-2)

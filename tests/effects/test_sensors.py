@@ -36,6 +36,12 @@ def run(rig, base, effects, u, substeps=4, start=None):
     return STEP * np.arange(len(x)), x, rig.readings(model, x, u, STEP)
 
 
+def finely(rig, base, u, fine, name, start=None):
+    """A state over time by steps that are so many times shorter."""
+    x = rig.simulate(base, np.repeat(u, fine, axis=0), STEP / fine, 1, start=start)
+    return x[:, base.state_index(name)]
+
+
 def test_a_bias_is_added_to_one_angle(rig):
     u = rig.rich_input(50)
     _, x, y = run(rig, rig.newtonian(), {"b": SensorBias(axis="yaw", bias=0.03)}, u)
@@ -64,7 +70,7 @@ def test_a_delay_of_any_fraction_shows_the_angle_of_that_time(rig, delay, subste
     base = rig.turntable(damping=0.02)
     start = [0, 0, 0.3, 0.5]
     _, _, y = run(rig, base, effects, u, substeps, start)
-    model = rig.simulate(base, np.repeat(u, fine, axis=0), STEP / fine, 1, start=start)[:, 2]
+    model = finely(rig, base, u, fine, "alpha_h", start)
     at = np.arange(len(model)) * STEP / fine
     later = slice(8, None)
     expected = np.interp(STEP * np.arange(151)[later] - delay, at, model)
@@ -78,9 +84,7 @@ def test_the_derivative_in_the_delay_is_the_rate_of_that_time(rig):
     rollout = Rollout(model, STEP, free=("d.delay",))
     start = rollout.initial(base.rest(), u[0])[None, :]
     slopes = rollout.sensitivities(u, [0], [60], start)
-    fine = rig.simulate(base, np.repeat(u, 40, axis=0), STEP / 40, 1)
-    yaw = fine[:, base.state_index("alpha_h")]
-    rate = np.gradient(yaw, STEP / 40)
+    rate = np.gradient(finely(rig, base, u, 40, "alpha_h"), STEP / 40)
     at = np.arange(20, 60) * 40 - 66
     np.testing.assert_allclose(slopes.dy[20:60, YAW, -1], -rate[at], atol=2e-3 * abs(rate).max())
 
@@ -119,9 +123,7 @@ def test_a_tacho_s_filter_is_the_solution_of_its_equation(rig, time_constant, su
     lag = {"t": TachoLag(rotor="main", time_constant=time_constant)}
     _, x, y = run(rig, base, lag, u, substeps)
     fine = 200
-    speed = rig.simulate(base, np.repeat(u, fine, axis=0), STEP / fine, 1)[
-        :, base.state_index("omega_v")
-    ]
+    speed = finely(rig, base, u, fine, "omega_v")
     if time_constant:
         h = STEP / fine
         kept = np.exp(-h / time_constant)
@@ -142,11 +144,10 @@ def test_a_mode_is_the_transfer_function_in_series(rig, frequency):
     t = STEP * np.arange(400)
     u = np.column_stack([np.zeros(400), 0.05 * np.sin(5 * t) + 0.02 * np.sin(11 * t)])
     mode = {"m": FlexibleMode(axis="yaw", share=1.0, frequency=frequency, damping=zeta)}
-    _, _, y = run(rig, rig.turntable(damping=0.02), mode, u, substeps=8)
+    base = rig.turntable(damping=0.02)
+    _, _, y = run(rig, base, mode, u, substeps=8)
     fine = 64
-    angle = rig.simulate(rig.turntable(damping=0.02), np.repeat(u, fine, axis=0), STEP / fine, 1)[
-        :, 2
-    ]
+    angle = finely(rig, base, u, fine, "alpha_h")
     system = TransferFunction([2 * zeta * natural, natural**2], [1, 2 * zeta * natural, natural**2])
     _, expected, _ = lsim(system, angle, np.arange(len(angle)) * STEP / fine)
     flexed = np.abs(expected - angle).max()

@@ -1,6 +1,5 @@
 """Effects on the thrust: another power, inflow, ground effect."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,14 +17,10 @@ SPEED = {"main": "omega_v", "tail": "omega_h"}
 
 def added_torque(rig, base, effect, state):
     """Torque on pitch and yaw that an effect adds at a state, N m, and the base's quantities."""
-    x, u, p, _ = base.symbols()
-    known = base.quantities(x, u, p)
     at = base.rest()
     for name, value in state.items():
         at[base.state_index(name)] = value
-    function = ca.Function("q", [x, u, p], list(known.values()))
-    values = function(at, np.zeros(base.n_u), base.parameters.values)
-    quantities = {name: float(v) for name, v in zip(known, values, strict=True)}
+    quantities = rig.quantities(base, at)
     slopes = [
         rig.right_hand_side(m)(at, np.zeros(base.n_u), np.zeros(base.n_w))
         for m in (base, rig.extended(base, {"e": effect}))
