@@ -37,18 +37,6 @@ from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.model import Model, names
 
-__all__ = [
-    "ARGUMENTS",
-    "REGION_ARGUMENTS",
-    "Horizon",
-    "SoftLimits",
-    "TerminalPrice",
-    "Weights",
-    "blocks_of",
-    "check_names",
-]
-
-
 #: Arguments of both compiled functions: initial state with memory, plan, last command, parameters,
 #: disturbances, references, steady-state target; then what stays the same during a run: weights of
 #: the errors (states, then rates), inputs and moves, limits (lower; upper), prices (linear and
@@ -328,7 +316,8 @@ class Horizon:
             return ca.Function("horizon_evaluate", list(at.values()), results)
         root = self._root(slopes, ca.sqrt(at["q"]))
         errors = ca.repmat(ca.sqrt(at["q"]), n, 1) * ca.vec(self._errors(trajectory, at))
-        gradient = 2 * root.T @ errors + self._input_gradient(at)
+        of_inputs = ca.vec(ca.jacobian(self._input_objective(at), at["z"]))
+        gradient = 2 * root.T @ errors + of_inputs
         terminal_slope = sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z)
         if self.has_region:
             last = ca.horzcat(ca.MX(n_u, self.n_z - n_u), ca.MX.eye(n_u))
@@ -378,16 +367,6 @@ class Horizon:
             errors.append(rate - wanted[model.controlled.index(name), :])
         return ca.vertcat(*errors)
 
-    def _moves(self, at: Mapping[str, ca.MX]) -> ca.MX:
-        """Changes between successive blocks, (n_u, n_blocks)."""
-        return at["z"] - ca.horzcat(at["u_previous"], at["z"][:, :-1])
-
-    def _input_gradient(self, at: Mapping[str, ca.MX]) -> ca.MX:
-        """Gradient of the inputs' and moves' part of J, block by block, (n_z, 1)."""
-        z = at["z"]
-        part = self._input_objective(at)
-        return ca.vec(ca.jacobian(part, z))
-
     def _objective(self, trajectory: ca.MX, at: Mapping[str, ca.MX]) -> ca.MX:
         squares = ca.sum2(self._errors(trajectory, at) ** 2)
         return ca.dot(at["q"], squares) + self._input_objective(at)
@@ -397,7 +376,8 @@ class Horizon:
         periods = ca.repmat(ca.DM(np.bincount(self.blocks)).T, self.model.n_u, 1)
         deviation = at["z"] - ca.repmat(at["u_s"], 1, self.n_blocks)
         inputs = ca.dot(at["rho"], ca.sum2(periods * deviation**2))
-        return inputs + ca.dot(at["s"], ca.sum2(self._moves(at) ** 2))
+        moves = at["z"] - ca.horzcat(at["u_previous"], at["z"][:, :-1])
+        return inputs + ca.dot(at["s"], ca.sum2(moves**2))
 
     def _merit(
         self, objective: ca.MX, trajectory: ca.MX, residual: ca.MX, at: Mapping[str, ca.MX]

@@ -112,9 +112,8 @@ class InteriorPoint:
             stats: dict[str, Any] = self._solve.stats()
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1]
-            return OcpSolution(
-                guess, np.inf, False, False, 0, reason, _none(), perf_counter() - begin
-            )
+            none, spent = np.zeros(0), perf_counter() - begin
+            return OcpSolution(guess, np.inf, False, False, 0, reason, (none, none), spent)
         unknowns = result["x"].full().ravel()
         objective = float(result["f"])
         finite = bool(np.isfinite(unknowns).all()) and np.isfinite(objective)
@@ -129,10 +128,6 @@ class InteriorPoint:
             (result["lam_x"].full().ravel(), result["lam_g"].full().ravel()),
             perf_counter() - begin,
         )
-
-
-def _none() -> tuple[FloatArray, FloatArray]:
-    return np.zeros(0), np.zeros(0)
 
 
 def _options(ocp: Ocp, method: Method, max_iterations: int, tolerance: float) -> dict[str, Any]:

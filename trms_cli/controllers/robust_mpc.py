@@ -222,6 +222,3 @@ _PROBES = (0.3, 0.1, 0.03)
 def _level(solution: LmiSolution, z: FloatArray) -> float:
     """Largest z'Q⁻¹z over the Lyapunov matrices."""
     return float(max(z @ np.linalg.solve(Q, z) for Q in solution.Q))
-
-
-__all__ = ["Certificate", "Law", "RobustMpc", "RobustMpcState"]

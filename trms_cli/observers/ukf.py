@@ -34,7 +34,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import kept
 from trms_cli.core.ranges import NotNegative
-from trms_cli.observers.augmentation import Augmentation, AugmentedModel, InitialSd, ProcessNoise
+from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import (
     diagonal,
     disturbances,
@@ -45,9 +45,6 @@ from trms_cli.observers.kalman_step import (
 )
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS, RecursiveFilter
-from trms_cli.observers.recursive_filter import FilterState as UkfState
-
-__all__ = ["InitialSd", "ProcessNoise", "Ukf", "UkfState"]
 
 
 @dataclass(frozen=True)
