@@ -90,7 +90,10 @@ def sizes_of(state: Any, preview: int) -> dict[str, tuple[int, str]]:
         "N_P": (len(model.parameters), "parameters of the model"),
         "N": (horizon.n_periods, "control periods ahead"),
         "PREVIEW": (preview, "control periods that the reference is known ahead"),
-        "FORECAST": (_forecast(state), "periods that an unknown reference is carried on for"),
+        "FORECAST": (
+            state.config.forecast_periods,
+            "periods that an unknown reference is carried on for",
+        ),
         "N_FULL": (state.discrete.n_x, "states, and what is remembered of past commands"),
         "N_S": (steady, "unknowns of a steady state"),
         "N_PATHS": (len(model.path_memory), "states that remember a path and rest at any value"),
@@ -216,13 +219,6 @@ def parameter_comments(state: Any) -> str:
         for i, p in enumerate(state.model.parameters)
     ]
     return "/* Parameters of the model:\n" + "\n".join(map(text, lines)) + "\n */"
-
-
-def _forecast(state: Any) -> int:
-    config = state.config
-    if config.preview_horizon:
-        return 0
-    return min(config.forecast_horizon, config.prediction_horizon)
 
 
 def _units(signals: Any) -> str:

@@ -102,6 +102,12 @@ class HorizonSettings:
                 remedy=f"at most the prediction horizon, {self.prediction_horizon}",
             )
 
+    @property
+    def forecast_periods(self) -> int:
+        """Control periods for which a reference that is not known is carried on."""
+        ahead = 0 if self.preview_horizon else self.forecast_horizon
+        return min(ahead, self.prediction_horizon)
+
     def preview(self, setup: ControlSetup) -> int:
         """Reference samples wanted beyond the present one."""
         return self.preview_horizon

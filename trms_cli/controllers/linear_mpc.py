@@ -386,8 +386,7 @@ class LinearMpcState:
         self._full = self.discrete.initial(model.rest(), setup.first_command)
         self._at_target = self._full.copy()
         self._goals = np.zeros((len(self.blocks), len(controlled)))
-        ahead = 0 if config.preview_horizon else config.forecast_horizon
-        self._forecast = ReferenceForecast(min(ahead, len(self.blocks)), len(controlled))
+        self._forecast = ReferenceForecast(config.forecast_periods, len(controlled))
         self._last = setup.first_command.copy()
         self._free = np.zeros((len(self.blocks) + 1, self.discrete.n_x))
         self.plan = np.zeros((model.n_u, int(self.blocks[-1]) + 1))

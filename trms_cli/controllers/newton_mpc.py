@@ -448,7 +448,7 @@ class NewtonMpcState:
         blocks = blocks_of(config.prediction_horizon, tuple(config.move_blocks))
         sizes = typical_sizes(self.discrete)
         weights = _tracking(model, config.state_weights, sizes)
-        self.steady_state = SteadyState(model, _positive(weights))
+        self.steady_state = SteadyState(model, {name: q for name, q in weights.items() if q > 0})
         self._memory = list(model.path_memory)
         # The plan may end at any value of what remembers the path: none of it is missed.
         terminal_sizes = sizes.copy()
@@ -491,10 +491,7 @@ class NewtonMpcState:
         )
         self._shift = _shift_matrix(blocks)
         self._beyond = 1.0 - self._shift.sum(axis=0)
-        ahead = 0 if config.preview_horizon else config.forecast_horizon
-        self._forecast = ReferenceForecast(
-            min(ahead, config.prediction_horizon), len(model.controlled)
-        )
+        self._forecast = ReferenceForecast(config.forecast_periods, len(model.controlled))
         self.target: Target | None = None
         self._full = self.discrete.initial(model.rest(), setup.first_command)
         self._first = True
@@ -619,10 +616,6 @@ def _shift_matrix(blocks: IntArray) -> FloatArray:
         if k + 1 < len(blocks):
             shift[blocks[k + 1], block] += 1.0 / periods[block]
     return shift
-
-
-def _positive(weights: Mapping[str, float]) -> dict[str, float]:
-    return {name: weight for name, weight in weights.items() if weight > 0}
 
 
 @dataclass(frozen=True, kw_only=True)

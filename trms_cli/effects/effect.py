@@ -51,7 +51,8 @@ class EffectContext:
 
     def rate(self, axis: str) -> ca.SX:
         """Angular rate of an axis, rad/s."""
-        return _rate_function(self.model, axis)(self.x, self.u, self.p, self.w)
+        slope = _slope_function(self.model, self.model.state_index(self.axis(axis).angle))
+        return slope(self.x, self.u, self.p, self.w)
 
     def cosine_of_pitch(self) -> ca.SX:
         """cos α of the pitch; 1 for a model whose pitch is locked level."""
@@ -301,13 +302,6 @@ def resisting_impulse(
 # The functions below are built once for a model and inlined wherever they are called: an effect is
 # asked at every stage of every substep, and each effect asks the model beneath it, which without
 # them would take a time that doubles with each effect.
-
-
-@lru_cache(maxsize=128)
-def _rate_function(model: Model, axis: str) -> ca.Function:
-    at = model.symbols()
-    row = model.state_index(axis_of(model, axis).angle)
-    return ca.Function("rate", list(at), [model.dynamics(*at)[row]])
 
 
 @lru_cache(maxsize=128)

@@ -152,7 +152,8 @@ class SteadyState:
                 # disturbance that kept the reference out of reach has gone.
                 if not target.projected:
                     return target
-                if _beside(guess, asked):
+                beside = (abs(a - b) < _BESIDE for a, b in zip(asked, guess.asked, strict=True))
+                if guess.projected and all(beside):
                     return self._within_reach(asked) or target
         return self._from_afar(asked)
 
@@ -237,7 +238,8 @@ class SteadyState:
                 target = self._target(asked, active)
                 if not target.projected:
                     return target
-                cost = self._cost()
+                error = self._s[self.controlled] - self._r
+                cost = float(error @ (self.weights * error))
                 if best is None or cost < best[0] - _SLOPE_TOLERANCE:
                     best = (cost, target)
         if best is not None:
@@ -258,10 +260,6 @@ class SteadyState:
             abs(self._s[i]) > stop + REACHED
             for i, stop in zip(self.controlled, self._stops, strict=True)
         )
-
-    def _cost(self) -> float:
-        error = self._s[self.controlled] - self._r
-        return float(error @ (self.weights * error))
 
     def _starts(self) -> Iterable[tuple[FloatArray, FloatArray]]:
         """Points to start from: at the reference and at rest, the inputs at several levels.
@@ -292,12 +290,6 @@ class SteadyState:
             tuple(asked),
             self._multiplier.copy(),
         )
-
-
-def _beside(guess: Target, asked: list[float]) -> bool:
-    return guess.projected and all(
-        abs(a - b) < _BESIDE for a, b in zip(asked, guess.asked, strict=True)
-    )
 
 
 def controlled_rows(model: Model, equations: RestEquations) -> list[int]:

@@ -162,8 +162,11 @@ class Coordinates:
         for rotor in self.rotors:
             self.sizes[rotor.coordinate] = sizes[rotor.state] ** 2
         self._p = model.parameters.values
-        self._forward = BufferedFunction(self._forward_function())
-        self._inverse = BufferedFunction(self._inverse_function())
+        x, v, _, w = model.symbols()
+        self._forward = BufferedFunction(ca.Function("coordinates", [x], [self._coordinates(x)]))
+        self._inverse = BufferedFunction(
+            ca.Function("robust_command", [x, v, w], ca.cse([self._commands(x, v, w)]))
+        )
         self.step = self._step_function()
 
     @property
@@ -215,10 +218,6 @@ class Coordinates:
                     state = model.state_index(speed)
                     rotors.append(ThrustRotor(inputs.index(name), state, self.kept.index(state)))
         return tuple(rotors)
-
-    def _forward_function(self) -> ca.Function:
-        x = ca.SX.sym("x", self.model.n_x)
-        return ca.Function("coordinates", [x], [self._coordinates(x)])
 
     def _coordinates(self, x: ca.SX) -> ca.SX:
         z = [x[i] for i in self.kept]
@@ -280,10 +279,6 @@ class Coordinates:
             for _ in range(_NEWTON_ITERATIONS):
                 u[rotor.input] = newton(x, ca.vertcat(*u), w, omega)
         return ca.vertcat(*u)
-
-    def _inverse_function(self) -> ca.Function:
-        x, v, _, w = self.model.symbols()
-        return ca.Function("robust_command", [x, v, w], ca.cse([self._commands(x, v, w)]))
 
     def _step_function(self) -> ca.Function:
         """``(z, v, w) → z⁺`` and its Jacobian in (z, v), shapes (n,) and (n, n + n_u)."""
