@@ -156,18 +156,10 @@ def admit(
 ) -> Admission:
     """Check recordings against what is to be done with them.
 
-    Parameters
-    ----------
-    datasets : sequence of Dataset
-        As loaded for the model: before rotor speeds are made inputs.
-    model : Model
-        Roughly right is enough. Signs and swapped channels are only looked for where it has
-        equations (not for a black box).
-    free_parameters : int
-        How many are to be fitted.
-    purpose : {"fit", "validation"}
-        A validation demands no length, and commands or axes that rest are worth a word only,
-        unless nothing moves at all.
+    ``datasets``: as loaded for the model, before rotor speeds are made inputs. ``model``: roughly
+    right is enough; signs and swapped channels are only looked for where it has equations (not for
+    a black box). ``free_parameters``: how many are to be fitted. A validation demands no length,
+    and commands or axes that rest are worth a word only, unless nothing moves at all.
     """
     issues: list[Issue] = []
     for dataset in datasets:

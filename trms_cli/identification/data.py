@@ -97,29 +97,13 @@ class DataOptions:
 def load_datasets(
     real: Sequence[str] | str, model: Model, options: DataOptions | None = None
 ) -> list[Dataset]:
-    """Read recordings for a model.
+    """Read recordings for a model, in the order of the files, with unique names.
 
-    Parameters
-    ----------
-    real : str or sequence of str
-        Files (CSV, MAT, MCAP), folders of runs, or patterns such as ``monday/*.csv``.
-    model : Model
-        Its inputs must all be recorded. Of its outputs those are taken that are.
-    options : DataOptions or None
-        None takes the defaults: everything, with no noise declared.
-
-    Returns
-    -------
-    list of Dataset
-        In the order of the files; more than one of a file that is split at its gaps. Names
-        are unique.
-
-    Raises
-    ------
-    RecordingError
-        If a file cannot be read or is not evenly sampled.
-    ConfigurationError
-        If its channels or units are not those of the model; it tells what to do.
+    A file that is split at its gaps gives more than one. ``real``: files (CSV, MAT, MCAP), folders
+    of runs, or patterns such as ``monday/*.csv``. ``model``: its inputs must all be recorded; of
+    its outputs those are taken that are. ``options``: None takes the defaults: everything, with no
+    noise declared. Raises RecordingError if a file cannot be read or is not evenly sampled,
+    ConfigurationError if its channels or units are not those of the model; it tells what to do.
     """
     options = options or DataOptions()
     datasets: list[Dataset] = []

@@ -209,16 +209,13 @@ class PopulationSearch(Protocol):
 
     def ask(self) -> FloatArray:
         """The points of the next generation, shape (individuals, n), in the unit box."""
-        ...
 
     def tell(self, points: FloatArray, costs: FloatArray) -> None:
         """Their costs, shape (individuals,); infinite where a simulation failed."""
-        ...
 
     @property
     def ended(self) -> str:
         """Why the search would not go on by itself; empty while it does."""
-        ...
 
 
 @dataclass

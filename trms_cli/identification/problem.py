@@ -86,31 +86,15 @@ def free_parameters(
     priors: Mapping[str, Prior | None] | None = None,
     bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
 ) -> tuple[FreeParameter, ...]:
-    """Free parameters by name.
+    """Free parameters by name, in the order of the model's ``parameters``.
 
-    Parameters
-    ----------
-    parameters : ParameterSet
-        The model's: present values, priors, bounds.
-    chosen : sequence of str
-        Names (``k_fvp``, an effect's size ``yaw_coulomb_friction.torque``), patterns (``k_*``),
-        ``priors`` for all that have a prior, and any of these after ``!`` to leave out again.
-    centres : ParameterSet or None
-        Where the priors lie when the model's values are other starts; None: ``parameters``.
-    priors : dict of str to Prior or None
-        Priors in place of the set's; None takes a parameter's prior away.
-    bounds : dict of str to (lower, upper)
-        In place of the set's; None on a side: no bound there.
-
-    Returns
-    -------
-    tuple of FreeParameter
-        In the order of the model's parameters.
-
-    Raises
-    ------
-    ConfigurationError
-        For a name or pattern that fits nothing, or priors and bounds that contradict each other.
+    ``chosen``: names (``k_fvp``, an effect's size ``yaw_coulomb_friction.torque``), patterns
+    (``k_*``), ``priors`` for all that have a prior, and any of these after ``!`` to leave out
+    again. ``centres``: where the priors lie when the model's values are other starts; None:
+    ``parameters``. ``priors``: in place of the set's; None takes a parameter's prior away.
+    ``bounds``: lower and upper, in place of the set's; None on a side: no bound there. Raises
+    ConfigurationError for a name or pattern that fits nothing, or priors and bounds that contradict
+    each other.
     """
     priors, bounds = priors or {}, bounds or {}
     taken = set[str]()

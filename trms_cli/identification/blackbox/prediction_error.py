@@ -268,15 +268,12 @@ class TrainingObjective(Protocol):
 
     def loss(self, theta: FloatArray) -> float:
         """Mean of the squared residuals; infinite where the simulation diverges."""
-        ...
 
     def gradient(self, theta: FloatArray) -> tuple[float, FloatArray]:
         """Loss and its gradient (P,)."""
-        ...
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
         """Loss, JᵀJ and Jᵀr."""
-        ...
 
 
 def _accumulated(

@@ -32,21 +32,17 @@ class TrainableNetwork(Protocol):
 
     def values(self, theta: FloatArray, z: FloatArray) -> FloatArray:
         """Outputs, ``(P,), (n, n_z) -> (n, n_out)``."""
-        ...
 
     def slopes(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Outputs (n, n_out), their slopes in θ (n, n_out, P) and in z (n, n_out, n_z)."""
-        ...
 
     def pulled_back(
         self, theta: FloatArray, z: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Slopes of ``Σ weight · output`` (weight (n, n_out)) in θ (P,) and in z (n, n_z)."""
-        ...
 
     def named(self, theta: FloatArray) -> dict[str, FloatArray]:
         """The weights by the names that a stored network has."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,6 @@ class ExcitationPlugin(Protocol):
         Raises ConfigurationError if the band does not fit into the duration or below the Nyquist
         frequency.
         """
-        ...
 
 
 def crest_factor(values: FloatArray) -> float:

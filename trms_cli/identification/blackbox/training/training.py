@@ -52,7 +52,6 @@ class EpochReport(Protocol):
 
         Raises TrainingStopped when it is time to end.
         """
-        ...
 
 
 class TrainingAlgorithm(Protocol):
@@ -65,7 +64,6 @@ class TrainingAlgorithm(Protocol):
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport
     ) -> None:
         """Reduce the loss epoch by epoch; return when nothing reduces it any more."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
