@@ -11,7 +11,6 @@ from trms_cli.identification.blackbox.prediction_error import (
     MultiStepError,
     OneStepError,
     Samples,
-    placed_rows,
     rows,
     scaling,
 )
@@ -48,7 +47,7 @@ def parts(samples, form=(True, True)):
 
 def one_step(samples, form=(True, True)):
     shape, scale, network, theta = parts(samples, form)
-    regressors, targets = rows(shape, samples)
+    regressors, targets, _ = rows(shape, samples)
     z = (regressors - scale.regressor_mean) / scale.regressor_sd
     normalised = (targets - scale.output_mean) / scale.output_sd
     return OneStepError(network, z, normalised), theta
@@ -56,7 +55,7 @@ def one_step(samples, form=(True, True)):
 
 def test_a_row_holds_the_samples_of_its_lags(samples):
     shape = structure(differences=False)
-    regressors, targets, place = placed_rows(shape, samples)
+    regressors, targets, place = rows(shape, samples)
     k = 17
     row = list(place).index(k)
     expected = [
@@ -69,8 +68,8 @@ def test_a_row_holds_the_samples_of_its_lags(samples):
 
 
 def test_differences_say_the_same_as_lagged_values(samples):
-    plain, _ = rows(structure(differences=False), samples)
-    different, _ = rows(structure(differences=True), samples)
+    plain, *_ = rows(structure(differences=False), samples)
+    different, *_ = rows(structure(differences=True), samples)
     assert different[:, 2:4] == pytest.approx(plain[:, 0:2] - plain[:, 2:4], abs=1e-14)
     assert np.linalg.matrix_rank(structure().arrangement()) == structure().n_regressors
 
@@ -78,7 +77,7 @@ def test_differences_say_the_same_as_lagged_values(samples):
 def test_a_lost_sample_takes_its_rows_away_and_no_others(samples):
     outputs = samples.outputs.copy()
     outputs[20, 0] = np.nan
-    _, _, place = placed_rows(structure(), Samples(outputs, samples.inputs))
+    _, _, place = rows(structure(), Samples(outputs, samples.inputs))
     # as the target, as the sample before it, and at the third lag
     assert sorted(set(range(3, 60)) - set(place)) == [20, 21, 23]
 

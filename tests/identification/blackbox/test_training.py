@@ -22,7 +22,7 @@ from trms_cli.identification.blackbox.training.bayesian_regularisation import (
 from trms_cli.identification.blackbox.training.conjugate_gradient import ConjugateGradient
 from trms_cli.identification.blackbox.training.gradient_descent import GradientDescent
 from trms_cli.identification.blackbox.training.levenberg_marquardt import LevenbergMarquardt
-from trms_cli.identification.blackbox.training.quasi_newton import OneStepSecant, _secant
+from trms_cli.identification.blackbox.training.quasi_newton import _secant
 from trms_cli.identification.blackbox.training.resilient import Resilient
 from trms_cli.identification.blackbox.training.scaled_conjugate_gradient import (
     ScaledConjugateGradient,
@@ -277,10 +277,6 @@ class TestQuasiNewton:
         inverse = left @ left.T + rho * np.outer(s, s)
         if g @ inverse @ g > 0:
             assert _secant(g, s, y) == pytest.approx(-inverse @ g, abs=1e-10)
-
-    def test_the_secant_method_reaches_a_minimum(self, quadratic):
-        training = train(OneStepSecant(), quadratic, np.zeros(6), Stopping(epochs=500, patience=0))
-        assert training.theta == pytest.approx(quadratic.minimum, abs=1e-5)
 
 
 class TestLevenbergMarquardt:

@@ -119,16 +119,11 @@ def smoothed(outputs: FloatArray, window: int) -> FloatArray:
     return result
 
 
-def rows(structure: NarxStructure, samples: Samples) -> tuple[FloatArray, FloatArray]:
-    """Regressors (n, n_phi) and targets (n, n_y), without those that lack a sample."""
-    regressors, targets, _ = placed_rows(structure, samples)
-    return regressors, targets
+def rows(structure: NarxStructure, samples: Samples) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Regressors (n, n_phi), targets (n, n_y) and the sample that each row predicts, (n,).
 
-
-def placed_rows(
-    structure: NarxStructure, samples: Samples
-) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """:func:`rows`, and the sample k that each row predicts."""
+    Rows that lack a sample are left out.
+    """
     first, n = structure.longest_lag, len(samples)
     lagged = [samples.outputs[first - lag : n - lag] for lag in structure.output_lags]
     lagged += [samples.inputs[first - lag : n - lag] for lag in structure.input_lags]
@@ -185,7 +180,7 @@ def _spread(values: FloatArray) -> FloatArray:
 
 def predicted(structure: NarxStructure, network: Network, samples: Samples) -> FloatArray:
     """Each sample from the measured ones before it, (n, n_y); NaN where one is missing."""
-    regressors, _, place = placed_rows(structure, samples)
+    regressors, _, place = rows(structure, samples)
     result = np.full_like(samples.outputs, np.nan)
     result[place] = network.evaluate(regressors)
     if structure.incremental:
