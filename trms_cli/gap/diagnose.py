@@ -43,12 +43,11 @@ from trms_cli.gap.free_runs import (
     sealed_comparison,
     start_states,
 )
-from trms_cli.gap.innovation_tests import innovation_tests
-from trms_cli.gap.location import Location, locate, smoothed_forces
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior, calibration, posterior_of
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, EffectTraces, Race, effect_traces, run_race
+from trms_cli.gap.residuals import Location, innovation_tests, locate, smoothed_forces
 from trms_cli.identification.free_runs import simulated_windows
 from trms_cli.identification.problem import Progress, Unwatched
 from trms_cli.models.model import names

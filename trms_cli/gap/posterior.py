@@ -31,9 +31,9 @@ from trms_cli.gap.discrepancy import log_likelihood
 from trms_cli.gap.fitting import FittedModel
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.location import Location
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
+from trms_cli.gap.residuals import Location
 
 
 @dataclass(frozen=True, kw_only=True)
