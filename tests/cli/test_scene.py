@@ -15,8 +15,7 @@ from trms_cli.library.tasks.scene import scene_of_log
 from trms_cli.recordings.export import export_log
 from trms_cli.recordings.foxglove.scene_log import scene_messages
 from trms_cli.recordings.foxglove.types import SCENE_TOPICS, layout
-from trms_cli.recordings.log_reader import read_log
-from trms_cli.recordings.log_tail import LogTail
+from trms_cli.recordings.log_reader import LogTail, read_log
 from trms_cli.reporting.scene_picture import frames_of
 
 ROOT = Path(__file__).parents[2]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trms_cli.core.result_cache import cached_result
+from trms_cli.core.process_cache import cached_result
 
 
 @pytest.fixture(autouse=True)

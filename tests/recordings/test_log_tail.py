@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.log_reader import LoggedRun, TopicTable, read_log
-from trms_cli.recordings.log_tail import LogPiece, LogTail
+from trms_cli.recordings.log_reader import LoggedRun, LogPiece, LogTail, TopicTable, read_log
 from trms_cli.recordings.run_log import RunLog
 
 

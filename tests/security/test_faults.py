@@ -83,7 +83,7 @@ def test_a_disk_that_fills_up_is_told_and_the_log_opens(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[" * 100_000])
 def test_a_damaged_result_in_the_cache_is_made_again(content, tmp_path, monkeypatch) -> None:
-    from trms_cli.core.result_cache import cached_result
+    from trms_cli.core.process_cache import cached_result
 
     monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "functions"))
 

@@ -24,7 +24,7 @@ _PATIENCE = 60  # s of processor time for all the files of a reader
 
 _READERS = {
     "log": "from trms_cli.recordings.log_reader import read_log as read",
-    "tail": "from trms_cli.recordings.log_tail import LogTail\n"
+    "tail": "from trms_cli.recordings.log_reader import LogTail\n"
     "def read(path):\n"
     "    tail = LogTail(path)\n"
     "    while tail.read() is not None: pass\n"

@@ -156,7 +156,7 @@ _CACHE = """
 import casadi as ca
 import numpy as np
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.result_cache import cached_result
+from trms_cli.core.process_cache import cached_result
 x = ca.MX.sym("x")
 begin()
 function = BufferedFunction(ca.Function("raced", [x], [ca.sin(x) + 1]))

@@ -40,7 +40,7 @@ from trms_cli.composition.checks import (
 from trms_cli.composition.overrides import ComposeRequest, Override, parse, read_request
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
-from trms_cli.core.wording import shown_choices
+from trms_cli.core.wording import choice_labels
 from trms_cli.runs.run_folder import new_folder
 
 #: Choices of options that are kept.
@@ -73,9 +73,9 @@ class Composition:
         return new_folder(self.config["out"], what)
 
     @property
-    def shown_choices(self) -> dict[str, str]:
+    def choice_labels(self) -> dict[str, str]:
         """The option of each group as it is called; a model of a file by its file or fit."""
-        return shown_choices(self.choices, self.config)
+        return choice_labels(self.choices, self.config)
 
     @cached_property
     def yaml(self) -> str:

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import ComplexArray, FloatArray
-from trms_cli.core.result_cache import cached_result
+from trms_cli.core.process_cache import cached_result
 from trms_cli.models import steady_state
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target

@@ -45,8 +45,7 @@ from trms_cli.controllers.pid_feed_forward import (
 )
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.process_cache import kept
-from trms_cli.core.result_cache import cached_result
+from trms_cli.core.process_cache import cached_result, kept
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState

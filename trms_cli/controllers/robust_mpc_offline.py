@@ -45,8 +45,8 @@ from trms_cli.controllers.robust.regulation import (
 )
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.plugins import require_known
+from trms_cli.core.process_cache import cached_result
 from trms_cli.core.ranges import NotNegative
-from trms_cli.core.result_cache import cached_result
 
 #: Share to which the farthest states are brought nearer where no law is found for them.
 _SHORTER = 0.8

@@ -1,12 +1,12 @@
-"""Results that depend on nothing but their inputs, kept while the process lives.
+"""Results that depend on nothing but their inputs, kept while the process lives, or on the disk.
 
 A process that makes many runs, as a sweep's worker does, needs the same equations, gains and
 filters again and again: most of a run's configuration is that of the run before. They are found
 by the *content* of what they follow from, never by which object it is, so that a model whose
 parameters were assigned anew is another model, and a run is the same whatever ran before it.
 
-What is kept is shared: nobody may change it. Between processes,
-:mod:`trms_cli.core.result_cache` keeps what takes long.
+What is kept is shared: nobody may change it. What takes long is kept between processes
+(:func:`cached_result`).
 """
 
 from __future__ import annotations
@@ -15,13 +15,19 @@ import hashlib
 import io
 import pickle
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Lock
 from types import FunctionType
 from typing import Any, ParamSpec, TypeVar
 
 import casadi as ca
+import msgspec
+import numpy as np
+
+from trms_cli.core.compilation import cache_folder
+from trms_cli.core.whole_file import replace_whole
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -111,3 +117,35 @@ class _ContentPickler(pickle.Pickler):
             self.named.append(value)
             return "function", id(value)
         return None
+
+
+def cached_result(
+    source: str, inputs: Iterable[object], kind: type[T], compute: Callable[[], T]
+) -> T:
+    """The result of a pure computation, from the user's cache folder when it is there.
+
+    ``source``: file of the code that computes (``__file__``): an edit of it makes the result anew.
+    ``inputs``: all that the result depends on: arrays, numbers, text. ``kind``: of the result; a
+    type that msgspec reads and writes as JSON. Numbers keep every bit. ``compute``: without
+    arguments. What it raises is not kept.
+    """
+    digest = hashlib.sha256(Path(source).read_bytes())
+    for value in inputs:
+        data = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+        digest.update(len(data).to_bytes(8, "little") + data)
+    file = cache_folder().parent / "results" / f"{Path(source).stem}_{digest.hexdigest()[:32]}.json"
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=kind)
+    except (OSError, msgspec.MsgspecError):
+        result = compute()
+        _keep(file, msgspec.json.encode(result))
+        return result
+
+
+def _keep(file: Path, content: bytes) -> None:
+    """Write whole or not at all; a cache that cannot be written is no error."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        replace_whole(file, content)
+    except OSError:
+        return

@@ -223,7 +223,9 @@ def check_own(found: Any, target: str, where: str) -> None:
     """
     package = target.partition(".")[0]
     home = str(getattr(found, "__module__", None))
-    if home.partition(".")[0] != package or not (inspect.isclass(found) or _is_function(found)):
+    if home.partition(".")[0] != package or not (
+        inspect.isclass(found) or inspect.isfunction(found)
+    ):
         raise ConfigurationError(
             f"{target!r} is no class of {package}",
             where=where,
@@ -250,10 +252,6 @@ def _is_plugin(found: Any) -> bool:
     if any(f"{base.__module__}.{base.__qualname__}" in _BASES for base in found.__mro__):
         return True
     return dataclasses.is_dataclass(found) and found.__dataclass_params__.frozen  # type: ignore[attr-defined]
-
-
-def _is_function(found: Any) -> bool:
-    return inspect.isfunction(found)
 
 
 def _refused(target: str, where: str) -> ConfigurationError:

@@ -211,7 +211,7 @@ _FILE = "from_file"
 def headline(choices: Mapping[str, str], *, follows: bool = True, rig: str = "") -> str:
     """``lqr · ref square · observer ukf · model fit · plant simulated (newtonian)``.
 
-    ``choices``: as :func:`shown_choices` gives them. ``follows``: whether the controller follows a
+    ``choices``: as :func:`choice_labels` gives them. ``follows``: whether the controller follows a
     reference. ``rig``: name of the rig's model; "" if it is not known.
     """
     parts = [choices.get("controller", "")]
@@ -223,7 +223,7 @@ def headline(choices: Mapping[str, str], *, follows: bool = True, rig: str = "")
     return " · ".join(parts)
 
 
-def shown_choices(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -> dict[str, str]:
+def choice_labels(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -> dict[str, str]:
     """The option of each group as it is called; a model of a file by its file or fit.
 
     ``choices``: the option chosen in each group, as a log has them. ``config``: the resolved

@@ -45,7 +45,7 @@ from trms_cli.core.findings import (
     plain,
 )
 from trms_cli.core.invocation import note
-from trms_cli.core.result_cache import cached_result
+from trms_cli.core.process_cache import cached_result
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.reporting.chart_plot import plots_of, script_json
 

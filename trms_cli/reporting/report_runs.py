@@ -35,7 +35,7 @@ from trms_cli.reporting.signals import ReportedRun, RunEvent, RunSignals
 from trms_cli.scoring.comparison.findings import ranking_tables
 from trms_cli.scoring.comparison.ranking import Ranking, Standing
 from trms_cli.scoring.figures import finite, part
-from trms_cli.scoring.findings import answer, compared_rows, measures_of, tables_of, warnings_of
+from trms_cli.scoring.findings import answer, comparison_rows, measures_of, tables_of, warnings_of
 
 _MOST_EVENTS = 500
 _LONGEST_CONFIG = 200_000  # characters
@@ -213,7 +213,7 @@ def findings_of_comparison(
     solver = _where_there(plot_kinds.solver, runs)
     given = Table(["", *names], [[key, *values] for key, values in differences])
     best = "A star: the best, where it differs by more than 0.1 %."
-    scores = Table(["", *names], compared_rows([run.score for run in runs]), best)
+    scores = Table(["", *names], comparison_rows([run.score for run in runs]), best)
     missing = Table(["file", "why"], [list(each) for each in left_out])
     sections = [
         Section("How they differ", blocks=[given] if given.rows else []),

@@ -247,8 +247,7 @@ def read_status(path: Path) -> IndexEntry | None:
         raise unreadable(error, path) from error
     if document is None:
         return None
-    given = document.get("overrides")
-    overrides = [str(word) for word in given] if isinstance(given, list) else []
+    overrides = _strings(document.get("overrides"))
     keys = typed(overrides)
     choices = document.get("choices")
     if not isinstance(choices, Mapping):

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from trms_cli.core.data_file import json_or_none
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_head import read_log_head
-from trms_cli.recordings.log_tail import LogPiece, LogTail
+from trms_cli.recordings.log_reader import LogPiece, LogTail
 
 FloatArray = npt.NDArray[np.float64]
 NAN = float("nan")

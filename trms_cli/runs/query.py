@@ -18,7 +18,7 @@ from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.recordings.log_head import read_log_head
-from trms_cli.recordings.log_tail import LogTail
+from trms_cli.recordings.log_reader import LogTail
 from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql, column_sql, nearest
 from trms_cli.runs.entry import LOG_NAME, STATUS_NAME, read_entry, read_status
 from trms_cli.runs.filter import translated
@@ -299,11 +299,6 @@ def latest_run(folder: Path) -> Latest | None:
         if _is_run(log):
             return Latest(Path(log), False)
     return None
-
-
-def log_in(folder: Path) -> Path | None:
-    """The log of the run whose folder it is; None if it is no run's folder."""
-    return folder / LOG_NAME if (folder / LOG_NAME).is_file() else None
 
 
 def _is_written(log: str) -> bool:

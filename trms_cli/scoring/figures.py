@@ -100,8 +100,8 @@ def _time_not_normal(score: Mapping[str, Any]) -> float | None:
 def _violations(score: Mapping[str, Any]) -> int | None:
     if not isinstance(score.get("constraint_violations"), Mapping):
         return None
-    each = part(score, "constraint_violations").values()
-    return sum(int(_number_in(one, "samples") or 0) for one in each)
+    limits = part(score, "constraint_violations")
+    return sum(int(finite(part(limits, name).get("samples")) or 0) for name in limits)
 
 
 #: In the order of the score and of all tables. Tolerances: 1e-3 rad is less than a quantum of an
@@ -178,7 +178,7 @@ FIGURES: list[Figure] = [
     Figure("run", "degraded", "time not normal", "s", of=_time_not_normal,
            about="time in which the loop was not normal"),
     Figure("run", "landings", "landings", whole=True, about="how often the rig was landed",
-           of=lambda score: _number_in(score.get("degraded"), "landings")),
+           of=lambda score: finite(part(score, "degraded").get("landings"))),
     Figure("estimate", "nees_mean", "NEES", better="", short=True, column="nees",
            about="estimate's squared error over its covariance, mean"),
     Figure("estimate", "nees_expected", "NEES expected", better="", about="of a consistent filter"),
@@ -284,7 +284,3 @@ def total(values: Iterable[float | None]) -> float | None:
     if not present or any(value is None for value in present):
         return None
     return float(sum(value for value in present if value is not None))
-
-
-def _number_in(owner: Any, key: str) -> float | int | None:
-    return finite(owner.get(key)) if isinstance(owner, Mapping) else None

@@ -182,7 +182,7 @@ def comparison_sentence(rows: Sequence[BaselineRow]) -> str:
     return f"{verdict} than the baseline: {worse} worse, {better} better, {same} the same"
 
 
-def compared_rows(scores: Sequence[Mapping[str, Any]]) -> list[list[Cell]]:
+def comparison_rows(scores: Sequence[Mapping[str, Any]]) -> list[list[Cell]]:
     """Rows of figures, a column a score, the best of each row marked."""
     every = [{e.key: e for e in figures.entries(s, "channels", "inputs", "solver")} for s in scores]
     rows: list[list[Cell]] = []

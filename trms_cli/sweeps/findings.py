@@ -135,7 +135,7 @@ def _next(document: Mapping[str, Any]) -> list[NextCommand]:
     return []
 
 
-def chosen_trial(summary: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def trial_to_run(summary: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """The best trial; of a front the one nearest to what would be best in everything.
 
     Nearness is measured in spans of the front.
@@ -174,7 +174,7 @@ def _search(summary: Mapping[str, Any], primary: str) -> Findings:
     best, before = front_of(summary), baseline_of(summary)
     if not best:
         return Findings("", [title, "no trial ran to its end within the limits"])
-    chosen = chosen_trial(summary)
+    chosen = trial_to_run(summary)
     rows = _few(best, chosen)
     notes = []
     if any("confirmed" in each for each in best):
@@ -190,7 +190,7 @@ def _search(summary: Mapping[str, Any], primary: str) -> Findings:
 
 def _alone(summary: Mapping[str, Any], primary: str) -> list[NextCommand]:
     """How to run the best by itself."""
-    chosen = chosen_trial(summary)
+    chosen = trial_to_run(summary)
     if chosen is None or not chosen["overrides"]:
         return []
     fixed = [word for word in summary["fixed"] if word.partition("=")[0] not in _SET_BY_SWEEPS]

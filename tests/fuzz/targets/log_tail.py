@@ -11,7 +11,7 @@ __all__ = ["read", "seeds"]
 
 def read(data: bytes, folder: Path) -> None:
     """The file in two halves, looked at until nothing comes."""
-    from trms_cli.recordings.log_tail import LogTail
+    from trms_cli.recordings.log_reader import LogTail
 
     path = folder / "tail.mcap"
     path.write_bytes(data[: len(data) // 2])

@@ -86,15 +86,16 @@ def _given(argv: list[str]) -> Any:
 
 def _target(what: Path | None) -> Path:
     """The log, or the folder of the sweep, that is meant."""
-    from trms_cli.runs.query import latest_run, log_in
+    from trms_cli.runs.query import latest_run
+    from trms_cli.runs.run_folder import log_of
     from trms_cli.sweeps.outcome import is_sweep, sweep_of
 
     folder = Path() if what is None else what.expanduser()
     if what is not None and not folder.is_dir():
         return folder  # a file, or nothing: who opens it tells
     if what is not None:
-        log = log_in(folder)
-        if log is not None:
+        log = log_of(folder)
+        if log != folder:
             return log
         if is_sweep(folder):
             return folder

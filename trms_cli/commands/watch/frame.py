@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import groupby
 from time import monotonic
 from typing import Any
 
@@ -337,13 +338,10 @@ def _strip(axis: AxisMoment, view: View, width: int, rows: int, plain: bool) -> 
 
 def _joined_cells(row: list[TerminalCell]) -> list[tuple[str, str]]:
     """Neighbours that look the same, as one."""
-    found: list[tuple[str, str]] = []
-    for cell in row:
-        if found and found[-1][1] == cell.style:
-            found[-1] = found[-1][0] + cell.sign, cell.style
-        else:
-            found.append((cell.sign, cell.style))
-    return found
+    return [
+        ("".join(cell.sign for cell in cells), style)
+        for style, cells in groupby(row, key=lambda cell: cell.style)
+    ]
 
 
 def _time_axis(view: View, width: int) -> Text:

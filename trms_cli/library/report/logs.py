@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.core.wording import shown_choices
+from trms_cli.core.wording import choice_labels
 from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def _choices(texts: Mapping[str, str], config: str) -> dict[str, str]:
     choices = _json(texts, "choices")
     if not isinstance(choices, Mapping):
         return {}
-    shown = shown_choices(choices, config)
+    shown = choice_labels(choices, config)
     return {group: told[:_MOST_TEXT] for group, told in shown.items() if told not in ("", "none")}
 
 

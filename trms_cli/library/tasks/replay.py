@@ -100,7 +100,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
     log.close("completed", score)
     for name, document in ((SCORE_NAME, score), (INNOVATIONS_NAME, table)):
         write_document(document, log.path.with_name(name))
-    choices = composition.shown_choices
+    choices = composition.choice_labels
     title = (
         f"{rig.recording.source.name} · model {choices['model']} · observer "
         f"{choices['observer']} · {whole:g} s at {1 / rig.sample_time:g} Hz"

@@ -207,7 +207,7 @@ def _objective(score: Mapping[str, Any]) -> float | None:
 def _title(composition: Composition, experiment: Experiment) -> str:
     """Who runs on what."""
     rig = str(getattr(getattr(experiment.plant, "model", None), "name", ""))
-    return headline(composition.shown_choices, follows=_follows(experiment), rig=rig)
+    return headline(composition.choice_labels, follows=_follows(experiment), rig=rig)
 
 
 def _time(score: Mapping[str, Any], experiment: Experiment, spent: float, whole: float) -> str:

@@ -26,7 +26,7 @@ from typing import Any
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
-from trms_cli.core.wording import shown_choices
+from trms_cli.core.wording import choice_labels
 from trms_cli.scoring.figures import entries
 from trms_cli.scoring.score import SCHEMA as SCORE_SCHEMA
 
@@ -78,7 +78,8 @@ class ComparisonRun:
 
     def input_sum(self, figure: str) -> float:
         """A figure of the inputs (``effort``, ``total_variation``), summed; NaN without one."""
-        values = [_number(each.get(figure)) for each in self._inputs()]
+        inputs = (self.score or {}).get("inputs", {}).values()
+        values = [_number(each.get(figure)) for each in inputs]
         return sum(values) if values else math.nan
 
     def solver(self, figure: str) -> float:
@@ -93,9 +94,6 @@ class ComparisonRun:
         """A figure of the run as a whole: ``degraded`` (s), ``violations``; NaN without one."""
         found = next((e for e in entries(self.score or {}, "run") if e.key == key), None)
         return _number(None if found is None else found.value)
-
-    def _inputs(self) -> list[Mapping[str, Any]]:
-        return list((self.score or {}).get("inputs", {}).values())
 
 
 def _number(value: Any) -> float:
@@ -370,7 +368,7 @@ def _of_log(path: Path) -> ComparisonRun:
     config = load_yaml(log.config) or {}
     overrides = json.loads(log.run.get(OVERRIDES_KEY, "[]"))
     chosen = json.loads(log.run.get(CHOICES_KEY, "{}")) or choices_of(config, overrides)
-    named = shown_choices(chosen, config)  # a fitted model is called by its file or fit
+    named = choice_labels(chosen, config)  # a fitted model is called by its file or fit
     choices = {g: named[g] if c == "from_file" else c for g, c in chosen.items()}
     state = State.DONE if log.complete else State.INCOMPLETE
     state = _ENDINGS.get(log.outcome, state)

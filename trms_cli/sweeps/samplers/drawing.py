@@ -290,7 +290,7 @@ class Part:
         return Part(self.overrides + other.overrides, values)
 
 
-def drawn_part(continuous: Sequence[Range | PriorOfKey], row: Sequence[float]) -> Part:
+def sample_part(continuous: Sequence[Range | PriorOfKey], row: Sequence[float]) -> Part:
     """The part of a point that gives each range and prior one value."""
     values = {
         varied.key: as_data(varied, value) for varied, value in zip(continuous, row, strict=True)
@@ -298,7 +298,7 @@ def drawn_part(continuous: Sequence[Range | PriorOfKey], row: Sequence[float]) -
     return Part(tuple(f"{key}={value!r}" for key, value in values.items()), values)
 
 
-def chosen_part(choices: Sequence[Choice], number: int) -> Part:
+def choice_part(choices: Sequence[Choice], number: int) -> Part:
     """The part of a point that makes each choice: combination `number`, the last varying fastest.
 
     Raises IndexError if there are not so many combinations.
@@ -318,9 +318,9 @@ def combinations(choices: Sequence[Choice]) -> int:
     return int(np.prod([len(choice.values) for choice in choices], dtype=np.int64))
 
 
-def all_chosen(choices: Sequence[Choice]) -> Iterator[Part]:
+def choice_parts(choices: Sequence[Choice]) -> Iterator[Part]:
     """Every combination, the last choice varying fastest."""
-    return (chosen_part(choices, number) for number in range(combinations(choices)))
+    return (choice_part(choices, number) for number in range(combinations(choices)))
 
 
 @dataclass
@@ -347,8 +347,8 @@ class Planned:
         sample, choice = divmod(number, combinations(self.space.choices))
         part = (
             Part(self.space.fixed)
-            + chosen_part(self.space.choices, choice)
-            + drawn_part(self.space.continuous, self.samples[sample].tolist())
+            + choice_part(self.space.choices, choice)
+            + sample_part(self.space.continuous, self.samples[sample].tolist())
         )
         return SweepPoint(number, part.overrides, part.values or {})
 

@@ -19,11 +19,11 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.figures import MERIT, canonical_all, canonical_limits, unit_of
 from trms_cli.sweeps.samplers.drawing import (
     Part,
-    all_chosen,
     another_point,
     as_data,
-    drawn_part,
+    choice_parts,
     quantiles,
+    sample_part,
 )
 from trms_cli.sweeps.samplers.latin_hypercube import hypercube
 from trms_cli.sweeps.samplers.objectives import Aims, Tried, front, hypervolumes
@@ -215,7 +215,7 @@ class Trials:
         given_values = self._known_values(number) or self._startup.get(number)
         asked = self._search.ask(number, given_values)
         row = [asked.params[each.key] for each in self._ranges]
-        return drawn_part(self._ranges, row), asked
+        return sample_part(self._ranges, row), asked
 
     def _known_values(self, number: int) -> dict[str, Any] | None:
         """Values that a trial had before the interruption."""
@@ -235,7 +235,7 @@ class Trials:
         columns = [quantiles(each, shares[:, i]) for i, each in enumerate(self._ranges)]
         rows = zip(*columns, strict=True)
         return {
-            begin + i: dict(drawn_part(self._ranges, row).values or {})
+            begin + i: dict(sample_part(self._ranges, row).values or {})
             for i, row in enumerate(rows)
         }
 
@@ -414,7 +414,7 @@ def conditions_of(space: Space, draws: int, seed: int) -> list[Part]:
     ``draws``: draws from the priors; one and the same for all trials. Without priors there is none.
     """
     rigs = _rigs(space, draws, [seed])
-    return [rig + choice for rig in rigs for choice in all_chosen(space.choices)]
+    return [rig + choice for rig in rigs for choice in choice_parts(space.choices)]
 
 
 def fresh_conditions(space: Space, count: int, seed: int) -> list[Part]:
@@ -433,7 +433,7 @@ def fresh_conditions(space: Space, count: int, seed: int) -> list[Part]:
     for i in range(count):
         values = {choice.key: column[i] for choice, column in zip(seeded, columns, strict=True)}
         drawn = Part(tuple(f"{key}={value}" for key, value in values.items()), values)
-        parts += [rigs[i % len(rigs)] + drawn + choice for choice in all_chosen(kept)]
+        parts += [rigs[i % len(rigs)] + drawn + choice for choice in choice_parts(kept)]
     return parts
 
 
@@ -443,7 +443,7 @@ def _rigs(space: Space, draws: int, seed: Sequence[int]) -> list[Part]:
         return [Part()]
     shares = hypercube(draws, len(priors), list(seed))
     columns = [quantiles(prior, shares[:, i]) for i, prior in enumerate(priors)]
-    return [drawn_part(priors, row) for row in zip(*columns, strict=True)]
+    return [sample_part(priors, row) for row in zip(*columns, strict=True)]
 
 
 def _unused(choice: Choice, fixed: Sequence[str], count: int) -> list[str]:
