@@ -16,16 +16,31 @@ from trms_cli.core import wording
     [
         (None, "–"), (math.nan, "–"), (math.inf, "∞"), (-math.inf, "−∞"), (0.0, "0"), (7, "7"),
         (-3, "−3"), (0.12345, "0.123"), (-0.5, "−0.5"), (1234.5, "1234"), (99_999.0, "99999"),
-        (1e5, "1.00e05"), (-2.5e-4, "−2.50e−04"), (100.0, "100"),
+        (1e5, "1.00e05"), (-2.5e-4, "−2.50e−04"), (100.0, "100"), (0.012345, "0.0123"),
+        (-3.14159, "−3.14"), (123456.0, "1.23e05"), (4321.0, "4321"), (1.2e-5, "1.20e−05"),
+        ("text", "text"),
     ],
 )  # fmt: skip
-def test_a_number_has_three_digits_and_a_true_minus(value, text):
-    assert wording.number(value) == text
+def test_a_cell_has_three_digits_and_a_true_minus(value, text):
+    assert wording.cell(value) == text
 
 
-def test_a_number_with_a_deviation_goes_to_its_second_digit():
-    assert wording.number(1.23456, sd=0.0123) == "1.235"
-    assert wording.number(1.2, sd=0.0012) == "1.2000"
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (1.23456, 0.0123, "1.235"), (1.2, 0.0012, "1.2000"), (1.69623e-5, 5.9e-8, "1.6962e−05"),
+        (0.02, 2.7e-4, "0.02000"), (1.5, 4.0, "1.5"), (-0.353, 1e-9, "−0.353000"), (0.0, 0.1, "0"),
+        (0.5, None, "0.5"), (0.5, 0.0, "0.5"), (4321.25, 0.3, "4321.25"), (None, 0.1, "–"),
+    ],
+)  # fmt: skip
+def test_a_number_with_a_deviation_goes_to_its_second_digit(value, sd, text):
+    assert wording.cell(value, sd) == text
+
+
+@given(st.floats(1e-8, 1e8), st.floats(1e-4, 1.0))
+def test_what_is_shown_is_within_the_deviation(value, share):
+    text = wording.cell(value, share * value).replace("−", "-")
+    assert abs(float(text) - value) <= 0.06 * share * value + 1e-2 * share * value
 
 
 @given(st.floats(min_value=-1e4, max_value=1e4))

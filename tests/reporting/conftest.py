@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -94,6 +95,11 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Opened]]:
     yield open_
     for context in contexts:
         context.close()
+
+
+def unpacked(array: Mapping[str, str]) -> np.ndarray:
+    """The numbers that a page carries packed."""
+    return np.frombuffer(base64.b64decode(array["bdata"]), dtype="<" + array["dtype"])
 
 
 def logged(

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from trms_cli.core import wording
 from trms_cli.core.chart import Axis, Chart, Curve, Panel
 from trms_cli.core.findings import Findings, Judged, Remarks, Section, Table
 from trms_cli.reporting.page import embedded, page_html, write_page
@@ -86,16 +82,6 @@ def test_a_column_of_numbers_stands_right(page):
     assert '<td class="bad number">–</td>' in page
 
 
-@pytest.mark.parametrize(
-    "value, shown",
-    [(None, "–"), (math.nan, "–"), (math.inf, "∞"), (0.0, "0"), (0.012345, "0.0123"),
-     (-3.14159, "−3.14"), (123456.0, "1.23e05"), (4321.0, "4321"), (1.2e-5, "1.20e−05"),
-     (7, "7"), ("text", "text")],
-)  # fmt: skip
-def test_cells(value, shown):
-    assert wording.cell(value) == shown
-
-
 def test_few_points_are_curves_many_are_pixels_and_both_are_reproducible():
     assert embedded(drawing())[0] == "image/svg+xml"
     kind, content = embedded(drawing(20_000))
@@ -117,24 +103,6 @@ def test_is_written_whole_or_not_at_all(findings, page, tmp_path, monkeypatch, c
     assert "No space left on device" in capsys.readouterr().err
     assert path.read_text(encoding="utf-8") == page
     assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
-
-
-@pytest.mark.parametrize(
-    ("value", "sd", "shown"),
-    [
-        (1.69623e-5, 5.9e-8, "1.6962e−05"), (0.02, 2.7e-4, "0.02000"), (1.5, 4.0, "1.5"),
-        (-0.353, 1e-9, "−0.353000"), (0.0, 0.1, "0"), (0.5, None, "0.5"), (0.5, 0.0, "0.5"),
-        (4321.25, 0.3, "4321.25"), (None, 0.1, "–"),
-    ],
-)  # fmt: skip
-def test_a_value_is_shown_to_the_digits_of_its_deviation(value, sd, shown):
-    assert wording.cell(value, sd) == shown
-
-
-@given(st.floats(1e-8, 1e8), st.floats(1e-4, 1.0))
-def test_what_is_shown_is_within_the_deviation(value, share):
-    text = wording.cell(value, share * value).replace("−", "-")
-    assert abs(float(text) - value) <= 0.06 * share * value + 1e-2 * share * value
 
 
 def test_a_table_of_many_columns_is_set_smaller(page):

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.reporting.conftest import logged, with_columns
+from tests.reporting.conftest import logged, unpacked, with_columns
 from trms_cli.core.findings import Findings, Judged, Section, Table
 from trms_cli.library.report.sweeps import relative_link
 from trms_cli.reporting.chart_plot import MOST_POINTS
@@ -47,10 +47,6 @@ def plots_of(page):
         re.DOTALL,
     )
     return {unescape(title): json.loads(data) for title, data in found}
-
-
-def unpacked(array):
-    return np.frombuffer(base64.b64decode(array["bdata"]), dtype="<" + array["dtype"])
 
 
 def rows_html(rows) -> str:

@@ -89,32 +89,26 @@ def test_every_kind_of_run_is_drawn(tmp_path, columns):
     assert height > 250
 
 
-def test_more_axes_are_a_taller_picture(tmp_path):
+ROTORS = {"main_motor": 0.001 * wave(), "sd_main_motor": np.full(500, 1e-4)}
+
+
+@pytest.mark.parametrize(
+    ("topic", "columns", "title", "least"),
+    [
+        ("/reference", {"alpha_v": wave(), "alpha_h": wave()}, "", 150),
+        ("/estimate", {**everything()["/estimate"], **ROTORS}, "", 80),
+        ("/reference", {"alpha_v": wave()}, " · ".join(f"part {i} of it" for i in range(10)), 15),
+    ],
+    ids=["another axis", "torques on rotors", "a title of two lines"],
+)
+def test_what_is_more_makes_the_picture_taller(tmp_path, topic, columns, title, least):
+    one = {**everything(), "/reference": {"alpha_v": wave()}}
     heights = []
-    for reference in ({"alpha_v": wave()}, {"alpha_v": wave(), "alpha_h": wave()}):
-        history = told({**everything(), "/reference": reference})
-        draw_run(history, score(history), tmp_path / "run.png")
+    for shown, words in ((one, "short"), ({**one, topic: columns}, title)):
+        history = told(shown)
+        draw_run(history, score(history), tmp_path / "run.png", title=words)
         heights.append(size(tmp_path / "run.png")[1])
-    assert heights[1] > heights[0] + 150
-
-
-def test_a_long_title_goes_on_in_another_line(tmp_path):
-    heights = []
-    for title in ("short", " · ".join(f"part {i} of it" for i in range(10))):
-        history = told(everything())
-        draw_run(history, score(history), tmp_path / "run.png", title=title)
-        heights.append(size(tmp_path / "run.png")[1])
-    assert heights[1] - heights[0] > 15
-
-
-def test_torques_on_rotors_have_their_own_panel(tmp_path):
-    heights = []
-    rotors = {"main_motor": 0.001 * wave(), "sd_main_motor": np.full(500, 1e-4)}
-    for more in ({}, rotors):
-        history = told({**everything(), "/estimate": {**everything()["/estimate"], **more}})
-        draw_run(history, score(history), tmp_path / "run.png")
-        heights.append(size(tmp_path / "run.png")[1])
-    assert heights[1] > heights[0] + 80
+    assert heights[1] - heights[0] > least
 
 
 def test_events_change_the_picture(tmp_path):

@@ -124,11 +124,6 @@ def plots_of(chart: Chart) -> list[Plot] | None:
     return plots
 
 
-def plots(panels: Sequence[Panel]) -> list[Plot]:
-    """Panels of a page, one under the other, or by halves where they say so."""
-    return plots_of(Chart("", panels, columns=1)) or []
-
-
 def _plot(panel: Panel, half: bool, height: float) -> Plot:
     plot = _Drawing(panel).plot(half, height * (panel.row_height or 1.0))
     for label, other in panel.variants.items():
