@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.reporting.signals import ReportedRun
+from trms_cli.reporting.signals import RunReport
 from trms_cli.scoring.metrics import Series
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -112,7 +112,7 @@ def logged(
             for topic, of in columns.items()}  # fmt: skip
 
 
-def with_columns(run: ReportedRun, topic: str, columns: Mapping[str, Any]) -> ReportedRun:
+def with_columns(run: RunReport, topic: str, columns: Mapping[str, Any]) -> RunReport:
     """A run with other signals of a topic."""
     table = run.tables[topic]
     other = Series(table.time, columns, table.units)
@@ -130,7 +130,7 @@ def events(*rows: tuple[float, str, str, str, float]) -> dict[str, Any]:
     }
 
 
-def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.0) -> ReportedRun:
+def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.0) -> RunReport:
     """A run of both axes with everything that a log can hold."""
     time = np.arange(0.0, seconds, 0.05)
     control, made = time[::2], time[::20]
@@ -184,7 +184,7 @@ def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.
         (6.5, "saturation_end", "u_v", "left its limit", 2.0),
     )
     times["/event"] = columns["/event"].pop("time")
-    return ReportedRun(
+    return RunReport(
         name=name,
         tables=logged(columns, times, units),
         score={
@@ -209,12 +209,12 @@ def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.
 
 
 @pytest.fixture
-def run() -> ReportedRun:
+def run() -> RunReport:
     """A run with everything that a log can hold."""
     return example_run()
 
 
 @pytest.fixture
-def make_run() -> Callable[..., ReportedRun]:
+def make_run() -> Callable[..., RunReport]:
     """Several runs."""
     return example_run

@@ -17,7 +17,7 @@ from trms_cli.reporting.chart_plot import Plot, script_json
 from trms_cli.reporting.page import page_html
 from trms_cli.reporting.report_runs import findings_of_comparison, findings_of_run
 from trms_cli.reporting.report_sweep import findings_of_sweep
-from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun
+from trms_cli.reporting.sweep_report import Objective, SweepReport, SweepRun
 from trms_cli.scoring.metrics import Series
 
 #: What a stranger may have written anywhere.
@@ -36,7 +36,7 @@ RANGES = """() => [...document.querySelectorAll('div.plot')]
 
 
 @pytest.fixture(scope="module")
-def sweep() -> ReportedSweep:
+def sweep() -> SweepReport:
     runs = [
         SweepRun(
             name=str(i),
@@ -48,7 +48,7 @@ def sweep() -> ReportedSweep:
         for i in range(60)
     ]
     runs.append(SweepRun(name="60", entrant="pid", outcome="failed", problem="it fell"))
-    return ReportedSweep(
+    return SweepReport(
         name="many",
         runs=runs,
         keys=["controller", "gain", "size"],

@@ -25,16 +25,16 @@ from trms_cli.reporting.chart_plot import MOST_POINTS
 from trms_cli.reporting.page import page_html, policy
 from trms_cli.reporting.report_runs import findings_of_comparison, findings_of_run
 from trms_cli.reporting.report_sweep import findings_of_sweep
-from trms_cli.reporting.reported_sweep import (
+from trms_cli.reporting.signals import RunReport
+from trms_cli.reporting.sweep_report import (
     Correlation,
     Draws,
     FailureShare,
     Objective,
-    ReportedSweep,
+    SweepReport,
     SweepRun,
     undominated,
 )
-from trms_cli.reporting.signals import ReportedRun
 from trms_cli.scoring.comparison.ranking import group, rank
 from trms_cli.scoring.comparison.runs import ComparisonRun, State
 
@@ -68,13 +68,13 @@ def swept(number, entrant="pid", *, k_g=0.1, rmse=0.2, **more):
 
 
 @pytest.fixture
-def sweep() -> ReportedSweep:
+def sweep() -> SweepReport:
     runs = [
         swept(i, ("pid", "lqr")[i % 2], k_g=0.1 + 0.01 * (i // 2), rmse=0.1 + 0.01 * i)
         for i in range(20)
     ]
     runs.append(SweepRun(name="20", outcome="failed", problem="the rig <fell>", entrant="pid"))
-    return ReportedSweep(
+    return SweepReport(
         name="many",
         runs=runs,
         keys=["controller", "plant.parameters.k_g"],
@@ -83,7 +83,7 @@ def sweep() -> ReportedSweep:
 
 
 @pytest.fixture
-def drawn() -> ReportedSweep:
+def drawn() -> SweepReport:
     """Two controllers on the same twelve drawn values each; `k_9` is the strongest."""
     keys = [f"k_{i}" for i in (9, 8, 7, 6, 5, 4, 3, 2, 11, 10, 1, 0)]
     values = np.random.default_rng(1).normal(1.0, 0.1, (60, 12))
@@ -97,7 +97,7 @@ def drawn() -> ReportedSweep:
         for i in range(60)
         for j, who in enumerate(("pid", "lqr"))
     ]
-    return ReportedSweep(
+    return SweepReport(
         name="drawn",
         runs=runs,
         keys=["controller", *keys],
@@ -234,7 +234,7 @@ class TestRun:
     def test_without_reference_controller_and_truth_it_is_a_recording(self, run):
         kept = ("/measurement", "/command")
         page = findings_of_run(
-            ReportedRun(
+            RunReport(
                 name="rig", tables={topic: run.tables[topic] for topic in kept}, duration=20.0
             )
         )
@@ -246,7 +246,7 @@ class TestRun:
 
     def test_of_no_samples_it_says_so(self):
         page = findings_of_run(
-            ReportedRun(name="dead", tables={}, outcome="died", problems=("it holds no sample",))
+            RunReport(name="dead", tables={}, outcome="died", problems=("it holds no sample",))
         )
         assert "no sample of any signal" in page_html(page) and "it holds no sample" in page.lead[1]
 
@@ -269,9 +269,7 @@ class TestRun:
             "/measurement": {"level": np.sin(time)},
             "/reference": {"level": np.zeros(len(time))},
         }
-        page = findings_of_run(
-            ReportedRun(name="tank", tables=logged(one, dict.fromkeys(one, time)))
-        )
+        page = findings_of_run(RunReport(name="tank", tables=logged(one, dict.fromkeys(one, time))))
         assert {"level", "level against its rate"} == set(plots_of(page))
 
 
@@ -304,7 +302,7 @@ class TestComparison:
         assert names == ["reference of one", "reference of other", "one", "other"]
 
     def test_runs_without_anything_in_common(self, make_run):
-        empty = ReportedRun(name="dead", tables={}, outcome="died")
+        empty = RunReport(name="dead", tables={}, outcome="died")
         page = findings_of_comparison([make_run("one"), empty], left_out=[("x.mcap", "damaged")])
         assert "**Incomplete**: dead" in page.lead[1] and "x.mcap" in page_html(page)
 
@@ -403,7 +401,7 @@ class TestSweep:
             for k in (0, 1)
         ]
         page = findings_of_sweep(
-            ReportedSweep(name="grid", runs=runs, keys=["a", "b"], figures={"rmse": "rad"})
+            SweepReport(name="grid", runs=runs, keys=["a", "b"], figures={"rmse": "rad"})
         )
         (trace,) = plots_of(page)["over a and b"]["traces"]
         assert trace["type"] == "heatmap" and trace["x"] == ["0", "1", "2"]
@@ -430,10 +428,10 @@ class TestSweep:
         assert {"effort against rmse", "x against rmse", "x against effort"} <= set(plots_of(page))
 
     def test_one_run_and_none(self):
-        one = findings_of_sweep(ReportedSweep(name="one", runs=[swept(0)]))
+        one = findings_of_sweep(SweepReport(name="one", runs=[swept(0)]))
         assert "1 of 1 runs completed" in page_html(one)
         assert "0 of 0 runs completed" in page_html(
-            findings_of_sweep(ReportedSweep(name="none", runs=[]))
+            findings_of_sweep(SweepReport(name="none", runs=[]))
         )
 
     def test_thousands_of_runs_stay_in_bounds(self):
@@ -449,7 +447,7 @@ class TestSweep:
         ]
         text = page_html(
             findings_of_sweep(
-                ReportedSweep(
+                SweepReport(
                     name="big",
                     runs=runs,
                     keys=["controller", "plant.parameters.k_g"],

@@ -33,7 +33,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.reporting import plot_kinds
 from trms_cli.reporting.chart_picture import Handle, draw_panel
 from trms_cli.reporting.plot_kinds import Absent
-from trms_cli.reporting.signals import ReportedRun, limits_in
+from trms_cli.reporting.signals import RunReport, limits_in
 from trms_cli.reporting.style import VARIANTS, Variant, house_style, letter_size, new_figure
 
 
@@ -61,7 +61,7 @@ class PlottedLog(Protocol):
         ...
 
 
-_Panels = Callable[[Sequence[ReportedRun]], list[Panel]]
+_Panels = Callable[[Sequence[RunReport]], list[Panel]]
 #: The kinds of plots by name; the first line of each one's docstring says what it shows.
 KINDS: Mapping[str, _Panels] = MappingProxyType(
     {
@@ -201,7 +201,7 @@ def _plotted(
     start: float | None,
     end: float | None,
     names: Sequence[str] | None,
-) -> list[ReportedRun]:
+) -> list[RunReport]:
     given: list[Any] = list(logs) if isinstance(logs, Sequence) else [logs]
     if not given:
         raise ConfigurationError("no log was given", where="logs", remedy="name one or more")
@@ -235,7 +235,7 @@ def _plotted(
             remedy=told,
         )
     return [
-        ReportedRun(
+        RunReport(
             name=name, tables=log.tables, limits=limits_in(log), score=log.score,
             window=(low, high),
         )
@@ -254,9 +254,7 @@ def _kinds(what: str | Sequence[str]) -> list[str]:
     return list(dict.fromkeys(kinds))
 
 
-def _panels(
-    logs: Sequence[ReportedRun], kinds: Sequence[str]
-) -> tuple[list[Panel], dict[str, str]]:
+def _panels(logs: Sequence[RunReport], kinds: Sequence[str]) -> tuple[list[Panel], dict[str, str]]:
     """The panels of all kinds, and why some kinds have none."""
     panels: list[Panel] = []
     reasons = {}
@@ -281,7 +279,7 @@ def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 def _draw(
     panels: Sequence[Panel],
-    logs: Sequence[ReportedRun],
+    logs: Sequence[RunReport],
     width: float,
     height: float | None,
     style: Variant,

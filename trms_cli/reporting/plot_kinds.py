@@ -46,7 +46,7 @@ from trms_cli.reporting.run_panels import (
     with_band,
     with_limits,
 )
-from trms_cli.reporting.signals import FloatArray, ReportedRun, RunSignals, TimeSeries
+from trms_cli.reporting.signals import FloatArray, RunReport, RunSignals, TimeSeries
 from trms_cli.scoring.figures import finite, part
 
 if TYPE_CHECKING:
@@ -347,7 +347,7 @@ def prediction(runs: Runs) -> list[Panel]:
     return panels
 
 
-def comparison(runs: Sequence[ReportedRun]) -> list[Panel]:
+def comparison(runs: Sequence[RunReport]) -> list[Panel]:
     """Scores beside each other, one bar a log."""
     if len(runs) < 2:
         raise Absent("one log compares with nothing: give two or more")

@@ -2,7 +2,7 @@
 
 ::
 
-    findings = findings_of_run(run)          # a ReportedRun
+    findings = findings_of_run(run)          # a RunReport
     findings = findings_of_comparison([one, other], ranking=ranking)  # with what `compare` says
     write_page(findings, folder / "report.html", pictures=False)
 
@@ -31,7 +31,7 @@ from trms_cli.core.findings import (
 )
 from trms_cli.reporting import plot_kinds, run_panels
 from trms_cli.reporting.chart_plot import MOST_POINTS
-from trms_cli.reporting.signals import ReportedRun, RunEvent, RunSignals
+from trms_cli.reporting.signals import RunEvent, RunReport, RunSignals
 from trms_cli.scoring.comparison.findings import ranking_tables
 from trms_cli.scoring.comparison.ranking import Ranking, Standing
 from trms_cli.scoring.figures import finite, part
@@ -59,7 +59,7 @@ HOW_TO_TURN = (
 )
 
 
-def findings_of_run(run: ReportedRun, *, title: str = "") -> Findings:
+def findings_of_run(run: RunReport, *, title: str = "") -> Findings:
     """What a page tells of a run; its `title` is by default what ran against what, and its name."""
     channels, commands = run.channels(), run_panels.command_panel(run)
     first = [run_panels.channel_panel(run, name, detail=True) for name in channels]
@@ -118,7 +118,7 @@ def phases_of(runs: Sequence[RunSignals], channels: Sequence[str]) -> list[Panel
     return [*panels, path] if path is not None else panels
 
 
-def title_of(run: ReportedRun) -> str:
+def title_of(run: RunReport) -> str:
     """``newton_mpc on square: first``; without choices the name alone."""
     controller, reference = run.choices.get("controller", ""), run.choices.get("ref", "")
     what = controller
@@ -127,12 +127,12 @@ def title_of(run: ReportedRun) -> str:
     return f"{what}: {run.name}" if what else run.name
 
 
-def ended(run: ReportedRun) -> str:
+def ended(run: RunReport) -> str:
     """How it ended, in a word or two."""
     return {"completed": "completed", "died": "did not end"}.get(run.outcome, f"was {run.outcome}")
 
 
-def _lead(run: ReportedRun) -> list[str]:
+def _lead(run: RunReport) -> list[str]:
     who = run.choices.get("controller") or "The run"
     score = {"duration_s": run.duration} | dict(run.score)
     injected = sum(event.kind == "fault_injected" for event in run.events)
@@ -144,7 +144,7 @@ def _lead(run: ReportedRun) -> list[str]:
     return [", ".join([sentence[:-1], *more]) + ".", *_problems(run)]
 
 
-def _problems(run: ReportedRun) -> list[str]:
+def _problems(run: RunReport) -> list[str]:
     told = list(run.problems)
     if run.outcome != "completed" and not told:
         told = [f"the run {ended(run)}"]
@@ -153,7 +153,7 @@ def _problems(run: ReportedRun) -> list[str]:
     return [f"**Incomplete**: {'; '.join(told)}. What follows goes as far as the log does."]
 
 
-def _facts(run: ReportedRun) -> dict[str, str]:
+def _facts(run: RunReport) -> dict[str, str]:
     facts = {words: run.choices[group] for group, words in _PARTS.items() if run.choices.get(group)}
     facts |= {"outcome": ended(run), "duration": f"{run.duration:g} s"}
     facts |= dict(run.facts)
@@ -162,7 +162,7 @@ def _facts(run: ReportedRun) -> dict[str, str]:
     return facts
 
 
-def _events(run: ReportedRun) -> Section:
+def _events(run: RunReport) -> Section:
     counts = Counter(event.kind for event in run.events).most_common(20)
     columns = [
         Column("time [s]", _time),
@@ -190,7 +190,7 @@ def _cut(text: str) -> str:
 
 
 def findings_of_comparison(
-    runs: Sequence[ReportedRun],
+    runs: Sequence[RunReport],
     *,
     ranking: Ranking | None = None,
     differences: Sequence[tuple[str, Sequence[str]]] = (),
@@ -260,7 +260,7 @@ def _ratios(standings: Sequence[Standing]) -> list[Panel]:
     ]  # fmt: skip
 
 
-def _tracking(runs: Sequence[ReportedRun]) -> list[Panel]:
+def _tracking(runs: Sequence[RunReport]) -> list[Panel]:
     """Per channel: where all runs were, and by how much they missed."""
     where = _where_there(plot_kinds.tracking, runs)
     errors = _where_there(plot_kinds.errors, runs)
@@ -270,7 +270,7 @@ def _tracking(runs: Sequence[ReportedRun]) -> list[Panel]:
     return ordered
 
 
-def _where_there(draw: Callable[..., list[Panel]], runs: Sequence[ReportedRun]) -> list[Panel]:
+def _where_there(draw: Callable[..., list[Panel]], runs: Sequence[RunReport]) -> list[Panel]:
     """Panels of runs, in the colours of a page; none where no run has what they show."""
     try:
         return draw(runs, page_look)
@@ -278,7 +278,7 @@ def _where_there(draw: Callable[..., list[Panel]], runs: Sequence[ReportedRun]) 
         return []
 
 
-def _lead_of_all(runs: Sequence[ReportedRun]) -> list[str]:
+def _lead_of_all(runs: Sequence[RunReport]) -> list[str]:
     sums = {}
     for run in runs:
         channels = part(run.score, "channels").values()
@@ -306,7 +306,7 @@ def _lead_of_all(runs: Sequence[ReportedRun]) -> list[str]:
     return sentences
 
 
-def _facts_of_all(runs: Sequence[ReportedRun]) -> dict[str, str]:
+def _facts_of_all(runs: Sequence[RunReport]) -> dict[str, str]:
     facts = {}
     for number, run in enumerate(runs):
         parts = [run.choices.get(key, "") for key in ("controller", "observer", "ref", "model")]

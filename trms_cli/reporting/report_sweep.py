@@ -2,7 +2,7 @@
 
 ::
 
-    findings_of_sweep(ReportedSweep(name="sweep", runs=[SweepRun(name="0", …), …], …))
+    findings_of_sweep(SweepReport(name="sweep", runs=[SweepRun(name="0", …), …], …))
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from trms_cli.core.chart import Axis, Boxes, Colour, Curve, Heat, Mark, Panel, P
 from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, table
 from trms_cli.reporting.page import MOST_ROWS
 from trms_cli.reporting.report_runs import plotted, ranked
-from trms_cli.reporting.reported_sweep import (
+from trms_cli.reporting.run_panels import histogram
+from trms_cli.reporting.signals import FloatArray
+from trms_cli.reporting.sweep_report import (
     Draws,
     FailureShare,
     Objective,
-    ReportedSweep,
+    SweepReport,
     SweepRun,
 )
-from trms_cli.reporting.run_panels import histogram
-from trms_cli.reporting.signals import FloatArray
 from trms_cli.scoring.comparison.ranking import Ranking
 
 #: More entrants than this are not told apart by colour; their boxes still stand side by side.
@@ -46,7 +46,7 @@ _SCATTER = 0.618
 _WHISKER = 1.5
 
 
-def spread_panels(sweep: ReportedSweep, figures: Sequence[str]) -> list[Panel]:
+def spread_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
     """Boxes of a figure for each entrant, and a histogram; the reader chooses the figure."""
     if not figures:
         return []
@@ -92,7 +92,7 @@ def spread_panels(sweep: ReportedSweep, figures: Sequence[str]) -> list[Panel]:
     return [_chosen(sweep, figures, boxes), _chosen(sweep, figures, counts)]
 
 
-def key_panels(sweep: ReportedSweep, figures: Sequence[str]) -> list[Panel]:
+def key_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
     """A figure against each key that was varied: dots over numbers, boxes over options."""
     if not figures:
         return []
@@ -112,7 +112,7 @@ def key_panels(sweep: ReportedSweep, figures: Sequence[str]) -> list[Panel]:
     return panels
 
 
-def chosen_words(sweep: ReportedSweep) -> str:
+def chosen_words(sweep: SweepReport) -> str:
     """Which of many varied keys are drawn, as a sentence; "" where all are."""
     count = len(_numeric(sweep))
     if count <= _MOST_KEYS:
@@ -126,13 +126,13 @@ def chosen_words(sweep: ReportedSweep) -> str:
     )
 
 
-def _numeric(sweep: ReportedSweep) -> list[str]:
+def _numeric(sweep: SweepReport) -> list[str]:
     """Numbers that were varied; seeds, which have no order, only where there is nothing else."""
     varied = [key for key in sweep.numeric_keys if _distinct(sweep, key) > 1]
     return [key for key in varied if not key.endswith("seed")] or varied
 
 
-def pareto_panels(sweep: ReportedSweep) -> list[Panel]:
+def pareto_panels(sweep: SweepReport) -> list[Panel]:
     """Each pair of objectives: all runs, and those that nothing beats."""
     pairs = list(itertools.combinations(sweep.objectives, 2))[:6]
     front = sweep.front()
@@ -140,7 +140,7 @@ def pareto_panels(sweep: ReportedSweep) -> list[Panel]:
     return panels + _history(sweep)
 
 
-def _history(sweep: ReportedSweep) -> list[Panel]:
+def _history(sweep: SweepReport) -> list[Panel]:
     """The best so far over the trials: whether more of them would have helped."""
     if sum(value is not None for value in sweep.history) < 2:
         return []
@@ -152,7 +152,7 @@ def _history(sweep: ReportedSweep) -> list[Panel]:
 
 
 def _pareto(
-    sweep: ReportedSweep, front: Sequence[SweepRun], one: Objective, other: Objective, half: bool
+    sweep: SweepReport, front: Sequence[SweepRun], one: Objective, other: Objective, half: bool
 ) -> Panel:
     both = {one.figure, other.figure}
     known = [run for run in sweep.tried if not run.failed and both <= set(run.figures)]
@@ -184,7 +184,7 @@ def _pareto(
                  half=half, row_height=1.55)  # fmt: skip
 
 
-def _scatter(sweep: ReportedSweep, key: str, figure: str) -> Panel:
+def _scatter(sweep: SweepReport, key: str, figure: str) -> Panel:
     groups = _groups(sweep, _MOST_COLOURS)
     size = 5.0 if len(sweep.runs) <= 200 else 3.0
     marks = [
@@ -198,7 +198,7 @@ def _scatter(sweep: ReportedSweep, key: str, figure: str) -> Panel:
                  row_height=1.2)  # fmt: skip
 
 
-def _categories(sweep: ReportedSweep, key: str, figure: str) -> Panel:
+def _categories(sweep: SweepReport, key: str, figure: str) -> Panel:
     groups = _groups(sweep, _MOST_COLOURS)
     words = list(dict.fromkeys(_word(run.values.get(key)) for _, runs in groups for run in runs))
     width = 0.8 / len(groups)
@@ -215,7 +215,7 @@ def _categories(sweep: ReportedSweep, key: str, figure: str) -> Panel:
     return Panel(across, Axis(sweep.title(figure)), marks, f"by {key}", half=True, row_height=1.2)
 
 
-def _map(sweep: ReportedSweep, across: str, up: str, figure: str) -> Panel:
+def _map(sweep: SweepReport, across: str, up: str, figure: str) -> Panel:
     """A heat map of means where two keys make a grid, else dots coloured by the figure."""
     runs = [
         run
@@ -239,7 +239,7 @@ def _map(sweep: ReportedSweep, across: str, up: str, figure: str) -> Panel:
 
 
 def _rings(
-    sweep: ReportedSweep, runs: Sequence[SweepRun], across: str, up: str, figure: str
+    sweep: SweepReport, runs: Sequence[SweepRun], across: str, up: str, figure: str
 ) -> tuple[list[Points], str]:
     """Entrants at equal draws as a dot and rings around it, so that all are seen; in words."""
     entrants = [name for name in sweep.entrants if any(run.entrant == name for run in runs)]
@@ -273,7 +273,7 @@ def _cells(
         return total / count
 
 
-def _chosen(sweep: ReportedSweep, figures: Sequence[str], draw: Callable[[str], Panel]) -> Panel:
+def _chosen(sweep: SweepReport, figures: Sequence[str], draw: Callable[[str], Panel]) -> Panel:
     """A panel that shows the first figure, and any that the reader chooses."""
     panel = draw(figures[0])
     if len(figures) < 2:
@@ -299,7 +299,7 @@ def _colour(number: int) -> Colour:
     return colour
 
 
-def _groups(sweep: ReportedSweep, most: int) -> list[tuple[str, list[SweepRun]]]:
+def _groups(sweep: SweepReport, most: int) -> list[tuple[str, list[SweepRun]]]:
     """Runs by entrant; all in one where there are more than can be told apart."""
     if len(sweep.entrants) > most:
         return [(_OTHER, [run for run in sweep.runs if not run.failed])]
@@ -318,7 +318,7 @@ def _word(value: Any) -> str:
     return "–" if value in (None, "") else str(value)
 
 
-def _distinct(sweep: ReportedSweep, key: str) -> int:
+def _distinct(sweep: SweepReport, key: str) -> int:
     return len({v for run in sweep.runs if (v := run.values.get(key)) not in (None, "")})
 
 
@@ -338,7 +338,7 @@ _LEVEL = 0.05
 
 
 def findings_of_sweep(
-    sweep: ReportedSweep, *, ranking: Ranking | None = None, title: str = ""
+    sweep: SweepReport, *, ranking: Ranking | None = None, title: str = ""
 ) -> Findings:
     """What a page tells of many runs; `ranking`: as ``trms compare`` has it."""
     figures = _telling(sweep)
@@ -361,7 +361,7 @@ def findings_of_sweep(
     )
 
 
-def _telling(sweep: ReportedSweep) -> list[str]:
+def _telling(sweep: SweepReport) -> list[str]:
     """Figures that differ between runs, objectives first."""
     wanted = [objective.figure for objective in sweep.objectives]
     found = []
@@ -372,7 +372,7 @@ def _telling(sweep: ReportedSweep) -> list[str]:
     return found[:_MOST_CHOICES]
 
 
-def _lead(sweep: ReportedSweep, ranking: Ranking | None) -> list[str]:
+def _lead(sweep: SweepReport, ranking: Ranking | None) -> list[str]:
     outcomes = Counter(run.outcome for run in sweep.runs)
     completed = outcomes.pop("completed", 0)
     others = ", ".join(f"**{count} {outcome}**" for outcome, count in outcomes.most_common())
@@ -409,7 +409,7 @@ def _times(ratio: float) -> str:
     return f"{ratio:.{digits}g} times as much" if digits else "as much, to six digits"
 
 
-def _best(sweep: ReportedSweep) -> tuple[SweepRun, float, str] | None:
+def _best(sweep: SweepReport) -> tuple[SweepRun, float, str] | None:
     name = next((o.figure for o in sweep.objectives if not o.largest), None) or next(
         (n for n in sweep.figures if n.startswith("rmse")), None
     )
@@ -423,7 +423,7 @@ def _best(sweep: ReportedSweep) -> tuple[SweepRun, float, str] | None:
     return run, run.figures[name], sweep.title(name)
 
 
-def _where(sweep: ReportedSweep, run: SweepRun) -> str:
+def _where(sweep: SweepReport, run: SweepRun) -> str:
     told = [key for key in sweep.keys if run.values.get(key) not in (None, "")]
     chosen = [key for key in told if key not in sweep.drawn_keys]
     parts = [f"{key} {_shown(run.values[key])}" for key in chosen[:_MOST_NAMED]]
@@ -434,7 +434,7 @@ def _where(sweep: ReportedSweep, run: SweepRun) -> str:
     return f" ({', '.join(parts)})" if parts else ""
 
 
-def _objectives(sweep: ReportedSweep) -> Section:
+def _objectives(sweep: SweepReport) -> Section:
     if not sweep.objectives:
         return Section("Objectives")
     front = sweep.front()
@@ -451,7 +451,7 @@ def _objectives(sweep: ReportedSweep) -> Section:
     return Section("Objectives", section.text, [*section.blocks, *([best] if front else [])])
 
 
-def _kind(sweep: ReportedSweep) -> str:
+def _kind(sweep: SweepReport) -> str:
     return "trial" if sweep.trials else "run"
 
 
@@ -527,7 +527,7 @@ def _interval(told: FailureShare) -> str:
     return f"{100 * told.low:.1f}\u2060–\u2060{100 * told.high:.1f} %"
 
 
-def _failures(sweep: ReportedSweep) -> Section:
+def _failures(sweep: SweepReport) -> Section:
     reasons: dict[str, list[SweepRun]] = {}
     for run in sweep.runs:
         if run.failed:
@@ -554,7 +554,7 @@ def _names(runs: Sequence[SweepRun]) -> str:
     return ", ".join([run.name for run in runs[:_MOST_NAMES]] + ["…"] * (len(runs) > _MOST_NAMES))
 
 
-def _all_runs(sweep: ReportedSweep) -> Section:
+def _all_runs(sweep: SweepReport) -> Section:
     figures, alike = _apart(sweep)
     keys = [key for key in sweep.keys if key not in sweep.drawn_keys]
     drawn = [key for key in sweep.keys if key in sweep.drawn_keys]
@@ -584,7 +584,7 @@ def _all_runs(sweep: ReportedSweep) -> Section:
     return Section("All runs", [f"{text}hold."], [rows])
 
 
-def _apart(sweep: ReportedSweep) -> tuple[list[str], dict[str, float]]:
+def _apart(sweep: SweepReport) -> tuple[list[str], dict[str, float]]:
     """Figures that tell runs apart, and those that are the same for all, with their value."""
     apart, alike = [], {}
     for name in sweep.figures:
@@ -596,7 +596,7 @@ def _apart(sweep: ReportedSweep) -> tuple[list[str], dict[str, float]]:
     return apart, alike
 
 
-def _example(sweep: ReportedSweep) -> str:
+def _example(sweep: SweepReport) -> str:
     """A condition that about half of the runs fulfil."""
     for name in sweep.figures:
         values = [run.figures[name] for run in sweep.runs if name in run.figures]

@@ -247,7 +247,7 @@ class RunSignals:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportedRun(RunSignals):
+class RunReport(RunSignals):
     """A run with its score and the words about it."""
 
     #: ``trms.score/1``; empty for a run that cannot be scored

@@ -15,14 +15,14 @@ from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
-    from trms_cli.reporting.signals import ReportedRun
+    from trms_cli.reporting.signals import RunReport
 
 _MOST_TEXT = 2_000  # characters of a fact
 #: Packages whose versions are named on a page.
 _PACKAGES = ("trms", "python", "numpy", "casadi")
 
 
-def read_run(path: Path, *, name: str = "") -> ReportedRun:
+def read_run(path: Path, *, name: str = "") -> RunReport:
     """Read a log, complete or not.
 
     Parameters
@@ -38,11 +38,11 @@ def read_run(path: Path, *, name: str = "") -> ReportedRun:
         If it cannot be read, is no log of a run, or is larger than what is read.
     """
     from trms_cli.recordings.log_reader import read_log
-    from trms_cli.reporting.signals import ReportedRun, limits_in
+    from trms_cli.reporting.signals import RunReport, limits_in
 
     log = read_log(path)
     texts = {key: str(value) for key, value in log.run.items()}
-    return ReportedRun(
+    return RunReport(
         name=name or name_of(path),
         tables=log.tables,
         score=_score(log),

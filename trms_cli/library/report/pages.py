@@ -32,7 +32,7 @@ from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
     from trms_cli.core.findings import Findings
-    from trms_cli.reporting.signals import ReportedRun
+    from trms_cli.reporting.signals import RunReport
     from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.ranking import Ranking
     from trms_cli.scoring.comparison.runs import ComparisonRun
@@ -230,7 +230,7 @@ def _of_logs(
     from trms_cli.reporting.report_runs import findings_of_comparison
 
     names = _names(logs)
-    runs: list[ReportedRun] = []
+    runs: list[RunReport] = []
     trouble = list(left_out)
     for log, name in zip(logs, names, strict=True):
         try:
@@ -288,7 +288,7 @@ def _ranking(logs: Sequence[Path]) -> Ranking | None:
         return None
 
 
-def _differences(runs: Sequence[ReportedRun]) -> list[tuple[str, list[str]]]:
+def _differences(runs: Sequence[RunReport]) -> list[tuple[str, list[str]]]:
     """Options and settings in which the runs differ, a value each."""
     import yaml
 

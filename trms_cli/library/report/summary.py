@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 import msgspec
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.reported_sweep import Draws, Objective, SweepRun
+    from trms_cli.reporting.sweep_report import Draws, Objective, SweepRun
 
 _T = TypeVar("_T")
 _MOST, _MOST_TRIALS = 10_000, 100_000
@@ -41,7 +41,7 @@ def draws_of(plan: Mapping[str, Any], names: Mapping[str, str]) -> Draws | None:
 
     `plan`: ``sweep.json``. `names`: what the drawn keys are called on the page.
     """
-    from trms_cli.reporting.reported_sweep import Correlation, Draws, FailureShare
+    from trms_cli.reporting.sweep_report import Correlation, Draws, FailureShare
 
     if not names:
         return None
@@ -80,7 +80,7 @@ def search_of(plan: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def objectives_of(words: Mapping[str, Any]) -> list[Objective]:
     """What is sought: names, or mappings with a name and a direction."""
-    from trms_cli.reporting.reported_sweep import Objective
+    from trms_cli.reporting.sweep_report import Objective
 
     found = []
     for each in words.get("objectives", ()):
@@ -101,7 +101,7 @@ def pareto_of(words: Mapping[str, Any]) -> list[int]:
 
 def trials_of(words: Mapping[str, Any]) -> list[SweepRun]:
     """What was tried, with the figures over all conditions of a trial."""
-    from trms_cli.reporting.reported_sweep import SweepRun
+    from trms_cli.reporting.sweep_report import SweepRun
 
     found = []
     for each in _mappings(words.get("trials"), _MOST_TRIALS):

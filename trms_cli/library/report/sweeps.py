@@ -23,7 +23,7 @@ from trms_cli.library.report.summary import (
 )
 
 if TYPE_CHECKING:
-    from trms_cli.reporting.reported_sweep import Objective, ReportedSweep, SweepRun, Value
+    from trms_cli.reporting.sweep_report import Objective, SweepReport, SweepRun, Value
     from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.runs import RunCollection
 
@@ -75,7 +75,7 @@ def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
     return replace(found, runs=_completed(found.runs))
 
 
-def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -> ReportedSweep:
+def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -> SweepReport:
     """Many runs as a report sees them.
 
     Parameters
@@ -87,7 +87,7 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
     page_folder : Path
         Where the page will be, for links to reports of single runs.
     """
-    from trms_cli.reporting.reported_sweep import ReportedSweep
+    from trms_cli.reporting.sweep_report import SweepReport
 
     rows = found.runs
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
@@ -106,7 +106,7 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
         for row, values in zip(rows, typed, strict=True)
     ]
     runs.sort(key=lambda run: (run.number is None, run.number or 0))
-    return ReportedSweep(
+    return SweepReport(
         name=root.name or str(root),
         runs=runs,
         keys=[*others, *named.values()],
@@ -122,9 +122,9 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
     )
 
 
-def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> ReportedSweep:
+def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> SweepReport:
     """Runs of which there are scores alone, without a log."""
-    from trms_cli.reporting.reported_sweep import ReportedSweep, SweepRun
+    from trms_cli.reporting.sweep_report import SweepReport, SweepRun
     from trms_cli.runs.columns import ALIASES, COLUMNS, figures_of
     from trms_cli.scoring.comparison.ranking import controller_name, usual_entrants
     from trms_cli.scoring.comparison.runs import differing
@@ -153,7 +153,7 @@ def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> ReportedSwe
             )
         )
     present = {name for run in runs for name in run.figures}
-    return ReportedSweep(
+    return SweepReport(
         name=root.name,
         runs=runs,
         keys=keys,
@@ -230,7 +230,7 @@ def _swept(
     row: Mapping[str, Any], typed: Mapping[str, Any], keys: Sequence[str], by: Sequence[str],
     figures: Mapping[str, str], root: Path, page_folder: Path,
 ) -> SweepRun:  # fmt: skip
-    from trms_cli.reporting.reported_sweep import SweepRun
+    from trms_cli.reporting.sweep_report import SweepRun
     from trms_cli.runs.columns import ALIASES
 
     path = Path(str(row["path"]))

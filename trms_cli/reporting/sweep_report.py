@@ -21,9 +21,9 @@ class SweepRun:
     name: str  #: Its folder, from that of all
     entrant: str = ""  #: Who ran: the options and settings that a ranking tells apart
     outcome: str = "completed"  #: ``completed``, ``failed``, ``interrupted``, ``unfinished``, ….
-    #: dict of str to value; by key that differs between runs (:attr:`ReportedSweep.keys`)
+    #: dict of str to value; by key that differs between runs (:attr:`SweepReport.keys`)
     values: Mapping[str, Value] = field(default_factory=dict)
-    #: By name (:attr:`ReportedSweep.figures`); missing for what it does not have
+    #: By name (:attr:`SweepReport.figures`); missing for what it does not have
     figures: Mapping[str, float] = field(default_factory=dict)
     problem: str = ""  #: Why it failed
     page: str = ""  #: Address of its own report from the page's folder; "" if it has none
@@ -79,7 +79,7 @@ class Draws:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportedSweep:
+class SweepReport:
     """Many runs."""
 
     name: str
