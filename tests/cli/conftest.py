@@ -1,16 +1,17 @@
-"""The installed program, and a user's own folder of plugins beside it."""
+"""The program in an empty folder, and a user's own folder of plugins beside it."""
 
 from __future__ import annotations
 
-import os
+import functools
+import signal
 import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
-Program = Callable[..., subprocess.CompletedProcess[str]]
+from tests.program import INSTALLED, Done, Program, forgotten, in_process, installed
+
 #: Packages of users that the tests write, each beside its configuration.
 OWN_PACKAGES = (
     "own_lab_plugins",
@@ -30,30 +31,66 @@ def _allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
 
 
-@pytest.fixture(scope="session")
-def executable() -> Path:
-    """The console script that was installed with the package under test."""
-    script = Path(sys.executable).with_name("trms")
-    assert script.is_file(), "install the package first: make setup"
-    return script
+@pytest.fixture
+def trms(tmp_path: Path) -> Iterator[Program]:
+    """Run ``trms`` in an empty folder, in this process."""
+    with forgotten(tmp_path):
+        yield functools.partial(in_process, tmp_path)
 
 
 @pytest.fixture
-def trms(executable: Path, tmp_path: Path) -> Program:
-    """Run ``trms`` as a person would, in an empty folder."""
+def refused(trms: functools.partial[Done]) -> Callable[..., None]:
+    """Run a command that is refused: in these words, on one screen, and nothing is left behind."""
+    (folder,) = trms.args
 
-    def run(*argv: str, **environment: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [str(executable), *argv],
-            cwd=tmp_path,
-            env=os.environ | {"NO_COLOR": "1"} | environment,
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            timeout=120,
-        )
+    def there() -> set[Path]:
+        others = {"__pycache__", "settings"}
+        return {path for path in folder.rglob("*") if others.isdisjoint(path.parts)}
+
+    def run(*argv: str, words: str | Iterable[str]) -> None:
+        before = there()
+        done = trms(*argv, code=2)
+        assert not done.stdout and len(done.stderr.splitlines()) <= 20
+        for part in [words] if isinstance(words, str) else words:
+            assert part in done.said
+        assert there() == before
 
     return run
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Program:
+    """Run the installed ``trms`` there: for what depends on the process, as streams and starts."""
+    return functools.partial(installed, tmp_path)
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start the installed ``trms`` there, to be interrupted, and leave nothing behind."""
+    processes = []
+
+    def start(*argv: str, folder: Path = tmp_path) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [str(INSTALLED), *argv],
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            start_new_session=True,
+            # a shell's background jobs ignore Ctrl-C, and so would what they start
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        for stream in (process.stdout, process.stderr):
+            stream.close()
 
 
 @pytest.fixture

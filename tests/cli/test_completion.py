@@ -12,18 +12,19 @@ from pathlib import Path
 
 import pytest
 
+from tests.program import INSTALLED
 from trms_cli.commands.completion.suggestions import suggest
 
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
 
 
 @pytest.fixture
-def replies(executable: Path, tmp_path: Path):
+def replies(tmp_path: Path):
     """What bash's completion function puts into COMPREPLY for an unfinished line."""
 
     def ask(line: str) -> list[str]:
         script = (
-            f"PATH={executable.parent}:$PATH\n"
+            f"PATH={INSTALLED.parent}:$PATH\n"
             "source <(trms completion bash)\n"
             f"COMP_LINE={_quoted(line)}; COMP_POINT=${{#COMP_LINE}}\n"
             "COMP_WORDS=(trms); _trms_complete\n"
@@ -94,10 +95,10 @@ class TestBash:
 
 
 @needs_bash
-def test_a_press_of_tab_in_an_interactive_bash(executable, tmp_path):
+def test_a_press_of_tab_in_an_interactive_bash(tmp_path):
     stand_in = tmp_path / "trms"
     stand_in.write_text(
-        f'#!/bin/sh\n[ "$1" = completion ] && exec {executable} "$@"\nprintf "<%s>" "$@"; echo\n'
+        f'#!/bin/sh\n[ "$1" = completion ] && exec {INSTALLED} "$@"\nprintf "<%s>" "$@"; echo\n'
     )
     stand_in.chmod(0o755)
     master, slave = pty.openpty()
@@ -149,10 +150,8 @@ def test_the_other_shells_accept_their_script(trms, shell, tmp_path):
         assert subprocess.run([shell, "-n", str(file)], check=False).returncode == 0
 
 
-def test_unknown_shell(trms):
-    result = trms("completion", "tcsh")
-    assert result.returncode == 2
-    assert "bash, zsh, fish" in result.stderr
+def test_unknown_shell(refused):
+    refused("completion", "tcsh", words="bash, zsh, fish")
 
 
 def test_suggestions_never_raise_on_a_broken_yaml(lab):

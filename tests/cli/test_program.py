@@ -1,22 +1,25 @@
-"""The dispatcher: what every command has in common."""
+"""The dispatcher: what every command has in common, and what is told to be typed next."""
 
 from __future__ import annotations
 
 import ast
 import json
+import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tests.program import INSTALLED
 from trms_cli import __version__, cli
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.invocation import program
 
 
 def test_alone_it_prints_the_picture_the_commands_and_what_to_try(trms):
     result = trms()
-    assert result.returncode == 0
     assert "controller ──u──▶ rig (the plant)" in result.stdout
     assert all(f"  {name} " in result.stdout for name in cli.COMMANDS)
     tried = result.stdout.partition("\ntry\n")[2].splitlines()
@@ -26,20 +29,14 @@ def test_alone_it_prints_the_picture_the_commands_and_what_to_try(trms):
 @pytest.mark.parametrize("flag", ["-h", "--help"])
 def test_help(trms, flag):
     result = trms(flag)
-    assert result.returncode == 0
     assert "usage: trms COMMAND" in result.stdout
     assert "--debug" in result.stdout
 
 
-def test_version(trms):
-    assert trms("--version").stdout == f"trms {__version__}\n"
-
-
-def test_module_is_the_same_program(trms):
-    result = subprocess.run(
-        [sys.executable, "-m", "trms_cli", "--version"], capture_output=True, text=True
-    )
-    assert result.stdout == trms("--version").stdout
+@pytest.mark.parametrize("words", [[str(INSTALLED)], [sys.executable, "-m", "trms_cli"]])
+def test_version_of_the_script_and_of_the_module(words):
+    result = subprocess.run([*words, "--version"], capture_output=True, text=True)
+    assert result.stdout == f"trms {__version__}\n"
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
@@ -48,7 +45,6 @@ def test_every_command_has_help_and_the_summary_that_the_table_shows(trms, name)
     assert cli.COMMANDS[name] == module.SUMMARY
     for argv in ((name, "--help"), ("help", name)):
         result = trms(*argv)
-        assert result.returncode == 0, result.stderr
         assert f"trms {name}" in result.stdout
         assert result.stderr == ""
 
@@ -82,25 +78,20 @@ def test_the_help_of_run_shows_the_choices(trms):
         ("--nope", "there are: run, "),
     ],
 )
-def test_unknown_command(trms, typed, hint):
-    result = trms(typed)
-    assert result.returncode == 2
-    assert result.stdout == ""
-    assert repr(typed) in result.stderr
-    assert hint in " ".join(result.stderr.split())
+def test_unknown_command(refused, typed, hint):
+    refused(typed, words=[repr(typed), hint])
 
 
-def test_debug_shows_the_trace_of_an_error_that_is_a_message_otherwise(trms):
-    quiet, loud = trms("list", "nope"), trms("list", "nope", "--debug")
+def test_debug_shows_the_trace_of_an_error_that_is_a_message_otherwise(program):
+    quiet, loud = program("list", "nope", code=2), program("list", "nope", "--debug")
     assert "Traceback" not in quiet.stderr
     assert "Traceback" in loud.stderr
-    assert quiet.returncode == 2
 
 
-def test_a_closed_pipe_is_quiet(executable):
+def test_a_closed_pipe_is_quiet():
     # the reader ends before the writer starts
     result = subprocess.run(
-        f"'{executable}' list --json | true",
+        f"'{INSTALLED}' list --json | true",
         shell=True,
         capture_output=True,
         text=True,
@@ -109,9 +100,8 @@ def test_a_closed_pipe_is_quiet(executable):
     assert result.stderr == ""
 
 
-def test_a_terminal_without_greek_gets_question_marks_not_a_traceback(trms):
-    result = trms(PYTHONIOENCODING="ascii", PYTHONUTF8="0", LC_ALL="C")
-    assert result.returncode == 0
+def test_a_terminal_without_greek_gets_question_marks_not_a_traceback(program):
+    result = program(PYTHONIOENCODING="ascii", PYTHONUTF8="0", LC_ALL="C")
     assert "controller ??u???" in result.stdout
 
 
@@ -162,7 +152,6 @@ class TestList:
 
     def test_groups_with_descriptions(self, trms):
         result = trms("list")
-        assert result.returncode == 0
         assert "model  (what the controller and the observer believe)" in result.stdout
         assert "newtonian_full" in result.stdout
 
@@ -196,10 +185,8 @@ class TestList:
             (["model", "newtonian", "again"], "usage: trms list"),
         ],
     )
-    def test_what_is_not_there(self, trms, argv, hint):
-        result = trms("list", *argv)
-        assert result.returncode == 2
-        assert hint in result.stderr
+    def test_what_is_not_there(self, refused, argv, hint):
+        refused("list", *argv, words=hint)
 
 
 class TestDoctor:
@@ -207,7 +194,6 @@ class TestDoctor:
 
     def test_this_machine_is_ready(self, trms):
         result = trms("doctor")
-        assert result.returncode == 0
         assert result.stdout.endswith("\nready\n")
 
     def test_json(self, trms):
@@ -217,19 +203,85 @@ class TestDoctor:
             finding["what"] for finding in document["findings"]
         }
 
-    def test_without_a_compiler_it_is_a_note_with_a_remedy(self, trms):
-        result = trms("doctor", CC="/nowhere/cc")
-        assert result.returncode == 0
+    def test_without_a_compiler_it_is_a_note_with_a_remedy(self, program):
+        result = program("doctor", CC="/nowhere/cc")
         assert "install a C compiler" in result.stdout
 
-    def test_a_compiler_that_does_not_work(self, trms):
-        assert "does not build a generated function" in trms("doctor", CC="false").stdout
+    def test_a_compiler_that_does_not_work(self, program):
+        assert "does not build a generated function" in program("doctor", CC="false").stdout
 
-    def test_unwritable_cache(self, trms, tmp_path):
+    def test_unwritable_cache(self, program, tmp_path):
         (tmp_path / "file").touch()
-        result = trms("doctor", TRMS_CACHE=str(tmp_path / "file" / "cache"))
-        assert result.returncode == 0
+        result = program("doctor", TRMS_CACHE=str(tmp_path / "file" / "cache"))
         assert "cannot be written" in result.stdout
 
     def test_unknown_option(self, trms):
-        assert trms("doctor", "--jsn").returncode == 2
+        trms("doctor", "--jsn", code=2)
+
+
+@pytest.fixture
+def called(monkeypatch, tmp_path):
+    """Call a made-up program in `tmp_path` as ``argv0``, with these folders on the path."""
+    script = tmp_path / "my venv" / "trms"
+    script.parent.mkdir()
+    script.write_text("#!/bin/sh\n")
+    script.chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+
+    def call(argv0: str, *path: Path) -> str:
+        monkeypatch.setattr(sys, "argv", [argv0])
+        monkeypatch.setenv("PATH", os.pathsep.join(map(str, path)))
+        return program()
+
+    return call
+
+
+def test_found_on_the_path_it_has_its_name(called, tmp_path):
+    folder = tmp_path / "my venv"
+    assert called(str(folder / "trms"), folder) == "trms"
+
+
+def test_not_on_the_path_it_is_called_again_as_it_was(called):
+    assert called("my venv/trms") == "'my venv/trms'"
+
+
+def test_another_program_of_this_name_on_the_path_is_another(called, tmp_path):
+    other = tmp_path / "bin" / "trms"
+    other.parent.mkdir()
+    other.write_text("#!/bin/sh\n")
+    other.chmod(0o755)
+    assert called("my venv/trms", other.parent) == "'my venv/trms'"
+
+
+def test_as_a_module_it_is_called_as_one(called):
+    assert called("somewhere/trms_cli/__main__.py").endswith(" -m trms_cli")
+
+
+def test_called_by_other_programs_it_has_its_name(called):
+    assert called("pytest") == "trms"
+
+
+def test_the_commands_after_a_run_can_be_typed(tmp_path):
+    here = os.path.relpath(INSTALLED, tmp_path)
+    environment = os.environ | {"PATH": "/usr/bin:/bin", "NO_COLOR": "1"}
+    words = ["run", "controller=pid", "sim.duration=1", "picture=false", "out=o"]
+    run = subprocess.run(
+        [here, *words], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    line = next(line for line in run.stdout.splitlines() if line.startswith("next "))
+    command = shlex.split(line.removeprefix("next"))
+    assert command == [here, "score", "o/run.mcap"]
+    again = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    assert "\n1 s, completed" in again.stdout  # as long as the run was
+    assert "1 s at 50 Hz simulated" in run.stdout
+
+
+def test_the_first_page_is_typed_alike(tmp_path):
+    here = os.path.relpath(INSTALLED, tmp_path)
+    environment = os.environ | {"PATH": "/usr/bin:/bin"}
+    page = subprocess.run(
+        [here], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    assert f"  {here} run --help" in page.stdout

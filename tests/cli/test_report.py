@@ -32,7 +32,7 @@ def lab(tmp_path_factory) -> Path:
     assert run("controller=lqr", out="first") == 0
     assert run("controller=pid", out="second") == 0
     choices = ("controller=lqr,pid", "ref=square,sine", "controller.sample_time=null,0.03")
-    assert run("-m", *choices, out="sweep") == 1
+    assert run("-m", *choices, "launcher.workers=0", out="sweep") == 1
     return folder
 
 
@@ -105,6 +105,7 @@ class TestWhatItIsOf:
         drawn = ("plant=simulated", "plant.parameters.k_g=prior", "plant.parameters.k_m=prior")
         sampler = ("sampler=random", "sampler.samples=3", "sampler.limits.rmse_yaw=0.001")
         argv = ("-m", "controller=lqr,pid", *drawn, *sampler, "sim.duration=2", "picture=false")
+        argv += ("launcher.workers=0",)
         assert main(["run", *argv, "observer=full_state", "out=drawn"]) == 0
         capsys.readouterr()
         assert report("drawn", "--json") == 0

@@ -8,13 +8,12 @@ import shlex
 import shutil
 import signal
 import subprocess
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.program import INSTALLED, wait_for
 from trms_cli.recordings.log_reader import LoggedRun, read_log
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -99,29 +98,12 @@ def own(tmp_path: Path) -> list[str]:
 
 
 @pytest.fixture
-def started(
-    executable: Path, tmp_path: Path, own: list[str]
-) -> Callable[[], tuple[subprocess.Popen[str], Path]]:
-    """Start a long, slow run and wait until it has passed its fourth second."""
-
-    def start() -> tuple[subprocess.Popen[str], Path]:
-        words = [*own, "controller.how=slow", "sim.duration=600", "out=there"]
-        process = subprocess.Popen(
-            [str(executable), "run", *words],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            encoding="utf-8",
-        )
-        deadline = time.monotonic() + 60
-        while _reached(tmp_path) < 4.0:
-            assert process.poll() is None, process.communicate()
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        return process, tmp_path / "there" / "run.mcap"
-
-    return start
+def slow(started, tmp_path: Path, own: list[str]) -> tuple[subprocess.Popen[str], Path]:
+    """A long, slow run that has passed its fourth second, and its log."""
+    words = [*own, "controller.how=slow", "sim.duration=600", "out=there"]
+    process = started("run", *words)
+    wait_for(lambda: _reached(tmp_path) >= 4.0)
+    return process, tmp_path / "there" / "run.mcap"
 
 
 def _reached(folder: Path) -> float:
@@ -138,8 +120,8 @@ def _holds_all_until(log: LoggedRun, second: int) -> None:
 
 
 @posix
-def test_a_killed_run_s_log_holds_everything_up_to_the_last_second(started, tmp_path):
-    process, path = started()
+def test_a_killed_run_s_log_holds_everything_up_to_the_last_second(slow, tmp_path):
+    process, path = slow
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=30)
     log = read_log(path)
@@ -153,8 +135,8 @@ def test_a_killed_run_s_log_holds_everything_up_to_the_last_second(started, tmp_
 
 @posix
 @pytest.mark.parametrize(("ending", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupted_run_leaves_a_complete_and_marked_log(started, trms, ending, code):
-    process, path = started()
+def test_an_interrupted_run_leaves_a_complete_and_marked_log(slow, trms, ending, code):
+    process, path = slow
     process.send_signal(ending)
     output, error = process.communicate(timeout=30)
     assert process.returncode == code
@@ -168,27 +150,14 @@ def test_an_interrupted_run_leaves_a_complete_and_marked_log(started, trms, endi
     assert log.score["complete"] is False
     _holds_all_until(log, 4)
     result = trms("score", "there/run.mcap")
-    assert result.returncode == 0
     assert "interrupted" in result.stdout
 
 
 @posix
-def test_ctrl_c_ends_a_sweep_and_not_only_its_job(executable, own, tmp_path):
+def test_ctrl_c_ends_a_sweep_and_not_only_its_job(started, own, tmp_path):
     words = [*own, "controller.how=slow", "sim.duration=600", "seed=1,2", "out=swept"]
-    words += ["launcher.workers=1"]
-    process = subprocess.Popen(
-        [str(executable), "run", "-m", *words],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        encoding="utf-8",
-    )
-    deadline = time.monotonic() + 60
-    while _reached(tmp_path) < 2.0:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    process = started("run", "-m", *words, "launcher.workers=1")
+    wait_for(lambda: _reached(tmp_path) >= 2.0)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=30)
     assert process.returncode == 130, error
@@ -200,10 +169,9 @@ def test_ctrl_c_ends_a_sweep_and_not_only_its_job(executable, own, tmp_path):
 
 
 def test_an_exception_in_a_plugin_names_it_and_marks_the_log(trms, own, tmp_path):
-    result = trms("run", *own, "controller.how=raise", "sim.duration=3", "out=there")
-    assert result.returncode == 1
+    result = trms("run", *own, "controller.how=raise", "sim.duration=3", "out=there", code=1)
     assert "Traceback" not in result.stderr
-    words = " ".join(result.stderr.split())
+    words = result.said
     for part in (
         "the controller misbehaving.Own failed at 1.00 s",
         "ZeroDivisionError: a slip of mine",
@@ -218,8 +186,8 @@ def test_an_exception_in_a_plugin_names_it_and_marks_the_log(trms, own, tmp_path
     assert len(log.table("/command")) == 50  # all before the sample that failed
 
 
-def test_its_trace_can_be_had(trms, own):
-    result = trms("run", *own, "controller.how=raise", "sim.duration=3", "--debug")
+def test_its_trace_can_be_had(program, own):
+    result = program("run", *own, "controller.how=raise", "sim.duration=3", "--debug")
     assert "Traceback" in result.stderr
     assert "raise ZeroDivisionError" in result.stderr
 
@@ -229,9 +197,7 @@ def test_its_trace_can_be_had(trms, own):
     [("nothing", "step returned None, not a Command"), ("words", "no array of numbers")],
 )
 def test_what_is_no_command_is_told_with_the_log(trms, own, how, told):
-    result = trms("run", *own, f"controller.how={how}", "sim.duration=3", "out=there")
-    words = " ".join(result.stderr.split())
-    assert result.returncode == 1
+    words = trms("run", *own, f"controller.how={how}", "sim.duration=3", "out=there", code=1).said
     for part in (told, "one value (V) for each", "the log up to 1.00 s", "there/run.mcap"):
         assert part in words
 
@@ -243,51 +209,42 @@ def _without_keys(tmp_path: Path, name: str) -> None:
 
 def test_a_controller_without_a_sample_time_takes_every_sample(trms, own, tmp_path):
     _without_keys(tmp_path, "Bare")
-    result = trms("run", *own, "sim.duration=1", "out=there")
-    assert result.returncode == 0, result.stderr
+    trms("run", *own, "sim.duration=1", "out=there")
     assert len(read_log(tmp_path / "there" / "run.mcap").table("/controller")) == 50
 
 
-def test_a_controller_that_lacks_a_method_is_refused_before_the_run(trms, own, tmp_path):
+def test_a_controller_that_lacks_a_method_is_refused_before_the_run(refused, own, tmp_path):
     _without_keys(tmp_path, "Unfinished")
-    result = trms("run", *own, "out=there")
-    words = " ".join(result.stderr.split())
-    assert result.returncode == 2
-    assert "controller misbehaving.Unfinished lacks step" in words
-    assert "docs/writing-a-plugin.md" in words
-    assert not (tmp_path / "there").exists()
+    words = ["controller misbehaving.Unfinished lacks step", "docs/writing-a-plugin.md"]
+    refused("run", *own, "out=there", words=words)
 
 
 @posix
-def test_that_there_is_no_compiler_is_said_once(trms, own, tmp_path):
+def test_that_there_is_no_compiler_is_said_once(program, own, tmp_path):
     words = [*own, "sim.duration=0.2"]
     for more in (["out=one"], ["-m", "seed=1,2", "out=many"]):
-        result = trms("run", *words, *more, PATH=str(tmp_path), CC="")
-        assert result.returncode == 0, result.stderr
+        result = program("run", *words, *more, PATH=str(tmp_path), CC="")
         assert result.stderr.count("no C compiler") == 1
         assert "trms doctor" in result.stderr
-    result = trms("run", *words, "out=asked", TRMS_COMPILE="0")
+    result = program("run", *words, "out=asked", TRMS_COMPILE="0")
     assert result.stderr == ""
 
 
 def test_a_run_s_folder_stands_for_its_log(trms, own):
-    assert trms("run", *own, "sim.duration=1", "out=there").returncode == 0
+    trms("run", *own, "sim.duration=1", "out=there")
     assert trms("score", "there").stdout == trms("score", "there/run.mcap").stdout
-    assert trms("export", "there").returncode == 0
-    result = trms("run", "--from", "there", "out=again")
-    assert result.returncode == 0, result.stderr
+    trms("export", "there")
+    trms("run", "--from", "there", "out=again")
 
 
 def test_a_plugin_that_cannot_start_leaves_nothing_behind(trms, own, tmp_path):
-    result = trms("run", *own, "controller.how=refuse", "out=there")
-    assert result.returncode == 1
-    assert "the controller misbehaving.Own failed at the start" in " ".join(result.stderr.split())
+    result = trms("run", *own, "controller.how=refuse", "out=there", code=1)
+    assert "the controller misbehaving.Own failed at the start" in result.said
     assert not (tmp_path / "there").exists()
 
 
 def test_commands_that_are_no_numbers_never_reach_the_rig(trms, own, tmp_path):
-    result = trms("run", *own, "controller.how=garbage", "sim.duration=3", "out=there")
-    assert result.returncode == 0, result.stderr
+    trms("run", *own, "controller.how=garbage", "sim.duration=3", "out=there")
     log = read_log(tmp_path / "there" / "run.mcap")
     for name in ("u_v", "u_h"):
         assert np.all(log.table("/command").columns[name] == 0.1)
@@ -297,14 +254,14 @@ def test_commands_that_are_no_numbers_never_reach_the_rig(trms, own, tmp_path):
 
 
 @posix
-def test_a_file_that_may_not_grow_keeps_what_it_holds(executable, own, tmp_path):
+def test_a_file_that_may_not_grow_keeps_what_it_holds(own, tmp_path):
     import resource
 
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 
     result = subprocess.run(
-        [str(executable), "run", *own, "sim.duration=60", "out=there"],
+        [str(INSTALLED), "run", *own, "sim.duration=60", "out=there"],
         cwd=tmp_path,
         preexec_fn=limited,
         capture_output=True,
@@ -343,8 +300,8 @@ def _in_own_mount(script: str, folder: Path) -> subprocess.CompletedProcess[str]
 
 
 @posix
-def test_a_full_disk(executable, own, tmp_path):
-    program, words = shlex.quote(str(executable)), shlex.join([*own, "sim.duration=60"])
+def test_a_full_disk(own, tmp_path):
+    program, words = shlex.quote(str(INSTALLED)), shlex.join([*own, "sim.duration=60"])
     (tmp_path / "small").mkdir()
     result = _in_own_mount(
         "mount -t tmpfs -o size=192k none small && "
@@ -360,8 +317,8 @@ def test_a_full_disk(executable, own, tmp_path):
 
 
 @posix
-def test_a_folder_that_cannot_be_written_to(executable, own, tmp_path):
-    program, words = shlex.quote(str(executable)), shlex.join([*own, "sim.duration=1"])
+def test_a_folder_that_cannot_be_written_to(own, tmp_path):
+    program, words = shlex.quote(str(INSTALLED)), shlex.join([*own, "sim.duration=1"])
     (tmp_path / "fixed").mkdir()
     result = _in_own_mount(
         "mount -t tmpfs -o ro none fixed && "
@@ -377,7 +334,6 @@ def test_a_folder_that_cannot_be_written_to(executable, own, tmp_path):
 def test_a_folder_that_holds_something_is_refused(trms, own, tmp_path):
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "mine.txt").write_text("mine")
-    result = trms("run", *own, "sim.duration=1", "out=there")
-    assert result.returncode == 2
+    result = trms("run", *own, "sim.duration=1", "out=there", code=2)
     assert "not empty" in result.stderr
     assert [file.name for file in (tmp_path / "there").iterdir()] == ["mine.txt"]

@@ -61,7 +61,6 @@ def read(folder: Path) -> dict:
 
 def test_a_study_leaves_sentences_tables_figures_and_numbers(trms, tmp_path, folder):
     result = trms("stability", "--config-dir", str(folder), "study=slowest", "out=found")
-    assert result.returncode == 0, result.stderr
     assert "It grows by -0.0467 1/s" in result.stdout and "<0>" in result.stdout
     assert "! linear only" in result.stdout
     found = tmp_path / "found"
@@ -82,7 +81,7 @@ def test_a_study_leaves_sentences_tables_figures_and_numbers(trms, tmp_path, fol
 
 def test_without_a_page(trms, tmp_path, folder):
     argv = ("--config-dir", str(folder), "study=slowest", "page=false", "out=found")
-    assert trms("stability", *argv).returncode == 0
+    trms("stability", *argv)
     assert [file.name for file in (tmp_path / "found").iterdir()] == ["stability.json"]
 
 
@@ -90,7 +89,7 @@ def test_effects_are_named_and_what_equations_do_not_hold_is_told(trms, tmp_path
     effects = "effect=[main_reaction_on_yaw,pitch_coulomb_friction]"
     sizes = "effect.main_reaction_on_yaw.drag=3e-7"
     argv = ("--config-dir", str(folder), "study=slowest", "out=found", effects, sizes)
-    assert trms("stability", *argv).returncode == 0
+    trms("stability", *argv)
     document = read(tmp_path / "found")
     assert document["effects"] == ["main_reaction_on_yaw", "pitch_coulomb_friction"]
     (told,) = [words for words in document["warnings"] if "no part of" in words]
@@ -98,9 +97,8 @@ def test_effects_are_named_and_what_equations_do_not_hold_is_told(trms, tmp_path
 
 
 def test_a_sweep_prints_a_line_each(trms, folder):
-    argv = ("--config-dir", str(folder), "-m", "study=slowest", "model=newtonian,rahideh")
-    result = trms("stability", *argv)
-    assert result.returncode == 0, result.stderr
+    argv = ("--config-dir", str(folder), "-m", "launcher.workers=0", "study=slowest")
+    result = trms("stability", *argv, "model=newtonian,rahideh")
     lines = [line for line in result.stdout.splitlines() if "It grows" in line]
     assert len(lines) == 2 and "model=rahideh" in lines[1]
 
@@ -110,28 +108,18 @@ def test_a_sweep_prints_a_line_each(trms, folder):
     [
         (["study.at.alpha_v=1.5"], ["no equilibrium at alpha_v=1.5", "study.at", "closest"]),
         (["study.at.alpa_v=0"], ["'alpa_v'", "study.at.alpa_v", "did you mean alpha_v"]),
-        (["model=narx_2dof"], ["sample to sample", "in  model", "model=newtonian"]),
-        (["controller=lqr"], ["about the model alone", "in  controller"]),
+        (["model=narx_2dof"], ["sample to sample", "in model", "model=newtonian"]),
+        (["controller=lqr"], ["about the model alone", "in controller"]),
         (["controller=lqr", "sim.sample_time=0"], ["0", "sim.sample_time", "above 0 s"]),
-        (["out=own"], ["not empty", "in  out"]),
-        (["page=7"], ["7", "in  page", "true or false"]),
+        (["out=own"], ["not empty", "in out"]),
+        (["page=7"], ["7", "in page", "true or false"]),
         (["study=nothing_such"], ["no option 'nothing_such'", "slowest"]),
         (["++study._target_=slowest.np.array"], ["_target_"]),
     ],
 )
 def test_bad_requests_are_explained_and_leave_nothing(trms, tmp_path, folder, overrides, words):
-    before = sorted(tmp_path.rglob("*"))
-    result = trms("stability", "--config-dir", str(folder), "study=slowest", *overrides)
-    assert result.returncode == 2, result.stdout + result.stderr
-    for word in words:
-        assert word in result.stderr
-    assert "Traceback" not in result.stderr and len(result.stderr.splitlines()) < 15
-    after = [path for path in tmp_path.rglob("*") if "__pycache__" not in path.parts]
-    made = sorted(set(after) - set(before))
-    assert not [path for path in made if path.is_file() or path.name.endswith("stability")]
-
-
-def test_help_has_examples_and_the_studies(trms):
-    result = trms("stability", "--help")
-    assert result.returncode == 0
-    assert "trms stability study=" in result.stdout and "controller" in result.stdout
+    result = trms("stability", "--config-dir", str(folder), "study=slowest", *overrides, code=2)
+    assert all(word in result.said for word in words) and len(result.stderr.splitlines()) < 15
+    left = [path for path in tmp_path.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    assert {path.name for path in left} == {"slowest.yaml", "slowest.py"}
+    assert not list(tmp_path.rglob("*stability"))

@@ -24,7 +24,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.text import Text
 
-from trms_cli import cli
+from tests.program import INSTALLED, in_process, wait_for
 from trms_cli.commands.watch.frame import (
     NAMES,
     About,
@@ -48,23 +48,21 @@ ALTERNATE, NORMAL = b"\x1b[?1049h", b"\x1b[?1049l"
 
 
 @pytest.fixture(scope="module")
-def made(executable, tmp_path_factory) -> Path:
+def made(tmp_path_factory) -> Path:
     """A folder with a run of 6 s and a sweep of four, of which two fail."""
     folder = tmp_path_factory.mktemp("lab")
-    environment = os.environ | {"TRMS_RUNS": "off"}
-    for argv, code in (
-        (["-m", "controller=pid,lqr", "seed=1,2", "out=sweep", "sim.duration=2"], 0),
-        (["controller=lqr", "effect=yaw_coulomb_friction", "out=one", "sim.duration=6"], 0),
+    for argv in (
+        [
+            "-m",
+            "controller=pid,lqr",
+            "seed=1,2",
+            "launcher.workers=0",
+            "out=sweep",
+            "sim.duration=2",
+        ],
+        ["controller=lqr", "effect=yaw_coulomb_friction", "out=one", "sim.duration=6"],
     ):
-        result = subprocess.run(
-            [str(executable), "run", *argv, "picture=false"],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        assert result.returncode == code, result.stderr
+        in_process(folder, "run", *argv, "picture=false", TRMS_RUNS="off")
     return folder
 
 
@@ -74,11 +72,8 @@ def there(made, trms, tmp_path):
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     os.utime(tmp_path / "one" / "run.mcap")  # the latest
 
-    def watch(*argv: str, code: int = 0, **environment: str):
-        result = trms(
-            "watch", *argv, **{"TRMS_RUNS": "off", "LINES": "25", "COLUMNS": "80"} | environment
-        )
-        assert result.returncode == code, result.stderr
+    def watch(*argv: str, code: int = 0):
+        result = trms("watch", *argv, TRMS_RUNS="off", LINES="25", COLUMNS="80", code=code)
         return result.stdout if code == 0 else result.stderr
 
     return watch
@@ -336,9 +331,10 @@ class TestOnce:
     def test_of_a_moment(self, there, what):
         assert "3.0 / 6 s" in there(what, "--once", "--from", "3")
 
-    def test_without_unicode(self, there):
+    def test_without_unicode(self, there, program):
         assert there("one", "--once", "--plain").isascii()
-        assert there("one", "--once", PYTHONIOENCODING="ascii").isascii()
+        shown = program("watch", "one", "--once", PYTHONIOENCODING="ascii").stdout
+        assert "RMSE" in shown and shown.isascii()
 
     def test_of_a_sweep(self, there):
         text = there("sweep", "--once")
@@ -365,9 +361,9 @@ class TestLines:
         assert lines[0].startswith("0.0 s of 6") and lines[-1].startswith("6.0 s of 6")
         assert "pitch" in lines[0] and "RMSE" in lines[0] and "completed" in lines[-1]
 
-    def test_a_reader_that_leaves(self, there, executable, tmp_path):
+    def test_a_reader_that_leaves(self, there, tmp_path):
         result = subprocess.run(
-            f"'{executable}' watch one --speed 2 | head -1",
+            f"'{INSTALLED}' watch one --speed 2 | head -1",
             shell=True,
             cwd=tmp_path,
             capture_output=True,
@@ -398,29 +394,16 @@ class TestWrong:
             (["--sped", "2"], "did you mean --speed"),
         ],
     )
-    def test_is_told(self, made, tmp_path, monkeypatch, capsys, argv, words):
+    def test_is_told(self, made, tmp_path, refused, argv, words):
         for name in ("one", "sweep"):
             (tmp_path / name).symlink_to(made / name)
         (tmp_path / "empty").mkdir()
         (tmp_path / "empty.mcap").touch()
-        monkeypatch.chdir(tmp_path)
-        assert cli.main(["watch", *argv]) == 2
-        printed = capsys.readouterr()
-        assert words in " ".join(printed.err.split()) and printed.out == ""
+        refused("watch", *argv, words=words)
 
-    def test_no_run_at_all(self, trms):
-        result = trms("watch", TRMS_RUNS="off")
-        assert result.returncode == 2 and "there is no run under this folder" in result.stderr
-
-    def test_a_log_of_another_program(self, trms, tmp_path):
-        from mcap.writer import Writer
-
-        with (tmp_path / "other.mcap").open("wb") as file:
-            writer = Writer(file)
-            writer.start(library="other")
-            writer.finish()
-        result = trms("watch", "other.mcap")
-        assert result.returncode == 2 and "of another program (other)" in result.stderr
+    def test_no_run_at_all(self, refused, monkeypatch):
+        monkeypatch.setenv("TRMS_RUNS", "off")
+        refused("watch", words="there is no run under this folder")
 
 
 class Screen:
@@ -474,11 +457,11 @@ class Screen:
 
 
 @pytest.fixture
-def on_screen(executable, there, tmp_path):
+def on_screen(there, tmp_path):
     opened = []
 
     def start(*argv: str, **keys) -> Screen:
-        opened.append(Screen([str(executable), "watch", *argv], tmp_path, **keys))
+        opened.append(Screen([str(INSTALLED), "watch", *argv], tmp_path, **keys))
         return opened[-1]
 
     yield start
@@ -516,31 +499,14 @@ class TestTerminal:
 
 
 @pytest.fixture
-def long_run(executable, tmp_path):
+def long_run(started, tmp_path, monkeypatch):
     """A run that goes on until it is ended."""
-    process = subprocess.Popen(
-        [
-            str(executable),
-            "run",
-            "controller=newton_mpc",
-            "sim.duration=20000",
-            "picture=false",
-            "out=long",
-        ],
-        cwd=tmp_path,
-        env=os.environ | {"TRMS_RUNS": "off"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    monkeypatch.setenv("TRMS_RUNS", "off")
+    words = ("controller=newton_mpc", "sim.duration=20000", "picture=false", "out=long")
+    process = started("run", *words)
     log = tmp_path / "long" / "run.mcap"
-    end = time.monotonic() + 60
-    while not (log.exists() and log.stat().st_size > 50_000):
-        assert time.monotonic() < end and process.poll() is None
-        time.sleep(0.05)
-    yield process
-    if process.poll() is None:
-        process.kill()
-    process.wait()
+    wait_for(lambda: log.exists() and log.stat().st_size > 50_000)
+    return process
 
 
 class TestLive:

@@ -12,9 +12,10 @@ from experiments.chapter6.__main__ import PAGE
 from experiments.chapter6.decrease import study_decrease
 from experiments.chapter6.domain import study_box, study_slice
 from experiments.chapter6.iterations import square_wave
-from experiments.chapter6.results import compute, differences, figures_of
+from experiments.chapter6.results import compute, figures_of
 from experiments.chapter6.rig import MODEL, Loop, state_at
-from experiments.chapter6.study import Mode, Tolerance, read_study
+from experiments.chapter6.study import Mode, read_study
+from experiments.recorded import differences
 
 
 class TestStudy:
@@ -107,14 +108,6 @@ class TestExpectation:
         study = read_study(quick=True)
         found = figures_of(compute(study, 1, lambda part: None))
         assert differences(found, expected["quick"], study.tolerances) == []
-
-    def test_a_figure_that_moved_is_named(self):
-        allowed = {"cases": Tolerance(0.01, 0.1)}
-        known = {"cases": {"a": 1.0, "b": 2.0}}
-        assert differences({"cases": {"a": 1.1, "b": 2.0}}, known, allowed) == []
-        (words,) = differences({"cases": {"a": 1.12, "b": 2.0}}, known, allowed)
-        assert "cases: a is 1.12" in words
-        assert len(differences({"cases": {"a": float("nan"), "c": 2.0}}, known, allowed)) == 3
 
 
 class TestPage:

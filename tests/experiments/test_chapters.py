@@ -8,6 +8,9 @@ import re
 
 import pytest
 
+from experiments.recorded import Tolerance, differences, read_expected
+from trms_cli.core.errors import ConfigurationError
+
 #: A chapter, and its whole study as far as a test waits for it.
 WHOLE = {2: [], 5: [], 6: [], 7: [], 8: ["--quick", "--jobs", "1"]}
 
@@ -23,6 +26,30 @@ def test_what_is_no_study_ends_with_a_message(number, text, tmp_path, capsys):
     file.write_text(text)
     assert program(number).main(["--study", str(file), "--out", str(tmp_path / "out")]) == 2
     assert "no study" in capsys.readouterr().err
+
+
+def test_a_figure_that_moved_is_named():
+    allowed = {"a": Tolerance(0.01, 0.1)}
+    known = {"a": {"x": 1.0, "y": "proved", "z": None}}
+    assert differences({"a": {"x": 1.1, "y": "proved", "z": None}}, known, allowed) == []
+    moved = {"a": {"x": 1.12, "y": "searched", "z": 0.0}}
+    words = differences(moved, known, allowed)
+    assert len(words) == 3 and "a: x is 1.12, expected 1.0" in words
+    # NaN is none, "w" is new, and "y" and "z" are gone: a part is held against what it was, whole
+    assert len(differences({"a": {"x": float("nan"), "w": 1}}, known, allowed)) == 4
+    assert len(differences({}, known, allowed)) == 3
+    # what has no tolerance is not looked at
+    assert differences({}, known, {}) == []
+
+
+def test_recorded_figures_that_are_missing_are_told(tmp_path):
+    file = tmp_path / "expected.json"
+    for text in (None, '{"figures": 1}', '{"full": {}}', "["):
+        if text is not None:
+            file.write_text(text)
+        with pytest.raises(ConfigurationError, match="no recorded figures") as caught:
+            read_expected(file, "figures")
+        assert "--update" in caught.value.remedy
 
 
 @pytest.mark.parametrize("words", [["--update", "--quick"], ["--update", "--out", "x"]])
