@@ -30,6 +30,12 @@ def write_tables(page: Path, tables: Mapping[str, str]) -> None:
     page.write_text(text, encoding="utf-8")
 
 
+def write_alone(folder: Path, tables: Mapping[str, str]) -> None:
+    """All tables under their names into ``tables.md`` of a folder."""
+    words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
+    (folder / "tables.md").write_text(words + "\n", encoding="utf-8")
+
+
 def number(value: float, digits: int = 3) -> str:
     """Significant digits; a dash for what does not exist."""
     if math.isnan(value):

@@ -9,14 +9,7 @@ import numpy as np
 
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, names
-from trms_cli.reporting.style import (
-    COLOURS,
-    GREY,
-    house_style,
-    legend_above,
-    new_figure,
-    save_png,
-)
+from trms_cli.reporting.style import COLOURS, GREY, house_style, legend_above, new_figure, save_png
 from trms_cli.simulation.rollout import Rollout
 
 #: s before and after which nothing is to be seen.

@@ -75,9 +75,7 @@ def recording(folder: Path, file: str, settings: Mapping[str, Any]) -> Dataset:
     """A recording of the folder, resampled."""
     model = QuanserAero(parameter_set=settings["set"], rotor_speeds=False)
     options = DataOptions(
-        quantum=settings["quantum"],
-        noise_sd=settings["noise_sd"],
-        resample=settings["sample_time"],
+        quantum=settings["quantum"], noise_sd=settings["noise_sd"], resample=settings["sample_time"]
     )
     (dataset,) = load_datasets(str(folder / file), model, options)
     return dataset

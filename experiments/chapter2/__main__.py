@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,15 +14,13 @@ from experiments.chapter2.bench_tests import study_bench_tests
 from experiments.chapter2.rotors import ROTORS, study_rotor
 from experiments.chapter2.study import HERE, STUDY, read_study
 from experiments.command_line import clocked, ended
-from experiments.page_tables import write_tables
+from experiments.page_tables import write_alone, write_tables
+from experiments.recorded import json_text, rounded
 from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
-PAGE, FIGURES, EXPECTED = (
-    DOCS / "chapter2.md",
-    DOCS / "figures" / "chapter2",
-    HERE / "expected.json",
-)
+PAGE, FIGURES = DOCS / "chapter2.md", DOCS / "figures" / "chapter2"
+EXPECTED = HERE / "expected.json"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -89,15 +86,14 @@ def _run(given: argparse.Namespace) -> int:
             f.name: {"true": f.true, "mean": f.mean, "sd": f.sd, "unit": f.unit} for f in found
         },
     }
-    text = json.dumps(_rounded(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json_text(rounded(document))
     if given.out is None:
         EXPECTED.write_text(text, encoding="utf-8")
         write_tables(PAGE, tables)
         said(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
     else:
         (folder / "chapter2.json").write_text(text, encoding="utf-8")
-        words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
-        (folder / "tables.md").write_text(words + "\n", encoding="utf-8")
+        write_alone(folder, tables)
         said(f"written: {folder}")
     return EXIT_OK
 
@@ -111,15 +107,6 @@ def _figures(cases: Sequence[Comparison]) -> dict[str, Any]:
         }
         for case in cases
     }
-
-
-def _rounded(node: Any) -> Any:
-    """Six digits: what comes after them depends on the machine's compiler."""
-    if isinstance(node, dict):
-        return {str(key): _rounded(value) for key, value in node.items()}
-    if isinstance(node, list):
-        return [_rounded(value) for value in node]
-    return float(f"{node:.6g}") if isinstance(node, float) else node
 
 
 if __name__ == "__main__":

@@ -6,13 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.chapter2.simulation import (
-    Difference,
-    FloatArray,
-    OpenLoop,
-    Response,
-    difference,
-)
+from experiments.chapter2.simulation import Difference, FloatArray, OpenLoop, Response, difference
 from experiments.chapter2.study import Study, signal, times
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
@@ -70,10 +64,7 @@ def pair_of_commands(study: Study, name: str) -> FloatArray:
     """(n, 2) V."""
     pair = study.two_axes[name]
     t = times(pair.duration, study.sample_time)
-    waves = [
-        signal(pair.u_v, f"two_axes.{name}.u_v"),
-        signal(pair.u_h, f"two_axes.{name}.u_h"),
-    ]
+    waves = [signal(pair.u_v, f"two_axes.{name}.u_v"), signal(pair.u_h, f"two_axes.{name}.u_h")]
     return np.stack([wave.sample(t) for wave in waves], axis=-1)
 
 
@@ -85,9 +76,7 @@ def two_axes(study: Study) -> list[Comparison]:
     start = rest_of(both[1])
     return [
         _compared(
-            name,
-            pair.why,
-            *(model.respond(pair_of_commands(study, name), start) for model in both),
+            name, pair.why, *(model.respond(pair_of_commands(study, name), start) for model in both)
         )
         for name, pair in study.two_axes.items()
     ]

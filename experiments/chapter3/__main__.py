@@ -13,8 +13,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, TrmsError
+from experiments.command_line import ended
+from trms_cli.core.errors import EXIT_OK
 
 _DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -24,15 +24,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(argv)
     # Before the linear algebra is loaded: small matrices, and a process for each core.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    try:
-        if given.what == "networks":
-            return _networks(given.only)
-        return _study(given)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    return ended(lambda: _networks(given.only) if given.what == "networks" else _study(given))
 
 
 def _parser() -> argparse.ArgumentParser:

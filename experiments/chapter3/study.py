@@ -15,14 +15,7 @@ from time import perf_counter
 from experiments.chapter3.methods import method
 from experiments.chapter3.structure_selection import AssessedCandidate, Candidate
 from experiments.chapter3.structure_selection import assess as assess_candidate
-from experiments.chapter3.trainings import (
-    Job,
-    Trained,
-    model_of,
-    recorded,
-    run_job,
-    settings,
-)
+from experiments.chapter3.trainings import Job, Trained, model_of, recorded, run_job, settings
 from trms_cli.identification.problem import FitProblem, Unwatched
 
 #: Where all members are trained; ``systems`` of a member says others.

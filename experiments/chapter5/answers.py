@@ -13,11 +13,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from experiments.chapter5.study import Question, Study, Tolerance
+from experiments.chapter5.study import Question, Study
+from experiments.recorded import Figure
 from trms_cli.core.errors import ConfigurationError
 
-#: A figure of an answer: a number, a verdict in words, or nothing.
-Figure = float | str | bool | None
 #: In place of a number in a key: how many there are.
 COUNT = "#"
 
@@ -95,28 +94,3 @@ def _at(node: Any, key: str, name: str) -> Figure:
             f"{key!r} is no single figure", where=f"study.yaml, questions.{name}.figures"
         )
     return float(f"{node:.8g}") if isinstance(node, float) else node
-
-
-def differences(
-    found: Mapping[str, Mapping[str, Figure]],
-    expected: Mapping[str, Mapping[str, Figure]],
-    allowed: Tolerance,
-) -> list[str]:
-    """A sentence for each figure that is not what was recorded."""
-    words = []
-    for name, ours in found.items():
-        known = expected.get(name, {})
-        for key in sorted(ours.keys() ^ known.keys()):
-            words.append(f"{name}: {key} is {'new' if key in ours else 'gone'}")
-        for key in sorted(ours.keys() & known.keys()):
-            if not _agree(ours[key], known[key], allowed):
-                words.append(f"{name}: {key} is {ours[key]}, expected {known[key]}")
-    return words
-
-
-def _agree(ours: Figure, known: Figure, allowed: Tolerance) -> bool:
-    numbers = [v for v in (ours, known) if isinstance(v, int | float) and not isinstance(v, bool)]
-    if len(numbers) < 2:
-        return ours == known
-    room = allowed.absolute + allowed.relative * abs(numbers[1])
-    return abs(numbers[0] - numbers[1]) <= room

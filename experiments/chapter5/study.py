@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from experiments.recorded import Tolerance
 from experiments.study_file import read_as
 
 HERE = Path(__file__).parent
@@ -22,13 +23,6 @@ class Question(msgspec.Struct, forbid_unknown_fields=True):
     pictures: dict[str, str] = {}  #: figures that are kept: file name by the figure's own
     shown: bool = True  #: whether the page of the chapter shows its figures
     quick: bool = False  #: whether the quick study has it
-
-
-class Tolerance(msgspec.Struct, forbid_unknown_fields=True):
-    """By how much a figure may move."""
-
-    absolute: float
-    relative: float
 
 
 class Study(msgspec.Struct, forbid_unknown_fields=True):

@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.chapter6.results import (
-    Results,
-    compute,
-    details_of,
-    differences,
-    document_of,
-    figures_of,
-    read_expected,
-)
+from experiments.chapter6.results import Results, compute, details_of, document_of, figures_of
 from experiments.chapter6.study import HERE, STUDY, Study, read_study
 from experiments.command_line import clocked, ended, one_thread_each, recorded_parser, refuse_part
-from trms_cli.core.errors import (
-    EXIT_OK,
-    EXIT_WORSE,
-)
+from experiments.recorded import exit_code, json_text, read_expected
+from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
 PAGE, FIGURES = DOCS / "chapter6.md", DOCS / "figures" / "chapter6"
@@ -39,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(given: argparse.Namespace) -> int:
     refuse_part(given)
     study = read_study(given.study, quick=given.quick)
-    expected = None if given.update else read_expected(EXPECTED, quick=given.quick)
+    expected = None if given.update else read_expected(EXPECTED, "quick" if given.quick else "full")
     said = clocked()
     results = compute(study, given.jobs, said)
     found = figures_of(results)
@@ -53,19 +42,14 @@ def _run(given: argparse.Namespace) -> int:
         _show(study, results, given.out, page=False)
         said(f"written: {given.out}")
     assert expected is not None
-    moved = differences(found, expected, study.tolerances)
-    for sentence in moved:
-        sys.stdout.write(f"  {sentence}\n")
-    count = sum(map(len, found.values()))
-    said(f"{len(moved)} of {count} figures are not what was recorded")
-    return EXIT_WORSE if moved else EXIT_OK
+    return exit_code(found, expected, study.tolerances, said)
 
 
 def _show(study: Study, results: Results, folder: Path, *, page: bool) -> None:
     """Figures, and tables into the page or beside the figures."""
     from experiments.chapter6 import figures
     from experiments.chapter6 import page as pages
-    from experiments.page_tables import write_tables
+    from experiments.page_tables import write_alone, write_tables
     from trms_cli.controllers.newton_mpc import NewtonMpc
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -85,10 +69,8 @@ def _show(study: Study, results: Results, folder: Path, *, page: bool) -> None:
     if page:
         write_tables(PAGE, tables)
         return
-    words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
-    (folder / "tables.md").write_text(words + "\n", encoding="utf-8")
-    text = json.dumps(details_of(results), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "results.json").write_text(text + "\n", encoding="utf-8")
+    write_alone(folder, tables)
+    (folder / "results.json").write_text(json_text(details_of(results)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -39,11 +39,7 @@ TERMINALS = {
     "quasi_infinite": "quasi-infinite",
     "none": "no terminal constraint",
 }
-_COLOUR_OF = {
-    "equality": COLOURS[0],
-    "quasi_infinite": PALETTE["vermilion"],
-    "none": GREY,
-}
+_COLOUR_OF = {"equality": COLOURS[0], "quasi_infinite": PALETTE["vermilion"], "none": GREY}
 _LIMIT = 2.5  # V
 
 
@@ -186,12 +182,7 @@ def draw_decrease(runs: Mapping[str, Sequence[Record]], period: float, path: Pat
         save_png(page, path)
 
 
-_SHOWN_MODES = (
-    "equality",
-    "equality, blocked, one iteration",
-    "quasi-infinite",
-    "none, N = 12",
-)
+_SHOWN_MODES = ("equality", "equality, blocked, one iteration", "quasi-infinite", "none, N = 12")
 
 
 def draw_domain(study: Domain, slices: Mapping[str, Found], path: Path) -> None:

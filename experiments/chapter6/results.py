@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from experiments.chapter6.cases import ANGLES, Plans, Run, study_cases, study_predictions
 from experiments.chapter6.decrease import Claim, study_decrease
 from experiments.chapter6.domain import Arrivals, Found, study_box, study_loops, study_slice
 from experiments.chapter6.iterations import Economy, study_iterations
 from experiments.chapter6.rig import Record
-from experiments.chapter6.study import Study, Tolerance
-from trms_cli.core.errors import ConfigurationError
+from experiments.chapter6.study import Study
+from experiments.recorded import json_text, rounded
 
 _CASE_FIGURES = ("rmse", "overshoot_percent", "settling_time_s")
 
@@ -102,54 +97,16 @@ def figures_of(results: Results) -> dict[str, dict[str, float]]:
     return {"cases": cases, "decrease": decrease, "domain": domain, "iterations": iterations}
 
 
-def differences(
-    found: Mapping[str, Mapping[str, float]],
-    expected: Mapping[str, Mapping[str, float]],
-    tolerances: Mapping[str, Tolerance],
-) -> list[str]:
-    """A sentence for each figure that is not what was recorded."""
-    words = []
-    for part, allowed in tolerances.items():
-        ours, known = found.get(part, {}), expected.get(part, {})
-        for name in sorted(ours.keys() ^ known.keys()):
-            words.append(f"{part}: {name} is {'new' if name in ours else 'gone'}")
-        for name in ours.keys() & known.keys():
-            room = allowed.absolute + allowed.relative * abs(known[name])
-            if not abs(ours[name] - known[name]) <= room:
-                words.append(f"{part}: {name} is {ours[name]:.6g}, expected {known[name]:.6g}")
-    return words
-
-
-def read_expected(path: Path, *, quick: bool) -> dict[str, dict[str, float]]:
-    """Recorded figures of the whole study or of the quick one.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file has none.
-    """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        return dict(document["quick" if quick else "full"])
-    except (OSError, ValueError, KeyError) as error:
-        raise ConfigurationError(
-            "there are no recorded figures",
-            where=str(path),
-            remedy="python -m experiments.chapter6 --update records today's",
-        ) from error
-
-
 def document_of(full: Mapping[str, Any], quick: Mapping[str, Any]) -> str:
     """The text of expected.json."""
-    words = {"schema": "trms.chapter6/1", "full": _rounded(full), "quick": _rounded(quick)}
-    return json.dumps(words, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_text({"schema": "trms.chapter6/1", "full": rounded(full), "quick": rounded(quick)})
 
 
 def details_of(results: Results) -> dict[str, Any]:
     """Everything that the tables show, for a file."""
     return {
         "schema": "trms.chapter6.results/1",
-        "figures": _rounded(figures_of(results)),
+        "figures": rounded(figures_of(results)),
         "decrease": [_plain(claim) for claim in results.claims],
         "loops": [_plain(row) for row in results.arrivals],
         "iterations": [_plain(row) for row in results.economy],
@@ -158,15 +115,4 @@ def details_of(results: Results) -> dict[str, Any]:
 
 
 def _plain(row: Any) -> dict[str, Any]:
-    return {key: _rounded(value) for key, value in vars(row).items()}
-
-
-def _rounded(node: Any) -> Any:
-    """Six digits: what comes after them depends on the machine's compiler."""
-    if isinstance(node, Mapping):
-        return {str(key): _rounded(value) for key, value in node.items()}
-    if isinstance(node, Sequence) and not isinstance(node, str):
-        return [_rounded(value) for value in node]
-    if isinstance(node, float | np.floating):
-        return float(f"{node:.6g}") if math.isfinite(node) else None
-    return node
+    return {key: rounded(value) for key, value in vars(row).items()}

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import yaml
 
 from experiments.chapter6.rig import state_at
+from experiments.recorded import Tolerance
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.errors import ConfigurationError
 
@@ -122,13 +123,6 @@ class Iterations(msgspec.Struct, forbid_unknown_fields=True):
     references: dict[str, dict[str, float]]
     horizons: dict[str, dict[str, int]]
     only: list[str] = []
-
-
-class Tolerance(msgspec.Struct, forbid_unknown_fields=True):
-    """By how much a figure may move."""
-
-    absolute: float
-    relative: float
 
 
 class Study(msgspec.Struct, forbid_unknown_fields=True):

@@ -15,7 +15,8 @@ from experiments.chapter7.page import tables_of
 from experiments.chapter7.runs import Outcome, run_all
 from experiments.chapter7.study import HERE, STUDY, Study, jobs_of, read_study
 from experiments.command_line import ended
-from experiments.page_tables import write_tables
+from experiments.page_tables import write_alone, write_tables
+from experiments.recorded import json_text, rounded
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE
 
 SCHEMA = "trms.chapter7/1"
@@ -60,14 +61,13 @@ def _run(given: argparse.Namespace) -> int:
         given.out.mkdir(parents=True, exist_ok=True)
         _draw(study, outcomes, given.out)
         document = {"schema": SCHEMA, section: figures}
-        (given.out / "chapter7.json").write_text(_json(document), encoding="utf-8")
-        words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
-        (given.out / "tables.md").write_text(words + "\n", encoding="utf-8")
+        (given.out / "chapter7.json").write_text(json_text(document), encoding="utf-8")
+        write_alone(given.out, tables)
     if any(outcome.problem for outcome in outcomes):
         return EXIT_WORSE
     if given.update:
         expected = read_expected() | {"schema": SCHEMA, section: figures}
-        EXPECTED.write_text(_json(expected), encoding="utf-8")
+        EXPECTED.write_text(json_text(expected), encoding="utf-8")
         if not given.quick:
             FIGURES.mkdir(parents=True, exist_ok=True)
             _draw(study, outcomes, FIGURES)
@@ -109,17 +109,6 @@ def _draw(study: Study, outcomes: Sequence[Outcome], folder: Path) -> None:
 def _summary(outcome: Outcome) -> str:
     pitch, yaw = (outcome.figures[angle]["rmse"] for angle in ("alpha_v", "alpha_h"))
     return f"RMSE pitch {pitch:.4f}, yaw {yaw:.4f} rad"
-
-
-def rounded(node: Any) -> Any:
-    """Six digits: what comes after them depends on the machine's compiler."""
-    if isinstance(node, dict):
-        return {str(key): rounded(value) for key, value in node.items()}
-    return float(f"{node:.6g}") if isinstance(node, float) else node
-
-
-def _json(document: Any) -> str:
-    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 if __name__ == "__main__":

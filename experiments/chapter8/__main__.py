@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -16,14 +15,12 @@ from experiments.chapter8.laws import LawResult, study_laws
 from experiments.chapter8.runs import Ran, cases, run_all
 from experiments.chapter8.study import HERE, STUDY, read_study
 from experiments.command_line import clocked, ended
+from experiments.recorded import json_text, rounded
 from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
-PAGE, FIGURES, EXPECTED = (
-    DOCS / "chapter8.md",
-    DOCS / "figures" / "chapter8",
-    HERE / "expected.json",
-)
+PAGE, FIGURES = DOCS / "chapter8.md", DOCS / "figures" / "chapter8"
+EXPECTED = HERE / "expected.json"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from experiments.chapter8 import figures, page
-    from experiments.page_tables import write_tables
+    from experiments.page_tables import write_alone, write_tables
 
     study = read_study(given.study)
     folder = FIGURES if given.update else (given.out or Path("outputs", "chapter8"))
@@ -94,7 +91,7 @@ def _run(given: argparse.Namespace) -> int:
         "domain": found.shares,
         "runs": [_ran(ran) for ran in runs],
     }
-    text = json.dumps(_rounded(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json_text(rounded(document, 4))  # an interior point ends where it ends
     if given.update:
         if not given.timed:
             del tables["times"]
@@ -103,8 +100,7 @@ def _run(given: argparse.Namespace) -> int:
         said(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
     else:
         (folder / "chapter8.json").write_text(text, encoding="utf-8")
-        words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
-        (folder / "tables.md").write_text(words + "\n", encoding="utf-8")
+        write_alone(folder, tables)
         said(f"written: {folder}")
     return EXIT_OK
 
@@ -136,17 +132,6 @@ def _ran(ran: Ran) -> dict[str, Any]:
         "relaxed": ran.relaxed,
         "failed": ran.failed,
     }
-
-
-def _rounded(node: Any) -> Any:
-    """Four digits, and null for what is not there: an interior point ends where it ends."""
-    if isinstance(node, dict):
-        return {str(key): _rounded(value) for key, value in node.items()}
-    if isinstance(node, list):
-        return [_rounded(value) for value in node]
-    if isinstance(node, float):
-        return float(f"{node:.4g}") if math.isfinite(node) else None
-    return node
 
 
 if __name__ == "__main__":

@@ -14,12 +14,7 @@ from experiments.command_line import ended
 from experiments.regression import comparison as comparing
 from experiments.regression.matrix import MATRIX, Case, read_matrix
 from experiments.regression.runs import Outcome, run_all
-from trms_cli.core.errors import (
-    EXIT_OK,
-    EXIT_WORSE,
-    ConfigurationError,
-    TrmsError,
-)
+from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsError
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import sys
 from collections.abc import Iterator, Sequence
@@ -21,6 +20,7 @@ from experiments.chapter7.observers.page import recordings_table, tables_of
 from experiments.chapter7.observers.records import Outcome, run_job
 from experiments.chapter7.observers.study import HERE, STUDY, Job, Study, jobs_of, read_study
 from experiments.command_line import ended
+from experiments.recorded import json_text, rounded
 from trms_cli.core.errors import EXIT_OK
 
 SCHEMA = "trms.observers/1"
@@ -62,7 +62,7 @@ def _run(given: argparse.Namespace) -> int:
     found = replay_all(study, given.records) if given.records else {}
     tables = tables_of(cells, study.observers, study.against, times=not given.no_times)
     tables["recordings"] = recordings_table(found, study.observers)
-    text = _json(document_of(study, cells, found, times=not given.no_times))
+    text = json_text(rounded(document_of(study, cells, found, times=not given.no_times)))
     for name, table in tables.items():
         sys.stdout.write(f"\n{name}\n\n{table}\n")
     if given.out is not None:
@@ -122,21 +122,6 @@ def document_of(
         },
         "recordings": found,
     }
-
-
-def _json(document: Any) -> str:
-    return json.dumps(_rounded(document), indent=1, ensure_ascii=False) + "\n"
-
-
-def _rounded(node: Any) -> Any:
-    """Six digits: what comes after them depends on the machine's compiler; no infinities."""
-    if isinstance(node, dict):
-        return {str(key): _rounded(value) for key, value in node.items()}
-    if isinstance(node, list):
-        return [_rounded(value) for value in node]
-    if isinstance(node, float):
-        return float(f"{node:.6g}") if abs(node) < float("inf") else None
-    return node
 
 
 if __name__ == "__main__":
