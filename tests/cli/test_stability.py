@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trms_cli.core.chart import Axis, Chart, Panel, Points
-from trms_cli.core.findings import Findings, Judged, Section, Table
+from trms_cli.core.findings import Findings, Datum, Section, Table
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.vector_field import VectorField
 
@@ -30,7 +30,7 @@ class Slowest:
         tell("eigenvalues")
         point = operating_point(model, self.at)
         values = np.linalg.eigvals(VectorField(model).linearised(point.x, point.u)[0])
-        rows = [[f"<{i}>", Judged(float(v.real), "good"), None] for i, v in enumerate(values)]
+        rows = [[f"<{i}>", Datum(float(v.real), "good"), None] for i, v in enumerate(values)]
         marks = [Points(values.real, values.imag, "eigenvalues", "cross")]
         chart = Chart("plane", [Panel(Axis("Re", "1/s"), Axis("Im", "rad/s"), marks)], "Poles.")
         slowest = float(max(values.real))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.chart import Bars, RigDiagram
-from trms_cli.core.findings import Findings, Judged, Table, plain
+from trms_cli.core.findings import Datum, Findings, Table, plain
 from trms_cli.gap.diagnose import sentence
 from trms_cli.gap.diagnosis import (
     LOCATIONS,
@@ -145,7 +145,7 @@ def test_a_channel_that_got_worse_is_not_hidden() -> None:
     told = findings(diagnosis(gap=worse, worse=("omega_v",), **PLAIN))
     assert "made main rotor worse" in told.warnings[0]
     cells = [cell for table in told.tables for row in table.rows for cell in row]
-    assert any(isinstance(c, Judged) and c.judgement == "bad" and c.value > 2 for c in cells
+    assert any(isinstance(c, Datum) and c.judgement == "bad" and c.value > 2 for c in cells
                if isinstance(getattr(c, "value", None), float))  # fmt: skip
 
 

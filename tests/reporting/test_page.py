@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core.chart import Axis, Chart, Curve, Panel
-from trms_cli.core.findings import Findings, Judged, Remarks, Section, Table
+from trms_cli.core.findings import Datum, Findings, Remarks, Section, Table
 from trms_cli.reporting.page import embedded, page_html, write_page
 from trms_cli.reporting.style import new_figure
 
@@ -45,10 +45,10 @@ def drawing(points: int = 50):
 
 @pytest.fixture(scope="module")
 def findings() -> Findings:
-    rows = [["pitch", 0.0123], ["yaw", Judged(None, "bad")]]
+    rows = [["pitch", 0.0123], ["yaw", Datum(None, "bad")]]
     sine = Panel(Axis("x"), Axis("y"), [Curve(np.arange(50), np.sin(np.arange(50)))])
     blocks = [Table(["channel", "RMS [rad]"], rows, "Cap"), Chart("sine", [sine], "A sine")]
-    remarks = Remarks(["plain", Judged("wrong <here>", "bad")])
+    remarks = Remarks(["plain", Datum("wrong <here>", "bad")])
     sections = [
         Section("Errors", ["RMS & more."], blocks),
         Section("Errors", ["One.", "Two."], [remarks]),

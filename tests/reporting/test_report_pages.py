@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from tests.reporting.conftest import logged, unpacked, with_columns
-from trms_cli.core.findings import Findings, Judged, Section, Table
+from trms_cli.core.findings import Datum, Findings, Section, Table
 from trms_cli.library.report.sweeps import relative_link
 from trms_cli.reporting.chart_plot import MOST_POINTS
 from trms_cli.reporting.page import page_html, policy
@@ -516,7 +516,7 @@ class TestSafety:
         assert ":" not in link.partition("/")[0]
 
     def test_cells_are_escaped_and_cut(self):
-        html = rows_html([[Judged("<x>", link='./"y'), float("nan")], ["<" * 1000, 1e400]])
+        html = rows_html([[Datum("<x>", link='./"y'), float("nan")], ["<" * 1000, 1e400]])
         body = html.partition("<tbody>")[2].partition("</tbody>")[0]
         assert "<x>" not in body and './"' not in body and "<<" not in body
         assert len(body) < 2200 and "∞" in body

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trms_cli.core.findings import Findings, Judged, Measure, NextCommand, Section, Table
+from trms_cli.core.findings import Datum, Findings, Measure, NextCommand, Section, Table
 from trms_cli.reporting import screen
 
 NAME = "outputs/2026-11-22/fits/newtonian_with_friction_and_everything/model.yaml"
 TABLE = Table(
     ["model", "RMSE pitch [rad]", "RMSE yaw [rad]", "95 % interval", "VAF [%]", "NEES"],
-    [[NAME, 0.1234, Judged(0.234, "best"), "0.1 to 0.2", 98.7, None], ["b", 0.3, 0.4, "–", 1.0, 2]],
+    [[NAME, 0.1234, Datum(0.234, "best"), "0.1 to 0.2", 98.7, None], ["b", 0.3, 0.4, "–", 1.0, 2]],
     "Free runs.",
 )
 

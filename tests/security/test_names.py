@@ -89,9 +89,9 @@ def _page(word: str) -> str:
     """A page with every kind of block, and a word wherever one can stand."""
     from trms_cli.core.chart import Axis, Chart, Curve, Panel
     from trms_cli.core.findings import (
+        Datum,
         Details,
         Findings,
-        Judged,
         Measure,
         NextCommand,
         Remarks,
@@ -105,12 +105,12 @@ def _page(word: str) -> str:
     plot = Panel(Axis(word, word), Axis("y"), marks, word, caption=word)
     picture = Panel(Axis("x"), Axis("y"), deep, "drawn", z=Axis("z"))
     blocks = [
-        Remarks([word, Judged(word)]),
+        Remarks([word, Datum(word)]),
         NextCommand(word, word),
-        Table([word], [[word], [Judged(word)]], word),
+        Table([word], [[word], [Datum(word)]], word),
         Chart("plot", [plot], word),
         Chart("picture", [picture], word),
-        Table([word], [[word], [Judged(word, link=word)]], word, keys=[word], example=word),
+        Table([word], [[word], [Datum(word, link=word)]], word, keys=[word], example=word),
         Details(word, word),
     ]
     measures = [Measure(word, word, word, note=word)]

@@ -23,8 +23,8 @@ Value = str | float | int | None
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A value with a judgement on it."""
+class Datum:
+    """A value, or a sentence, with a judgement on it and what else is known of it."""
 
     value: Value  #: What is shown
     judgement: Judgement = ""  #: How it is coloured
@@ -33,7 +33,7 @@ class Judged:
     link: str = ""  #: Address of a file that a page leads to, from its folder
 
 
-Cell = Value | Judged
+Cell = Value | Datum
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,9 @@ class Measure:
 
 @dataclass(frozen=True)
 class Remarks:
-    """Sentences below one another, each with a judgement where it is ``Judged``."""
+    """Sentences below one another, each with a judgement where it is ``Datum``."""
 
-    items: Sequence[str | Judged]
+    items: Sequence[str | Datum]
     on_screen: bool = True  #: Whether the terminal shows them; a page always does
 
 
@@ -183,7 +183,7 @@ def as_data(findings: Findings) -> dict[str, Any]:
 
 def plain(cell: Cell) -> Value:
     """The value of a cell without its judgement."""
-    return cell.value if isinstance(cell, Judged) else cell
+    return cell.value if isinstance(cell, Datum) else cell
 
 
 def rounded(value: float | None, digits: int = 4) -> float | None:

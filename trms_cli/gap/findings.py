@@ -27,8 +27,8 @@ from trms_cli.core.findings import (
     Block,
     Cell,
     Column,
+    Datum,
     Findings,
-    Judged,
     Judgement,
     Measure,
     NextCommand,
@@ -283,9 +283,9 @@ def _causes(diagnosis: DiagnosisResult) -> Section | None:
         return None
     sure = diagnosis.verdict != "undecided"
 
-    def probability(cause: Cause) -> Judged:
+    def probability(cause: Cause) -> Datum:
         judgement: Judgement = "good" if cause is kept[0] and sure else ""
-        return Judged(wording.percent(cause.probability), judgement, bar=cause.probability)
+        return Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
 
     columns = [
         Column("cause", lambda cause: cause_name(cause.effects)),
@@ -576,7 +576,7 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
                 _LENGTH: f"{float(horizon):g}",
                 "as it was": scale * gap.raw,
                 "refitted": scale * gap.refit,
-                "corrected": Judged(scale * gap.corrected, mark),
+                "corrected": Datum(scale * gap.corrected, mark),
                 "floor": scale * gap.floor,
                 **_closed(_at(diagnosis.shrink.get(channel, {}), horizon)),
             }
@@ -592,7 +592,7 @@ def _closed(shrink: Shrink | None) -> dict[str, Cell]:
     mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
     text = _share(shrink.fraction) if shrink.fraction > -1 else "none: it grows"
     ends = "" if shrink.ci95 is None else _interval(shrink.ci95)
-    return {_CLOSED[0]: Judged(text, mark), _CLOSED[1]: ends}
+    return {_CLOSED[0]: Datum(text, mark), _CLOSED[1]: ends}
 
 
 def _at(rows: Mapping[str, Shrink], horizon: str | None) -> Shrink | None:
@@ -693,9 +693,9 @@ def _tests(diagnosis: DiagnosisResult) -> Section | None:
     )
 
 
-def _probability(test: GapTest) -> Judged:
+def _probability(test: GapTest) -> Datum:
     text = "< 1e−6" if test.p_corrected < _SMALLEST else wording.number(test.p_corrected, 2)
-    return Judged(text, "bad" if test.rejected else "good")
+    return Datum(text, "bad" if test.rejected else "good")
 
 
 def _parameters(diagnosis: DiagnosisResult) -> Section | None:
@@ -703,17 +703,17 @@ def _parameters(diagnosis: DiagnosisResult) -> Section | None:
         return None
     items = sorted(diagnosis.parameters.items(), key=lambda item: -abs(item[1].moved or 0.0))
 
-    def moved(item: tuple[str, FittedParameter]) -> Judged:
+    def moved(item: tuple[str, FittedParameter]) -> Datum:
         by = item[1].moved
         if by is None:
-            return Judged(None)
+            return Datum(None)
         mark: Judgement = "doubtful" if abs(by) > _FAR else ""
-        return Judged(f"{by:+.1f} sd".replace("-", "−"), mark)
+        return Datum(f"{by:+.1f} sd".replace("-", "−"), mark)
 
     columns = [
         Column("parameter", lambda item: wording.titled(item[0], item[1].unit)),
         Column("before", lambda item: item[1].prior),
-        Column("fitted", lambda item: Judged(item[1].fitted, sd=item[1].sd)),
+        Column("fitted", lambda item: Datum(item[1].fitted, sd=item[1].sd)),
         Column("±", lambda item: item[1].sd),
         Column("moved, in sd of what was known", moved),
     ]

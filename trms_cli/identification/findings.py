@@ -13,8 +13,8 @@ from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Poi
 from trms_cli.core.findings import (
     Block,
     Column,
+    Datum,
     Findings,
-    Judged,
     Judgement,
     Measure,
     NextCommand,
@@ -152,7 +152,7 @@ def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> Se
         Column("output", lambda error: wording.titled(wording.signal(error.output), error.unit)),
         Column("recording", lambda error: PARTS[error.part]),
         Column("RMSE before", "before"),
-        Column("RMSE fitted", lambda error: Judged(error.rmse, error.change)),
+        Column("RMSE fitted", lambda error: Datum(error.rmse, error.change)),
         Column("largest error", "largest"),
         Column("fit [%]", "fit"),
     ]
@@ -250,16 +250,16 @@ def near(
 def _parameters(document: Mapping[str, Any]) -> Section:
     columns = [
         Column("parameter", lambda item: wording.titled(item[0], item[1]["unit"])),
-        Column("fitted", lambda item: Judged(item[1]["value"], sd=item[1]["sd"])),
+        Column("fitted", lambda item: Datum(item[1]["value"], sd=item[1]["sd"])),
         Column("±", lambda item: item[1]["sd"]),
         Column("before", lambda item: item[1]["prior_mean"]),
         Column("± before", lambda item: item[1]["prior_sd"]),
     ]
     if any(p["at_bound"] for p in document["parameters"].values()):
         columns.append(
-            Column("at a bound", lambda item: Judged(item[1]["at_bound"] or "", "doubtful"))
+            Column("at a bound", lambda item: Datum(item[1]["at_bound"] or "", "doubtful"))
         )
-    doubts = [Judged(text, "doubtful") for text in doubts_of(document)]
+    doubts = [Datum(text, "doubtful") for text in doubts_of(document)]
     return Section(
         "Parameters",
         [

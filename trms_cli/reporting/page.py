@@ -35,9 +35,9 @@ from trms_cli.core.chart import Chart, RigDiagram
 from trms_cli.core.findings import (
     Block,
     Cell,
+    Datum,
     Details,
     Findings,
-    Judged,
     NextCommand,
     Remarks,
     Section,
@@ -150,7 +150,7 @@ def page_html(
 
     sections = list(findings.sections)
     if findings.warnings:
-        limits = Remarks([Judged(warning, "doubtful") for warning in findings.warnings])
+        limits = Remarks([Datum(warning, "doubtful") for warning in findings.warnings])
         sections.insert(0, Section("What limits this", blocks=[limits]))
     if findings.next:
         sections.append(Section("Next", blocks=findings.next))
@@ -201,7 +201,7 @@ def _block(block: Block, pictures: Path | None, interactive: bool) -> dict[str, 
         case Table():
             return _table(block)
         case Remarks():
-            judged = [item if isinstance(item, Judged) else Judged(item) for item in block.items]
+            judged = [item if isinstance(item, Datum) else Datum(item) for item in block.items]
             return {"kind": "points", "points": [(str(i.value), i.judgement) for i in judged]}
         case NextCommand():
             return {"kind": "command", "why": block.why, "text": block.text}
@@ -258,7 +258,7 @@ def _table(table: Table) -> dict[str, Any]:
 
 
 def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str:
-    judged = cell if isinstance(cell, Judged) else Judged(cell)
+    judged = cell if isinstance(cell, Datum) else Datum(cell)
     value, text = judged.value, wording.cell(judged.value, judged.sd)
     if isinstance(value, bool):
         text = "yes" if value else "no"

@@ -21,9 +21,9 @@ from trms_cli.core.chart import Axis, Chart, Panel, Points, page_look
 from trms_cli.core.findings import (
     Block,
     Column,
+    Datum,
     Details,
     Findings,
-    Judged,
     NextCommand,
     Section,
     Table,
@@ -179,8 +179,8 @@ def _events(run: RunReport) -> Section:
     return Section("Events", [f"{words}."], [rows] if run.events else [], folded=True)
 
 
-def _time(event: RunEvent) -> Judged:
-    return Judged(event.time, sd=0.1)  # to a hundredth of a second
+def _time(event: RunEvent) -> Datum:
+    return Datum(event.time, sd=0.1)  # to a hundredth of a second
 
 
 def _cut(text: str) -> str:

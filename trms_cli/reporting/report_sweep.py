@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.chart import Axis, Boxes, Colour, Curve, Heat, Mark, Panel, Points, page_look
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, table
 from trms_cli.reporting.page import MOST_ROWS
 from trms_cli.reporting.report_runs import plotted, ranked
 from trms_cli.reporting.run_panels import histogram
@@ -558,7 +558,7 @@ def _all_runs(sweep: SweepReport) -> Section:
     figures, alike = _apart(sweep)
     keys = [key for key in sweep.keys if key not in sweep.drawn_keys]
     drawn = [key for key in sweep.keys if key in sweep.drawn_keys]
-    columns = [("run", Column("run", lambda run: Judged(run.name, link=run.page)))]
+    columns = [("run", Column("run", lambda run: Datum(run.name, link=run.page)))]
     # A key that alone names who ran would say it twice.
     if len(sweep.entrants) > 1 and not any(map(sweep.names_entrants, sweep.keys)):
         columns.append(("who", Column("who", "entrant")))

@@ -18,8 +18,8 @@ from trms_cli.core import wording
 from trms_cli.core.findings import (
     Cell,
     Column,
+    Datum,
     Findings,
-    Judged,
     Measure,
     NextCommand,
     Remarks,
@@ -139,10 +139,10 @@ def say(head: str, text: str) -> None:
     print(f"{head:<{_LABEL}}{text}")
 
 
-def show_remarks(out: Terminal, items: Sequence[str | Judged]) -> None:
+def show_remarks(out: Terminal, items: Sequence[str | Datum]) -> None:
     """Print sentences, each behind the sign of its judgement."""
     for item in items:
-        judged = item if isinstance(item, Judged) else Judged(item)
+        judged = item if isinstance(item, Datum) else Datum(item)
         style, sign = _COLOURS[judged.judgement], _POINTS[judged.judgement]
         for line in fold(_plain(str(judged.value)), out.width - 2, " ").split("\n"):
             out.print([(sign, style), (f" {line}", "")])
@@ -179,7 +179,7 @@ def measures_table(measures: Sequence[Measure]) -> Table:
     """The figures that come first as a table."""
     columns = [
         Column("", "label"),
-        Column("", lambda measure: Judged(measure.value, measure.judgement)),
+        Column("", lambda measure: Datum(measure.value, measure.judgement)),
         Column("", lambda measure: wording.unit(measure.unit)),
         Column("", "note"),
     ]
@@ -293,13 +293,13 @@ def _lines(table: Table, rows: Sequence[Sequence[str]], part: dict[int, int]) ->
         lines += line_block(table.columns, styles, at_foot=True)
         lines.append([("─" * _taken(list(part.values())), "dim")])
     for row, texts in zip(table.rows, rows, strict=False):
-        judged = [cell.judgement if isinstance(cell, Judged) else "" for cell in row]
+        judged = [cell.judgement if isinstance(cell, Datum) else "" for cell in row]
         lines += line_block(texts, [_COLOURS[judged[i]] for i in part], at_foot=False)
     return lines
 
 
 def _text(cell: Cell) -> str:
-    if isinstance(cell, Judged):
+    if isinstance(cell, Datum):
         return printable(wording.cell(cell.value, cell.sd)) + _SIGNS.get(cell.judgement, "")
     return printable(wording.cell(cell))
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Cell, Column, Judged, Judgement, Measure, Table, table
+from trms_cli.core.findings import Cell, Column, Datum, Judgement, Measure, Table, table
 from trms_cli.scoring import figures
 from trms_cli.scoring.baseline import BaselineRow, regressed
 from trms_cli.scoring.figures import Figure, finite, part
@@ -164,10 +164,10 @@ def comparison_table(rows: Sequence[BaselineRow], name: str, *, everything: bool
     shown = [row for row in rows if everything or row.verdict != "same"]
     columns = [
         Column(f"against {name}", lambda r: wording.titled(_key_in_words(r.key), r.unit)),
-        Column("baseline", lambda r: Judged(r.baseline, sd=r.tolerance or None)),
-        Column("now", lambda r: Judged(r.now, judgement(r), sd=r.tolerance or None)),
+        Column("baseline", lambda r: Datum(r.baseline, sd=r.tolerance or None)),
+        Column("now", lambda r: Datum(r.now, judgement(r), sd=r.tolerance or None)),
         Column("tolerance", lambda r: f"±{wording.number(r.tolerance)}"),
-        Column("", lambda r: Judged(r.verdict if r.judged else f"({r.verdict})", judgement(r))),
+        Column("", lambda r: Datum(r.verdict if r.judged else f"({r.verdict})", judgement(r))),
     ]
     hint = "In brackets: shown only, does not decide."
     return table(shown, columns, hint if any(not row.judged for row in shown) else "")
@@ -200,7 +200,7 @@ def comparison_rows(scores: Sequence[Mapping[str, Any]]) -> list[list[Cell]]:
         rows.append(
             [
                 f"{named(entry.of)}: {title}" if entry.of else title,
-                *(Judged(v, "best" if v is not None and v == best else "") for v in values),
+                *(Datum(v, "best" if v is not None and v == best else "") for v in values),
             ]
         )
     return rows
@@ -300,7 +300,7 @@ def _solver(score: Mapping[str, Any]) -> Table:
     """A row a figure: the time of a control step, and what went wrong."""
     solver = part(score, "solver")
     rows: list[list[Cell]] = [
-        [figure.title(), Judged(value, "bad" if figure.whole and figure.better and value else "")]
+        [figure.title(), Datum(value, "bad" if figure.whole and figure.better and value else "")]
         for figure in figures.of_group("solver")
         if (value := figure.value(solver)) is not None
     ]
@@ -314,7 +314,7 @@ def _exceeded(score: Mapping[str, Any]) -> Table:
     rows: list[list[Cell]] = [
         [
             wording.titled(named(name), str(part({name: own}, name).get("unit", ""))),
-            *(Judged(f.value(own), "bad" if f.whole else "") for f in columns),
+            *(Datum(f.value(own), "bad" if f.whole else "") for f in columns),
         ]
         for name, own in part(score, "constraint_violations").items()
         if isinstance(own, Mapping) and finite(own.get("samples"))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Cell, Judged, Table, Value
+from trms_cli.core.findings import Cell, Datum, Table, Value
 from trms_cli.runs.columns import ALIASES, IndexColumn
 from trms_cli.runs.query import QueryResult
 
@@ -170,7 +170,7 @@ def _print_table(found: QueryResult, names: Sequence[str]) -> None:
     for run in found.runs:
         ended = run.get("outcome", "completed") == "completed"
         cells = [_cell(run[name], found.columns[name]) for name in names]
-        rows.append([Judged(cell, "" if ended else "doubtful") for cell in cells])
+        rows.append([Datum(cell, "" if ended else "doubtful") for cell in cells])
     heads = [wording.titled(_HEADINGS.get(n, n), found.columns[n].unit) for n in names]
     show_table(terminal(), Table(heads, rows), len(rows))
 

@@ -14,8 +14,8 @@ from trms_cli.core.findings import (
     Block,
     Cell,
     Column,
+    Datum,
     Findings,
-    Judged,
     Judgement,
     Measure,
     Remarks,
@@ -180,7 +180,7 @@ def _comparison(document: Document) -> Section:
     )
 
 
-def _ratio(figures: Document) -> Judged:
+def _ratio(figures: Document) -> Datum:
     low, high = figures["ci95"]
     mark: Judgement = ""
     if low is not None and abs(figures["ratio"] - 1.0) >= _SMALL:
@@ -188,7 +188,7 @@ def _ratio(figures: Document) -> Judged:
     text = wording.number(figures["ratio"])
     if low is not None:
         text += f" ({wording.interval(low, high)})"
-    return Judged(text, mark)
+    return Datum(text, mark)
 
 
 def _errors(models: Mapping[str, Document], validations: Sequence[ModelValidation]) -> Section:
@@ -228,7 +228,7 @@ def _in_short(name: str, of: Document) -> Table:
             return [None if s[key] is None else scale * s[key] for s in steps]
 
         fit = by_horizon[horizons[-1]]["fit_percent"]
-        tested = Judged(f"{failed}/{len(tests)}", "bad" if failed else "")
+        tested = Datum(f"{failed}/{len(tests)}", "bad" if failed else "")
         label = wording.titled(word(channel), unit)
         rows.append([label, *figures("rms"), None if fit is None else round(fit), tested])
         rows.append(["  no change", *figures("unchanged_rms"), None, ""])
@@ -260,7 +260,7 @@ def _error_rows(of: Document) -> Iterator[dict[str, Any]]:
         yield {"channel": label, "at_end": step["rms"], **step}
         for horizon, row in horizons.items():
             better = row["rms"] is not None and row["rms"] < (row["unchanged_rms"] or 0)
-            rms = Judged(row["rms"], "" if better else "bad")
+            rms = Datum(row["rms"], "" if better else "bad")
             place = {"channel": "", "free for": f"{float(horizon):g} s"}
             yield {**row, **place, "rms": rms, "interval": _between(row["ci95"])}
         yield {"channel": "", "free for": "to the end", "interval": "", **of["free_run"][channel]}
@@ -320,7 +320,7 @@ def _p_value(test: Document | None) -> Cell:
     if test is None or test["p_holm"] is None:
         return wording.MISSING
     text = p_words(test["p_holm"]).removeprefix("p ").removeprefix("= ")
-    return Judged(("✗ " if test["failed"] else "") + text, "bad" if test["failed"] else "good")
+    return Datum(("✗ " if test["failed"] else "") + text, "bad" if test["failed"] else "good")
 
 
 def _predictor(of: Document) -> str:
@@ -493,7 +493,7 @@ def _lead_of_several(document: Document) -> list[str]:
     return sentences
 
 
-def remarks_on(document: Document) -> list[Judged]:
+def remarks_on(document: Document) -> list[Datum]:
     """One model's figures in sentences: errors, tests, regions."""
     return [
         *_on_errors(document),
@@ -503,7 +503,7 @@ def remarks_on(document: Document) -> list[Judged]:
     ]
 
 
-def _on_errors(document: Document) -> Iterator[Judged]:
+def _on_errors(document: Document) -> Iterator[Datum]:
     for channel, rows in document["by_horizon"].items():
         unit = document["units"][channel]
         chosen = list(rows)[-2:]
@@ -524,10 +524,10 @@ def _on_errors(document: Document) -> Iterator[Judged]:
         if set(grades) == {"noise"}:
             noise = quantity_words(document["noise_sd"][channel], unit)
             text += f". That is the sensor's noise ({noise})"
-        yield Judged(text + ".", judgement)
+        yield Datum(text + ".", judgement)
 
 
-def _on_belief(document: Document) -> Iterator[Judged]:
+def _on_belief(document: Document) -> Iterator[Datum]:
     off = {
         channel: figures["normalised_square"]
         for channel, figures in document["one_step"].items()
@@ -535,21 +535,21 @@ def _on_belief(document: Document) -> Iterator[Judged]:
     }
     if off:
         parts = wording.listing([f"{word(c)} {value:.2g}" for c, value in off.items()])
-        yield Judged(
+        yield Datum(
             f"The one-step errors are not as wide as the declared noise and the filter expect "
             f"(mean square over expected: {parts}; 1 is right): `data.noise_sd` may be wrong.",
             "doubtful",
         )
 
 
-def _on_tests(document: Document) -> Iterator[Judged]:
+def _on_tests(document: Document) -> Iterator[Datum]:
     tests = document["residual_tests"]
     level = f"{100 * tests['level']:g} %"
     if not tests["count"] or all(test["p"] is None for test in tests["tests"]):
-        yield Judged("No residual test could be made: too few samples.", "doubtful")
+        yield Datum("No residual test could be made: too few samples.", "doubtful")
         return
     if not tests["failed"]:
-        yield Judged(
+        yield Datum(
             f"None of {tests['count']} residual tests fails (a false alarm in any: {level}).",
             "good",
         )
@@ -568,7 +568,7 @@ def _on_tests(document: Document) -> Iterator[Judged]:
                 " A quantised angle does that to a right model too: `tests.calibration=simulated` "
                 "tells the two apart."
             )
-        yield Judged(text, "doubtful" if len(coloured) == len(failed) else "bad")
+        yield Datum(text, "doubtful" if len(coloured) == len(failed) else "bad")
     groups: dict[tuple[str, str], list[Document]] = {}
     for test in failed:
         if test["name"] not in _WHITENESS:
@@ -581,13 +581,13 @@ def _on_tests(document: Document) -> Iterator[Judged]:
             largest = max(abs(test["largest_correlation"] or 0.0) for test in found)
             size = f" correlation up to {largest:.2f},"
         p = p_words(found[0]["p_holm"])
-        yield Judged(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
+        yield Datum(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
     rest = sum(len(found) for found in list(groups.values())[_MOST_TESTS:])
     if rest:
-        yield Judged(f"{rest} more tests fail: see the table.", "bad")
+        yield Datum(f"{rest} more tests fail: see the table.", "bad")
 
 
-def _on_regions(document: Document) -> Iterator[Judged]:
+def _on_regions(document: Document) -> Iterator[Datum]:
     """Per channel, the quarter of the time with most of the error, if it is much."""
     horizon = document["regions"]["horizon_s"]
     for channel, rows in document["by_horizon"].items():
@@ -605,7 +605,7 @@ def _on_regions(document: Document) -> Iterator[Judged]:
         share, low, high, time, variable = max(found)
         if share >= max(_CONCENTRATED, 1.5 * time):
             unit = document["units"].get(variable, "")
-            yield Judged(
+            yield Datum(
                 f"{100 * share:.0f} % of the squared error of {word(channel)} over {horizon:g} s "
                 f"lies where {word(variable)} is between {_digits(low)} and {_digits(high)} {unit}"
                 f"{' ' if unit else ''}({100 * time:.0f} % of the time).",
@@ -627,7 +627,7 @@ def worst_quarter(table: Document) -> tuple[float, float, float, float]:
     return edges[i], edges[i + width], sum(time[i : i + width]), sum(error[i : i + width])
 
 
-def remarks_on_comparison(document: Document) -> list[Judged]:
+def remarks_on_comparison(document: Document) -> list[Datum]:
     """Pairs of models in sentences."""
     remarks = []
     for pair in document["comparison"]:
@@ -639,11 +639,11 @@ def remarks_on_comparison(document: Document) -> list[Judged]:
             ratio += f" ({pair['ci95'][0]:.3g} to {pair['ci95'][1]:.3g})"
         text = f"{one} errs {ratio} times as much as {other}"
         if not pair["differ"]:
-            remarks.append(Judged(f"{text}: these recordings do not tell.", "doubtful"))
+            remarks.append(Datum(f"{text}: these recordings do not tell.", "doubtful"))
         elif abs(pair["ratio"] - 1.0) < _SMALL:
-            remarks.append(Judged(f"{text}: more than chance, and next to nothing.", "doubtful"))
+            remarks.append(Datum(f"{text}: more than chance, and next to nothing.", "doubtful"))
         else:
-            remarks.append(Judged(f"{text}: more than chance.", "good"))
+            remarks.append(Datum(f"{text}: more than chance.", "good"))
     return remarks
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.scoring.comparison import ranking as ranked
 from trms_cli.scoring.comparison.ranking import (
     FEWEST_CLUSTERS,
@@ -372,7 +372,7 @@ def _at_most(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
 
 def _best(each: tuple[Standing, Figures]) -> Cell:
     ratio = _ratio(each[0].ratio)
-    return Judged(ratio, "best") if each[0].rank == 1 else ratio
+    return Datum(ratio, "best") if each[0].rank == 1 else ratio
 
 
 def _after_first(standing: Standing, cell: Cell) -> Cell:
@@ -380,7 +380,7 @@ def _after_first(standing: Standing, cell: Cell) -> Cell:
 
 
 def _alarm(amount: int | None) -> Cell:
-    return Judged(amount, "bad" if amount else "")
+    return Datum(amount, "bad" if amount else "")
 
 
 def _failed(told: Figures) -> bool:
@@ -409,4 +409,4 @@ def _change(row: PairRow) -> Cell:
     text = f"{100 * row.change:+.1f} %".replace("-", "−")
     if abs(row.change) < _LEAST_CHANGE or "time_ms" in row.key:
         return text
-    return Judged(text, "good" if row.change < 0 else "doubtful")
+    return Datum(text, "good" if row.change < 0 else "doubtful")

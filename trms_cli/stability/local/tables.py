@@ -29,7 +29,7 @@ from trms_cli.core.findings import (
     Block,
     Cell,
     Column,
-    Judged,
+    Datum,
     Judgement,
     Section,
     Table,
@@ -65,10 +65,10 @@ def mode_table(modes: Modes, caption: str = "") -> Table:
         """A cell of what swings only."""
         return lambda mode: _sig(value(mode)) if mode.oscillates else None
 
-    def verdict(mode: EigenMode) -> Judged:
+    def verdict(mode: EigenMode) -> Datum:
         grows = mode.verdict == "unstable" and mode.eigenvalue.real <= STILL
         words = "unstable (grows with t)" if grows else mode.verdict
-        return Judged(words, _JUDGED[mode.verdict])
+        return Datum(words, _JUDGED[mode.verdict])
 
     return table(
         modes.modes,
@@ -108,10 +108,10 @@ def range_table(locus: Locus) -> Table:
     slow, hidden = locus.slow, [track for track in locus.tracks if track.fast]
     commands = () if path.kind == "command" else path.model.inputs
 
-    def judged(rates: ComplexArray) -> Judged:
+    def judged(rates: ComplexArray) -> Datum:
         growth = float(rates.real.max())
         judgement: Judgement = "doubtful" if abs(growth) <= STILL else ""
-        return Judged(cell(rates), "bad" if growth > STILL else judgement)
+        return Datum(cell(rates), "bad" if growth > STILL else judgement)
 
     note = ", ".join(f"{track.name} ({cell(track.rates[count // 2])} 1/s)" for track in hidden)
     return Table(

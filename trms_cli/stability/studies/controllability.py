@@ -15,8 +15,8 @@ from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel, P
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import (
     Cell,
+    Datum,
     Findings,
-    Judged,
     Judgement,
     Section,
     Table,
@@ -345,11 +345,11 @@ def _inputs(result: ControllabilityResult) -> Section:
     model, gramians = result.model, result.gramians
     heads = [*names(model.inputs), *["together"] * (model.n_u > 1)]
 
-    def moved(reach: PbhResult) -> Judged:
+    def moved(reach: PbhResult) -> Datum:
         words, judgement = _GRADES[reach.grade]
         if reach.grade != "none":
             words += f" ({_strength(reach)}×; {reach.margin:.2g})"
-        return Judged(words, judgement)
+        return Datum(words, judgement)
 
     modes = Table(
         ("mode", *heads),
@@ -362,8 +362,8 @@ def _inputs(result: ControllabilityResult) -> Section:
     def least(i: int, j: int) -> Cell:
         value, limit = float(result.volts[i, j]), float(result.scales.u[j])
         if value > _ABSURD * limit:
-            return Judged("never", "bad")
-        return Judged(rounded(value, 3), "" if value <= limit else "doubtful")
+            return Datum("never", "bad")
+        return Datum(rounded(value, 3), "" if value <= limit else "doubtful")
 
     moves = Table(
         ("to move", *(f"{signal.name} [{signal.unit} rms]" for signal in model.inputs)),
@@ -393,9 +393,9 @@ def _inputs(result: ControllabilityResult) -> Section:
 def _sensors(result: ControllabilityResult) -> Section:
     heads = [set_words(result.model, one) for one in result.sets]
 
-    def read(reach: PbhResult) -> Judged:
+    def read(reach: PbhResult) -> Datum:
         words, judgement = _GRADES[reach.grade]
-        return Judged(words if reach.grade == "none" else f"{_strength(reach)}σ", judgement)
+        return Datum(words if reach.grade == "none" else f"{_strength(reach)}σ", judgement)
 
     modes = Table(
         ("mode", *heads),
@@ -412,7 +412,7 @@ def _torques(result: ControllabilityResult) -> Section:
 
     def estimate(one: tuple[str, ...], name: str) -> Cell:
         torque = result.torques[one].alone[name]
-        weakly = Judged("weakly", "doubtful") if torque.seen else Judged("no", "bad")
+        weakly = Datum("weakly", "doubtful") if torque.seen else Datum("no", "bad")
         return weakly if torque.error is None else f"±{torque.error:.2g}"
 
     rows: list[list[Cell]] = [

@@ -13,7 +13,7 @@ from msgspec import Meta
 from trms_cli.core import chart as draw
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.findings import Column, Findings, Judged, Section, Table, Value, json_data, table
+from trms_cli.core.findings import Column, Datum, Findings, Section, Table, Value, json_data, table
 from trms_cli.core.plugins import require_known
 from trms_cli.core.wording import symbol, titled
 from trms_cli.core.wording import unit as written_unit
@@ -469,12 +469,12 @@ def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
     """Equilibria at the inputs of the proofs."""
     model, over = survey.model, survey.setting.over
     columns = _value_columns(model, names(shown))
-    rows: list[list[Value | Judged]] = []
+    rows: list[list[Value | Datum]] = []
     for check in survey.checks:
         complete = check.proof.complete
-        proof = Judged("proved", "good") if complete else Judged("undecided", "doubtful")
+        proof = Datum("proved", "good") if complete else Datum("undecided", "doubtful")
         if not check.agree:
-            proof = Judged("curves differ", "bad")
+            proof = Datum("curves differ", "bad")
         at = _rounded(check.input)
         values = table(check.points, columns).rows
         if not check.points:
@@ -492,13 +492,13 @@ def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
     )
 
 
-def _stability(point: EquilibriumPoint) -> Judged:
+def _stability(point: EquilibriumPoint) -> Datum:
     """In a word or two."""
     if point.unstable:
-        return Judged(f"{point.unstable} growing", "bad")
+        return Datum(f"{point.unstable} growing", "bad")
     if point.verdict == "unstable":
-        return Judged("grows with t", "bad")
-    return Judged(point.verdict, "good" if point.verdict == "stable" else "doubtful")
+        return Datum("grows with t", "bad")
+    return Datum(point.verdict, "good" if point.verdict == "stable" else "doubtful")
 
 
 def _special_section(result: EquilibriaResult) -> Section:

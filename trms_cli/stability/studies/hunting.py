@@ -15,7 +15,7 @@ from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS
 from trms_cli.controllers.pid_tuning import Gains
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
@@ -400,7 +400,7 @@ def _judged(predicted: float | None, simulated: float | None) -> Cell:
     if not predicted or not simulated:
         return None
     close = abs(predicted / simulated - 1) < 0.05
-    return Judged(_off(predicted, simulated), "good" if close else "doubtful")
+    return Datum(_off(predicted, simulated), "good" if close else "doubtful")
 
 
 def _run_section(result: HuntingResult) -> Section:

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points, Style
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.core.plugins import require_known
 from trms_cli.core.wording import symbol, titled
 from trms_cli.models.model import Model, by_name, names
@@ -308,7 +308,7 @@ def _proof_section(result: LimitCycleResult) -> Section:
         Column("states", lambda block: ", ".join(symbol(name) for name in block.states)),
         Column(
             "periodic solutions",
-            lambda block: Judged("constant", "good") if block.constant else Judged("open"),
+            lambda block: Datum("constant", "good") if block.constant else Datum("open"),
         ),
         Column("why", "reason"),
     ]
@@ -369,8 +369,8 @@ def _orbit_table(result: LimitCycleResult) -> Table:
 
     def kind(orbit: Orbit) -> Cell:
         if not any(orbit is one for one in isolated):
-            return Judged("of a continuum")
-        return Judged("stable", "good") if orbit.stable else Judged("unstable", "bad")
+            return Datum("of a continuum")
+        return Datum("stable", "good") if orbit.stable else Datum("unstable", "bad")
 
     def span(i: int) -> Callable[[Orbit], Cell]:
         return lambda orbit: f"{orbit.path[:, i].min():.3f} … {orbit.path[:, i].max():.3f}"

@@ -14,8 +14,8 @@ from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.core.chart import Axis, Chart, Contour, Curve, Line, Mark, Note, Panel, Points, Region
 from trms_cli.core.findings import (
     Column,
+    Datum,
     Findings,
-    Judged,
     Judgement,
     Section,
     Table,
@@ -331,7 +331,7 @@ def claims_table(certificate: LyapunovCertificate, further: tuple[StabilityClaim
         (*certificate.claims, *further),
         [
             Column("claim", "statement"),
-            Column("checked by", lambda claim: Judged(claim.how, _JUDGED.get(claim.how, "good"))),
+            Column("checked by", lambda claim: Datum(claim.how, _JUDGED.get(claim.how, "good"))),
             Column("figures", "detail"),
         ],
         "Claims",

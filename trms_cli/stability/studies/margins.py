@@ -24,7 +24,7 @@ from trms_cli.core.chart import (
     Points,
     Region,
 )
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.loops.frequency_response import (
     Analyser,
@@ -226,11 +226,11 @@ def _delay(limit: StabilityLimit | None) -> str:
 
 
 def _single_table(margins: MarginResult) -> Table:
-    def judged_gain(loop: LoopMargins) -> Judged:
+    def judged_gain(loop: LoopMargins) -> Datum:
         up = value_of(loop.margins.up)
         return _judged(up, up is None or up >= _GOOD_GAIN)
 
-    def judged_peak(loop: LoopMargins) -> Judged:
+    def judged_peak(loop: LoopMargins) -> Datum:
         return _judged(loop.sensitivity.value, loop.sensitivity.value <= _GOOD_PEAK)
 
     return table(
@@ -282,15 +282,15 @@ def value_of(limit: StabilityLimit | None, degrees: bool = False) -> float | Non
     return math.degrees(limit.value) if degrees else limit.value
 
 
-def _judged_phase(limit: StabilityLimit | None) -> Judged:
+def _judged_phase(limit: StabilityLimit | None) -> Datum:
     value = value_of(limit, degrees=True)
     if value is None or value >= _GOOD_PHASE:
-        return Judged(value, "good")
-    return Judged(value, "doubtful" if value >= _POOR_PHASE else "bad")
+        return Datum(value, "good")
+    return Datum(value, "doubtful" if value >= _POOR_PHASE else "bad")
 
 
-def _judged(value: float | str | None, good: bool) -> Judged:
-    return Judged(value, "good" if good else "bad")
+def _judged(value: float | str | None, good: bool) -> Datum:
+    return Datum(value, "good" if good else "bad")
 
 
 def _method(margins: MarginResult) -> str:
@@ -318,7 +318,7 @@ def _quality_table(margins: MarginResult) -> Table:
     return Table(["quality of the measurement", "found"], rows, on_screen=False)
 
 
-def _share(value: float, most: float) -> Judged:
+def _share(value: float, most: float) -> Datum:
     return _judged(f"{100 * value:.2g} %", value <= most)
 
 

@@ -13,7 +13,7 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Column, Findings, Judged, Section, Table, json_data, table
+from trms_cli.core.findings import Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.core.wording import listing, symbol
 from trms_cli.models.model import by_name
 from trms_cli.stability.portraits.charts import PortraitResult, has_field, is_hidden, portrait
@@ -638,7 +638,7 @@ def equilibria_table(section: StateSection, rests: Sequence[RestPoint]) -> Table
     return table(
         rests,
         [
-            Column("equilibrium", lambda rest: Judged(rest.kind, "good" if rest.stable else "bad")),
+            Column("equilibrium", lambda rest: Datum(rest.kind, "good" if rest.stable else "bad")),
             *(
                 Column(f"{symbol(s.name)} [{s.unit}]", state(i))
                 for i, s in enumerate(section.coordinates.model.states)

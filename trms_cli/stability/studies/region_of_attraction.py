@@ -25,8 +25,8 @@ from trms_cli.core.chart import (
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import (
     Column,
+    Datum,
     Findings,
-    Judged,
     Section,
     Table,
     json_data,
@@ -194,7 +194,7 @@ def _sections(region: AttractionRegion) -> list[Section]:
     return [Section("Estimates and the region by simulation", METHOD, blocks)]
 
 
-_PROVED = {True: Judged("proved", "good"), False: Judged("sampled only", "doubtful")}
+_PROVED = {True: Datum("proved", "good"), False: Datum("sampled only", "doubtful")}
 
 
 def estimate_table(region: AttractionRegion) -> Table:
@@ -228,7 +228,7 @@ def estimate_table(region: AttractionRegion) -> Table:
             Column("boxes", lambda v: v.estimate.boxes or None),
             Column(
                 "do not come to rest",
-                lambda v: Judged(f"{v.failed} of {v.tested}", "bad" if v.failed else "good"),
+                lambda v: Datum(f"{v.failed} of {v.tested}", "bad" if v.failed else "good"),
             ),
         ],
         f"Volume in the units of {', '.join(labels)}. The true region is counted in a box by "
@@ -510,7 +510,7 @@ def _run_table(result: LoopRegion) -> Table:
         [
             Column("starts", lambda row: row[0]),
             Column("runs", lambda row: len(row[1].recovered)),
-            Column("recovered", lambda row: Judged(row[1].count, row[2])),
+            Column("recovered", lambda row: Datum(row[1].count, row[2])),
             Column("share (95 % confidence)", lambda row: percent(row[1].share)),
         ],
         "Runs of the loop itself.",

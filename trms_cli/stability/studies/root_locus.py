@@ -18,8 +18,8 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import (
     Block,
     Column,
+    Datum,
     Findings,
-    Judged,
     Section,
     json_data,
     rounded,
@@ -361,7 +361,7 @@ def _locus_section(locus: Locus) -> Section:
             Column("ω [rad/s]", lambda c: rounded(c.frequency)),
             Column("f [Hz]", lambda c: rounded(c.frequency / (2 * math.pi))),
             Column("kind", lambda c: "jump at a switch" if c.jumps else _KINDS[c.frequency > 0]),
-            Column("unstable", lambda c: Judged(c.side, "bad")),
+            Column("unstable", lambda c: Datum(c.side, "bad")),
         ],
         "Crossings of the imaginary axis.",
     )

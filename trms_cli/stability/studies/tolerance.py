@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Cell, Column, Findings, Judged, Section, Table, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, table
 from trms_cli.core.plugins import nearest
 from trms_cli.stability.loops.frequency_response import (
     Analyser,
@@ -213,9 +213,9 @@ def _table(limits: Sequence[ImpairmentLimits]) -> Table:
     def again(limit: ImpairmentLimits) -> str | None:
         return ", ".join(f"{limit.impairment.shown(s):.3g}" for s in limit.back.again) or None
 
-    def failure(limit: ImpairmentLimits) -> Judged:
+    def failure(limit: ImpairmentLimits) -> Datum:
         above = limit.back.above
-        return Judged(above.verdict.kind) if above else Judged("–", "good")
+        return Datum(above.verdict.kind) if above else Datum("–", "good")
 
     return table(
         limits,
