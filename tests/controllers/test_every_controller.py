@@ -85,15 +85,16 @@ class Runner:
         self.time = 0.0
         self.level = np.array([LEVEL[name] for name in model.controlled])
 
-    def step(
+    def sample(
         self, x: np.ndarray, reference: np.ndarray | None = None, w: np.ndarray | None = None
-    ) -> Command:
+    ) -> ControlSample:
         r = self.level if reference is None else reference
         w = np.zeros(self.model.n_w) if w is None else w
         estimate = Estimate(x.copy(), np.full_like(x, 1e-3), w.copy(), np.full_like(w, 1e-3))
-        sample = ControlSample(
-            self.time, np.tile(r, (self.preview + 1, 1)), estimate, self.u.copy()
-        )
+        return ControlSample(self.time, np.tile(r, (self.preview + 1, 1)), estimate, self.u.copy())
+
+    def step(self, *given: np.ndarray, **more: np.ndarray) -> Command:
+        sample = self.sample(*given, **more)
         answer = self.controller.step(self.state, sample, want_prediction=True)
         self.check(answer)
         self.u = np.asarray(answer.u, dtype=float).copy()
@@ -217,15 +218,14 @@ def test_what_it_keeps_is_its_own(rig: Rig) -> None:
     expected = twin.run(4)
     runner, commands = rig.runner, []
     for _ in range(4):
-        x, w = rig.x.copy(), np.zeros(runner.model.n_w)
-        estimate = Estimate(x, np.full_like(x, 1e-3), w, np.full_like(w, 1e-3))
-        u, r = runner.u.copy(), np.tile(runner.level, (runner.preview + 1, 1))
-        sample = ControlSample(runner.time, r, estimate, u)
+        sample = runner.sample(rig.x)
+        estimate = sample.estimate
         answer = runner.controller.step(runner.state, sample, want_prediction=False)
         commands.append(answer.u.copy())
         runner.u, runner.time = answer.u.copy(), runner.time + runner.setup.sample_time
-        for array in (x, w, u, r, answer.u):
+        for array in (sample.reference, sample.previous_command, answer.u):
             array[:] = 77.0
+        estimate.x[:] = estimate.disturbance[:] = 77.0
         still = np.zeros(runner.model.n_w)
         rig.x = rig._step.evaluate(rig.x, runner.u, rig._p, still)[0].copy()
     np.testing.assert_array_equal(np.array(commands), expected)
