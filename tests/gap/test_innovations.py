@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.gap import kalman
+from trms_cli.gap import discrepancy as filters
 from trms_cli.gap.discrepancy import (
     FLOOR,
     Discrepancy,
+    LinearSystem,
     TrajectoryLinearisation,
     equation_channels,
     likely_shares,
     log_likelihood,
 )
-from trms_cli.gap.kalman import LinearSystem
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem
 
@@ -69,8 +69,8 @@ def dense(system: LinearSystem, j: int) -> np.ndarray:
 def test_innovations_have_the_density_of_the_whole_covariance():
     system = random_system()
     y = simulated(system, 1)
-    filter_ = kalman.gains(system, Q)
-    z = kalman.whiten(system, filter_, y[..., None])[..., 0]
+    filter_ = filters.gains(system, Q)
+    z = filters.whiten(system, filter_, y[..., None])[..., 0]
     for j in range(3):
         covariance = dense(system, j)
         seen = y[j].ravel()[system.seen[j].ravel()]
@@ -81,15 +81,15 @@ def test_innovations_have_the_density_of_the_whole_covariance():
 def test_compiled_and_plain_loops_agree(monkeypatch):
     system = random_system(2)
     y = simulated(system, 3)[..., None]
-    compiled = kalman.gains(system, Q, covariances=True)
-    z = kalman.whiten(system, compiled, y)
-    scores = kalman.scores(system, compiled, z[..., 0])
-    monkeypatch.setattr(kalman, "_library", lambda: None)
-    plain = kalman.gains(system, Q, covariances=True)
+    compiled = filters.gains(system, Q, covariances=True)
+    z = filters.whiten(system, compiled, y)
+    scores = filters.scores(system, compiled, z[..., 0])
+    monkeypatch.setattr(filters, "_library", lambda: None)
+    plain = filters.gains(system, Q, covariances=True)
     for one, other in zip(compiled, plain, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(kalman.whiten(system, plain, y), z, rtol=1e-8, atol=1e-10)
-    for one, other in zip(kalman.scores(system, plain, z[..., 0]), scores, strict=True):
+    np.testing.assert_allclose(filters.whiten(system, plain, y), z, rtol=1e-8, atol=1e-10)
+    for one, other in zip(filters.scores(system, plain, z[..., 0]), scores, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8)
 
 
@@ -98,13 +98,13 @@ def test_scores_are_the_likelihoods_slope():
     y = simulated(system, 5)
 
     def likelihood(q: np.ndarray) -> float:
-        filter_ = kalman.gains(system, q)
-        z = kalman.whiten(system, filter_, y[..., None])
+        filter_ = filters.gains(system, q)
+        z = filters.whiten(system, filter_, y[..., None])
         return float(-0.5 * np.sum(z**2) - 0.5 * filter_.logdet.sum())
 
-    filter_ = kalman.gains(system, Q)
-    z = kalman.whiten(system, filter_, y[..., None])[..., 0]
-    squares, variances = kalman.scores(system, filter_, z)
+    filter_ = filters.gains(system, Q)
+    z = filters.whiten(system, filter_, y[..., None])[..., 0]
+    squares, variances = filters.scores(system, filter_, z)
     for i in range(4):
         step = np.zeros((4, 4))
         step[i, i] = 1e-5
@@ -115,8 +115,8 @@ def test_scores_are_the_likelihoods_slope():
 def test_the_smoother_is_the_conditional_mean():
     system = random_system(6, m=1, c=12)
     y = simulated(system, 7)
-    filter_ = kalman.gains(system, Q, covariances=True)
-    x, variance = kalman.smooth(system, filter_, y)
+    filter_ = filters.gains(system, Q, covariances=True)
+    x, variance = filters.smooth(system, filter_, y)
     # the mean is the state that one measurement more of it, infinitely vague, would not move
     n = system.f.shape[-1]
     exact = LinearSystem(
@@ -133,7 +133,7 @@ def test_the_smoother_is_the_conditional_mean():
     def density(state: np.ndarray) -> float:
         data = np.concatenate([y, np.zeros((1, 12, n))], axis=2)
         data[0, 5, 2:] = state
-        z = kalman.whiten(pinned, kalman.gains(pinned, Q), data[..., None])
+        z = filters.whiten(pinned, filters.gains(pinned, Q), data[..., None])
         return float(-0.5 * np.sum(z**2))
 
     best = density(x[0, 5])

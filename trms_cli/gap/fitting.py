@@ -14,11 +14,11 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.gap.discrepancy import (
     Discrepancy,
+    FilterGains,
     TrajectoryLinearisation,
     likely_shares,
     usual_channels,
 )
-from trms_cli.gap.kalman import FilterGains
 from trms_cli.gap.problem import CandidateEffect, joint
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.map_fit import Point, minimise

@@ -19,9 +19,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.gap.discrepancy import FLOOR
+from trms_cli.gap.discrepancy import FLOOR, FilterGains, LinearSystem, whiten
 from trms_cli.gap.fitting import FittedModel, Metric, ModelStructure, Refit
-from trms_cli.gap.kalman import FilterGains, LinearSystem, whiten
 from trms_cli.gap.problem import CandidateEffect
 
 #: Windows whose columns are whitened at a time.

@@ -281,7 +281,7 @@ class Assessment:
     @property
     def correlation(self) -> FloatArray | None:
         """Correlation of the estimates, (n_f, n_f); NaN beside one without variance."""
-        from trms_cli.identification.greybox.information import correlations
+        from trms_cli.identification.greybox.map_fit import correlations
 
         covariance = self.result.covariance
         return None if covariance is None else correlations(covariance)
@@ -300,8 +300,7 @@ def assess(problem: FitProblem, result: FitResult) -> Assessment:
 
 def _add_statistics(problem: FitProblem, assessment: Assessment) -> None:
     """Covariance and identifiability, for a method that knows no slopes."""
-    from trms_cli.identification.greybox.information import identifiability
-    from trms_cli.identification.greybox.map_fit import MapSettings, fit_from
+    from trms_cli.identification.greybox.map_fit import MapSettings, fit_from, identifiability
 
     result = assessment.result
     every = np.ones(len(result.values), dtype=bool)

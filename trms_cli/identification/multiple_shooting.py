@@ -19,8 +19,14 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
-from trms_cli.identification.greybox.information import identifiability
-from trms_cli.identification.greybox.map_fit import MapFit, MapSettings, Point, fit_from, profile
+from trms_cli.identification.greybox.map_fit import (
+    MapFit,
+    MapSettings,
+    Point,
+    fit_from,
+    identifiability,
+    profile,
+)
 from trms_cli.identification.greybox.objective import sizes
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.identification.greybox.information import (
+from trms_cli.identification.greybox.map_fit import (
     COLLINEAR,
     Information,
     autocovariance,

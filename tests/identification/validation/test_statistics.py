@@ -9,23 +9,21 @@ from hypothesis import strategies as st
 from scipy import signal
 from scipy.stats import binom, false_discovery_control, kstest
 
-from trms_cli.identification.validation.characteristics import (
-    autocorrelation,
-    characteristics,
-    coherence,
-    reverse_arrangements,
-    segments_of,
-    spectrum,
-)
 from trms_cli.identification.validation.findings import worst_quarter
 from trms_cli.identification.validation.metrics import (
     BlockSums,
+    autocorrelation,
+    characteristics,
+    coherence,
     fit_percent,
     mean_log_ratio,
     ratio_interval,
     region_tables,
+    reverse_arrangements,
     rms,
     rms_interval,
+    segments_of,
+    spectrum,
     vaf_percent,
 )
 from trms_cli.identification.validation.residual_tests import benjamini_hochberg, holm, whitened

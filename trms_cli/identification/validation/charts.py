@@ -11,14 +11,15 @@ from trms_cli.core import wording
 from trms_cli.core.chart import Axis, Band, Chart, Colour, Curve, Line, Mark, Panel, Points
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.findings import near
-from trms_cli.identification.validation.characteristics import (
+from trms_cli.identification.validation.metrics import (
     Characteristics,
     coherence,
     default_length,
+    rms,
+    rms_interval,
     segments_of,
     spectrum,
 )
-from trms_cli.identification.validation.metrics import rms, rms_interval
 from trms_cli.identification.validation.residual_tests import ResidualTest, p_words
 from trms_cli.identification.validation.validate import ModelValidation, gap_samples, joined
 from trms_cli.models.model import names

@@ -10,9 +10,9 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.findings import json_data
-from trms_cli.identification.validation.characteristics import characteristics_of
 from trms_cli.identification.validation.metrics import (
     BlockSums,
+    characteristics_of,
     fit_percent,
     largest,
     mean_log_ratio,

@@ -26,7 +26,7 @@ from trms_cli.core.findings import (
 from trms_cli.core.invocation import command_line
 from trms_cli.identification.admission import Issue
 from trms_cli.identification.validation import charts
-from trms_cli.identification.validation.characteristics import characteristics_of
+from trms_cli.identification.validation.metrics import characteristics_of
 from trms_cli.identification.validation.residual_tests import p_words
 from trms_cli.identification.validation.validate import ModelValidation
 
