@@ -11,7 +11,7 @@ import pytest
 
 from tests.recordings.played_rig import BENCH, SIGNALS, play
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.admission import admit, issues_by_model, together
+from trms_cli.identification.admission import admit, issues_by_model, merge_admissions
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.recorded_motion import RecordedMotions
@@ -305,8 +305,8 @@ def test_of_several_models_only_those_are_named_that_an_issue_is_of(recordings):
     small = Newtonian()
     small.input_limits = {"u_v": 2.5, "u_h": 0.2}
     found = {"mine": admit([spoilt], MODEL), "small": admit([spoilt], small)}
-    assert together({"mine": found["mine"]}) == found["mine"]
-    both = together(found)
+    assert merge_admissions({"mine": found["mine"]}) == found["mine"]
+    both = merge_admissions(found)
     constant = next(i for i in both.errors if i.check == "constant")
     assert constant.problem.startswith("alpha_h is constant")
     beyond = next(i for i in both.issues if i.channel == "u_h")

@@ -15,7 +15,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
-import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
@@ -23,6 +22,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.recorded_motion import RecordedMotion, RecordedMotions, smoothed
 from trms_cli.models.model import Model, names
+from trms_cli.models.vector_field import VectorField
 
 Severity = Literal["error", "warning"]
 
@@ -74,7 +74,7 @@ class Admission:
         return [asdict(issue) for issue in self.issues]
 
 
-def together(admissions: Mapping[str, Admission]) -> Admission:
+def merge_admissions(admissions: Mapping[str, Admission]) -> Admission:
     """What was found with several models; what does not hold for all names those that it is of.
 
     ``admissions``: by the name that the model is shown with.
@@ -83,7 +83,7 @@ def together(admissions: Mapping[str, Admission]) -> Admission:
     for name, admission in admissions.items():
         for issue in admission.issues:
             holders.setdefault(issue, []).append(name)
-    return ordered(
+    return by_severity(
         issue
         if len(models) == len(admissions)
         else replace(issue, problem=f"{', '.join(models)}: {issue.problem}")
@@ -91,7 +91,7 @@ def together(admissions: Mapping[str, Admission]) -> Admission:
     )
 
 
-def ordered(issues: Iterable[Issue]) -> Admission:
+def by_severity(issues: Iterable[Issue]) -> Admission:
     """Errors first, each kind in its order."""
     return Admission(tuple(sorted(issues, key=lambda issue: issue.severity != "error")))
 
@@ -182,7 +182,7 @@ def admit(
         issues = [_as_warning(i) if i.check in _ONLY_FOR_A_FIT else i for i in issues]
         issues += _still(datasets)
     issues += _rates(datasets, model)
-    return ordered(issues)
+    return by_severity(issues)
 
 
 def _as_warning(issue: Issue) -> Issue:
@@ -457,16 +457,13 @@ def time_scales(dataset: Dataset, model: Model) -> TimeScales | None:
     """From the model's poles where the recording is on average; None for a black box."""
     if model.sample_time is not None:
         return None
-    x, u, p, w = model.symbols()
-    slope = ca.Function("slope", [x, u, p, w], [ca.jacobian(model.dynamics(x, u, p, w), x)])
     point = model.rest().copy()
     for i, signal in enumerate(dataset.outputs):
         values = dataset.measurements[:, i]
         if signal.name in model.state_names and np.isfinite(values).any():
             size = values if signal.unit == "rad" else np.abs(values)
             point[model.state_index(signal.name)] = float(np.nanmean(size))
-    command = dataset.commands.mean(axis=0)
-    a = np.asarray(slope(point, command, model.parameters.values, np.zeros(model.n_w)))
+    a, _ = VectorField(model).linearised(point, dataset.commands.mean(axis=0))
     if not np.isfinite(a).all():
         return None
     sizes = np.abs(np.linalg.eigvals(a))

@@ -38,7 +38,7 @@ _SHARE_OF_NYQUIST = 0.8
 
 
 @dataclass(frozen=True)
-class Linearised:
+class StateSpace:
     """``ẋ = A x + B u, y = C x + D u`` at a point."""
 
     a: FloatArray  #: (n_x, n_x), 1/s and so on
@@ -57,7 +57,7 @@ class Linearised:
         )
 
 
-def linearised(model: Model, x: FloatArray, u: FloatArray) -> Linearised:
+def linearised(model: Model, x: FloatArray, u: FloatArray) -> StateSpace:
     """A model with a derivative, linearised at a point.
 
     Raises ConfigurationError for a model that only steps.
@@ -73,10 +73,10 @@ def linearised(model: Model, x: FloatArray, u: FloatArray) -> Linearised:
     slopes = [ca.jacobian(of, by) for of in (f, y) for by in (xs, us)]
     evaluate = ca.Function("slopes", [xs, us, p, w], slopes)
     values = evaluate(x, u, model.parameters.values, np.zeros(model.n_w))
-    return Linearised(*(np.asarray(ca.densify(value)) for value in values))
+    return StateSpace(*(np.asarray(ca.densify(value)) for value in values))
 
 
-def pole_range(system: Linearised) -> tuple[float, float]:
+def pole_range(system: StateSpace) -> tuple[float, float]:
     """Distance of the slowest and of the fastest pole of interest from zero, rad/s."""
     sizes = np.abs(np.linalg.eigvals(system.a))
     sizes = sizes[(sizes > _SLOWEST) & (sizes < _FASTEST)]
@@ -84,7 +84,7 @@ def pole_range(system: Linearised) -> tuple[float, float]:
 
 
 def band_of(
-    system: Linearised,
+    system: StateSpace,
     sample_time: float,
     duration: float,
     lowest: float | None = None,
@@ -305,7 +305,7 @@ class ExcitationDesign:
     #: ``drawn``, ``lost``: Rigs drawn, and those of them that went beyond a stop
     drawn: int
     lost: int
-    system: Linearised  #: At the operating point, the rotors at their root mean square speed
+    system: StateSpace  #: At the operating point, the rotors at their root mean square speed
     poles: tuple[float, float]  #: Slowest and fastest, rad/s
 
 

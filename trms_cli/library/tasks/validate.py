@@ -15,7 +15,7 @@ from trms_cli.core import wording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.core.versions import versions
-from trms_cli.identification.admission import Admission, admit, together
+from trms_cli.identification.admission import Admission, admit, merge_admissions
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.validate import ValidationOptions
@@ -70,7 +70,7 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
         loaded = load_datasets(real, model, data)
         admissions[name] = admit(loaded, model, purpose="validation")
         models[name], recordings[name] = simulated, loaded
-    admission = together(admissions)
+    admission = merge_admissions(admissions)
     admission.require()
     datasets = {name: driven_recordings(loaded, driven) for name, loaded in recordings.items()}
     for driven_ones in datasets.values():
