@@ -10,8 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.identification.greybox.rigs import recording
+from trms_cli.commands.excite import main
+from trms_cli.core.plugins import build
+from trms_cli.core.resources import config_folder
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.fitting import Refit, refit
 from trms_cli.gap.next_experiment import (
@@ -119,11 +123,6 @@ def test_nothing_is_advised_where_nothing_is_known(plain: Refit) -> None:
 
 @pytest.mark.parametrize("name", ["newtonian_horizontal", "tras", "quanser_aero"])
 def test_other_models_have_experiments(name: str) -> None:
-    import yaml
-
-    from trms_cli.core.plugins import build
-    from trms_cli.core.resources import config_folder
-
     text = (config_folder() / "model" / f"{name}.yaml").read_text(encoding="utf-8")
     model = build(yaml.safe_load(text), "model")
     rollout = Rollout(model, 0.02)
@@ -137,8 +136,6 @@ def test_other_models_have_experiments(name: str) -> None:
 
 
 def test_a_command_makes_the_commands_that_were_predicted(tmp_path: Path) -> None:
-    from trms_cli.commands.excite import main
-
     rollout = Rollout(MODEL, 0.02)
     made = experiments(rollout, [MODEL.parameters.values], 0.02, "newtonian")
     for k, experiment in enumerate(made):

@@ -7,6 +7,7 @@ import pytest
 
 from trms_cli.identification.greybox.map_fit import (
     COLLINEAR,
+    Identifiability,
     Information,
     autocovariance,
     correlations,
@@ -65,43 +66,43 @@ def test_a_held_parameter_has_no_variance_and_passes_none_on(columns: np.ndarray
     np.testing.assert_allclose(found[np.ix_(free, free)], wanted)
 
 
-def judged(columns: np.ndarray) -> object:
+def identified(columns: np.ndarray) -> Identifiability:
     names = [f"p{i}" for i in range(columns.shape[1])]
     known = information(columns)
     return identifiability(known, names, known.covariance())
 
 
 def test_independent_parameters_are_told_apart(columns: np.ndarray) -> None:
-    found = judged(columns)
-    assert found.confounded == () and found.silent == ()  # type: ignore[attr-defined]
+    found = identified(columns)
+    assert found.confounded == () and found.silent == ()
 
 
 def test_the_smallest_sets_are_named(columns: np.ndarray) -> None:
     columns[:, 1] = 3 * columns[:, 0] + 0.01 * columns[:, 1]
-    found = judged(columns).confounded  # type: ignore[attr-defined]
+    found = identified(columns).confounded
     assert [c.names for c in found] == [("p0", "p1")]
     assert found[0].index > COLLINEAR
 
 
 def test_three_that_imitate_each_other_only_together(columns: np.ndarray) -> None:
     columns[:, 2] = columns[:, 0] - columns[:, 1] + 0.01 * columns[:, 2]
-    found = judged(columns).confounded  # type: ignore[attr-defined]
+    found = identified(columns).confounded
     assert [c.names for c in found] == [("p0", "p1", "p2")]
 
 
 def test_a_parameter_without_effect_is_silent(columns: np.ndarray) -> None:
     columns[:, 3] = 0.0
-    found = judged(columns)
-    assert found.silent == ("p3",)  # type: ignore[attr-defined]
-    assert found.prior_remaining["p3"] == pytest.approx(1.0)  # type: ignore[attr-defined]
-    assert found.uninformed == ("p3",)  # type: ignore[attr-defined]
+    found = identified(columns)
+    assert found.silent == ("p3",)
+    assert found.prior_remaining["p3"] == pytest.approx(1.0)
+    assert found.uninformed == ("p3",)
 
 
 def test_a_parameter_that_the_data_hardly_narrow_is_uninformed(columns: np.ndarray) -> None:
     columns[:, 1] *= 0.01  # 200 samples of 0.01 against a prior of 1: 0.99 of its deviation stay
-    found = judged(columns)
-    assert found.silent == ()  # type: ignore[attr-defined]
-    assert found.uninformed == ("p1",)  # type: ignore[attr-defined]
+    found = identified(columns)
+    assert found.silent == ()
+    assert found.uninformed == ("p1",)
 
 
 def test_correlations_are_between_minus_one_and_one(columns: np.ndarray) -> None:
