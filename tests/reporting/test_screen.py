@@ -47,6 +47,29 @@ def test_parts_hold_each_column_once_and_repeat_the_heads(widths, width):
     assert all(part[i] >= len(rows[0][i]) for part in parts for i in part if i > 0)
 
 
+NUMBERS = ["−0.176 ± 0.473j", "doubles in 0.35 s", "+1.24", "excess 0.005 of 7.71e−04 rad", "79.5%"]
+
+
+@given(st.lists(st.sampled_from([*NUMBERS, "yaw friction", "a/b_c"]), min_size=1, max_size=6),
+       st.integers(10, 60))  # fmt: skip
+def test_a_number_is_never_broken(parts, width):
+    text = " ".join(parts)
+    lines = screen.fold(text, width).split("\n")
+    assert max(map(len, lines)) <= width
+    assert "".join(lines).replace(" ", "") == text.replace(" ", "")
+    words = [word for line in lines for word in line.split()]
+    for number in (word for part in parts for word in part.split() if any(map(str.isdigit, word))):
+        assert number in words
+
+
+@pytest.mark.parametrize("width", [40, 60, 80])
+def test_a_number_in_a_cell_is_never_broken(width):
+    rows = [[NAME, text, text] for text in NUMBERS]
+    text = printed(Table(["model", "a mode of the loop", "what it does"], rows), width)
+    for number in ("0.473j", "0.35", "+1.24", "0.005", "7.71e−04", "79.5%"):
+        assert text.split().count(number) == 2
+
+
 def test_findings_are_printed_answer_first(capsys):
     findings = Findings(
         "Comparison",

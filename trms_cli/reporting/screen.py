@@ -44,6 +44,8 @@ _GAP = 2
 _LABEL = 11
 #: Letters of a reason that stands behind its line.
 _LONGEST_WHY = 60
+#: A number as it is written, with its sign, its exponent and what belongs to it: never broken.
+_NUMBER = re.compile(r"[-+−±]*\d+(?:[.,]\d+)*(?:e[-+−]?\d+)?[j%°]?")
 #: Of the answer to a job of a sweep.
 _SENTENCES_OF_A_JOB = 4
 
@@ -252,12 +254,17 @@ def parted(
 
 
 def fold(text: str, width: int, signs: str = " /_,=.:·-") -> str:
-    """Text in lines of at most `width`, broken after one of the signs, else anywhere."""
+    """Text in lines of at most `width`, broken after one of the signs, else anywhere.
+
+    A number that fits a line is not broken.
+    """
     lines = []
     for line in text.split("\n"):
         while len(line) > width:
-            cut = max(line.rfind(sign, 0, width) for sign in signs)
-            cut = cut + 1 if cut > 0 else width
+            within = {at for number in _NUMBER.finditer(line) for at in range(*number.span())[1:]}
+            cuts = [at for at in range(2, width + 1) if at not in within]
+            after_sign = [at for at in cuts if line[at - 1] in signs]
+            cut = (after_sign or cuts or [width])[-1]
             lines.append(line[:cut].rstrip())
             line = line[cut:].lstrip()
         lines.append(line)
@@ -309,8 +316,10 @@ def _is_number(cell: Cell) -> bool:
 
 
 def _least(text: str) -> int:
-    """Figures stay on one line; names may be folded to a few letters."""
-    return len(text) if re.fullmatch(r"[^A-Za-z]*|.{0,12}", text) else _NARROWEST
+    """Figures stay on one line; names may be folded to a few letters, but for numbers in them."""
+    if len(text) <= _NARROWEST or re.fullmatch(r"[^A-Za-z]*", _NUMBER.sub("", text)):
+        return len(text)
+    return max(_NARROWEST, max(map(len, _NUMBER.findall(text)), default=0))
 
 
 def _longest_line(text: str) -> int:
