@@ -19,15 +19,11 @@ def chart() -> Chart:
     return Chart("one", [Panel(Axis("u_v", "V"), Axis("α_v", "rad"), marks)], "A caption.")
 
 
-def test_the_data_are_json_with_a_kind_for_each_mark():
+def test_the_data_are_json_of_six_digits_with_a_kind_for_each_mark():
     data = json.loads(json.dumps(as_data(chart()), allow_nan=False))
     curve, points, region = data["panels"][0]["marks"]
     assert [curve["kind"], points["kind"], region["kind"]] == ["curve", "points", "region"]
     assert data["panels"][0]["x"] == {"label": "u_v", "unit": "V", "limits": None, "log": False}
-
-
-def test_numbers_have_six_digits_and_what_is_not_finite_is_none():
-    curve, points, region = as_data(chart())["panels"][0]["marks"]
     assert curve["y"] == [1.0, None, None]
     assert points["x"] == [0.333333] and points["y"] == [2]
     assert region["inside"][0] == [True, False, False]

@@ -10,13 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from trms_cli.core.resources import config_folder
-
 CHECKOUT = Path(__file__).parents[2]
-
-
-def test_the_folder_holds_the_primary_configuration():
-    assert (config_folder() / "run.yaml").is_file()
 
 
 @pytest.mark.slow

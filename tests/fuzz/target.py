@@ -17,17 +17,11 @@ CORPUS = Path(__file__).parent / "corpus"
 
 @dataclass(frozen=True)
 class Target:
-    """One reader under attack.
+    """One reader under attack."""
 
-    Attributes
-    ----------
-    name : str
-        Of the module in :mod:`tests.fuzz.targets`: it has ``seeds(folder)``, which yields inputs
-        that the reader takes, and ``read(data, folder)``, which has the reader read one.
-    module : module
-    """
-
-    name: str
+    name: str  #: Of its module
+    #: Of :mod:`tests.fuzz.targets`: it has ``seeds(folder)``, which yields inputs that the reader
+    #: takes, and ``read(data, folder)``, which has the reader read one
     module: ModuleType
 
     @property

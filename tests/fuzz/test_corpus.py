@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzz.target import CORPUS, Target, all_targets
+from tests.fuzz.target import CORPUS, all_targets
 
 TARGETS = {target.name: target for target in all_targets()}
 KEPT = [(name, path) for name, target in TARGETS.items() for path in target.kept()]
@@ -15,12 +15,8 @@ KEPT = [(name, path) for name, target in TARGETS.items() for path in target.kept
 @pytest.mark.parametrize("name", TARGETS)
 def test_seeds_are_read(name: str, tmp_path: Path) -> None:
     """What the program writes itself is taken, or refused in words (a filter of one line)."""
-    answers = [TARGETS[name].read(seed, tmp_path) for seed in _seeds(TARGETS[name], tmp_path)]
+    answers = [TARGETS[name].read(seed, tmp_path) for seed in TARGETS[name].module.seeds(tmp_path)]
     assert answers and any(answer is None for answer in answers), answers
-
-
-def _seeds(target: Target, folder: Path) -> list[bytes]:
-    return list(target.module.seeds(folder))
 
 
 @pytest.mark.parametrize(
@@ -45,7 +41,7 @@ _LONG = ("option", "overrides")
 def test_a_cut_or_changed_seed_is_told_in_words(name: str, tmp_path: Path) -> None:
     """A few hundred changes that need no fuzzer: cut, doubled, one byte another."""
     target = TARGETS[name]
-    for seed in _seeds(target, tmp_path)[:2]:
+    for seed in list(target.module.seeds(tmp_path))[:2]:
         steps = max(1, len(seed) // 6)
         for at in range(0, len(seed), steps):
             changed = bytes([seed[at] ^ 0x80])

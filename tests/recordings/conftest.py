@@ -17,6 +17,12 @@ CONFIG = b"seed: 3\nsim:\n  duration: 1.0\n"
 
 
 @pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Where a log or a recording goes."""
+    return tmp_path / "run.mcap"
+
+
+@pytest.fixture
 def topics() -> list[Topic]:
     """Topics of a small run with everything that a run can have."""
     angles = [Field("alpha_v", "rad", "pitch angle"), Field("alpha_h", "rad", "yaw angle")]

@@ -48,6 +48,8 @@ def test_parquet_joins_all_topics_on_time(tmp_path: Path, log: LoggedRun) -> Non
     assert rows[3]["controller.status"] == "optimal" and rows[3]["prediction.time"] is None
     assert rows[0]["prediction.time"] == pytest.approx([0, 0.1, 0.2, 0.3])
     np.testing.assert_array_equal(np.array(table["command.u_v"]), np.arange(1.0, 121.0))
+    assert [k for k, row in enumerate(rows) if row["event.kind"] is not None] == [5]
+    assert rows[5]["event.kind"] == ["saturation", "note"]
 
 
 def test_parquet_has_one_row_a_sample_time_whatever_happens_then(tmp_path, topics) -> None:
@@ -69,13 +71,6 @@ def test_parquet_has_one_row_a_sample_time_whatever_happens_then(tmp_path, topic
     assert rows[1]["event.kind"] == ["saturation_begin", "note", "gap"]
     assert rows[1]["event.value"] == [3.0, None, 0.5]
     assert table.schema.field("event.time").metadata == {b"unit": b"s"}
-
-
-def test_rows_without_an_event_are_null(tmp_path: Path, log: LoggedRun) -> None:
-    export_log(log, tmp_path / "run.parquet", "parquet")
-    rows = pq.read_table(tmp_path / "run.parquet").to_pylist()
-    assert [k for k, row in enumerate(rows) if row["event.kind"] is not None] == [5]
-    assert rows[5]["event.kind"] == ["saturation", "note"]
 
 
 def test_a_log_of_events_alone_holds_no_sample(tmp_path: Path, topics: list[Topic]) -> None:

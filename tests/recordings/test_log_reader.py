@@ -116,8 +116,7 @@ def good_log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
         (b"\x89MCAP0\r\n", "another program"),
     ],
 )
-def test_files_that_are_no_logs(tmp_path: Path, content: bytes, problem: str) -> None:
-    path = tmp_path / "x.mcap"
+def test_files_that_are_no_logs(path: Path, content: bytes, problem: str) -> None:
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=problem) as caught:
         read_log(path)
@@ -131,8 +130,7 @@ def test_no_such_file_and_folder(tmp_path: Path) -> None:
         read_log(tmp_path)
 
 
-def test_a_log_of_another_program(tmp_path: Path) -> None:
-    path = tmp_path / "robot.mcap"
+def test_a_log_of_another_program(path: Path) -> None:
     writer = Writer(str(path))
     writer.start(library="robot 1.0")
     schema = writer.register_schema("x", "jsonschema", b"{}")
@@ -180,8 +178,7 @@ def test_only_the_topics_asked_for(tmp_path: Path, write_run: Callable[..., Path
     assert "/command" in caught.value.remedy
 
 
-def test_messages_that_do_not_fit_are_a_clear_error(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
+def test_messages_that_do_not_fit_are_a_clear_error(path: Path) -> None:
     writer = Writer(str(path))
     writer.start(library="trms 0")
     schema = orjson.dumps({"type": "object", "properties": {"x": {"type": "number"}}})

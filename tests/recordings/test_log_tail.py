@@ -212,8 +212,7 @@ class TestBadFiles:
         with pytest.raises(RecordingError, match="no such file"):
             LogTail(tmp_path / "none.mcap")
 
-    def test_no_mcap(self, tmp_path: Path) -> None:
-        path = tmp_path / "run.mcap"
+    def test_no_mcap(self, path: Path) -> None:
         path.write_text("t[s],u_v[V]\n0,1\n")
         with LogTail(path) as tail, pytest.raises(RecordingError, match="not an MCAP file"):
             tail.read()
@@ -223,14 +222,12 @@ class TestBadFiles:
             tail.read()
 
     @pytest.mark.parametrize("length", range(9))
-    def test_one_that_has_just_begun(self, tmp_path, last_chunk, length) -> None:
-        path = tmp_path / "run.mcap"
+    def test_one_that_has_just_begun(self, path, last_chunk, length) -> None:
         path.write_bytes(last_chunk[0][:length])
         with LogTail(path) as tail:
             assert tail.read() is None and not tail.finished
 
-    def test_a_record_of_a_length_that_cannot_be(self, tmp_path, last_chunk) -> None:
-        path = tmp_path / "run.mcap"
+    def test_a_record_of_a_length_that_cannot_be(self, path, last_chunk) -> None:
         path.write_bytes(last_chunk[0] + b"\x06" + (2**60).to_bytes(8, "little") + bytes(100))
         with LogTail(path) as tail:
             pieces = read_all(tail)

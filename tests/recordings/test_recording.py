@@ -42,8 +42,7 @@ def test_the_quantum_seen_through_rounding() -> None:
     assert quantum(turns) == pytest.approx(2 * np.pi / 4096, rel=1e-4)
 
 
-def test_a_recording_goes_through_a_log(tmp_path: Path, recording: Recording) -> None:
-    path = tmp_path / "rec.mcap"
+def test_a_recording_goes_through_a_log(path: Path, recording: Recording) -> None:
     write_mcap(recording, path, {"imported": "true", "file": "rec.csv"})
     back = read_recording(path)
     np.testing.assert_array_equal(back.time, recording.time)

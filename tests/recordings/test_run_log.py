@@ -149,9 +149,8 @@ def run_python(code: str, *arguments: object) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_full_disk_keeps_all_seconds_before(tmp_path: Path) -> None:
+def test_full_disk_keeps_all_seconds_before(path: Path) -> None:
     """The file size limit of the process stops a write half-way, as a full disk does."""
-    path = tmp_path / "run.mcap"
     process = run_python(
         """
         import random, resource, signal, sys
@@ -191,8 +190,7 @@ def test_full_disk_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         RunLog(tmp_path / "run.mcap", [NUMBERS], {})
 
 
-def test_closing_on_a_full_disk_keeps_the_samples(tmp_path, monkeypatch) -> None:
-    path = tmp_path / "run.mcap"
+def test_closing_on_a_full_disk_keeps_the_samples(path, monkeypatch) -> None:
     log = RunLog(path, [NUMBERS], {})
     log.write("/numbers", 1_000_000_000, (1.0, 1))
     log.flush()
@@ -227,8 +225,7 @@ KILLED = """
 
 
 @pytest.mark.parametrize("seconds", [1, 7])
-def test_sigkill_loses_nothing_that_was_flushed(tmp_path: Path, seconds: int) -> None:
-    path = tmp_path / "run.mcap"
+def test_sigkill_loses_nothing_that_was_flushed(path: Path, seconds: int) -> None:
     process = run_python(KILLED, path)
     assert process.stdout is not None
     told = [int(process.stdout.readline()) for _ in range(seconds)][-1]
@@ -242,8 +239,7 @@ def test_sigkill_loses_nothing_that_was_flushed(tmp_path: Path, seconds: int) ->
     np.testing.assert_array_equal(table.columns["x"], np.arange(len(table)))
 
 
-def test_ctrl_c_leaves_a_complete_marked_log(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_ctrl_c_leaves_a_complete_marked_log(path: Path) -> None:
     head, loop = textwrap.dedent(KILLED).split("k = 0\n")
     guarded = f"{head}with log:\n" + textwrap.indent("k = 0\n" + loop, "    ")
     process = run_python(guarded, path)
@@ -258,8 +254,7 @@ def test_ctrl_c_leaves_a_complete_marked_log(tmp_path: Path) -> None:
     np.testing.assert_array_equal(x, np.arange(len(x)))
 
 
-def test_ctrl_c_within_a_flush_is_held_back(tmp_path, monkeypatch) -> None:
-    path = tmp_path / "run.mcap"
+def test_ctrl_c_within_a_flush_is_held_back(path, monkeypatch) -> None:
     write = os.write
 
     def interrupted(descriptor: int, data: memoryview) -> int:
@@ -278,23 +273,20 @@ def test_ctrl_c_within_a_flush_is_held_back(tmp_path, monkeypatch) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_an_exception_marks_the_log_failed(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_an_exception_marks_the_log_failed(path: Path) -> None:
     with pytest.raises(ZeroDivisionError), RunLog(path, [NUMBERS], {}) as log:
         log.write("/numbers", 0, (1.0, 1))
         raise ZeroDivisionError
     assert read_log(path).outcome == "failed" and len(read_log(path).table("/numbers")) == 1
 
 
-def test_a_run_without_samples_is_a_clean_log(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_run_without_samples_is_a_clean_log(path: Path) -> None:
     RunLog(path, [NUMBERS], {}).close("interrupted")
     log = read_log(path)
     assert log.complete and log.duration_s == 0.0 and len(log.table("/numbers")) == 0
 
 
-def test_late_messages_are_put_in_order(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_late_messages_are_put_in_order(path: Path) -> None:
     with RunLog(path, [NUMBERS], {}) as log:
         for time_ns in (30, 10, 20):
             log.write("/numbers", time_ns, (float(time_ns), 0))

@@ -15,26 +15,12 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.sweeps.driver import DISK_FULL, Driver
 from trms_cli.sweeps.plugins import Attempt, Ended
 from trms_cli.sweeps.record import Record, RunFolder
-from trms_cli.sweeps.samplers.drawing import Planned
-from trms_cli.sweeps.space import RunResult, SweepPoint
+from trms_cli.sweeps.space import RunResult
+
+from .listed import Listed
 
 DEAD = subprocess.Popen(["true"])
 DEAD.wait()
-
-
-class Listed:
-    """Proposes a number of points, some at a time."""
-
-    def __init__(self, count: int, begun: int = 0) -> None:
-        self.total, self._next, self.told = count, begun, []
-
-    def more(self, results, wanted):
-        self.told += results
-        first, self._next = self._next, min(self.total, self._next + max(wanted, 0))
-        return [SweepPoint(n, (f"seed={n}",)) for n in range(first, self._next)]
-
-    def summary(self, results):
-        return {}
 
 
 class Unreliable:
@@ -200,14 +186,9 @@ def test_failed_runs_are_made_again_only_when_asked(tmp_path):
 
     _driver(tmp_path, 3).drive(Scripted(tmp_path, fails))
     known = Record(tmp_path).points()
+    work = lambda attempt: None  # noqa: E731
     for again, expected in ((False, {"failed": 3}), (True, {"done": 3})):
-        driver = Driver(
-            Record(tmp_path),
-            Listed(3, 3),
-            lambda attempt: None,
-            retries=1,
-            retry_failed=again,
-        )
+        driver = Driver(Record(tmp_path), Listed(3, 3), work, retries=1, retry_failed=again)
         driver.take_stock(known)
         driver.drive(Scripted(tmp_path, lambda crew, a: crew.work(a, dies=False)))
         assert driver.progress.counts == expected
@@ -230,7 +211,3 @@ def test_thousands_of_points_are_handed_out_in_linear_time(tmp_path):
         driver.drive(Scripted(tmp_path, lambda crew, a: crew.work(a, dies=False)))
     assert driver.progress.counts == {"done": count}
     assert looks <= 3 * count
-
-
-def test_the_planned_samplers_are_proposals():
-    assert hasattr(Planned, "more") and hasattr(Planned, "summary")

@@ -17,7 +17,9 @@ from trms_cli.sweeps.launchers.dask import DaskLauncher
 from trms_cli.sweeps.launchers.local import LocalLauncher
 from trms_cli.sweeps.launchers.slurm import SlurmLauncher, _said_by_slurm
 from trms_cli.sweeps.record import Record, RunFolder
-from trms_cli.sweeps.space import RunResult, SweepPoint
+from trms_cli.sweeps.space import RunResult
+
+from .listed import Listed
 
 RUNS, DEADLY, ALWAYS_DEADLY = 14, 5, 9
 
@@ -38,22 +40,9 @@ def make_run(folder: str, deadly: tuple[int, ...], always: tuple[int, ...], atte
     return RunResult(run.number, "done")
 
 
-class Listed:
-    """Proposes numbered points."""
-
-    total = RUNS
-
-    def __init__(self) -> None:
-        self._next = 0
-
-    def more(self, results, wanted):
-        first, self._next = self._next, min(self.total, self._next + wanted)
-        return [SweepPoint(n, (f"seed={n}",)) for n in range(first, self._next)]
-
-
 def drive(folder: Path, launcher, deadly=(), always=(), retries=1):
     work = functools.partial(make_run, str(folder), tuple(deadly), tuple(always))
-    driver = Driver(Record(folder), Listed(), work, retries=retries)
+    driver = Driver(Record(folder), Listed(RUNS), work, retries=retries)
     driver.drive(launcher)
     begun = [tuple(map(int, line.split())) for line in (folder / "begun").read_text().splitlines()]
     return driver.progress, Counter(number for number, _ in begun), {pid for _, pid in begun}
@@ -118,7 +107,7 @@ def test_a_scheduler_that_goes(tmp_path):
             cluster.close()
 
     with pytest.raises(TrmsError, match="is gone") as told:
-        Driver(Record(tmp_path), Listed(), work, retries=1, tell=tell).drive(launcher)
+        Driver(Record(tmp_path), Listed(RUNS), work, retries=1, tell=tell).drive(launcher)
     assert "sweep resume" in told.value.remedy
 
 
