@@ -273,7 +273,7 @@ def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str
         shown = f'<a href="{escape(datum.link)}">{shown}</a>'
     if is_head:
         return f'<th scope="row">{shown}</th>'
-    looks = datum.judgement
+    looks: str = datum.judgement
     if is_numeric or (value is not None and _is_number(value)):
         looks += " number"
     elif not is_sortable and len(text) <= _SHORT:
