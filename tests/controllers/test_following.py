@@ -166,7 +166,7 @@ KNOWN: list[Any] = [
     *(
         (LinearMpc(linearisation=way), model, (0.2, 0.5), (0.004, 0.0), 25.0, 2e-3)
         for way in WAYS
-        for model in ("newtonian", "lagrangian", "vertical", "horizontal", "currents")
+        for model in ("newtonian", "lagrangian", "vertical", "horizontal", "currents", "delay")
     ),
     (NewtonMpc(), "newtonian", (0.1, 0.2), (0.01, 0.008), 10.0, 1e-3),
     *(
@@ -185,7 +185,7 @@ def test_a_known_torque_leaves_no_offset(
     goal = [dict(zip(("alpha_v", "alpha_h"), level, strict=True))[name] for name in rig.controlled]
     w = np.zeros(rig.n_w)
     w[:2] = push
-    ran = close_loop(law, rig, constant(*goal), seconds, torque=lambda time: w, known=True)
+    ran = close_loop(law, rig, constant(*goal), seconds, torque=lambda t: w * (t > 1), known=True)
     np.testing.assert_allclose(ran.errors[-1], 0.0, atol=left)
     assert all(command.status is not Status.FAILED for command in ran.commands)
 

@@ -405,8 +405,8 @@ class LinearMpcState:
             return NOT_FINITE
         n_x = self.model.n_x
         if self._started and len(self._full) > n_x:
-            p, w = self.model.parameters.values, self._disturbance
-            after = self._step.evaluate(self._full, sample.previous_command, p, w)[0]
+            at = self._full, sample.previous_command, self.model.parameters.values
+            after = self._step.evaluate(*at, self._disturbance)[0]
             self._full[n_x:] = after[n_x:]
         self._started = True
         self._full[:n_x] = x
