@@ -42,10 +42,7 @@ def recorded_parser(chapter: str, about: str | None, study: Path) -> argparse.Ar
 def refuse_part(given: argparse.Namespace) -> None:
     """What is recorded is all of it.
 
-    Raises
-    ------
-    ConfigurationError
-        For ``--update`` with ``--quick`` or ``--out``.
+    Raises ConfigurationError for ``--update`` with ``--quick`` or ``--out``.
     """
     if given.update and (given.quick or given.out):
         raise ConfigurationError(

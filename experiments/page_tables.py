@@ -12,10 +12,7 @@ from trms_cli.core.errors import ConfigurationError
 def write_tables(page: Path, tables: Mapping[str, str]) -> None:
     """Put each table between ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
 
-    Raises
-    ------
-    ConfigurationError
-        If the page has lost a mark.
+    Raises ConfigurationError if the page has lost a mark.
     """
     text = page.read_text(encoding="utf-8")
     for name, table in tables.items():

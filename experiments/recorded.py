@@ -45,10 +45,7 @@ def json_text(document: Any) -> str:
 def read_expected(file: Path, part: str) -> dict[str, dict[str, Any]]:
     """A part of the recorded figures.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file has none.
+    Raises ConfigurationError if the file has none.
     """
     try:
         return dict(json.loads(file.read_text(encoding="utf-8"))[part])

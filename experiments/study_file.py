@@ -20,7 +20,6 @@ def read_as(kind: type[Kind], path: Path, example: str) -> Kind:
     ----------
     kind : type
         A ``msgspec.Struct``.
-    path : Path
     example : str
         A file of that kind, for the message.
 

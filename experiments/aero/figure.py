@@ -19,13 +19,7 @@ _SHOWN = (4.0, 30.0)
 def draw(path: Path, dataset: Dataset, models: Mapping[str, Model]) -> None:
     """Commands and angles of a recording that begins at rest; each model runs free from there.
 
-    Parameters
-    ----------
-    path : Path
-        PNG to write.
-    dataset : Dataset
-    models : mapping of str to Model
-        By the name in the legend.
+    ``path``: PNG to write. ``models``: by the name in the legend.
     """
     whole = np.array([0]), np.array([len(dataset)])
     with house_style():

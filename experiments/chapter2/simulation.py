@@ -74,13 +74,8 @@ class OpenLoop:
     ) -> Response:
         """From rest, or from states that differ from it by name.
 
-        Parameters
-        ----------
-        commands : (n, n_u) array
-            V, constant from each sample to the next.
-        start : dict of str to float
-        parameters : (n_p,) array
-            Other values for all parameters.
+        ``commands``: (n, n_u) array; V, constant from each sample to the next. ``parameters``:
+        (n_p,) array; other values for all parameters.
         """
         x = self.model.rest()
         for name, value in (start or {}).items():

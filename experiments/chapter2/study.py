@@ -91,10 +91,7 @@ class Study(msgspec.Struct, forbid_unknown_fields=True):
 def read_study(path: Path = STUDY) -> Study:
     """The study of a YAML.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is not one.
+    Raises ConfigurationError if the file is not one.
     """
     return read_as(Study, path, "experiments/chapter2/study.yaml")
 
@@ -102,10 +99,7 @@ def read_study(path: Path = STUDY) -> Study:
 def signal(given: Mapping[str, Any], where: str) -> ReferenceSignal:
     """A signal of the library with other values for some of its keys.
 
-    Raises
-    ------
-    ConfigurationError
-        For an option that there is not, or a key that it does not have.
+    Raises ConfigurationError for an option that there is not, or a key that it does not have.
     """
     values = dict(given)
     name = values.pop("signal", "")

@@ -12,10 +12,7 @@ from trms_cli.core.errors import RecordingError
 def filled(text: str, tables: Mapping[str, str], where: str) -> str:
     """The page with each table between its marks ``<!-- table NAME -->`` and ``<!-- end -->``.
 
-    Raises
-    ------
-    RecordingError
-        If a table has no place in the page.
+    Raises RecordingError if a table has no place in the page.
     """
     for name, table in tables.items():
         marks = re.compile(rf"(<!-- table {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -47,7 +47,6 @@ def recording(
         s.
     seed : int
         Of the commands and of the noise.
-    name : str
     """
     built = build(option("model", model), "model")
     rig = SimulatedRig(model=built, sensors=bench_sensors())

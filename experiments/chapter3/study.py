@@ -38,12 +38,7 @@ class Study:
 def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None) -> Study:
     """Run everything; ``short`` is the share of the recordings' durations.
 
-    Parameters
-    ----------
-    jobs : int
-        Processes.
-    seeds : sequence of int or None
-        In place of the settings'.
+    ``jobs``: processes. ``seeds``: in place of the settings'.
     """
     seconds: dict[str, float] = {}
     with _pool(jobs) as run:

@@ -185,12 +185,8 @@ def draw_structure(
 ) -> None:
     """Map of errors over lags and hidden units, with the spread over starts in each cell.
 
-    Parameters
-    ----------
-    errors : (n_lags, n_hidden, n_starts) array
-        Infinite after a divergence.
-    chosen : (int, int)
-        Lags and hidden units of the selected structure.
+    ``errors``: (n_lags, n_hidden, n_starts) array; infinite after a divergence. ``chosen``: lags
+    and hidden units of the selected structure.
     """
     with house_style():
         figure = new_figure(1.9 + 1.35 * len(hidden), 1.5 + 0.75 * len(lags))

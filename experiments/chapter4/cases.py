@@ -41,10 +41,7 @@ class Study:
 def read_study(only: str = "*", quick: bool = False, file: Path = CASES) -> Study:
     """The study, its cases restricted to those whose number or name fits a pattern.
 
-    Parameters
-    ----------
-    quick : bool
-        Recordings of 20 s and small searches, to see that everything works.
+    ``quick``: recordings of 20 s and small searches, to see that everything works.
     """
     content = yaml.safe_load(file.read_text(encoding="utf-8"))
     every = content["every"]

@@ -71,10 +71,7 @@ def write_out(found: Findings, folder: Path) -> None:
 def publish(found: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
-    Raises
-    ------
-    ValueError
-        If the page has no marks for a table.
+    Raises ValueError if the page has no marks for a table.
     """
     text = page.read_text(encoding="utf-8")
     blocks = {name: _markdown(rows) for name, rows in tables(found).items()}

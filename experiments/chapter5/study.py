@@ -35,10 +35,7 @@ class Study(msgspec.Struct, forbid_unknown_fields=True):
 def read_study(path: Path = STUDY, *, quick: bool = False) -> Study:
     """The study of a YAML, or the quick part of it.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is not one.
+    Raises ConfigurationError if the file is not one.
     """
     study = read_as(Study, path, str(STUDY))
     if quick:

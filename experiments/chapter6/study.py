@@ -140,10 +140,7 @@ class Study(msgspec.Struct, forbid_unknown_fields=True):
 def read_study(path: Path = STUDY, *, quick: bool = False) -> Study:
     """The study of a YAML, or the quick one in it.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is not one.
+    Raises ConfigurationError if the file is not one.
     """
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))

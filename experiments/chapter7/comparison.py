@@ -21,10 +21,8 @@ def deviations(
 ) -> Iterator[Deviation]:
     """What deviates by more than its tolerance, or is not there any more.
 
-    Parameters
-    ----------
-    expected, now : mappings
-        Figures by run, nested; only figures named in ``tolerances`` are looked at.
+    ``expected``, ``now``: figures by run, nested; only figures named in ``tolerances`` are looked
+    at.
     """
     for key, value, was in _figures(expected, now):
         name = key.rpartition(".")[2]

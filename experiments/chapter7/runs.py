@@ -35,10 +35,7 @@ class Outcome:
 def run_job(job: Job, last: float) -> Outcome:
     """Close the loop; never raises but on Ctrl-C.
 
-    Parameters
-    ----------
-    last : float
-        s at the end over which the steady state is taken.
+    ``last``: s at the end over which the steady state is taken.
     """
     outcome = Outcome(job)
     try:

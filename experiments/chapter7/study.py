@@ -60,10 +60,7 @@ class Job:
 def read_study(path: Path = STUDY) -> Study:
     """The study of a YAML.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is not one.
+    Raises ConfigurationError if the file is not one.
     """
     return read_as(Study, path, "experiments/chapter7/study.yaml")
 

@@ -88,10 +88,7 @@ class Study(msgspec.Struct, forbid_unknown_fields=True):
 def read_study(path: Path = STUDY) -> Study:
     """The study of a YAML.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is not one.
+    Raises ConfigurationError if the file is not one.
     """
     return read_as(Study, path, "experiments/chapter8/study.yaml")
 

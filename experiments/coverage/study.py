@@ -76,7 +76,6 @@ def coverage(
 
     Parameters
     ----------
-    seeds : sequence of int
     duration : float
         Of each recording, s, at 50 Hz.
     with_priors : bool

@@ -194,12 +194,7 @@ def tracking(
 ) -> Tracking:
     """Figures of a run.
 
-    Parameters
-    ----------
-    references, angles : (n, 2) arrays
-        rad.
-    commands : (n, 2) array
-        V.
+    ``references``, ``angles``: (n, 2) arrays; rad. ``commands``: (n, 2) array; V.
     """
     first, waited = round(study["run"]["from"] / step), round(_SETTLED_AFTER / step)
     error = angles - references

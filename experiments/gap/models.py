@@ -17,10 +17,7 @@ NOMINAL, REFIT, DIAGNOSED, TOLD, TRUE = "nominal", "refit", "diagnosed", "told",
 def identified(recording: Path, out: Path, effect: str = "") -> Path:
     """``trms identify`` on a recording: all parameters with priors, and the sizes of an effect.
 
-    Returns
-    -------
-    Path
-        Of the fitted model; an earlier fit in the same folder is taken.
+    Returns of the fitted model; an earlier fit in the same folder is taken.
     """
     from trms_cli.composition.composer import compose
     from trms_cli.library.tasks import identify
@@ -39,11 +36,8 @@ def identified(recording: Path, out: Path, effect: str = "") -> Path:
 def diagnosed(recordings: Sequence[Path], out: Path, words: Sequence[str] = ()) -> Path:
     """``trms diagnose`` on recordings.
 
-    Returns
-    -------
-    Path
-        The folder with ``diagnosis.json`` and ``corrected_model.yaml``; an earlier diagnosis is
-        taken.
+    Returns the folder with ``diagnosis.json`` and ``corrected_model.yaml``; an earlier diagnosis is
+    taken.
     """
     from trms_cli.commands import diagnose
     from trms_cli.composition.composer import compose

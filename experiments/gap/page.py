@@ -79,10 +79,7 @@ def print_tables(found: Findings) -> None:
 def write_out(found: Findings, folder: Path, runs: Path) -> None:
     """Tables as JSON and Markdown, and figures, into a folder.
 
-    Parameters
-    ----------
-    runs : Path
-        Where the runs' traces lie.
+    ``runs``: where the runs' traces lie.
     """
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(document(found), indent=1, ensure_ascii=False, allow_nan=False)
@@ -95,10 +92,7 @@ def write_out(found: Findings, folder: Path, runs: Path) -> None:
 def publish(found: Findings, runs: Path, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
-    Raises
-    ------
-    ValueError
-        If the page has no marks for a table.
+    Raises ValueError if the page has no marks for a table.
     """
     text = page.read_text(encoding="utf-8")
     blocks = {name: markdown(rows) for name, rows in tables(found).items()}

@@ -54,10 +54,7 @@ class Rig:
 def rig_of(effect: str, sizes: Mapping[str, float], seed: int, scatter: float) -> Rig:
     """A rig drawn about the nominal parameters.
 
-    Parameters
-    ----------
-    scatter : float
-        Deviation of the parameters as a share of that of their priors.
+    ``scatter``: deviation of the parameters as a share of that of their priors.
     """
     return Rig(effect, sizes, seed, Newtonian().parameters.drawn(seed, scatter))
 
@@ -111,7 +108,6 @@ def driven(
 
     Parameters
     ----------
-    driver : Driver
     duration, sample_time, settling : float
         s; see :meth:`experiments.gap.blind.rig.Rigs.run`.
     among : sequence of Rig
@@ -140,10 +136,7 @@ def gentle_excitation(seed: int, duration: float, sample_time: float) -> FloatAr
 
     What a lab does before it lets commands loose on a rig.
 
-    Returns
-    -------
-    (samples, 2) array
-        V.
+    Returns (samples, 2) array; V.
     """
     model, samples = Newtonian(), round(duration / sample_time)
     rollout = Rollout(model, sample_time)

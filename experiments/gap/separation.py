@@ -133,10 +133,7 @@ def slow_sines(seed: int, samples: int, sample_time: float, highest: float) -> F
 def commands_of(command: str, scratch: Path, sample_time: float) -> FloatArray:
     """What a ``trms excite`` or an open-loop ``trms run`` would play, (n, 2) V.
 
-    Raises
-    ------
-    ConfigurationError
-        For any other command, or one with another sample time.
+    Raises ConfigurationError for any other command, or one with another sample time.
     """
     program, verb, *words = shlex.split(command)
     if program != "trms" or verb not in ("excite", "run"):

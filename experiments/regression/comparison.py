@@ -60,10 +60,7 @@ class Comparison:
 def read_recorded(path: Path = BASELINE) -> Recorded:
     """Read a baseline file.
 
-    Raises
-    ------
-    RecordingError
-        If it is missing or not complete.
+    Raises RecordingError if it is missing or not complete.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -93,10 +90,7 @@ def read_recorded(path: Path = BASELINE) -> Recorded:
 def check_matrix(cases: Sequence[Case], recorded: Recorded) -> None:
     """Refuse to compare a run with another run's score.
 
-    Raises
-    ------
-    RecordingError
-        If a case has other overrides than the baseline's of its name.
+    Raises RecordingError if a case has other overrides than the baseline's of its name.
     """
     for case in cases:
         run = recorded.runs.get(case.name)
@@ -166,10 +160,7 @@ def write_recorded(
 ) -> Recorded:
     """Make the scores of these outcomes the baseline.
 
-    Raises
-    ------
-    RecordingError
-        If a run failed, or the file cannot be written: the old one stays.
+    Raises RecordingError if a run failed, or the file cannot be written: the old one stays.
     """
     from trms_cli.recordings.output_file import whole_file
 

@@ -46,7 +46,6 @@ def read_matrix(path: Path = MATRIX, pattern: str = "*", extra: Sequence[str] = 
 
     Parameters
     ----------
-    path : Path
     pattern : str
         As a shell matches file names: ``newton_mpc/*``, ``*/disturbed``.
     extra : sequence of str

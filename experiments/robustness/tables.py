@@ -16,10 +16,7 @@ _LEVEL = 0.05
 def table_of(document: Mapping[str, Any]) -> str:
     """The tables of a sweep.
 
-    Parameters
-    ----------
-    document : dict
-        ``trms.sweep-status/1``.
+    ``document``: ``trms.sweep-status/1``.
     """
     counts = document["counts"]
     lines = [f"{counts['done']} runs done, {counts['failed'] + counts['lost']} failed or lost.", ""]

@@ -294,10 +294,7 @@ def publish(
 ) -> None:
     """Rewrite the page between its marks, and copy the figures.
 
-    Raises
-    ------
-    ValueError
-        If the page lacks the marks of a part.
+    Raises ValueError if the page lacks the marks of a part.
     """
     text = page.read_text(encoding="utf-8")
     parts: dict[str, list[str] | Rows] = {"about": [_about(about, results)], **made}

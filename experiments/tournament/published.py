@@ -59,10 +59,7 @@ class Beside:
 def read_published(path: Path = PUBLISHED) -> list[Published]:
     """Read the list.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is none.
+    Raises ConfigurationError if the file is none.
     """
     try:
         return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), list[Published])
@@ -75,10 +72,7 @@ def read_published(path: Path = PUBLISHED) -> list[Published]:
 def put_beside(published: Published, folder: Path) -> Beside:
     """Run what can be repeated; never raises for a run that fails.
 
-    Parameters
-    ----------
-    folder : Path
-        For a parameter set with other limits.
+    ``folder``: for a parameter set with other limits.
     """
     ours = published.ours
     if ours is None:

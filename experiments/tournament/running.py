@@ -61,8 +61,6 @@ def run_all(
 
     Parameters
     ----------
-    runs : sequence of Run
-    out : Path
     jobs : int
         Processes.
     time_limit : float

@@ -140,10 +140,7 @@ class Plan(msgspec.Struct, forbid_unknown_fields=True):
 def read_plan(path: Path = TOURNAMENT) -> Plan:
     """Read a tournament.
 
-    Raises
-    ------
-    ConfigurationError
-        If the file is none.
+    Raises ConfigurationError if the file is none.
     """
     try:
         return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), Plan)
@@ -160,7 +157,6 @@ def runs_of(plan: Plan, *, pattern: str = "*", quick: bool = False) -> list[Run]
 
     Parameters
     ----------
-    plan : Plan
     pattern : str
         As a shell matches file names: ``newton_mpc+*``, ``*/sine/*``, ``*/draw_*``; several with
         commas.

@@ -67,10 +67,7 @@ class Results:
 def read_results(folder: Path, criteria: Criteria) -> Results:
     """Sum up what lies in a tournament's folder.
 
-    Raises
-    ------
-    RecordingError
-        If there are no runs of the main block.
+    Raises RecordingError if there are no runs of the main block.
     """
     gathered = {
         block: gather([folder / block]) for block in BLOCKS if any((folder / block).glob("*"))

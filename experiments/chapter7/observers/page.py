@@ -25,10 +25,8 @@ def tables_of(
 ) -> dict[str, str]:
     """Markdown by mark of the page.
 
-    Parameters
-    ----------
-    times : bool
-        Whether times are told; they are worth nothing of a machine that does something else too.
+    ``times``: whether times are told; they are worth nothing of a machine that does something else
+    too.
     """
     chosen = [cell for cell in cells if cell.condition in _TOLD]
     return {

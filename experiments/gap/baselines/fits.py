@@ -86,11 +86,7 @@ def fit_problem(
 ) -> FitProblem:
     """The nominal parameters and the sizes of some effects, to be fitted together.
 
-    Parameters
-    ----------
-    chosen : sequence of CandidateEffect
-    starts : dict of str to float or None
-        Where a search begins instead of at the prior's centre or the typical size.
+    ``starts``: where a search begins instead of at the prior's centre or the typical size.
     """
     model = with_values(joint(problem.model, chosen), starts or {})
     priors = {p.name: p for p in nominal_free(problem.model)}

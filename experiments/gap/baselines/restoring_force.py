@@ -55,12 +55,7 @@ class Motion:
 def motion(model: Model, datasets: Sequence[Dataset], free: Sequence[str], block: float) -> Motion:
     """Of all recordings, one after another; the ends of each, where derivatives are poor, left out.
 
-    Parameters
-    ----------
-    free : sequence of str
-        Parameters whose forces are wanted.
-    block : float
-        s.
+    ``free``: parameters whose forces are wanted. ``block``: s.
     """
     step = datasets[0].sample_time
     equations, thin = _equations(model, tuple(free)), max(1, round(_THINNED / step))

@@ -61,12 +61,8 @@ def compete(
 ) -> Competitor:
     """Fit the nominal parameters and some effects together.
 
-    Parameters
-    ----------
-    nominal : Competitor or None
-        The fit without effects; None fits that.
-    held : bool
-        Whether the parameters stay as they are: only the windows' starts are fitted.
+    ``nominal``: the fit without effects; None fits that. ``held``: whether the parameters stay as
+    they are: only the windows' starts are fitted.
     """
     asked = fit_problem(problem, parts, chosen, robust=None, discrepancy="none")
     windows = Windows(asked)

@@ -126,13 +126,7 @@ _NEEDS_SPEED = ("main_tacho_lag", "tail_tacho_lag")
 def plan(name: str, seed: int, cases: int | None = None) -> list[Case]:
     """The cases of a set, in an order that tells nothing.
 
-    Parameters
-    ----------
-    name : str
-        Of :data:`SETS`.
-    seed : int
-    cases : int or None
-        Instead of the set's own number.
+    ``name``: of :data:`SETS`. ``cases``: instead of the set's own number.
     """
     made_of = SETS[name]
     number = made_of.cases if cases is None else cases

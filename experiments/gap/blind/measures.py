@@ -72,13 +72,8 @@ def table(
 ) -> Table:
     """All measures of one method.
 
-    Parameters
-    ----------
-    judged : sequence of JudgedCase
-    oracle : dict of str to JudgedCase or None
-        Answers of one who was told the effect, by case.
-    draws, seed : int
-        Of the bootstrap.
+    ``oracle``: answers of one who was told the effect, by case. ``draws``, ``seed``: of the
+    bootstrap.
     """
     took = [j.answer.seconds for j in judged if j.answer.seconds is not None]
     return Table(

@@ -101,14 +101,9 @@ class Rigs:
     ) -> RigRecordings:
         """Drive all rigs for a while.
 
-        Parameters
-        ----------
-        driver : Driver
-        duration, sample_time : float
-            s; a sample is a whole number of integration steps.
-        settling : float
-            s at the first command before, with the axes braked, so that no run begins wild; with
-            0 a run begins hanging at rest.
+        ``duration``, ``sample_time``: s; a sample is a whole number of integration steps.
+        ``settling``: s at the first command before, with the axes braked, so that no run begins
+        wild; with 0 a run begins hanging at rest.
         """
         run = _Run(self, sample_time)
         run.settle(driver, settling)

@@ -72,10 +72,7 @@ def diagnose_all(
 ) -> dict[str, str]:
     """Diagnose recordings, some at once.
 
-    Returns
-    -------
-    dict of str to str
-        Why, by name, for those that could not be diagnosed.
+    Returns why, by name, for those that could not be diagnosed.
     """
     from multiprocessing import get_context
 

@@ -73,10 +73,8 @@ def factor_of(effect: str, level: str) -> float:
 def interpolated(factors: FloatArray, ratios: FloatArray) -> dict[str, dict[str, float]]:
     """Factor and ratio by level from what was measured.
 
-    Parameters
-    ----------
-    factors, ratios : (k,) arrays
-        Multiples of the reference size, and the gap over the floor at each.
+    ``factors``, ``ratios``: (k,) arrays; multiples of the reference size, and the gap over the
+    floor at each.
     """
     order = np.argsort(factors)
     size = np.log(factors[order])
@@ -111,10 +109,7 @@ def _crossing(size: FloatArray, gap: FloatArray, wanted: float) -> float:
 def measure(effects: Sequence[str], known: Mapping[str, Any]) -> dict[str, Any]:
     """Measure effects; progress goes to the error stream.
 
-    Parameters
-    ----------
-    known : dict of str to dict
-        Entries of the file whose measured points count as well.
+    ``known``: entries of the file whose measured points count as well.
     """
     points = {e: [tuple(p) for p in known.get(e, {}).get("measured", [])] for e in effects}
     factors = {e: _begin(e) for e in effects}
