@@ -48,18 +48,10 @@ VALUES = st.one_of(
     st.tuples(
         st.sampled_from(
             [
-                "sim.duration",
-                "seed",
-                "sim.sample_time",
-                "plant.prior_seed",
-                "plant.parameters.k_g",
-                "model.parameters.k_g",
-                "++plant.parameters.h_v",
-                "ref.alpha_v.amplitude",
-                "effect.yaw_coulomb_friction.torque",
-                "controller.sample_time",
-                "plant.sensors.noise_sd.omega_v",
-                "model.name",
+                *("sim.duration", "seed", "sim.sample_time", "plant.prior_seed", "model.name"),
+                *("plant.parameters.k_g", "model.parameters.k_g", "++plant.parameters.h_v"),
+                *("ref.alpha_v.amplitude", "effect.yaw_coulomb_friction.torque"),
+                *("controller.sample_time", "plant.sensors.noise_sd.omega_v"),
             ]
         ),
         NUMBERS,

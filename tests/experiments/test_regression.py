@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -21,7 +18,6 @@ from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.scoring.figures import FigureTolerance
 
-ROOT = Path(__file__).parents[2]
 #: Two short runs of one controller: a matrix for whole turns of the command.
 SMALL = """
 every: [sim.duration=6.0, sim.prediction_every=0]
@@ -54,19 +50,6 @@ def with_rmse(outcome: Outcome, change: float) -> Outcome:
     assert score is not None
     score["channels"]["alpha_v"]["rmse"] += change
     return Outcome(outcome.case, score)
-
-
-def regression(*argv: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The module as make calls it."""
-    return subprocess.run(
-        [sys.executable, "-m", "experiments.regression", *argv],
-        cwd=ROOT,
-        env=os.environ | {"NO_COLOR": "1", "COLUMNS": "80"} | environment,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=300,
-    )
 
 
 class TestMatrix:
@@ -222,26 +205,22 @@ class TestComparison:
 
 
 class TestCommand:
-    def test_update_compare_and_fail(self, small: Path, tmp_path: Path) -> None:
-        baseline = tmp_path / "baseline.json"
-        files = ["--matrix", str(small), "--baseline", str(baseline)]
-        updated = regression("--update", "--reason", "a test", *files)
-        assert updated.returncode == 0, updated.stderr
-        assert "baseline recorded: a test" in updated.stdout
+    def test_update_compare_and_fail(self, small: Path, tmp_path: Path, capsys, monkeypatch):
+        monkeypatch.setenv("COLUMNS", "80")
+        files = ["--matrix", str(small), "--baseline", str(tmp_path / "baseline.json")]
+        assert main(["--update", "--reason", "a test", *files]) == 0
+        assert "baseline recorded: a test" in capsys.readouterr().out
 
-        same = regression(*files, "--json")
-        assert same.returncode == 0, same.stdout + same.stderr
-        document = json.loads(same.stdout)
+        assert main([*files, "--json"]) == 0
+        document = json.loads(capsys.readouterr().out)
         assert document["schema"] == "trms.regression/1"
         assert not document["worse"]
         assert document["baseline"]["reason"] == "a test"
 
-        worse = regression(
-            *files, "--only", "*/square/*", "controller.move_weights={u_v: 30.0, u_h: 30.0}"
-        )
-        assert worse.returncode == 1, worse.stdout + worse.stderr
-        assert "WORSE" in worse.stdout
-        assert "alpha_v rmse" in worse.stdout
+        heavier = "controller.move_weights={u_v: 30.0, u_h: 30.0}"
+        assert main([*files, "--only", "*/square/*", heavier]) == 1
+        told = capsys.readouterr().out
+        assert "WORSE" in told and "alpha_v rmse" in told
 
     def test_a_missing_baseline_is_told_before_anything_runs(self, tmp_path: Path, capsys) -> None:
         assert main(["--baseline", str(tmp_path / "none.json")]) == 2

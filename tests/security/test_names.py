@@ -15,16 +15,8 @@ from trms_cli.core.printable import printable
 from trms_cli.core.resources import config_folder
 
 _ELSEWHERE = [
-    "../outside",
-    "/etc/passwd",
-    "a/../../b",
-    "..",
-    "a\0b",
-    "C:\\Windows\\x",
-    "x" * 5000,
-    "",
-    "\N{FULLWIDTH SOLIDUS}etc",
-    "%2e%2e%2fx",
+    *("../outside", "/etc/passwd", "a/../../b", "..", "a\0b", "C:\\Windows\\x"),
+    *("x" * 5000, "", "\N{FULLWIDTH SOLIDUS}etc", "%2e%2e%2fx"),
 ]
 
 
