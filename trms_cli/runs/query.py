@@ -18,7 +18,6 @@ from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.recordings.log_head import read_log_head
-from trms_cli.recordings.log_reader import LogTail
 from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql, column_sql, nearest
 from trms_cli.runs.entry import LOG_NAME, STATUS_NAME, read_entry, read_status
 from trms_cli.runs.filter import translated
@@ -303,6 +302,10 @@ def latest_run(folder: Path) -> Latest | None:
 
 def _is_written(log: str) -> bool:
     """Whether a log has no end and somebody has it open to write one."""
+    from trms_cli.recordings.log_reader import (
+        LogTail,
+    )  # loads NumPy
+
     try:
         with open(log, "rb") as file:
             size = file.seek(0, os.SEEK_END)
