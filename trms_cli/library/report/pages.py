@@ -8,14 +8,17 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.library.report.logs import name_of, read_run
+from trms_cli.core.wording import choice_labels
 from trms_cli.library.report.summary import drawn_keys
 from trms_cli.library.report.sweeps import (
     PAGE_NAME,
@@ -32,10 +35,101 @@ from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
     from trms_cli.core.findings import Findings
+    from trms_cli.recordings.log_reader import LoggedRun
     from trms_cli.reporting.signals import RunReport
     from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.ranking import Ranking
     from trms_cli.scoring.comparison.runs import ComparisonRun
+
+_MOST_TEXT = 2_000  # characters of a fact
+#: Packages whose versions are named on a page.
+_PACKAGES = ("trms", "python", "numpy", "casadi")
+
+
+def read_run(path: Path, *, name: str = "") -> RunReport:
+    """Read a log, complete or not.
+
+    Parameters
+    ----------
+    path : Path
+        The log's file.
+    name : str
+        What the run is called; by default its folder, or the file where that has another name.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, is no log of a run, or is larger than what is read.
+    """
+    from trms_cli.recordings.log_reader import read_log
+    from trms_cli.reporting.signals import RunReport, limits_in
+
+    log = read_log(path)
+    texts = {key: str(value) for key, value in log.run.items()}
+    return RunReport(
+        name=name or name_of(path),
+        tables=log.tables,
+        score=_score_of_log(log),
+        limits=limits_in(log),
+        outcome=log.outcome,
+        duration=log.duration_s,
+        problems=log.problems,
+        choices=_choices(texts, log.config),
+        facts=_facts(log, texts, path),
+        command=texts.get("command", "")[:_MOST_TEXT],
+        repeat=f"trms run --from {shlex.quote(str(path))}" if log.config else "",
+        config=log.config,
+    )
+
+
+def name_of(path: Path) -> str:
+    """``…/first/run.mcap`` as ``first``, ``…/monday.mcap`` as ``monday``."""
+    if path.name == LOG_NAME:
+        return path.resolve().parent.name or path.stem
+    return path.stem
+
+
+def _score_of_log(log: LoggedRun) -> Mapping[str, Any]:
+    """Scored afresh, as ``trms score`` does; what a log says of itself where that fails."""
+    from trms_cli.scoring.score import score_log
+
+    try:
+        return score_log(log)
+    except (RecordingError, ValueError, KeyError, IndexError, TypeError, AttributeError):
+        return log.score
+
+
+def _choices(texts: Mapping[str, str], config: str) -> dict[str, str]:
+    choices = _json(texts, "choices")
+    if not isinstance(choices, Mapping):
+        return {}
+    shown = choice_labels(choices, config)
+    return {group: told[:_MOST_TEXT] for group, told in shown.items() if told not in ("", "none")}
+
+
+def _facts(log: LoggedRun, texts: Mapping[str, str], path: Path) -> dict[str, str]:
+    facts = {}
+    for key, words in (("seed", "seed"), ("recording.file", "recording"), ("start", "begun")):
+        if texts.get(key):
+            facts[words] = texts[key][:_MOST_TEXT]
+    if "begun" in facts:  # to the second
+        facts["begun"] = re.sub(r"^(\S{10})T(\S{8})\.\d+\+00:00$", r"\1 \2 UTC", facts["begun"])
+    facts["log"] = str(path)
+    versions = _json(texts, "versions")
+    if isinstance(versions, Mapping):
+        told = [f"{name} {versions[name]}" for name in _PACKAGES if name in versions]
+        if texts.get("git"):
+            told.append(f"git {texts['git']}")
+        facts["versions"] = ", ".join(told)[:_MOST_TEXT]
+    return facts
+
+
+def _json(texts: Mapping[str, str], key: str) -> Any:
+    try:
+        return json.loads(texts.get(key, "null"))
+    except (ValueError, RecursionError):
+        return None
+
 
 #: Coordinates that every ranking looks at, also where runs do not differ in them.
 _DRAW = "draw"
@@ -54,7 +148,7 @@ def ranking_of(runs: Sequence[ComparisonRun]) -> Ranking | None:
     return ranking if ranking.best else None
 
 
-def compared(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparisonRun]:
+def runs_of_rows(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparisonRun]:
     """Rows of the index as a ranking takes them, without reading a log again.
 
     All that was `drawn` for a run is one coordinate, its draw: a condition, and no entrant's.
@@ -255,7 +349,7 @@ def _of_sweep(
     sweep = read_sweep(given, found, page_folder)
     # A search tries each set of weights once or a few times: its own objectives say which is best.
     drawn = drawn_keys(sweep_document(given[0])) if len(given) == 1 else []
-    ranking = None if sweep.objectives else ranking_of(compared(found, drawn))
+    ranking = None if sweep.objectives else ranking_of(runs_of_rows(found, drawn))
     findings = findings_of_sweep(sweep, ranking=ranking, title=title)
     runs = tuple(str(row["path"]) for row in found.runs)
     return Report(findings, "sweep", runs, folder, tuple(found.unreadable))
