@@ -22,26 +22,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import ScaledTranslation
 
-from trms_cli.core.chart import (
-    Axis,
-    Band,
-    Bars,
-    Boxes,
-    Chart,
-    Contour,
-    Curve,
-    Events,
-    Fans,
-    Flow,
-    Heat,
-    Line,
-    Mark,
-    Note,
-    Panel,
-    Points,
-    Region,
-    Span,
-)
+from trms_cli.core import chart as charts
 from trms_cli.reporting.style import (
     ALARM,
     GREY,
@@ -69,7 +50,7 @@ _CROWDED = 12
 _PLAIN_SPAN = 150.0
 
 
-def picture_of(chart: Chart) -> Figure:
+def picture_of(chart: charts.Chart) -> Figure:
     """The figure, to be called within :func:`trms_cli.reporting.style.house_style`."""
     columns = max(1, min(chart.columns, len(chart.panels)))
     rows = math.ceil(len(chart.panels) / columns)
@@ -128,7 +109,7 @@ _TITLE_LETTERS, _TITLE_LINE = 9.8, 0.19
 _NOTE_LETTERS = 15.5
 
 
-def sheet_of(chart: Chart, title: str = "") -> Figure:
+def sheet_of(chart: charts.Chart, title: str = "") -> Figure:
     """Panels over one time in rows, heights and width in inches, each legend over its panel.
 
     Placed by hand: to have the places found takes as long as all the drawing. To be called within
@@ -171,7 +152,7 @@ def sheet_of(chart: Chart, title: str = "") -> Figure:
     return figure
 
 
-def _is_crowded(panel: Panel, width: float) -> bool:
+def _is_crowded(panel: charts.Panel, width: float) -> bool:
     """Whether a note and a legend find no room beside each other."""
     labels = dict.fromkeys(label for mark in panel.marks if (label := getattr(mark, "label", "")))
     letters = sum(len(label) + _HANDLE_LETTERS for label in labels) + len(panel.note)
@@ -200,7 +181,7 @@ def _margins(width: float, height: float, *, titled: bool) -> dict[str, float]:
     }
 
 
-def draw_panel(axes: Any, panel: Panel) -> dict[str, Handle]:
+def draw_panel(axes: Any, panel: charts.Panel) -> dict[str, Handle]:
     """Draw everything into axes; what the legend shows, by label."""
     if panel.z is not None:
         axes.set_proj_type("ortho")
@@ -240,7 +221,7 @@ def draw_panel(axes: Any, panel: Panel) -> dict[str, Handle]:
     return handles
 
 
-def _set_axis(axes: Any, name: str, axis: Axis) -> None:
+def _set_axis(axes: Any, name: str, axis: charts.Axis) -> None:
     label = f"{axis.label} [{axis.unit}]" if axis.unit else axis.label
     pad = {} if not hasattr(axes, "zaxis") else {"labelpad": 2.0}
     getattr(axes, f"set_{name}label")(label, **pad)
@@ -248,7 +229,7 @@ def _set_axis(axes: Any, name: str, axis: Axis) -> None:
         getattr(axes, f"set_{name}scale")("log")
 
 
-def _set_ticks(axes: Any, name: str, axis: Axis) -> None:
+def _set_ticks(axes: Any, name: str, axis: charts.Axis) -> None:
     side = getattr(axes, f"{name}axis")
     if axis.ticks:
         seen = getattr(axes, f"get_{name}lim")()
@@ -354,39 +335,39 @@ class Handle:
     look: object  #: Equal for marks that cannot be told apart
 
 
-def draw_mark(axes: Any, mark: Mark) -> Handle | None:
+def draw_mark(axes: Any, mark: charts.Mark) -> Handle | None:
     """Draw one; what stands for it in the legend, or None for a mark without."""
     match mark:
-        case Curve():
+        case charts.Curve():
             return _curve(axes, mark)
-        case Points():
+        case charts.Points():
             return _points(axes, mark)
-        case Flow():
+        case charts.Flow():
             _flow(axes, mark)
-        case Contour():
+        case charts.Contour():
             return _contour(axes, mark)
-        case Region():
+        case charts.Region():
             return _region(axes, mark)
-        case Band():
+        case charts.Band():
             return _band(axes, mark)
-        case Span():
+        case charts.Span():
             colour = to_rgba(_colour(mark.colour), mark.opacity)
             axes.axvspan(mark.begin, mark.end, color=colour, linewidth=0, zorder=0)
             return Handle(Patch(facecolor=colour), ("patch", mark.colour, round(mark.opacity, 2)))
-        case Line():
+        case charts.Line():
             return _line(axes, mark)
-        case Note():
+        case charts.Note():
             _note(axes, mark)
-        case Bars():
+        case charts.Bars():
             _bars(axes, mark)
-        case Events():
+        case charts.Events():
             return _events(axes, mark)
-        case Fans():
-            return _curve(axes, Curve(mark.x, mark.y, mark.label, mark.colour, width=0.6,
+        case charts.Fans():
+            return _curve(axes, charts.Curve(mark.x, mark.y, mark.label, mark.colour, width=0.6,
                                       held=mark.held))  # fmt: skip
-        case Boxes():
+        case charts.Boxes():
             _boxes(axes, mark)
-        case Heat():
+        case charts.Heat():
             rows, columns = np.shape(mark.values)
             axes.pcolormesh(
                 range(columns), range(rows), mark.values, cmap=ListedColormap(SHADES), zorder=0.5
@@ -410,7 +391,7 @@ def _line_handle(colour: str, style: str, width: float, opacity: float = 1.0) ->
     return Handle(shown, ("line", colour, style))
 
 
-def _curve(axes: Any, mark: Curve) -> Handle:
+def _curve(axes: Any, mark: charts.Curve) -> Handle:
     look = {
         "color": _colour(mark.colour),
         "linestyle": _DASHES[mark.style],
@@ -431,7 +412,7 @@ def _curve(axes: Any, mark: Curve) -> Handle:
     return _line_handle(mark.colour, mark.style, mark.width, mark.opacity)
 
 
-def _arrowhead(axes: Any, x: np.ndarray, y: np.ndarray, mark: Curve) -> None:
+def _arrowhead(axes: Any, x: np.ndarray, y: np.ndarray, mark: charts.Curve) -> None:
     """An arrowhead where a third of the way on the panel is done."""
     finite = np.isfinite(x) & np.isfinite(y)
     x, y = x[finite], y[finite]
@@ -458,7 +439,7 @@ def _arrowhead(axes: Any, x: np.ndarray, y: np.ndarray, mark: Curve) -> None:
     )
 
 
-def _points(axes: Any, mark: Points) -> Handle:
+def _points(axes: Any, mark: charts.Points) -> Handle:
     colour = _colour(mark.colour)
     face: Any = {"unstable": "white", "saddle": "white"}.get(mark.marker, colour)
     if mark.marker == "cross":
@@ -501,7 +482,7 @@ def _points(axes: Any, mark: Points) -> Handle:
     return Handle(Line2D([], [], **look), ("points", mark.marker, mark.colour))
 
 
-def _flow(axes: Any, mark: Flow) -> None:
+def _flow(axes: Any, mark: charts.Flow) -> None:
     axes.streamplot(
         np.asarray(mark.x, float),
         np.asarray(mark.y, float),
@@ -515,7 +496,7 @@ def _flow(axes: Any, mark: Flow) -> None:
     )
 
 
-def _contour(axes: Any, mark: Contour) -> Handle:
+def _contour(axes: Any, mark: charts.Contour) -> Handle:
     drawn = axes.contour(
         mark.x,
         mark.y,
@@ -535,7 +516,7 @@ def _level(value: float) -> str:
     return f"{value:.3g}".replace("-", "−")
 
 
-def _region(axes: Any, mark: Region) -> Handle:
+def _region(axes: Any, mark: charts.Region) -> Handle:
     colour = to_rgba(_colour(mark.colour), mark.opacity)
     if np.any(mark.inside):
         axes.contourf(
@@ -549,13 +530,13 @@ def _region(axes: Any, mark: Region) -> Handle:
     return Handle(Patch(facecolor=colour), ("patch", mark.colour, round(mark.opacity, 2)))
 
 
-def _band(axes: Any, mark: Band) -> Handle:
+def _band(axes: Any, mark: charts.Band) -> Handle:
     colour = to_rgba(_colour(mark.colour), mark.opacity)
     axes.fill_between(mark.x, mark.lower, mark.upper, color=colour, linewidth=0, zorder=0.5)
     return Handle(Patch(facecolor=colour), ("patch", mark.colour, round(mark.opacity, 2)))
 
 
-def _line(axes: Any, mark: Line) -> Handle:
+def _line(axes: Any, mark: charts.Line) -> Handle:
     look = {
         "color": _colour(mark.colour),
         "linestyle": _DASHES[mark.style],
@@ -569,14 +550,14 @@ def _line(axes: Any, mark: Line) -> Handle:
     return _line_handle(mark.colour, mark.style, 1.0)
 
 
-def _events(axes: Any, mark: Events) -> Handle:
+def _events(axes: Any, mark: charts.Events) -> Handle:
     look: Any = {"marker": "v", "color": _colour(mark.colour), "markersize": 5, "linestyle": "none"}
     high = np.full(len(mark.times), 0.9)
     axes.plot(mark.times, high, transform=axes.get_xaxis_transform(), zorder=5, **look)
     return Handle(Line2D([], [], **look), ("points", "down", mark.colour))
 
 
-def _boxes(axes: Any, mark: Boxes) -> None:
+def _boxes(axes: Any, mark: charts.Boxes) -> None:
     parts = [
         {"whislo": low, "q1": first, "med": middle, "q3": third, "whishi": high}
         for low, first, middle, third, high in mark.quantiles
@@ -587,7 +568,7 @@ def _boxes(axes: Any, mark: Boxes) -> None:
     )  # fmt: skip
 
 
-def _note(axes: Any, mark: Note) -> None:
+def _note(axes: Any, mark: charts.Note) -> None:
     axes.annotate(
         mark.text,
         (mark.x, mark.y),
@@ -598,7 +579,7 @@ def _note(axes: Any, mark: Note) -> None:
     )
 
 
-def _bars(axes: Any, mark: Bars) -> None:
+def _bars(axes: Any, mark: charts.Bars) -> None:
     places = np.arange(len(mark.names))
     colours = [_colour(name) for name in mark.colours or ["blue"] * len(places)]
     axes.barh(places, mark.values, height=0.62, color=colours, zorder=2)

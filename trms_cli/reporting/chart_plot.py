@@ -25,27 +25,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core import chart as charts
 from trms_cli.core import wording
-from trms_cli.core.chart import (
-    Axis,
-    Band,
-    Bars,
-    Boxes,
-    Chart,
-    Contour,
-    Curve,
-    Events,
-    Fans,
-    Flow,
-    Heat,
-    Line,
-    Mark,
-    Note,
-    Panel,
-    Points,
-    Region,
-    Span,
-)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -113,7 +94,7 @@ class Plot:
         return told | ({"fans": self.fans} if self.fans else {})
 
 
-def plots_of(chart: Chart) -> list[Plot] | None:
+def plots_of(chart: charts.Chart) -> list[Plot] | None:
     """A plot a panel, two of them side by side; None for a chart with a panel of three axes."""
     if any(panel.z is not None for panel in chart.panels):
         return None
@@ -124,7 +105,7 @@ def plots_of(chart: Chart) -> list[Plot] | None:
     return plots
 
 
-def _plot(panel: Panel, half: bool, height: float) -> Plot:
+def _plot(panel: charts.Panel, half: bool, height: float) -> Plot:
     plot = _Drawing(panel).plot(half, height * (panel.row_height or 1.0))
     for label, other in panel.variants.items():
         changed = _Drawing(other).plot(half, height)
@@ -145,7 +126,7 @@ def _plot(panel: Panel, half: bool, height: float) -> Plot:
 class _Drawing:
     """A panel while it is drawn."""
 
-    panel: Panel
+    panel: charts.Panel
     traces: list[dict[str, Any]] = field(default_factory=list)
     shapes: list[dict[str, Any]] = field(default_factory=list)
     notes: list[dict[str, Any]] = field(default_factory=list)
@@ -155,7 +136,7 @@ class _Drawing:
 
     @property
     def curves(self) -> set[str]:
-        return {mark.label for mark in self.panel.marks if isinstance(mark, Curve)}
+        return {mark.label for mark in self.panel.marks if isinstance(mark, charts.Curve)}
 
     @property
     def hover(self) -> str:
@@ -181,32 +162,32 @@ class _Drawing:
             half, fans=self.fans,
         )  # fmt: skip
 
-    def _draw(self, mark: Mark) -> None:
+    def _draw(self, mark: charts.Mark) -> None:
         match mark:
-            case Curve():
+            case charts.Curve():
                 x, y = _kept(mark.x, mark.y)
                 trace = self._line(x, y, mark, mark.width, held=mark.held,
                                    arrows=_third(x, y, mark))  # fmt: skip
                 trace |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
                 if mark.filled:
                     trace |= {"fill": "tozeroy", "fillcolor": f"@{mark.colour}"}
-            case Points():
+            case charts.Points():
                 self._points(mark)
-            case Flow():
+            case charts.Flow():
                 x, y, arrows = _stream_lines(mark)
                 trace = self._line(x, y, mark, 0.8, arrows=arrows)
                 trace |= {"opacity": 0.55, "hoverinfo": "skip"}
-            case Contour():
+            case charts.Contour():
                 for level in sorted(mark.levels):
                     x, y = _level_lines(mark, level)
                     trace = self._line(x, y, mark, mark.width)
                     if mark.numbers:
                         trace["hovertemplate"] = f"{wording.number(float(level))}"
-            case Region():
+            case charts.Region():
                 self._region(mark)
-            case Band():
+            case charts.Band():
                 self.traces.append(_band(mark) | self._legend(mark))
-            case Span():
+            case charts.Span():
                 self.shapes.append(
                     {
                         "type": "rect", "xref": "x", "x0": mark.begin, "x1": mark.end,
@@ -215,9 +196,9 @@ class _Drawing:
                         "line": {"width": 0},
                     }
                 )  # fmt: skip
-            case Line():
+            case charts.Line():
                 self._across(mark)
-            case Note():
+            case charts.Note():
                 self.notes.append(
                     {
                         "x": _place(mark.x, self.panel.x), "y": _place(mark.y, self.panel.y),
@@ -225,22 +206,22 @@ class _Drawing:
                         "yanchor": "bottom", "font": {"color": f"@{mark.colour}", "size": 11},
                     }
                 )  # fmt: skip
-            case Events():
+            case charts.Events():
                 self._events(mark)
-            case Fans():
+            case charts.Fans():
                 self._fans(mark)
-            case Bars():
+            case charts.Bars():
                 self._bars(mark)
-            case Boxes():
+            case charts.Boxes():
                 self._boxes(mark)
-            case Heat():
+            case charts.Heat():
                 self._heat(mark)
 
-    def _legend(self, mark: Mark) -> dict[str, Any]:
+    def _legend(self, mark: charts.Mark) -> dict[str, Any]:
         """Its name, which stands in the legend once; a click hides all of that name."""
         label = getattr(mark, "label", "")
         first = bool(label) and label not in self.named
-        if isinstance(mark, Band) and label in self.curves:
+        if isinstance(mark, charts.Band) and label in self.curves:
             first = False  # the curve stands for both
         elif label:
             self.named.add(label)
@@ -274,7 +255,7 @@ class _Drawing:
         self.traces.append(trace)
         return trace
 
-    def _points(self, mark: Points) -> None:
+    def _points(self, mark: charts.Points) -> None:
         x, y = np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float)
         if self.panel.x.linked and not mark.told:
             x, y = thinned(x, y, _MOST_DOTS)
@@ -321,7 +302,7 @@ class _Drawing:
             trace["hovertemplate"] = "%{text}: %{marker.color:.4g}<extra></extra>"
         self.traces.append(trace)
 
-    def _events(self, mark: Events) -> None:
+    def _events(self, mark: charts.Events) -> None:
         """At the upper edge whatever the range of the other curves is: on an axis of their own."""
         look = {"color": f"@{mark.colour}", "width": 1, "dash": "dot"}
         for time in np.asarray(mark.times, dtype=float).tolist():
@@ -341,11 +322,11 @@ class _Drawing:
             | self._legend(mark)
         )  # fmt: skip
 
-    def _fans(self, mark: Fans) -> None:
+    def _fans(self, mark: charts.Fans) -> None:
         number = len(self.traces)
         every = self._line(
             np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float),
-            Curve((), (), mark.label, "ink"), 0.4, held=mark.held,
+            charts.Curve((), (), mark.label, "ink"), 0.4, held=mark.held,
         )  # fmt: skip
         name = plot_text(f"chosen {mark.label.removesuffix('s')}")
         line = every["line"] | {"color": "@vermilion", "width": 3.0}
@@ -360,7 +341,7 @@ class _Drawing:
             "pairs": [[number, number + 1]],
         }
 
-    def _bars(self, mark: Bars) -> None:
+    def _bars(self, mark: charts.Bars) -> None:
         self.more["yaxis"] = _axis(self.panel.y) | _places(mark.names)
         self.traces.append(
             {
@@ -371,7 +352,7 @@ class _Drawing:
             }
         )  # fmt: skip
 
-    def _boxes(self, mark: Boxes) -> None:
+    def _boxes(self, mark: charts.Boxes) -> None:
         own, quantity = ("y", "x") if mark.across else ("x", "y")
         colours = list(mark.colours) * (len(mark.places) if len(mark.colours) == 1 else 1)
         for place, quantiles, colour in zip(mark.places, mark.quantiles, colours, strict=True):
@@ -387,7 +368,7 @@ class _Drawing:
                 | self._legend(mark)
             )  # fmt: skip
 
-    def _heat(self, mark: Heat) -> None:
+    def _heat(self, mark: charts.Heat) -> None:
         rows = [[significant(v) for v in row] for row in np.asarray(mark.values, float).tolist()]
         across, up = ([plot_text(name) for name in axis.categories]
                       for axis in (self.panel.x, self.panel.y))  # fmt: skip
@@ -403,7 +384,7 @@ class _Drawing:
             | _SCALE
         )  # fmt: skip
 
-    def _region(self, mark: Region) -> None:
+    def _region(self, mark: charts.Region) -> None:
         if not np.any(mark.inside):
             return
         self.traces.append(
@@ -422,7 +403,7 @@ class _Drawing:
             | self._legend(mark)
         )
 
-    def _across(self, mark: Line) -> None:
+    def _across(self, mark: charts.Line) -> None:
         look = {"color": f"@{mark.colour}", "width": 1, "dash": _DASHES[mark.style]}
         if mark.x is not None:
             ends = {"xref": "x", "x0": mark.x, "x1": mark.x, "yref": "paper", "y0": 0, "y1": 1}
@@ -436,7 +417,7 @@ class _Drawing:
             self.traces.append(nothing | self._legend(mark))
 
 
-def _axis(axis: Axis) -> dict[str, Any]:
+def _axis(axis: charts.Axis) -> dict[str, Any]:
     told: dict[str, Any] = {"title": {"text": plot_text(wording.titled(axis.label, axis.unit))}}
     told |= _places(axis.categories) if axis.categories else {}
     if axis.ticks:  # figures as they are (0.1, 1, 10) instead of powers
@@ -456,7 +437,7 @@ def _places(names: Sequence[str]) -> dict[str, Any]:
             "zeroline": False}  # fmt: skip
 
 
-def _place(value: float, axis: Axis) -> float:
+def _place(value: float, axis: charts.Axis) -> float:
     """Where a value lies in the units of ranges and notes, which are powers on a log axis."""
     return math.log10(value) if axis.log and value > 0 else value
 
@@ -470,7 +451,7 @@ def _kept(x: Any, y: Any) -> tuple[FloatArray, FloatArray]:
     return thinned(x, y)
 
 
-def _band(mark: Band) -> dict[str, Any]:
+def _band(mark: charts.Band) -> dict[str, Any]:
     """An area between two curves; none where one of them is not finite."""
     x, bottoms, tops = _outline(mark.x, mark.lower, mark.upper)
     closed = [
@@ -491,7 +472,7 @@ def _band(mark: Band) -> dict[str, Any]:
     }
 
 
-def _third(x: FloatArray, y: FloatArray, mark: Curve) -> list[int]:
+def _third(x: FloatArray, y: FloatArray, mark: charts.Curve) -> list[int]:
     """Where an arrowhead stands on a curve: after about a third of its way."""
     if not mark.arrow or len(x) < 3:
         return []
@@ -503,7 +484,7 @@ def _third(x: FloatArray, y: FloatArray, mark: Curve) -> list[int]:
     return [int(np.clip(np.searchsorted(length, 0.3 * length[-1]), 1, len(x) - 1))]
 
 
-def _stream_lines(flow: Flow) -> tuple[FloatArray, FloatArray, list[int]]:
+def _stream_lines(flow: charts.Flow) -> tuple[FloatArray, FloatArray, list[int]]:
     """Stream lines as one broken curve, and the places of their arrowheads."""
     from matplotlib.figure import Figure
 
@@ -531,7 +512,7 @@ def _joined(segments: Sequence[Any]) -> Iterator[FloatArray]:
         yield np.asarray(line)
 
 
-def _level_lines(contour: Contour, level: float) -> tuple[FloatArray, FloatArray]:
+def _level_lines(contour: charts.Contour, level: float) -> tuple[FloatArray, FloatArray]:
     """The lines on which a function has a value, as one broken curve."""
     from contourpy import contour_generator
 
