@@ -237,14 +237,10 @@ def test_changes_of_stability_on_the_switch_are_those_of_the_local_study() -> No
     assert {0, 2, 1} <= growing <= {0, 2, 3, 1}
 
 
-def test_all_unknowns_of_the_rigs_are_solved_one_by_one() -> None:
+def test_equations_solved_one_by_one_are_the_models_own() -> None:
     for model in (NEWTONIAN, Newtonian(currents="dynamic"), Lagrangian(), Tras()):
         system = rest_system(model, {"u_v"})
         assert [len(block.rows) for block in system.blocks] == [1] * system.n
-
-
-def test_eliminated_equations_are_the_models_own() -> None:
-    for model in (NEWTONIAN, Newtonian(currents="dynamic"), Lagrangian(), Tras()):
         field, limit = VectorField(model), model.input_limits["u_v"]
         proofs = proofs_at(prover_of(model, "u_v"), [-0.52 * limit, 0.0, 0.42 * limit])
         for one in (one for proof in proofs for one in proof.proved):

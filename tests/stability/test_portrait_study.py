@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -47,13 +46,6 @@ def marks(findings, kind):
     return [mark for mark in findings.charts[0].panels[0].marks if isinstance(mark, kind)]
 
 
-def test_the_lead_tells_what_a_lecturer_would_say(hover):
-    lead = " ".join(hover.lead)
-    assert "u_v = 1.413 V: a stable focus at α_v = 0 rad and a saddle at α_v = 1.903 rad" in lead
-    assert "turn over and keep turning" in lead and "loses half of itself every 14.9 s" in lead
-    assert "beyond the mechanical stop of α_v at ±1.05 rad" in lead
-
-
 def test_the_results_are_the_portrait_as_data(hover):
     results = json.loads(json.dumps(hover.results, allow_nan=False))
     assert [item["name"] for item in results["coordinates"]] == ["alpha_v", "rate_v"]
@@ -64,11 +56,19 @@ def test_the_results_are_the_portrait_as_data(hover):
     assert sum(end["share"] for end in ends) == pytest.approx(1.0)
     assert sorted(n for end in ends for n in end["starts"]) == list(range(12))
     json.dumps([as_data(chart) for chart in hover.charts], allow_nan=False)
+    shown = {mark.label: mark for mark in marks(hover, Points)}
+    assert shown["stable focus"].marker == "stable" and shown["saddle"].marker == "saddle"
+    assert shown["saddle"].x[0] == pytest.approx(1.903, abs=1e-3)
+    assert "beyond the mechanical stop of α_v at ±1.05 rad" in " ".join(hover.lead)
 
 
-def test_nullclines_are_where_a_rate_is_zero(hover):
+def test_flow_and_nullclines_are_those_of_the_field(hover):
     contourpy = pytest.importorskip("contourpy")
     section = section_of(VERTICAL, None, {"alpha_v": 0.0})
+    (flow,) = marks(hover, Flow)
+    i, j = 7, 30
+    rates = section.rates([[flow.x[j], flow.y[i]]])[0]
+    assert (flow.u[i, j], flow.v[i, j]) == pytest.approx(tuple(rates))
     contours = marks(hover, Contour)
     assert [mark.label for mark in contours] == ["dα_v/dt = 0", "d²α_v/dt² = 0"]
     for place, mark in enumerate(contours):
@@ -77,20 +77,6 @@ def test_nullclines_are_where_a_rate_is_zero(hover):
         assert len(points) > 50
         typical = np.abs(mark.values).max()
         assert np.abs(section.rates(points)[:, place]).max() < 1e-3 * typical
-
-
-def test_the_flow_is_the_field_of_the_section(hover):
-    section = section_of(VERTICAL, None, {"alpha_v": 0.0})
-    (flow,) = marks(hover, Flow)
-    i, j = 7, 30
-    rates = section.rates([[flow.x[j], flow.y[i]]])[0]
-    assert (flow.u[i, j], flow.v[i, j]) == pytest.approx(tuple(rates))
-
-
-def test_equilibria_are_marked_by_their_kind(hover):
-    shown = {mark.label: mark for mark in marks(hover, Points)}
-    assert shown["stable focus"].marker == "stable" and shown["saddle"].marker == "saddle"
-    assert shown["saddle"].x[0] == pytest.approx(1.903, abs=1e-3)
 
 
 def test_an_unstable_equilibrium_is_told_by_how_fast_it_grows(hover):
@@ -233,22 +219,14 @@ def test_more_points_than_can_be_held_are_refused():
 @pytest.mark.parametrize(
     "typed",
     [
-        [],
         ["study.states=[alpha_h,rate_h]", "study.others=settled", "study.starts=5"],
-        [
-            "study.starts=[{alpha_v: 0.5}]",
-            "study.window={alpha_v: [-1, 1]}",
-            "study.others=[omega_v]",
-        ],
+        ["study.starts=[{alpha_v: 0.5}]", "study.window={alpha_v: [-1, 1]}"],
+        ["study.others=[omega_v]"],
     ],
 )
-def test_its_keys_are_those_of_its_yaml(typed):
+def test_values_of_each_kind_are_taken(typed):
     config = compose(["study=phase_portrait", *typed], primary="stability").config["study"]
-    study = build(config, "study")
-    assert isinstance(study, PhasePortrait)
-    assert set(config) - {"_target_"} == {field.name for field in fields(PhasePortrait)}
-    if not typed:
-        assert study == PhasePortrait()
+    assert isinstance(build(config, "study"), PhasePortrait)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from pathlib import Path
+
 import pytest
 
+from trms_cli.composition.composer import compose
 from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.findings import json_data
+from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import effect_names, extended
@@ -21,7 +27,7 @@ from trms_cli.stability.studies.lyapunov import Lyapunov
 from trms_cli.stability.studies.phase_portrait import PhasePortrait
 from trms_cli.stability.studies.region_of_attraction import RegionOfAttraction
 from trms_cli.stability.studies.root_locus import RootLocus
-from trms_cli.stability.study import silent
+from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import LoopParts, Subject
 
 EFFECTS = {
@@ -31,6 +37,9 @@ EFFECTS = {
     "dry": CoulombFriction(axis="pitch", torque=0.01),
 }
 MODEL = extended(Newtonian(), EFFECTS)
+STUDIES = [
+    path.stem for path in sorted((Path(__file__).parents[2] / "configs/study").glob("*.yaml"))
+]
 #: Studies of a model alone; of equations.
 OF_A_MODEL = Equilibria(), LimitCycles(), Local(), Lyapunov(), RootLocus(), Controllability()
 OF_EQUATIONS = Equilibria(), LimitCycles(), Lyapunov(), PhasePortrait(), RegionOfAttraction()
@@ -91,3 +100,12 @@ def test_a_controller_that_plays_commands_closes_no_loop():
     with pytest.raises(ConfigurationError, match=r"controller=played .* there is no loop") as error:
         Subject(MODEL, "newtonian", loop)
     assert error.value.where == "controller"
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_keys_of_a_study_are_those_of_its_yaml(name):
+    config = compose([f"study={name}"], "stability").config["study"]
+    study = build(config, "study")
+    assert isinstance(study, Study)
+    assert json_data(study) == json_data(type(study)())
+    assert set(config) - {"_target_"} == {field.name for field in fields(study)}
