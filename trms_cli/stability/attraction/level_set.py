@@ -215,11 +215,6 @@ class SampledLevel:
     edge: FloatArray  #: (m, n) array; where the rays leave {V < level}
     samples: int  #: Points that were looked at
 
-    @property
-    def extents(self) -> FloatArray:
-        """Half widths of {V < level}, (n,)."""
-        return np.asarray(np.abs(self.edge).max(axis=0))
-
 
 @dataclass(frozen=True)
 class Rays:

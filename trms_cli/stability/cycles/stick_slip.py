@@ -614,7 +614,6 @@ class Harmonics:
     impedance: npt.NDArray[np.complex128]  #: (n,) complex array; Z(jω)
     #: (k,) complex array; −1/M(X, ω*) over X at the balance's frequency (empty without one)
     inverse: npt.NDArray[np.complex128]
-    moments: FloatArray  #: (k,) array; X, N m
 
 
 def harmonics(loop: FrictionLoop, law: FrictionLaw) -> Harmonics:
@@ -622,15 +621,14 @@ def harmonics(loop: FrictionLoop, law: FrictionLaw) -> Harmonics:
     omega = np.geomspace(0.02, 60.0, 1200)
     one = HarmonicBalance(loop, law)
     balance = one.solved()
-    moments, inverse = np.zeros(0), np.zeros(0, dtype=complex)
+    inverse = np.zeros(0, dtype=complex)
     if balance is not None:
         over = max(balance.moment - law.breakaway, 1e-6 * law.breakaway)
         moments = law.breakaway + over * np.geomspace(0.3, 300.0, 60)
         ratios = np.array([one.answer(float(X), balance.omega).ratio for X in moments])
-        kept = np.abs(ratios) > 1e-9
-        moments, inverse = moments[kept], -1.0 / ratios[kept]
+        inverse = -1.0 / ratios[np.abs(ratios) > 1e-9]
     response, sliding = loop.response(omega), sliding_cycle(loop, law, omega)
-    return Harmonics(omega, response, sliding, balance, one.impedance(omega), inverse, moments)
+    return Harmonics(omega, response, sliding, balance, one.impedance(omega), inverse)
 
 
 #: Steps of a period; periods until the block's answer repeats itself.
@@ -659,7 +657,6 @@ class Balance:
     omega: float  #: rad/s
     swing: float  #: Peak to peak of the angle, rad
     stuck: float  #: Share of the period
-    misfit: float  #: |1 + Z M|
 
     @property
     def period(self) -> float:
@@ -738,10 +735,9 @@ class HarmonicBalance:
             moment, omega = limit * float(np.exp(solution.x[0])), float(np.exp(solution.x[1]))
             if not _SLOWEST < omega < 100.0:
                 continue
-            error = abs(self.misfit(moment, omega))
-            if error < _BALANCED:
+            if abs(self.misfit(moment, omega)) < _BALANCED:
                 shown = self.answer(moment, omega)
-                return Balance(moment, omega, shown.swing, shown.stuck, error)
+                return Balance(moment, omega, shown.swing, shown.stuck)
         return None
 
 

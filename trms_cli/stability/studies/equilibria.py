@@ -85,7 +85,7 @@ class Equilibria:
         if self.map and model.n_u == 2 and len(surveys) == 2:
             tell("the map over both inputs")
             stable_map = equilibrium_map(model, surveys[0], surveys[1].setting.over)
-        result = EquilibriaResult(model, surveys, named, stable_map)
+        result = EquilibriaResult(model, surveys, named)
         held_outside = [
             f"over {symbol(one.setting.over)} the beam is held at {symbol(name)} = {value:g} rad, "
             f"outside the box: another angle by study.at.{name}=…"
@@ -209,7 +209,6 @@ class EquilibriaResult:
     model: Model
     surveys: Sequence[Survey]
     named: Sequence[NamedPoint]
-    map: EquilibriumMap | None  #: Over both inputs
 
 
 def _survey_data(survey: Survey) -> dict[str, Any]:

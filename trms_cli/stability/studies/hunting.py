@@ -27,6 +27,8 @@ from trms_cli.stability.cycles.hunting_runs import (
     with_sizes,
 )
 from trms_cli.stability.cycles.stick_slip import (
+    Balance,
+    Cycle,
     Friction,
     FrictionLaw,
     Harmonics,
@@ -423,32 +425,24 @@ def _prediction_section(result: HuntingResult, prediction: HuntingPrediction) ->
     run, cycle = result.run, prediction.cycle
     balance = result.harmonics.balance if result.harmonics is not None else None
 
-    def row(
-        name: str, swing: float, period: float | None, stuck: float, *, compare: bool = True
-    ) -> list[Cell]:
-        compare = compare and run.hunts and bool(period and run.period)
+    def row(name: str, cycle: AxisRun | Cycle | Balance | None, none: str) -> list[Cell]:
+        if cycle is None:
+            return [name, none, None, None, None, None]
+        stuck = cycle.stuck_share if isinstance(cycle, AxisRun) else cycle.stuck
+        compare = cycle is not run and run.hunts and bool(cycle.period and run.period)
         return [
             name,
-            f"{swing:.4f}",
-            None if period is None else f"{period:.2f}",
+            f"{cycle.swing:.4f}",
+            None if cycle.period is None else f"{cycle.period:.2f}",
             f"{100 * stuck:.0f} %",
-            _judged(swing, run.swing) if compare else None,
-            _judged(period, run.period) if compare else None,
+            _judged(cycle.swing, run.swing) if compare else None,
+            _judged(cycle.period, run.period) if compare else None,
         ]
 
-    def none(name: str, words: str) -> list[Cell]:
-        return [name, words, None, None, None, None]
-
     rows = [
-        row("simulated", run.swing, run.period, run.stuck_share, compare=False)
-        if run.hunts
-        else none("simulated", _VERDICTS[run.verdict]),
-        row("event map", cycle.swing, cycle.period, cycle.stuck)
-        if cycle is not None
-        else none("event map", "no hunting"),
-        row("one harmonic", balance.swing, balance.period, balance.stuck)
-        if balance is not None
-        else none("one harmonic", "no cycle"),
+        row("simulated", run if run.hunts else None, _VERDICTS[run.verdict]),
+        row("event map", cycle, "no hunting"),
+        row("one harmonic", balance, "no cycle"),
     ]
     heads = ["by", "swing [rad]", "period [s]", "stuck", "swing off by", "period off by"]
     text = [

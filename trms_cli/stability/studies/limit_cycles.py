@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from typing import Annotated, Any
 
 import numpy as np
@@ -399,15 +400,13 @@ def _written(value: complex) -> str:
 def _over_section(result: LimitCycleResult, over: OverCommand) -> Section:
     model, command = result.model, result.model.inputs[result.channel]
     signal = model.states[result.state]
-    rows = []
-    for i, hopf in enumerate(over.hopfs):
-        rows.append(
-            ["Hopf point", f"{hopf.u[result.channel]:.4f}", f"{2 * np.pi / hopf.omega:.3f}", "0"]
-        )
-        if i < len(over.branches):
-            rows += _change_rows(result, over.branches[i])
-    for branch in over.branches[len(over.hopfs) :]:
-        rows += _change_rows(result, branch)
+    events: list[tuple[str, float, float, float | None]] = []
+    for hopf, branch in zip_longest(over.hopfs, over.branches):
+        if hopf is not None:
+            at = float(hopf.u[result.channel])
+            events.append(("Hopf point", at, 2 * np.pi / hopf.omega, None))
+        changes = [] if branch is None else branch.changes(result.channel, result.state)
+        events += [(c.kind, c.command, c.period, c.swing) for c in changes]
     text = [
         f"Equilibria within the stops over {symbol(command.name)}, the other commands held; cycles "
         "followed by pseudo-arclength from each Hopf point, and from each cycle found that lies on "
@@ -415,23 +414,17 @@ def _over_section(result: LimitCycleResult, over: OverCommand) -> Section:
     ]
     text += [f"Branch {i + 1} ended: {b.ended}." for i, b in enumerate(over.branches)]
     blocks: list[Table | Chart] = []
-    if rows:
+    if events:
+        swing = f"swing of {symbol(signal.name)} [{signal.unit}]"
         columns = [
-            "what",
-            f"{symbol(command.name)} [{command.unit}]",
-            "period [s]",
-            f"swing of {symbol(signal.name)} [{signal.unit}]",
+            Column("what", lambda event: event[0]),
+            Column(f"{symbol(command.name)} [{command.unit}]", lambda event: f"{event[1]:.4f}"),
+            Column("period [s]", lambda event: f"{event[2]:.3f}"),
+            Column(swing, lambda event: "0" if event[3] is None else f"{event[3]:.3f}"),
         ]
-        blocks.append(Table(columns, rows, "What happens along the branches."))
+        blocks.append(table(events, columns, "What happens along the branches."))
     blocks.append(_diagram(result, over))
     return Section(f"Over {symbol(command.name)}", text, blocks)
-
-
-def _change_rows(result: LimitCycleResult, branch: Branch) -> list[list[str]]:
-    return [
-        [change.kind, f"{change.command:.4f}", f"{change.period:.3f}", f"{change.swing:.3f}"]
-        for change in branch.changes(result.channel, result.state)
-    ]
 
 
 def _warnings(result: LimitCycleResult) -> list[str]:
