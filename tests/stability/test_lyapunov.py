@@ -26,6 +26,7 @@ from trms_cli.models.operating_point import operating_point
 from trms_cli.models.tras import Tras
 from trms_cli.models.twin_rotor import TwinRotor
 from trms_cli.models.vector_field import VectorField
+from trms_cli.stability.lyapunov.candidate import rays
 from trms_cli.stability.lyapunov.certificate import (
     LyapunovCertificate,
     StabilityClaim,
@@ -35,7 +36,6 @@ from trms_cli.stability.lyapunov.certificate import (
     on_level,
     rig_of,
 )
-from trms_cli.stability.lyapunov.level_search import rays
 from trms_cli.stability.studies.lyapunov import Lyapunov, data, lead
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject

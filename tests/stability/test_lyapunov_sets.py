@@ -21,16 +21,16 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.lyapunov.candidate import EnergyCandidate
-from trms_cli.stability.lyapunov.certificate import identity_residual, on_level
-from trms_cli.stability.lyapunov.energy import Energy, EnergyWeights
-from trms_cli.stability.lyapunov.level_search import (
+from trms_cli.stability.lyapunov.candidate import (
+    EnergyCandidate,
     decay_level,
     definite,
     rays,
     stop_level,
     wells_of,
 )
+from trms_cli.stability.lyapunov.certificate import identity_residual, on_level
+from trms_cli.stability.lyapunov.energy import Energy, EnergyWeights
 
 RNG = np.random.default_rng(5)
 

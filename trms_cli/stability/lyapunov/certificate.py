@@ -33,9 +33,8 @@ from trms_cli.models.twin_rotor import TwinRotor
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
-from trms_cli.stability.lyapunov.candidate import EnergyCandidate
-from trms_cli.stability.lyapunov.energy import Energy
-from trms_cli.stability.lyapunov.level_search import (
+from trms_cli.stability.lyapunov.candidate import (
+    EnergyCandidate,
     LevelSearchResult,
     Wells,
     definite,
@@ -43,6 +42,7 @@ from trms_cli.stability.lyapunov.level_search import (
     search_levels,
     stop_level,
 )
+from trms_cli.stability.lyapunov.energy import Energy
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject, effects_of
 

@@ -19,12 +19,14 @@ from trms_cli.core.wording import symbol, titled
 from trms_cli.core.wording import unit as written_unit
 from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
-from trms_cli.stability.equilibria.curves import EquilibriumPoint, Kind, Landmark
 from trms_cli.stability.equilibria.proof import RangePiece
 from trms_cli.stability.equilibria.rest_system import rest_system
 from trms_cli.stability.equilibria.survey import (
     EquilibriumMap,
+    EquilibriumPoint,
     FrictionBand,
+    Kind,
+    Landmark,
     NamedPoint,
     Survey,
     SurveySetting,

@@ -26,7 +26,7 @@ from trms_cli.core.findings import (
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.intervals.interval import Interval, definite
-from trms_cli.stability.lyapunov.candidate import EnergyCandidate
+from trms_cli.stability.lyapunov.candidate import EnergyCandidate, rays
 from trms_cli.stability.lyapunov.certificate import (
     EnergyRig,
     LevelMotions,
@@ -40,7 +40,6 @@ from trms_cli.stability.lyapunov.certificate import (
     plane_directions,
     rig_of,
 )
-from trms_cli.stability.lyapunov.level_search import rays
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
