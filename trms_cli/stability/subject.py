@@ -149,10 +149,16 @@ def _without_paths(model: Model) -> Model:
     return moving
 
 
-#: rad. Yaw is off the place where the cable's stiffness jumps: a cycle that small has no slopes.
+#: rad. Yaw is where the cable pulls, off the place where its stiffness jumps, and where the tail
+#: rotor turns: at ω_h = 0 its thrust, ω|ω|, has no slope, and no linear loop of yaw exists.
 _LEVEL = {"alpha_v": 0.0, "alpha_h": 0.3}
 #: rad
 _AS_ASKED = 1e-3
+
+
+def level_of(model: Model) -> dict[str, float]:
+    """Where a study begins when nothing is asked for: level, the tail rotor turning; rad."""
+    return {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
 
 
 def usual_point(model: Model, at: Mapping[str, float]) -> OperatingPoint:
@@ -163,16 +169,15 @@ def usual_point(model: Model, at: Mapping[str, float]) -> OperatingPoint:
     """
     if at:
         return operating_point(model, at)
-    level = {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
     try:
-        return operating_point(model, level)
+        return operating_point(model, level_of(model))
     except ConfigurationError:
         return operating_point(model, {})
 
 
 def not_level(model: Model, at: Mapping[str, float], point: OperatingPoint) -> tuple[str, ...]:
     """A sentence for a point that :func:`usual_point` took instead of a level one."""
-    level = {name: _LEVEL[name] for name in model.controlled if name in _LEVEL}
+    level = level_of(model)
     reached = {name: float(point.x[model.state_index(name)]) for name in level}
     if at or all(abs(reached[name] - level[name]) < _AS_ASKED for name in level):
         return ()

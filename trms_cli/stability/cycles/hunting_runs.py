@@ -82,8 +82,7 @@ class LevelSweep:
 
     name: str  #: ``torques`` or ``integrals``
     label: str  #: Of the axis of the figure
-    x: FloatArray  #: (n,) array; factors of the predicted curves
-    #: sequence of (words, (n,) array); predicted swings, rad
+    #: sequence of (words, (n,) array); swings, rad, that are predicted over a range of factors
     curves: Sequence[tuple[str, FloatArray]]
     levels: Sequence[HuntingLevel]  #: That were simulated
 

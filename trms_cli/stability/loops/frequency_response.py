@@ -77,7 +77,7 @@ from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.vector_field import VectorField, without_impulses
 from trms_cli.stability.closed_loop import Enough, LoopRun, run_loop
 from trms_cli.stability.study import Tell
-from trms_cli.stability.subject import LoopParts, Subject
+from trms_cli.stability.subject import LoopParts, Subject, level_of
 
 
 @dataclass(frozen=True)
@@ -387,9 +387,6 @@ def held_by_friction(model: Model, point: OperatingPoint) -> tuple[str, ...]:
     return tuple(name for name, i in rows.items() if with_friction[i] < _HELD * free[i])
 
 
-#: Level, and yaw where the cable pulls and the tail rotor turns: at ω_h = 0 its thrust, ω|ω|, has
-#: no slope, and no linear loop of yaw exists.
-DEFAULT = {"alpha_v": 0.0, "alpha_h": 0.3}
 #: Harmonics of the lowest line up to half the controller's rate: fewer are no curve.
 _FEWEST = 10
 #: Samples per swing of the rig: of its clock, over which it is integrated in one go, and of the
@@ -398,9 +395,9 @@ _OF_THE_RIG, _OF_THE_CONTROLLER = 10, 2
 
 
 def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
-    """The operating point asked for; :data:`DEFAULT` where nothing is. Raises TrmsError."""
+    """The operating point asked for; the level one where nothing is. Raises TrmsError."""
     model = subject.model
-    at = at or {name: value for name, value in DEFAULT.items() if name in model.controlled}
+    at = at or level_of(model)
     if model.sample_time is None:
         return operating_point(model, at)
     for name in at:

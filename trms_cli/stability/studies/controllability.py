@@ -130,23 +130,31 @@ class Controllability:
             span = span or (-_USUAL_SPAN, _USUAL_SPAN)
             standstill.append(float(model.rest()[model.state_index(over)]))
         sweep = sweep_eigenvalues(path, *path.range(span), self.points, tuple(standstill))
-        return controllability_findings(
-            ControllabilityResult(
-                point=point,
-                scales=scales,
-                duration=self.duration,
-                reading_time=self.sample_time,
-                sets=sets,
-                access=access.of_modes(sets, self.duration),
-                volts=access.volts(self.duration),
-                gramians=access.gramians(self.duration),
-                torques=estimates,
-                times=times,
-                path=path,
-                sweep=sweep,
-                gains=input_gains(path, sweep, scales, self.duration),
-            )
+        result = ControllabilityResult(
+            point=point,
+            scales=scales,
+            duration=self.duration,
+            reading_time=self.sample_time,
+            sets=sets,
+            access=access.of_modes(sets, self.duration),
+            volts=access.volts(self.duration),
+            gramians=access.gramians(self.duration),
+            torques=estimates,
+            times=times,
+            path=path,
+            sweep=sweep,
+            gains=input_gains(path, sweep, scales, self.duration),
         )
+        method = (
+            "How far one unit (rms) of each input alone moves a controlled state in "
+            f"{self.duration:g} s at best, the operating point solved anew along {over}. "
+            "Where a rotor's speed goes through zero its gain goes to zero with |ω|."
+        )
+        charts = _loss_chart(result), _volts_chart(result)
+        ranged = Section(f"Over {over}", [method], charts)
+        sections = _inputs(result), ranged, _sensors(result), _torques(result)
+        title, data = "Controllability and observability", json_data(_data(result))
+        return Findings(title, _lead(result), sections, data, _warnings(result))
 
 
 def _is_free(model: Model, at: Mapping[str, float], over: str) -> bool:
@@ -197,20 +205,6 @@ class ControllabilityResult:
     @property
     def model(self) -> Model:
         return self.path.model
-
-
-def controllability_findings(result: ControllabilityResult) -> Findings:
-    """The result as a study tells it."""
-    path = result.path
-    method = (
-        "How far one unit (rms) of each input alone moves a controlled state in "
-        f"{result.duration:g} s at best, the operating point solved anew along {path.over}. "
-        "Where a rotor's speed goes through zero its gain goes to zero with |ω|."
-    )
-    over = Section(f"Over {path.over}", [method], (_loss_chart(result), _volts_chart(result)))
-    sections = _inputs(result), over, _sensors(result), _torques(result)
-    title, data = "Controllability and observability", json_data(_data(result))
-    return Findings(title, _lead(result), sections, data, _warnings(result))
 
 
 def _data(result: ControllabilityResult) -> dict[str, Any]:

@@ -143,10 +143,16 @@ class Hunting:
             for s in sweeps
             if s.levels
         ]
-        predicted = prediction, one, events
-        return findings_of(
-            HuntingResult(case, run, elsewhere, coulomb, *predicted, shown, tuple(warnings))
-        )
+        result = HuntingResult(case, run, elsewhere, coulomb, prediction, one, events, shown)
+        sections = [_run_section(result)]
+        if prediction is not None:
+            sections.append(_prediction_section(result, prediction))
+        if one is not None:
+            sections.append(_harmonic_section(result, one))
+        if shown:
+            sections.append(_sweep_section(result))
+        data = json_data(_results(result))
+        return Findings("Hunting", _lead(result), sections, data, tuple(warnings))
 
     def _friction(self, model: Model) -> Friction:
         frictions = frictions_of(model)
@@ -270,7 +276,7 @@ def _sweep(
     for factor in factors:
         tell(f"{label} × {factor:g}")
         levels.append(HuntingLevel(factor, *one(factor)))
-    return LevelSweep(name, label, _CURVE, curves, levels)
+    return LevelSweep(name, label, curves, levels)
 
 
 def _finite(value: float) -> float | None:
@@ -301,25 +307,11 @@ class HuntingResult:
     harmonics: Harmonics | None  #: Only for a PID
     events: StickSlip | None  #: Only for a PID
     sweeps: Sequence[LevelSweep]
-    warnings: Sequence[str]
 
     @property
     def angle(self) -> str:
         """Symbol of the axis' angle."""
         return symbol(self.case.model.axes[self.case.friction.axis].angle)
-
-
-def findings_of(result: HuntingResult) -> Findings:
-    """The findings."""
-    sections = [_run_section(result)]
-    if result.prediction is not None:
-        sections.append(_prediction_section(result, result.prediction))
-    if result.harmonics is not None:
-        sections.append(_harmonic_section(result, result.harmonics))
-    if result.sweeps:
-        sections.append(_sweep_section(result))
-    data = json_data(_results(result))
-    return Findings("Hunting", _lead(result), sections, data, tuple(result.warnings))
 
 
 def _lead(result: HuntingResult) -> list[str]:
@@ -689,7 +681,7 @@ def over_levels(axis_label: str, sweeps: Sequence[LevelSweep]) -> Chart:
     shown = []
     for sweep in sweeps:
         marks: list[Mark] = [
-            Curve(sweep.x, values, words, colours[i % 3])  # type: ignore[arg-type]
+            Curve(_CURVE, values, words, colours[i % 3])  # type: ignore[arg-type]
             for i, (words, values) in enumerate(sweep.curves)
         ]
         for hunts, words, shape in (

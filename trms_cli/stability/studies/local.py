@@ -73,7 +73,20 @@ class Local:
         value = point.value(model, over) if path.kind != "parameter" else path.began
         sweep = sweep_eigenvalues(path, *path.range(self.range), self.points, (value,))
         result = LocalResult(locus_of(path, sweep), point, sides, switches)
-        sections = _point_section(result), _range_section(result.locus, value)
+        held = ", ".join(
+            amount_words(model, name, v) for name, v in path.at.items() if name != over
+        )
+        ranged = locus_section(
+            f"Over {over}",
+            f"The operating point is solved anew for each {over}; eigenvalues are followed from "
+            "one to the next by their eigenvectors.",
+            result.locus,
+            ("local_plane", "local_range"),
+            value,
+            f" ({held})" if held else "",
+            note="; dotted: the operating point",
+        )
+        sections = _point_section(result), ranged
         lead = *_lead(result), *_lead_range(result.locus)
         data = json_data(_results(result))
         return Findings("Local stability", lead, sections, data, _warnings(result))
@@ -210,23 +223,6 @@ def _sides_table(sides: Mapping[Side, Modes]) -> Table:
             Column("λ of the mean [1/s]", lambda mode: eigenvalue_words(mode.eigenvalue)),
         ],
         "Either side of the switch.",
-    )
-
-
-def _range_section(locus: Locus, value: float) -> Section:
-    path = locus.path
-    held = ", ".join(
-        amount_words(path.model, name, v) for name, v in path.at.items() if name != path.over
-    )
-    return locus_section(
-        f"Over {path.over}",
-        f"The operating point is solved anew for each {path.over}; eigenvalues are followed from "
-        "one to the next by their eigenvectors.",
-        locus,
-        ("local_plane", "local_range"),
-        value,
-        f" ({held})" if held else "",
-        note="; dotted: the operating point",
     )
 
 

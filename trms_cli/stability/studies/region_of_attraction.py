@@ -72,7 +72,8 @@ class RegionOfAttraction(RegionRequest):
             "study=region_of_attraction", "replay the model from the starts of interest (trms run)"
         )
         if subject.loop is not None:
-            point = operating_point(model, self.at or _level(model.controlled), "study.at")
+            level = {name: 0.3 if name == "alpha_h" else 0.0 for name in model.controlled}
+            point = operating_point(model, self.at or level, "study.at")
             return _loop_findings(loop_region(subject, point, self, tell), self.plane)
         point = self._point(model)
         states = model.state_names if self.states == "all" else self.states or model.controlled
@@ -96,10 +97,6 @@ class RegionOfAttraction(RegionRequest):
         except ConfigurationError:
             # No such command, or no rest there (a yaw that nothing holds turns with it).
             return operating_point(model, {}, "study.at")
-
-
-def _level(controlled: Sequence[str]) -> dict[str, float]:
-    return {name: 0.3 if name == "alpha_h" else 0.0 for name in controlled}
 
 
 METHOD = (
