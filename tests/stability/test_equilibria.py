@@ -377,6 +377,7 @@ def test_a_root_on_the_border_of_two_boxes_is_one_root() -> None:
     found = solved(Z * (Z**2 + 1), Z, (-4.0, 4.0))
     assert found.unique.tolist() == [True]
     assert found.box.contains(0.0).all()
+    assert len(solved(Z**2 + 0.01, Z, (-2.0, 2.0)).owner) == 0  # nothing where there is nothing
 
 
 def test_a_double_root_is_not_called_one_root() -> None:
@@ -384,16 +385,8 @@ def test_a_double_root_is_not_called_one_root() -> None:
     assert found.unique.tolist() == [False, True]
     assert abs(found.box.middle[0, 0]) < 1e-6
     assert not found.exists[0]
-
-
-def test_thrust_at_zero_exists_but_is_not_proved_unique() -> None:
-    found = solved(Z * ca.fabs(Z), Z, (-2.0, 2.0))
-    assert found.exists.tolist() == [True]
-    assert found.unique.tolist() == [False]
-
-
-def test_nothing_is_found_where_there_is_nothing() -> None:
-    assert len(solved(Z**2 + 0.01, Z, (-2.0, 2.0)).owner) == 0
+    thrust = solved(Z * ca.fabs(Z), Z, (-2.0, 2.0))  # at zero it exists, and is not proved unique
+    assert thrust.exists.tolist() == [True] and thrust.unique.tolist() == [False]
 
 
 def test_two_unknowns_of_a_circle_and_a_line() -> None:

@@ -227,7 +227,6 @@ def test_another_controller_is_only_simulated():
 @pytest.mark.parametrize(
     ("rig", "loop", "study", "where"),
     [
-        (RIG, None, Hunting(), "controller"),
         (MODEL, LOOP, Hunting(), "effect"),
         (RIG, LOOP, Hunting(axis="yaw"), "effect"),
         (RUBBING_TWICE, LOOP, Hunting(), "axis"),

@@ -222,13 +222,10 @@ def of(expression: ca.SX, *symbols: ca.SX) -> ca.Function:
 X = ca.SX.sym("x", 2)
 
 
-def test_a_true_claim_is_proved_up_to_its_edge() -> None:
+def test_a_true_claim_is_proved_up_to_its_edge_and_a_false_one_has_a_state_where_it_fails() -> None:
     f = of(X[0] ** 2 + X[1] ** 2 - 2.001, X)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0])
     assert proof.holds and len(proof.left.lower) == 0 and proof.point is None
-
-
-def test_a_false_claim_gives_a_state_where_it_fails() -> None:
     f = of(X[0] ** 2 + X[1] ** 2 - 1.99, X)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0])
     assert proof.status == "counterexample"

@@ -247,18 +247,12 @@ def newtonian() -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr], sp.Expr]:
     # Restoring moments: any functions of their own angle, U' = g(α) − g(ᾱ).
     g_v, U_v = sp.Symbol("g_v"), sp.Function("U_v")(a_v)
     tilt = k_c * A_h  # = l_t F̄_h cos ᾱ_v at the equilibrium
-    V = (
-        gamma * J * O_h**2 / 2
-        + J_v * O_v**2 / 2
-        + gamma * k_c * x_h**2 / 2
-        + U_v
-        + gamma * e_h * x_h * J * O_h
-        + e_v * x_v * J_v * O_v
-        + gamma * e_h * k_oh * x_h**2 / 2
-        + e_v * k_ov * x_v**2 / 2
-        + c_h * stored(w_h, b_h, d_h, W_h)
-        + c_v * stored(w_v, b_v, d_v, W_v)
-    )
+    kinetic = gamma * J * O_h**2 / 2 + J_v * O_v**2 / 2
+    wells = gamma * k_c * x_h**2 / 2 + U_v
+    crossed = gamma * e_h * x_h * J * O_h + e_v * x_v * J_v * O_v
+    held = gamma * e_h * k_oh * x_h**2 / 2 + e_v * k_ov * x_v**2 / 2
+    rotors = c_h * stored(w_h, b_h, d_h, W_h) + c_v * stored(w_v, b_v, d_v, W_v)
+    V = kinetic + wells + crossed + held + rotors
     swing = -H * O_h**2 * sp.sin(2 * a_v) / 2
     pitch = l_m * (F_v - F_v0) - g_v + k_g * F_v * O_h * sp.cos(a_v) - k_ov * O_v + swing
     yaw = l_t * F_h * sp.cos(a_v) - l_t * F_h0 * sp.cos(A_v) + tilt - k_oh * O_h - k_c * a_h
@@ -269,22 +263,16 @@ def newtonian() -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr], sp.Expr]:
     lack_v = l_m * (F_v - F_v0) - k_t * s_h
     bent = l_t * F_h0 * (sp.cos(a_v) - sp.cos(A_v))
     cross = k_g * F_v * sp.cos(a_v)
-    claimed = (
-        -gamma * k_oh * O_h**2
-        - k_ov * O_v**2
-        - c_h * s_h**2
-        - c_v * s_v**2
-        + gamma * lack_h * O_h
-        + lack_v * O_v
-        + gamma * bent * O_h
-        + (gamma * turning + cross) * O_h * O_v
-        + (gamma * J_slope - H * sp.sin(2 * a_v)) * O_h**2 * O_v / 2
-        # the cross terms
-        + gamma * e_h * J * O_h**2
-        + e_v * J_v * O_v**2
-        + gamma * e_h * x_h * (-k_c * x_h + bent + lack_h + (turning + J_slope * O_h) * O_v)
-        + e_v * x_v * (-g_v + lack_v + (cross - H * sp.sin(2 * a_v) * O_h / 2) * O_h)
-    )
+    spent = -gamma * k_oh * O_h**2 - k_ov * O_v**2 - c_h * s_h**2 - c_v * s_v**2
+    lacking = gamma * lack_h * O_h + lack_v * O_v + gamma * bent * O_h
+    moving = (gamma * turning + cross) * O_h * O_v
+    moving += (gamma * J_slope - H * sp.sin(2 * a_v)) * O_h**2 * O_v / 2
+    # the cross terms
+    rates_of = gamma * e_h * J * O_h**2 + e_v * J_v * O_v**2
+    yaw_of = -k_c * x_h + bent + lack_h + (turning + J_slope * O_h) * O_v
+    pitch_of = -g_v + lack_v + (cross - H * sp.sin(2 * a_v) * O_h / 2) * O_h
+    claimed = spent + lacking + moving + rates_of
+    claimed += gamma * e_h * x_h * yaw_of + e_v * x_v * pitch_of
     V_slope = {sp.Derivative(U_v, a_v): g_v}
     return along(V, rates).subs(V_slope), rates, claimed
 

@@ -117,9 +117,6 @@ class TestDisks:
         # eigenvalues near a double one move by the square root of the grid's step
         assert diagonal_mu(M[None])[0] == pytest.approx(brute, rel=0.02, abs=1e-3)
 
-    def test_one_loop_has_its_own_size(self):
-        assert diagonal_mu(np.array([[[3 - 4j]]]))[0] == pytest.approx(5.0)
-
     def test_factors_within_the_disk_are_stood_and_one_on_its_edge_is_not(self):
         loop = 4.0 / (S * (S + 1) * (S / 5 + 1))
         loop *= 0.5
@@ -134,7 +131,8 @@ class TestDisks:
             disk.gain_up
         )
 
-    def test_a_disk_of_two_holds_every_gain(self):
+    def test_one_loop_has_its_own_size_and_a_disk_of_two_holds_every_gain(self):
+        assert diagonal_mu(np.array([[[3 - 4j]]]))[0] == pytest.approx(5.0)
         assert DiskMargin(2.0, 1.0).gain_up == math.inf
         assert DiskMargin(2.5, 1.0).gain_down == 0.0
         assert DiskMargin(1.0, 1.0).gain_up == pytest.approx(3.0)
@@ -251,11 +249,10 @@ BLIND = OpenLoop(u_v=Constant(offset=1.4), u_h=Constant(offset=0.3))
         ({}, SLOW, 0.02, "the controller samples every 3 s"),
         ({}, BLIND, 0.02, "there is no loop"),
         ({"at": {"alpha_v": 1.4}}, lqr(), 0.02, "no equilibrium"),
-        ({}, None, 0.02, "no controller is chosen"),
     ],
 )
 def test_what_makes_no_sense_is_refused(keys, controller, clock, says):
-    loop = None if controller is None else replace(loop_of(controller), sample_time=clock)
+    loop = replace(loop_of(controller), sample_time=clock)
     with pytest.raises(ConfigurationError, match=says) as refused:
         replace(STUDY, **keys).run(Subject(MODEL, "newtonian", loop), silent)
     assert "lowest" not in keys or refused.value.where == "lowest"
@@ -358,10 +355,8 @@ class TestTheSignal:
         assert np.delete(spectrum, probe.lines) == pytest.approx(0.0, abs=1e-9)
         assert probe.omega[-1] == pytest.approx(np.pi / 0.1)
 
-    def test_is_not_peaky(self):
+    def test_is_not_peaky_and_what_lies_between_the_lines_is_told(self):
         assert np.abs(multisine(0.1, 0.1, 1.06).values).max() < 3.5
-
-    def test_what_lies_between_the_lines_is_told(self):
         probe = multisine(0.1, 0.2, 1.1)
         between = np.setdiff1d(np.arange(1, probe.length // 2), probe.lines)[0]
         tone = np.cos(2 * np.pi * between * np.arange(probe.length) / probe.length)

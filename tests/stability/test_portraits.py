@@ -331,6 +331,8 @@ def test_the_window_holds_the_rest_points_and_the_operating_point(hover):
     for rest in search(hover, window):
         assert np.all(rest.c > window[:, 0]) and np.all(rest.c < window[:, 1])
     assert len(search(hover, window)) == 2
+    given = checked_window(hover.coordinates, {"rate_v": (-1.0, 0.5)})
+    assert default_window(hover, given)[1].tolist() == [-1.0, 0.5]
 
 
 def test_a_swing_within_the_separatrix_stays_within_the_window(hover, into_the_saddle):
@@ -346,11 +348,6 @@ def test_the_window_of_a_motor_holds_what_its_commands_reach():
     for command in (-2.5, 2.5):
         x = section.coordinates.field.motions(section.point.x, [command], 6.0, 0.05)[:, 0]
         assert np.all(x[:, 1] > window[0, 0]) and np.all(x[:, 1] < window[0, 1])
-
-
-def test_limits_that_are_given_stay(hover):
-    given = checked_window(hover.coordinates, {"rate_v": (-1.0, 0.5)})
-    assert default_window(hover, given)[1].tolist() == [-1.0, 0.5]
 
 
 @pytest.mark.parametrize(

@@ -21,12 +21,15 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.studies.equilibria import Equilibria
+from trms_cli.stability.studies.hunting import Hunting
 from trms_cli.stability.studies.limit_cycles import LimitCycles
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.studies.lyapunov import Lyapunov
+from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.studies.phase_portrait import PhasePortrait
 from trms_cli.stability.studies.region_of_attraction import RegionOfAttraction
 from trms_cli.stability.studies.root_locus import RootLocus
+from trms_cli.stability.studies.tolerance import Tolerance
 from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import LoopParts, Subject
 
@@ -42,6 +45,7 @@ STUDIES = [
 ]
 #: Studies of a model alone; of equations.
 OF_A_MODEL = Equilibria(), LimitCycles(), Local(), Lyapunov(), RootLocus(), Controllability()
+OF_A_LOOP = Hunting(), Margins(), Tolerance()
 OF_EQUATIONS = Equilibria(), LimitCycles(), Lyapunov(), PhasePortrait(), RegionOfAttraction()
 
 
@@ -76,8 +80,9 @@ def test_a_loop_keeps_its_delays_and_sensors():
     subject = Subject(MODEL, "newtonian", loop)
     assert subject.require_equations("a study") is MODEL
     assert subject.require_loop("a study") is loop
-    with pytest.raises(ConfigurationError, match="no controller is chosen"):
-        Subject(MODEL, "newtonian").require_loop("a study")
+    for study in OF_A_LOOP:
+        with pytest.raises(ConfigurationError, match="no controller is chosen"):
+            study.run(Subject(MODEL, "newtonian"), silent)
     Subject(MODEL, "newtonian").require_no_loop("a study")
     for study in OF_A_MODEL:
         with pytest.raises(ConfigurationError, match="about the model alone"):

@@ -34,7 +34,6 @@ from trms_cli.stability.loops.tolerance import (
 from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.studies.tolerance import Tolerance, _sentence
 from trms_cli.stability.study import silent
-from trms_cli.stability.subject import Subject
 
 BOUNDS = Bounds(rest=0.02, swing=0.002, chatter=0.02)
 TIME = np.arange(0, 40, 0.02)
@@ -258,11 +257,6 @@ def test_what_makes_no_sense_is_refused(keys, says):
         replace(NEAR, **keys).run(subject_of(lqr()), silent)
 
 
-def test_without_a_controller_there_is_no_loop():
-    with pytest.raises(ConfigurationError, match="no controller is chosen"):
-        NEAR.run(Subject(MODEL, "newtonian"), silent)
-
-
 @pytest.mark.slow
 def test_a_loop_that_does_not_hold():
     findings = NEAR.run(subject_of(Changed(lqr(), late=4)), silent)
@@ -273,20 +267,14 @@ LOOP = loop_of(Lqr())
 PITCH = MODEL.state_index("alpha_v")
 
 
-def test_at_its_point_the_loop_rests():
+def test_the_loop_rests_at_its_point_comes_back_to_it_and_goes_to_another():
     run = run_loop(MODEL, LOOP, POINT, 2.0)
     assert run.time.shape == (100,) and run.x.shape == (100, 6) and run.u.shape == (100, 2)
     assert np.abs(run.x - POINT.x).max() < 1e-6 and not run.ended and not run.failures
     assert run.statuses == {"ok": 100}
-
-
-def test_from_beside_it_comes_back():
     run = run_loop(MODEL, LOOP, POINT, 20.0, offset={"alpha_v": 0.1})
     assert run.x[0, PITCH] == pytest.approx(0.1, abs=1e-9)
     assert np.abs(run.x[-1] - POINT.x).max() < 0.01
-
-
-def test_to_another_reference():
     run = run_loop(MODEL, LOOP, POINT, 20.0, reference={"alpha_v": 0.2})
     assert run.x[-1, PITCH] == pytest.approx(0.2, abs=0.01)
 
