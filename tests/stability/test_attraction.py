@@ -310,6 +310,7 @@ def test_a_kink_is_covered_and_gives_no_integral():
 
 
 FEW = ("study.samples=100", "study.grid=9")
+PITCH, LYAPUNOV = "model=newtonian_vertical", "study.methods=[lyapunov]"
 
 
 def answered(*overrides):
@@ -319,9 +320,7 @@ def answered(*overrides):
 
 @pytest.fixture(scope="module")
 def pitch():
-    return answered(
-        "model=newtonian_vertical", "study.methods=[lyapunov,integrals]", "study.boxes=20000", *FEW
-    )
+    return answered(PITCH, "study.methods=[lyapunov,integrals]", "study.boxes=20000", *FEW)
 
 
 def test_the_answer_for_pitch(pitch):
@@ -350,9 +349,7 @@ def test_the_figure_shows_region_estimates_and_saddle(pitch):
 
 @pytest.mark.slow
 def test_rotors_may_deviate_too():
-    found = answered(
-        "model=newtonian_vertical", "study.states=all", "study.methods=[inclusion]", *FEW
-    )
+    found = answered(PITCH, "study.states=all", "study.methods=[inclusion]", *FEW)
     assert found.results["states"] == ["omega_v", "S_v", "alpha_v"]
     estimate = found.results["estimates"][0]
     assert estimate["proved"] and estimate["half_widths"]["omega_v"] > 3.0
@@ -361,12 +358,7 @@ def test_rotors_may_deviate_too():
 
 @pytest.mark.slow
 def test_a_box_that_is_given_is_kept_to():
-    found = answered(
-        "model=newtonian_vertical",
-        "study.methods=[lyapunov]",
-        "study.box={alpha_v: 0.05, S_v: 0.6}",
-        *FEW,
-    )
+    found = answered(PITCH, LYAPUNOV, "study.box={alpha_v: 0.05, S_v: 0.6}", *FEW)
     assert found.results["box"] == {"S_v": 0.6, "alpha_v": 0.05}
     assert found.results["estimates"][0]["half_widths"]["alpha_v"] <= 0.05
 
@@ -377,25 +369,19 @@ def test_a_box_that_is_given_is_kept_to():
         # 0.0234: of the mean of both sides of yaw zero, as study=local has it
         (["model=rahideh", "study.at={alpha_v: 0.4}"], ModelError, "unstable.*0.0234"),
         (["model=narx_2dof"], ModelError, "only steps"),
-        (["model=newtonian_vertical", "study.at={u_v: 2.4}"], ConfigurationError, "ends at"),
-        (["model=newtonian_vertical", "study.box={alpha_x: 1.0}"], ConfigurationError, "alpha_x"),
-        (["model=newtonian_vertical", "study.states=[alpha_x]"], ConfigurationError, "alpha_x"),
-        (
-            ["model=newtonian_vertical", "study.plane=[alpha_v, omega_v]"],
-            ConfigurationError,
-            "omega_v",
-        ),
+        ([PITCH, "study.at={u_v: 2.4}"], ConfigurationError, "ends at"),
+        ([PITCH, "study.box={alpha_x: 1.0}"], ConfigurationError, "alpha_x"),
+        ([PITCH, "study.states=[alpha_x]"], ConfigurationError, "alpha_x"),
+        ([PITCH, "study.plane=[alpha_v, omega_v]"], ConfigurationError, "omega_v"),
     ],
 )
 def test_bad_requests_are_told(overrides, kind, words):
     with pytest.raises(kind, match=words):
-        answered("study.methods=[lyapunov]", *FEW, *overrides)
+        answered(LYAPUNOV, *FEW, *overrides)
 
 
 def test_the_lqr_law_as_equations_moves_as_the_sampled_loop():
-    composition = compose(
-        ["study=region_of_attraction", "model=newtonian_vertical", "controller=lqr"], "stability"
-    )
+    composition = compose(["study=region_of_attraction", PITCH, "controller=lqr"], "stability")
     subject = request.request_of(composition).subject
     point = operating_point(subject.model, {"alpha_v": 0.0})
     law = linear_law(subject.model, subject.loop, point)
@@ -412,7 +398,7 @@ def test_the_lqr_law_as_equations_moves_as_the_sampled_loop():
 @pytest.mark.slow
 def test_an_lqr_loop_is_proved_and_run():
     found = answered(
-        "model=newtonian_vertical",
+        PITCH,
         "controller=lqr",
         "study.methods=[lyapunov,inclusion]",
         "study.loop_starts=3",
@@ -429,7 +415,7 @@ def test_an_lqr_loop_is_proved_and_run():
 
 def test_another_controller_is_only_run():
     found = answered(
-        "model=newtonian_vertical",
+        PITCH,
         "controller=pid",
         "study.loop_starts=3",
         "study.box={alpha_v: 0.3, S_v: 0.2}",
@@ -479,7 +465,7 @@ def test_intervals_have_enough_digits(hits):
 
 
 def test_a_cut_duration_is_told_and_widens_the_share():
-    found = answered("model=rahideh", "study.at={alpha_v: 0.343}", "study.methods=[lyapunov]", *FEW)
+    found = answered("model=rahideh", "study.at={alpha_v: 0.343}", LYAPUNOV, *FEW)
     assert found.results["duration"] == 120.0
     assert any("what had not arrived is undecided" in sentence for sentence in found.warnings)
     share, undecided = found.results["true_share_of_box"], found.results["undecided"]
@@ -489,12 +475,6 @@ def test_a_cut_duration_is_told_and_widens_the_share():
 
 
 def test_proofs_and_simulations_are_of_the_same_rig():
-    found = answered(
-        "model=newtonian_vertical",
-        "effect=main_dead_zone",
-        "study.at.u_v=1.0",
-        "study.methods=[lyapunov]",
-        *FEW,
-    )
+    found = answered(PITCH, "effect=main_dead_zone", "study.at.u_v=1.0", LYAPUNOV, *FEW)
     assert [e["failed"] for e in found.results["estimates"]] == [0]
     assert any("main_dead_zone" in sentence for sentence in found.warnings)
