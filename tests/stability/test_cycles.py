@@ -18,8 +18,9 @@ from trms_cli.core.chart import Curve
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extended
+from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.models.model import Model, Signal
-from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.models.vector_field import VectorField, has_impulses
@@ -139,10 +140,6 @@ def test_cycles_of_the_normal_form(r2, off):
     assert orbit.stable == (r2 > 0.5)
 
 
-def test_from_a_guess_that_belongs_to_no_cycle_none_comes():
-    assert NORMAL_FORM.closed(circle(0.1), np.pi, np.array([-1.0])) is None
-
-
 def test_a_branch_from_its_hopf_point_around_the_fold():
     model = normal_form()
     curve = equilibria_over(model, np.zeros(2), np.array([-0.4]), 0)
@@ -166,6 +163,8 @@ def test_a_branch_from_a_cycle_ends_at_the_hopf_point():
     assert "Hopf" in branch.ended
     assert abs(branch.orbits[-1].u[0]) < 0.02 < abs(branch.orbits[0].u[0])
     assert not any(orbit.stable for orbit in branch.orbits)
+    # From a guess that belongs to no cycle none comes.
+    assert NORMAL_FORM.closed(circle(0.1), np.pi, np.array([-1.0])) is None
 
 
 def proof_of(model, point):
@@ -181,13 +180,11 @@ def test_one_axis_has_no_cycle_and_that_is_proved(freedom):
     rotor, beam = proof.blocks
     assert len(rotor.states) == 1 and len(beam.states) == 2
     # The divergence of the beam is −k_o/J.
-    geometry = {p.name: p.value for p in model.parameters}
+    values = {p.name: p.value for p in model.parameters}
     low, high = beam.divergence
     assert low <= high < 0
     if freedom == "vertical":
-        from trms_cli.models.newtonian import geometry as inertia
-
-        exact = -geometry["k_ov"] / inertia(geometry)["J_v"]
+        exact = -values["k_ov"] / geometry(values)["J_v"]
         assert low == pytest.approx(exact, rel=1e-12) and high - low < 1e-9
 
 
@@ -219,11 +216,13 @@ def test_what_an_open_block_drives_is_open_too():
     assert proof.blocks[1].driven
 
 
-def test_nothing_is_proved_of_an_oscillator_that_cycles():
+def test_nothing_is_proved_of_an_oscillator_that_cycles_but_where_areas_shrink():
     assert not absence(van_der_pol(), np.zeros(2), np.zeros(1), 3 * np.ones(2)).proved
     # Within |x| < 1 the divergence 1 − x² is positive: no cycle lies there.
     inner = absence(van_der_pol(), np.zeros(2), np.zeros(1), 0.9 * np.ones(2))
     assert inner.proved and not inner.everywhere
+    (block,) = absence(WithLag(), np.zeros(3), np.array([-1.0]), np.full(3, 0.3)).blocks
+    assert block.share == 1.0
 
 
 class WithLag(Oscillator):
@@ -248,16 +247,7 @@ def test_no_box_that_is_proved_empty_holds_a_known_cycle(u, width):
     assert block.share * width < radius + 0.01
 
 
-def test_a_block_whose_areas_shrink_everywhere():
-    (block,) = absence(WithLag(), np.zeros(3), np.array([-1.0]), np.full(3, 0.3)).blocks
-    assert block.share == 1.0
-
-
 def test_impulses_are_told():
-    from trms_cli.effects.coulomb_friction import CoulombFriction
-    from trms_cli.effects.extended_model import extended
-    from trms_cli.effects.quadratic_damping import QuadraticDamping
-
     model = Newtonian()
     assert not has_impulses(model)
     friction = {"f": CoulombFriction(axis="pitch", torque=0.01)}

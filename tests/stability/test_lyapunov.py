@@ -300,24 +300,15 @@ def test_a_row_is_what_is_found(row: list[str]) -> None:
     kind, options, at = ROWS[row[0]]
     model: TwinRotor = kind(**options)
     function = row[1].split(",")[0]
-    found = certify(
-        rig_of(Subject(model, "model")),
-        operating_point(model, at),
-        function,
-        Lyapunov().budget,
-        0,
-        silent,
-    )
+    rig, point = rig_of(Subject(model, "model")), operating_point(model, at)
+    found = certify(rig, point, function, Lyapunov().budget, 0, silent)
     assert (found.search.candidate.weights.strict) == (function == "strict")
     if "γ" in row[1]:
         assert found.search.candidate.weights.yaw == float(row[1].split("=")[1])
     depth, outer, inner = (cell.strip("*") for cell in row[2:5])
     assert found.everywhere == (outer == "all states")
-    for cell, value in (
-        (depth, found.search.wells.depth),
-        (outer, found.outer),
-        (inner, found.inner),
-    ):
+    levels = found.search.wells.depth, found.outer, found.inner
+    for cell, value in zip((depth, outer, inner), levels, strict=True):
         if cell == "none":
             assert value == 0.0
         elif cell not in ("–", "all states"):

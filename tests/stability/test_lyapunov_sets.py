@@ -65,11 +65,8 @@ def test_bounds_over_boxes_hold_at_points_in_them(kind: type, freedom: str, stri
     for side in (first, second):
         side[:, 2 * k :] = np.clip(side[:, 2 * k :], ends.lower, ends.upper)
     boxes = Interval(first, second)
-    values, matrices, slopes = (
-        candidate.values(boxes),
-        candidate.matrices(boxes),
-        candidate.slopes(boxes),
-    )
+    values, matrices = candidate.values(boxes), candidate.matrices(boxes)
+    slopes = candidate.slopes(boxes)
     size = matrices.lower.shape[1]
     weights = candidate.weights.array()
     for _ in range(2):
