@@ -302,9 +302,7 @@ def latest_run(folder: Path) -> Latest | None:
 
 def _is_written(log: str) -> bool:
     """Whether a log has no end and somebody has it open to write one."""
-    from trms_cli.recordings.log_reader import (
-        LogTail,
-    )  # loads NumPy
+    from trms_cli.recordings.log_reader import LogTail  # loads NumPy
 
     try:
         with open(log, "rb") as file:
