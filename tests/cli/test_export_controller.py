@@ -129,10 +129,10 @@ def test_a_controller_without_its_observer(tmp_path):
 @pytest.mark.parametrize(
     ("override", "where", "words"),
     [
-        ("controller=pid", "controller", "Pid has no C source"),
+        ("controller=pid", "controller", "controller=pid has no C source"),
         ("controller.terminal=quasi_infinite", "controller.terminal", "quasi_infinite"),
         ("controller.fallback=stop", "controller.fallback", "stop"),
-        ("qp_solver@controller.qp=osqp", "controller.qp", "Osqp has no C source"),
+        ("qp_solver@controller.qp=osqp", "controller.qp", "other than daqp has no C source"),
         ("plant=replay", "plant", "recording"),
         ("name=Rig", "name", "'Rig' given"),
         ("name=mpc", "name", "'mpc' given"),

@@ -379,11 +379,14 @@ def newton_source(
     )
 
 
-def check_exportable(controller: Any) -> None:
-    """Raise :class:`ConfigurationError` for a controller, or an option of it, that has no C."""
+def check_exportable(controller: Any, option: str = "") -> None:
+    """Raise :class:`ConfigurationError` for a controller, or an option of it, that has no C.
+
+    ``option``: as it was chosen, for the message.
+    """
     if not isinstance(controller, NewtonMpc):
         raise ConfigurationError(
-            f"{type(controller).__name__} has no C source",
+            f"{f'controller={option}' if option else 'this controller'} has no C source",
             where="controller",
             remedy="export newton_mpc: controller=newton_mpc",
         )
@@ -401,7 +404,7 @@ def check_exportable(controller: Any) -> None:
         )
     if type(controller.qp) is not Daqp:
         raise ConfigurationError(
-            f"the QP solver {type(controller.qp).__name__} has no C source",
+            "a QP solver other than daqp has no C source",
             where="controller.qp",
             remedy="take daqp: qp_solver@controller.qp=daqp",
         )

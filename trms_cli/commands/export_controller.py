@@ -135,8 +135,9 @@ def _exported(composition: Composition) -> Export:
     from trms_cli.plants.plant import PlantSetup
 
     experiment = experiment_of(composition.config)
-    check_exportable(experiment.controller)
-    _check_observer(experiment)
+    choices = composition.choices
+    check_exportable(experiment.controller, str(choices["controller"]))
+    _check_observer(experiment, str(choices["observer"]))
     period = experiment.samples_per_control * experiment.sample_time
     samples = round(experiment.duration / period)
     if not 1 <= samples <= _MOST_SAMPLES:
@@ -178,13 +179,13 @@ def _name_of(composition: Composition) -> str:
     return name if _USABLE.fullmatch(name) else "newton_mpc"
 
 
-def _check_observer(experiment: Experiment) -> None:
+def _check_observer(experiment: Experiment, option: str) -> None:
     from trms_cli.observers.full_state import FullState
     from trms_cli.observers.recursive_filter import RecursiveFilter
 
     if not isinstance(experiment.observer, (FullState, RecursiveFilter)):
         raise ConfigurationError(
-            f"the observer {type(experiment.observer).__name__} has no C source",
+            f"observer={option} has no C source",
             where="observer",
             remedy="take a filter (ukf, ekf, …), or full_state to export the controller alone",
         )
