@@ -448,16 +448,17 @@ def _why(
         pair = listing(names) if len(names) > 2 else " from ".join(names)
         gain = f"{_nats(best[0])} in {seconds:.0f} s, against {_nats(now[0])} in the "
         gain += f"{lasted:.0f} s recorded"
+        of_the_best = f"the command is that of the best, {experiment.words}: {gain}"
         if best[0] < DECIDES:
             return (
-                f"none of {tried} open-loop experiments tells {pair}: the best, "
-                f"{experiment.words}, promises {gain}, and {DECIDES:g} would be odds of 20 to 1; "
-                "no input of this kind tells them apart"
+                f"none of {tried} open-loop experiments tells {pair}, and no input of this kind "
+                f"does; {of_the_best}, where {DECIDES:g} would be odds of 20 to 1"
             )
         if best[0] * lasted < now[0] * seconds:
             return (
-                f"none of {tried} open-loop experiments tells {pair} faster than a longer "
-                f"recording like the present one; the best, {experiment.words}, promises {gain}"
+                "record longer, in the way of the present recording: none of "
+                f"{tried} open-loop experiments tells {pair} faster. Only if that cannot be done, "
+                f"{of_the_best}"
             )
         return f"{experiment.words}: tells {pair} by {gain}"
     shown = [n for n, nats in zip(names, best, strict=True) if nats >= VISIBLE]
@@ -469,8 +470,8 @@ def _why(
     if not shown:
         return (
             f"none of {tried} open-loop experiments makes {listing(names)} visible at typical "
-            f"sizes ({VISIBLE:g} nats): the best, {experiment.words}, promises {by} in what is "
-            "recorded"
+            f"sizes ({VISIBLE:g} nats); the command is that of the best, {experiment.words}: {by} "
+            "in what is recorded"
         )
     left = [name for name in names if name not in shown]
     rest = f"; {listing(left)} would still not show" if left else ""
