@@ -87,3 +87,18 @@ def test_counts_and_names_and_times():
     assert [wording.seconds(s) for s in (0.25, 12.34, 250.0, 7500.0)] == [
         "250 ms", "12.3 s", "4 min 10 s", "2 h 05 min",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("share", "ends", "text"),
+    [
+        (0.912, (0.86, 0.944), "91 % of the gap (86 to 94 %)"),
+        (0.9999, (0.9985, 1.01), "over 99 % of the gap (over 99 to 100 %)"),
+        (0.9999, (0.9985, 0.9999), "over 99 % of the gap"),
+        (4.56, (1.82, 4.56), "100 % of the gap"),
+        (0.4, (-9.0, 1.4), "40 % of the gap (up to 100 %)"),
+        (0.4, None, "40 % of the gap"),
+    ],
+)
+def test_shares_of_a_gap_are_written_one_way(share, ends, text) -> None:
+    assert wording.gap_share(share, ends, "of the gap") == text

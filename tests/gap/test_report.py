@@ -79,7 +79,7 @@ def test_says_what_was_found_in_one_file(tmp_path) -> None:
         f"validate model={tmp_path}/corrected_model.yaml",
     ):
         assert expected in said, expected
-    assert told.title == "DiagnosisResult: yaw Coulomb friction is what the model lacks"
+    assert told.title == "Diagnosis: yaw Coulomb friction is what the model lacks"
     assert not re.search(r"https?:", re.sub(r"data:[^\"]+", "", text))
     assert text.count("<img ") == 5 and "█" not in text
 
@@ -156,7 +156,7 @@ class TestNothingContradicts:
         told = findings(diagnosis(where=(beyond,), region=(), shrink=shrink, **PLAIN))
         said = words_of(page_html(told, interactive=False))
         assert not re.search(r"[1-9]\d\d %|[−-]\d+ %", said.replace("100 %", ""))
-        assert rows(told, "share of the gap")[0][1] == "all"
+        assert rows(told, "share of the gap")[0][1] == "100 %"
 
     def test_what_has_no_probability_is_not_confusable(self) -> None:
         case = diagnosis(confusable=((FRICTION, "yaw_stribeck_friction", "yaw_tangling_cable"),))
@@ -167,6 +167,46 @@ class TestNothingContradicts:
         untested = (NotTestable(effect=FRICTION, reason="x"), NotTestable(effect="y", reason="z"))
         told = findings(diagnosis(not_testable=untested, **PLAIN))
         assert [row[0] for row in rows(told, "not testable")] == ["y"]
+
+    def test_what_raced_is_said_to_be_hardly_testable_or_not_told_from_no_effect(self) -> None:
+        names = {"yaw_sensor_bias": (2.0, 1.5), "tail_thrust_curve": (60.0, 9.0)}
+        untested = tuple(NotTestable(effect=name, reason="r") for name in (*names, "y"))
+        more = [
+            RaceEntry(effects=(name,), score=score, se=se, explained=0, moved=0)
+            for name, (score, se) in names.items()
+        ]
+        case = diagnosis(not_testable=untested, race=(*diagnosis().race, *more))
+        told = findings(case)
+        assert [row[0] for row in rows(told, "not testable")] == ["y"]
+        assert [row[:2] for row in rows(told, "raced, but hardly testable")] == [
+            ["yaw sensor bias", "2 ± 2 nats better: not told apart"],
+            ["tail thrust curve", "60 ± 9 nats better"],
+        ]
+        (bars,) = race_chart(case).panels[0].marks
+        notes = dict(zip(bars.names, bars.notes, strict=True))
+        assert notes["yaw sensor bias"] == "not told from no effect"
+        assert notes["tail thrust curve"] == ""
+
+    def test_the_rows_of_all_answers_sum_to_one(self) -> None:
+        odd = (*diagnosis().causes[:2], Cause(effects=("ground_effect",), probability=0.004),
+               Cause(effects=("main_inflow",), probability=0.008),
+               Cause(effects=("none_of_these",), probability=0.028))  # fmt: skip
+        told = rows(findings(diagnosis(causes=odd, **PLAIN)), "probability")
+        assert [row[:2] for row in told][-2:] == [
+            ["none of these", "3 %"],
+            ["others, together", "1 %"],
+        ]
+        assert sum(int(row[1].removesuffix(" %")) for row in told) == 100
+        told = rows(findings(diagnosis(**PLAIN)), "probability")
+        assert [row[0] for row in told][-1] == "parameters only"
+
+    def test_a_score_below_the_refitted_model_is_worse(self) -> None:
+        lost = RaceEntry(effects=(FRICTION,), score=-3.2, se=1.1, explained=0, moved=0)
+        (words,) = section(findings(diagnosis(race=(lost,))), "The race of the candidates").text
+        assert words == (
+            "Yaw Coulomb friction foretells held-out blocks 3 ± 1 nats worse than the refitted "
+            "model."
+        )
 
     def test_only_the_advice_says_what_an_experiment_tells(self) -> None:
         assert not any("experiment" in sentence for sentence in findings(diagnosis()).lead)
@@ -343,16 +383,54 @@ def test_pictures_stay_out() -> None:
     assert "traces" not in document_of(diagnosis())
 
 
+def said_of(verdict: str, gap: Gap, shrink: Shrink | None = None) -> str:
+    """The sentence on yaw's gap at 2 s; with a cause where the verdict names one."""
+    effect = verdict == "effect"
+    cause = Cause(
+        effects=(FRICTION,) if effect else (verdict,),
+        probability=0.94,
+        parameters=diagnosis().causes[0].parameters if effect else {},
+    )
+    return sentence(
+        SimpleNamespace(verdict=verdict, confusable=()),  # type: ignore[arg-type]
+        [cause],
+        [],
+        Shrinkage({"alpha_h": {"2.0": gap}}, {"all": {"2.0": shrink}} if shrink else {}, ()),
+        {},
+    )
+
+
 @pytest.mark.parametrize(("refit", "told"), [(0.002, False), (0.06, True)])
 def test_parameters_that_do_not_hold_on_the_sealed_part_are_told(refit, told):
     gap = Gap(raw=0.1, refit=refit, corrected=refit, floor=0.0015, unit="rad")
-    cause = Cause(effects=("parameters_only",), probability=0.94, parameters={})
-    said = sentence(
-        SimpleNamespace(verdict="parameters_only", confusable=()),  # type: ignore[arg-type]
-        [cause],
-        [],
-        Shrinkage({"alpha_h": {"2.0": gap}}, {}, ()),
-        {},
-    )
+    said = said_of("parameters_only", gap)
     assert said.startswith("No effect is missing")
     assert ("40 times what the noise explains" in said) == told
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        (0.0016, "explain these recordings."),
+        (0.003, "2.0 times what the sensors' noise alone makes (yaw, 3 against 1.5 mrad): errors"),
+        (0.03, "(yaw, 30 against 1.5 mrad): do not rely on this, and record longer."),
+    ],
+)
+def test_no_gap_says_how_far_free_runs_lie_above_the_floor(raw, words):
+    gap = Gap(raw=raw, refit=raw, corrected=raw, floor=0.0015, unit="rad")
+    said = said_of("no_gap", gap)
+    assert said.startswith("No gap was found, with probability 0.94")
+    assert words in said and ("Over 2 s" in said) == (raw > 0.002)
+
+
+@pytest.mark.parametrize(
+    ("fraction", "words"),
+    [
+        (0.9998, "closes over 99 % of the gap at 2 s (99 to 100 %)."),
+        (-0.2, "closes nothing of the gap at 2 s."),
+    ],
+)
+def test_the_sentence_tells_the_share_that_is_closed(fraction, words):
+    gap = Gap(raw=0.1, refit=0.1, corrected=0.002, floor=0.0015, unit="rad")
+    said = said_of("effect", gap, Shrink(fraction=fraction, ci95=(0.991, 1.2)))
+    assert said.endswith(words)

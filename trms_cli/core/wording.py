@@ -122,6 +122,27 @@ def percent_interval(low: float, high: float, decimals: int = 0) -> str:
     return f"{percent(low, decimals).removesuffix(' %')} to {percent(high, decimals)}"
 
 
+def gap_share(share: float, ends: tuple[float, float] | None = None, of: str = "") -> str:
+    """A share of a gap: ``91 %``; with `ends` and `of`, ``91 % of the gap (86 to 94 %)``.
+
+    An estimate beyond all of the gap is no more than all of it. An interval that says the same as
+    the share is left out.
+    """
+    text = "none: it grows" if share <= -1 else percent(min(share, 1.0))
+    spread = text if ends is None else gap_interval(ends)
+    return f"{text} {of}".rstrip() + (f" ({spread})" if spread != text else "")
+
+
+def gap_interval(ends: tuple[float, float]) -> str:
+    """The interval of a share of a gap: ``86 to 94 %``; one figure where both ends read alike."""
+    low, high = (min(end, 1.0) for end in ends)
+    if low < -1.0:  # the model without the correction was close to the floor by chance
+        return f"up to {percent(high)}"
+    if percent(low) == percent(high):
+        return percent(low)
+    return percent_interval(low, high)
+
+
 def listing(names: Sequence[str], word: str = "and", most: int | None = None) -> str:
     """Names as prose lists them: ``a, b and c``; beyond `most`, how many more there are."""
     shown = list(names)

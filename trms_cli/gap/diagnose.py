@@ -16,7 +16,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
-from trms_cli.core.wording import listing, readable
+from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
@@ -463,6 +463,8 @@ _LEAST_ALIKE = 0.01
 _TOLD_AT = "2.0"
 #: Times the floor from which on a refitted model is said to leave something unexplained.
 _MUCH = 5.0
+#: Times the floor up to which a model without a gap is at it.
+_LITTLE = 1.2
 
 
 def sentence(
@@ -477,8 +479,9 @@ def sentence(
     place = f"the {readable(where[0].location)}" if where else "no single place"
     if posterior.verdict == "no_gap":
         return (
-            "The model as it is explains these recordings down to their noise: no gap was found, "
-            f"with probability {top.probability:.2f}."
+            "No gap was found, with probability "
+            f"{top.probability:.2f}: the model as it is needs neither an effect nor other "
+            "parameters to explain these recordings." + _above_floor(shrinkage)
         )
     if posterior.verdict == "parameters_only":
         moved = sorted(
@@ -514,11 +517,11 @@ def sentence(
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
     shrink = shrinkage.shrink.get("all", {}).get(_TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
-        # below the floor, by chance, is no more than all of it
-        share, ends = min(shrink.fraction, 1.0), shrink.ci95
-        text += f"; adding it closes {100 * share:.0f} % of the gap at 2 s"
-        if ends is not None:
-            text += f" ({100 * min(ends[0], 1.0):.0f} to {100 * min(ends[1], 1.0):.0f} %)"
+        if shrink.fraction > 0:
+            closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
+            text += f"; adding it closes {closed}"
+        else:
+            text += "; adding it closes nothing of the gap at 2 s"
     likely = {n for cause in causes if cause.probability >= _LEAST_ALIKE for n in cause.effects}
     alike = {name for group in posterior.confusable for name in group}
     others = sorted((alike & likely) - set(top.effects))
@@ -533,19 +536,44 @@ def _left_over(shrinkage: Shrinkage) -> str:
     The verdict compares causes on the part that was fitted. A short recording can be fitted by
     parameters that do not hold afterwards; who reads "parameters" has to be told.
     """
-    shares = {
-        channel: (gaps[_TOLD_AT].refit / gaps[_TOLD_AT].floor, gaps[_TOLD_AT])
-        for channel, gaps in shrinkage.gap.items()
-        if _TOLD_AT in gaps and gaps[_TOLD_AT].floor > 0
-    }
-    worst = max(shares, key=lambda channel: shares[channel][0], default="")
-    if not worst or shares[worst][0] < _MUCH:
+    worst, ratio = _farthest(shrinkage, "refit")
+    if ratio < _MUCH:
         return ""
-    ratio, gap = shares[worst]
+    gap = shrinkage.gap[worst][_TOLD_AT]
     return (
         f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
         f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
     )
+
+
+def _above_floor(shrinkage: Shrinkage) -> str:
+    """By how much free runs of a model without a gap err beyond the noise, and why it is none.
+
+    The verdict weighs errors of one step, and the floor knows only the sensors' noise.
+    """
+    worst, ratio = _farthest(shrinkage, "raw")
+    if ratio < _LITTLE:
+        return ""
+    gap = shrinkage.gap[worst][_TOLD_AT]
+    small, scale = small_unit(gap.unit)
+    errors = (
+        f"{signal(worst)}, {number(scale * gap.raw)} against {quantity(scale * gap.floor, small)}"
+    )
+    text = f" Over 2 s it errs by up to {ratio:.1f} times what the sensors' noise alone makes"
+    if ratio < _MUCH:
+        return f"{text} ({errors}): errors of its equations so small are usual and count as no gap."
+    return f"{text} ({errors}): do not rely on this, and record longer."
+
+
+def _farthest(shrinkage: Shrinkage, model: str) -> tuple[str, float]:
+    """The channel whose free runs of 2 s lie farthest above the floor, and how many times."""
+    ratios = {
+        channel: getattr(gaps[_TOLD_AT], model) / gaps[_TOLD_AT].floor
+        for channel, gaps in shrinkage.gap.items()
+        if _TOLD_AT in gaps and gaps[_TOLD_AT].floor > 0
+    }
+    worst = max(ratios, key=lambda channel: ratios[channel], default="")
+    return worst, ratios.get(worst, 0.0)
 
 
 def why_not_testable(race: Race, candidate: CandidateEffect) -> str:

@@ -57,6 +57,8 @@ from trms_cli.identification.findings import near
 HORIZON = 2.0
 #: Probability and share below which a cause and a place are not worth a line.
 LEAST = 0.01
+#: Probability from which causes without a row are told together.
+_REST = 0.0005
 #: Verdicts after which the missing force itself is described: a cause says more of it.
 _UNNAMED = ("none_of_these", "undecided")
 #: Probability from which an answer is called sure, and likely.
@@ -72,6 +74,8 @@ _SMALLEST = 1e-6
 #: s of the part of a force that is enlarged.
 _ENLARGED = 15.0
 _WIDTH = 9.2
+#: Stands for the causes that have no row of their own.
+_OTHERS = ("others",)
 #: Heads of the tables of the gap.
 _LENGTH, _CLOSED = "free run [s]", ("closed", "95 % interval")
 #: Units of sizes besides, and the factors to them.
@@ -108,7 +112,7 @@ def findings(
         worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
         warnings.insert(0, f"the correction made {worse} worse, by over 2 % at 2 s")
     return Findings(
-        title=f"DiagnosisResult: {headline(diagnosis)}",
+        title=f"Diagnosis: {headline(diagnosis)}",
         lead=[text for text in (diagnosis.sentence, _confidence(diagnosis)) if text],
         sections=[section for section in sections if section is not None],
         warnings=warnings,
@@ -142,6 +146,7 @@ def cause_name(effects: Sequence[str]) -> str:
         ("flexible",): "a force without a name",
         ("no_gap",): "no gap",
         ("none_of_these",): "none of these",
+        _OTHERS: "others, together",
     }
     return plain.get(tuple(effects)) or " with ".join(wording.readable(name) for name in effects)
 
@@ -167,20 +172,6 @@ def shown_horizon(rows: Mapping[str, object]) -> str | None:
     known = sorted(rows, key=float)
     below = [horizon for horizon in known if float(horizon) <= HORIZON]
     return (below or known[:1])[-1] if known else None
-
-
-def _share(share: float) -> str:
-    """A share in words: an estimate beyond all of it is no more than that."""
-    return "all" if share > 1.005 else wording.percent(share)
-
-
-def _interval(ends: tuple[float, float]) -> str:
-    low, high = (min(end, 1.0) for end in ends)
-    if low < -1.0:  # the model without the correction was close to the floor by chance
-        return f"up to {wording.percent(high)}"
-    if wording.percent(low) == wording.percent(high):
-        return wording.percent(low)
-    return wording.percent_interval(low, high)
 
 
 def _confidence(diagnosis: DiagnosisResult) -> str:
@@ -221,17 +212,18 @@ def _measures(diagnosis: DiagnosisResult) -> Iterator[Measure]:
         )
     if diagnosis.where and diagnosis.where[0].share >= 0.05:
         place = diagnosis.where[0]
-        share, ends = _share(place.share), _interval(place.ci95)
-        note = f"{share} of the gap" + ("" if ends == share else f" ({ends})")
+        note = wording.gap_share(place.share, place.ci95, "of the gap")
         yield Measure("lies in", place_name(place.location), note=note)
     rows = diagnosis.shrink.get("all", {})
     horizon = shown_horizon(rows)
     shrink = _at(rows, horizon)
     if is_corrected(diagnosis) and shrink is not None and shrink.fraction is not None:
-        ends = "" if shrink.ci95 is None else f" ({_interval(shrink.ci95)})"
+        share = wording.gap_share(shrink.fraction)
+        ends = share if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
         judgement: Judgement = "good" if shrink.fraction > 0.5 else ""
-        note = f"of what the refit left over {float(horizon or 0):g} s{ends}"
-        yield Measure("gap closed", _share(shrink.fraction), judgement=judgement, note=note)
+        note = f"of what the refit left over {float(horizon or 0):g} s"
+        note += f" ({ends})" if ends != share else ""
+        yield Measure("gap closed", share, judgement=judgement, note=note)
 
 
 def is_corrected(diagnosis: DiagnosisResult) -> bool:
@@ -287,6 +279,8 @@ def _causes(diagnosis: DiagnosisResult) -> Section | None:
         judgement: Judgement = "good" if cause is kept[0] and sure else ""
         return Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
 
+    rest = sum(cause.probability for cause in diagnosis.causes if cause not in kept)
+    rows = [*kept, Cause(effects=_OTHERS, probability=rest)] if rest >= _REST else kept
     columns = [
         Column("cause", lambda cause: cause_name(cause.effects)),
         Column("probability", probability),
@@ -305,7 +299,7 @@ def _causes(diagnosis: DiagnosisResult) -> Section | None:
             "Probabilities of all answers; they sum to one. How the race turns into probabilities "
             "is set by rigs whose truth is known, built by other code than the models."
         ],
-        [table(kept, columns)],
+        [table(rows, columns)],
     )
 
 
@@ -319,12 +313,14 @@ def _where(diagnosis: DiagnosisResult) -> Section | None:
     }
 
     def when(location: str) -> str:
-        return "; ".join(f"{_share(r.share)} where {r.condition}" for r in regions[location])
+        return "; ".join(
+            f"{wording.gap_share(r.share)} where {r.condition}" for r in regions[location]
+        )
 
     columns = [
         Column("place", lambda place: place_name(place.location)),
-        Column("share of the gap", lambda place: _share(place.share)),
-        Column("95 % interval", lambda place: _interval(place.ci95)),
+        Column("share of the gap", lambda place: wording.gap_share(place.share)),
+        Column("95 % interval", lambda place: wording.gap_interval(place.ci95)),
     ]
     if any(regions.values()):
         columns.append(Column("of its energy", lambda place: when(place.location)))
@@ -351,8 +347,8 @@ def _where_words(diagnosis: DiagnosisResult) -> str:
     if first.share < 0.05:
         return "No place stands out: a free force at any of them closes next to nothing."
     text = (
-        f"**{_share(first.share)}** of the gap lies in the {place_name(first.location)} (95 % "
-        f"interval: {_interval(first.ci95)})."
+        f"**{wording.gap_share(first.share)}** of the gap lies in the "
+        f"{place_name(first.location)} (95 % interval: {wording.gap_interval(first.ci95)})."
     )
     rivals = [
         place_name(place.location)
@@ -397,8 +393,8 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
         return "No candidate ran."
     name = cause_name(best.effects)
     text = (
-        f"{name[0].upper()}{name[1:]} foretells held-out blocks by {best.score:.0f} ± "
-        f"{best.se:.0f} nats better than the refitted model."
+        f"{name[0].upper()}{name[1:]} foretells held-out blocks {_apart(best)} than the refitted "
+        "model."
     )
     others = [e for e in diagnosis.race if is_effect(e.effects) and e is not best]
     second = max(others, key=lambda entry: entry.score, default=None)
@@ -419,6 +415,17 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
     return text
 
 
+def _apart(entry: RaceEntry) -> str:
+    """A score above the refitted model's: ``12 ± 3 nats better``."""
+    way = "better" if entry.score >= 0 else "worse"
+    return f"{abs(entry.score):.0f} ± {entry.se:.0f} nats {way}"
+
+
+def _result(entry: RaceEntry) -> str:
+    """What the race says of an effect that is hardly testable."""
+    return _apart(entry) + ("" if _beats_no_effect(entry) else ": not told apart")
+
+
 def race_chart(diagnosis: DiagnosisResult) -> Chart:
     """Bars of the held-out score of each competitor above the refitted model's."""
     entries = sorted((e for e in diagnosis.race if np.isfinite(e.score)), key=lambda e: -e.score)
@@ -427,6 +434,7 @@ def race_chart(diagnosis: DiagnosisResult) -> Chart:
     best = winner(diagnosis)
     first = likeliest(diagnosis)
     alike = {cause.effects for cause in _alike(first, diagnosis)} if first is not None else set()
+    hardly = _hardly_testable(diagnosis)
     top = max([e.score + (e.se if is_effect(e.effects) else 0.0) for e in kept] + [1.0])
     low = min(0.0, max(min((e.score for e in kept), default=0.0), -0.25 * top))
 
@@ -442,7 +450,14 @@ def race_chart(diagnosis: DiagnosisResult) -> Chart:
         [max(e.score, low) for e in kept],
         [colour(e) for e in kept],
         [e.se if is_effect(e.effects) and e.score >= low else np.nan for e in kept],
-        ["not told from the best" if e.effects in alike else "" for e in kept],
+        [
+            "not told from the best"
+            if e.effects in alike
+            else "not told from no effect"
+            if e in hardly.values() and not _beats_no_effect(e)
+            else ""
+            for e in kept
+        ],
     )
     axis = Axis("held-out log density above the refitted model", "nats", (1.05 * low, 1.04 * top))
     return Chart(
@@ -590,9 +605,8 @@ def _closed(shrink: Shrink | None) -> dict[str, Cell]:
     if shrink is None or shrink.fraction is None:
         return {_CLOSED[0]: wording.MISSING, _CLOSED[1]: ""}
     mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
-    text = _share(shrink.fraction) if shrink.fraction > -1 else "none: it grows"
-    ends = "" if shrink.ci95 is None else _interval(shrink.ci95)
-    return {_CLOSED[0]: Datum(text, mark), _CLOSED[1]: ends}
+    ends = "" if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
+    return {_CLOSED[0]: Datum(wording.gap_share(shrink.fraction), mark), _CLOSED[1]: ends}
 
 
 def _at(rows: Mapping[str, Shrink], horizon: str | None) -> Shrink | None:
@@ -720,7 +734,7 @@ def _parameters(diagnosis: DiagnosisResult) -> Section | None:
     more = len(items) - _MOST_PARAMETERS
     caption = ""
     if more > 0:
-        caption = f"And {wording.count(more, 'more')}, which moved less: see diagnosis.json."
+        caption = f"And {more} more, which moved less: see diagnosis.json."
     return Section(
         "Parameters of the model",
         [
@@ -732,15 +746,48 @@ def _parameters(diagnosis: DiagnosisResult) -> Section | None:
     )
 
 
+def _hardly_testable(diagnosis: DiagnosisResult) -> dict[str, RaceEntry]:
+    """Effects that raced although their trace about the refitted model is below the noise.
+
+    There the discrepancy is as large as the refit left it; in the race it may be smaller.
+    """
+    unseen = {item.effect for item in diagnosis.not_testable}
+    return {
+        entry.effects[0]: entry
+        for entry in diagnosis.race
+        if len(entry.effects) == 1 and entry.effects[0] in unseen
+    }
+
+
+def _beats_no_effect(entry: RaceEntry) -> bool:
+    """Whether a competitor does better than no effect by more than chance."""
+    return entry.score > max(_LEVEL, 2 * entry.se)
+
+
 def _not_told(diagnosis: DiagnosisResult) -> Section | None:
     named = {
         name for cause in diagnosis.causes if cause.probability >= LEAST for name in cause.effects
     }
     # what the race was decided by was tested, whatever was foreseen of it
-    untested = [item for item in diagnosis.not_testable if item.effect not in named]
-    if not untested and not diagnosis.detectable:
+    unnamed = [item for item in diagnosis.not_testable if item.effect not in named]
+    raced = _hardly_testable(diagnosis)
+    hardly = [item for item in unnamed if item.effect in raced]
+    untested = [item for item in unnamed if item.effect not in raced]
+    if not unnamed and not diagnosis.detectable:
         return None
+    text = ["An effect that was not excited is not tested, which is not to say that it is absent."]
     blocks: list[Block] = []
+    if hardly:
+        text.append(
+            "Some raced all the same, for the little that they do points at what the refitted "
+            "model leaves over."
+        )
+        columns = [
+            Column("raced, but hardly testable", lambda item: wording.readable(item.effect)),
+            Column("against no effect", lambda item: _result(raced[item.effect])),
+            Column("why", "reason"),
+        ]
+        blocks.append(table(hardly, columns, on_screen=False))
     if untested:
         columns = [
             Column("not testable", lambda item: wording.readable(item.effect)),
@@ -761,7 +808,7 @@ def _not_told(diagnosis: DiagnosisResult) -> Section | None:
         )
     return Section(
         "What these recordings cannot tell",
-        ["An effect that was not excited is not tested, which is not to say that it is absent."],
+        text,
         blocks,
         folded=True,
     )

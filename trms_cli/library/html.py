@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core import wording
-from trms_cli.core.findings import Findings, Table, plain
+from trms_cli.core.findings import Findings, plain
 
 _LEFT = "text-align:left"
 
@@ -65,11 +65,8 @@ def findings(told: Findings, headline: str, paths: Mapping[str, Path | None]) ->
     parts = [paragraph(headline, bold=True)]
     parts += [paragraph(sentence.replace("**", "")) for sentence in told.lead]
     parts += [paragraph(f"Note: {warning}") for warning in told.warnings]
-    parts += [shown_table(one) for one in told.tables if one.on_screen and one.rows]
+    for one in told.tables:
+        if one.on_screen and one.rows:
+            rows = [[wording.cell(plain(cell)) for cell in row] for row in one.rows]
+            parts.append(table(one.columns, rows, one.caption))
     return "".join([*parts, files(paths)])
-
-
-def shown_table(one: Table) -> str:
-    """A table of findings."""
-    rows = [[wording.cell(plain(cell)) for cell in row] for row in one.rows]
-    return table(one.columns, rows, one.caption)

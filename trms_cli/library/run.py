@@ -26,6 +26,14 @@ if TYPE_CHECKING:
 
 #: Pixels of the picture in a notebook.
 _WIDTH = 640
+#: Figures of the table in a notebook: key of a channel, label.
+_FIGURES = (
+    ("rmse", "RMSE"),
+    ("max_abs_error", "largest error"),
+    ("overshoot_percent", "overshoot, worst step [%]"),
+    ("settling_time_s", "settling time, worst step [s]"),
+    ("steady_state_error", "steady-state error"),
+)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -156,12 +164,18 @@ class Run(Result):
         return "".join(self._html())
 
     def _html(self) -> Any:
-        from trms_cli.scoring.findings import short_tables
-
+        channels = self.score["channels"]
         yield html.paragraph(self.headline, bold=True)
         if self.outcome != "completed":
             yield html.paragraph(f"{self.outcome}; {'; '.join(self.logged.problems)}")
-        yield from map(html.shown_table, short_tables(self.score))
+        if channels:
+            head = ["", *(f"{name} [{c['unit']}]" for name, c in channels.items())]
+            rows = [
+                [label, *(c.get(key) for c in channels.values())]
+                for key, label in _FIGURES
+                if any(c.get(key) is not None for c in channels.values())
+            ]
+            yield html.table(head, rows)
         yield html.picture(self._small_picture())
         yield html.files({"log": self.log})
 

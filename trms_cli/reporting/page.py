@@ -109,8 +109,6 @@ _MOST_POINTS = 4_000
 _PIXELS_PER_INCH = 144
 #: Letters up to which a cell stays on one line; of a table with a filter those that it has at most.
 _SHORT, _LONGEST_CELL = 24, 300
-#: What is known of a value that stands alone.
-_PLAIN = Datum(None)
 #: Rows of a table with a filter: more are slow to lay out.
 MOST_ROWS = 10_000
 
@@ -260,35 +258,27 @@ def _table(table: Table) -> dict[str, Any]:
 
 
 def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str:
-    """A cell as HTML; called for each of up to a few hundred thousand."""
-    datum = cell if isinstance(cell, Datum) else _PLAIN
-    value = plain(cell)
-    text = wording.cell(value, datum.sd)
+    judged = cell if isinstance(cell, Datum) else Datum(cell)
+    value, text = judged.value, wording.cell(judged.value, judged.sd)
     if isinstance(value, bool):
         text = "yes" if value else "no"
     if is_sortable and len(text) > _LONGEST_CELL:
         text = text[: _LONGEST_CELL - 1] + "…"
     shown = escape(text)
-    if datum.link:
-        shown = f'<a href="{escape(datum.link)}">{shown}</a>'
+    if judged.link:
+        shown = f'<a href="{escape(judged.link)}">{shown}</a>'
     if is_head:
         return f'<th scope="row">{shown}</th>'
-    looks: str = datum.judgement
-    if is_numeric or (value is not None and _is_number(value)):
-        looks += " number"
-    elif not is_sortable and len(text) <= _SHORT:
-        looks += " short"
-    attributes = ""
-    if datum.bar is not None:
-        looks += " bar"
-        attributes = f' style="--part: {round(100 * datum.bar, 1)}%"'
+    is_number = is_numeric or (_is_number(value) and value is not None)
+    short = "" if is_sortable or len(text) > _SHORT else "short"
+    names = [judged.judgement, "number" if is_number else short, "bar" * (judged.bar is not None)]
+    looks = " ".join(filter(None, names))
+    attributes = f' class="{looks}"' if looks else ""
+    if judged.bar is not None:
+        attributes += f' style="--part: {round(100 * judged.bar, 1)}%"'
     if is_sortable and isinstance(value, int | float) and math.isfinite(value):
         attributes += f' data-v="{value:.6g}"'  # for sorting and filtering
-    return (
-        f'<td class="{looks.strip()}"{attributes}>{shown}</td>'
-        if looks
-        else (f"<td{attributes}>{shown}</td>")
-    )
+    return f"<td{attributes}>{shown}</td>"
 
 
 def _is_number(cell: Cell) -> bool:

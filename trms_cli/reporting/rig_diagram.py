@@ -109,12 +109,11 @@ def _draw(panel: Axes, box: _Box, place: Share | None, seen: bool) -> None:
         box.x, box.y + 0.24, box.title, ha="center", va="center", color=ink, size=8, zorder=4
     )
     panel.text(
-        box.x, box.y - 0.02, wording.percent(min(place[0], 1.0)), ha="center", va="center",
+        box.x, box.y - 0.02, wording.gap_share(place[0]), ha="center", va="center",
         color=ink, size=11, weight="bold" if share >= 0.1 else "normal", zorder=4,
     )  # fmt: skip
-    low, high = (min(end, 1.0) for end in place[1:])
     panel.text(
-        box.x, box.y - 0.28, wording.percent_interval(low, high), ha="center", va="center",
+        box.x, box.y - 0.28, wording.gap_interval(place[1:]), ha="center", va="center",
         color=ink, size=7, zorder=4,
     )  # fmt: skip
 

@@ -48,6 +48,7 @@ _OPTIONS = (
 )
 #: Keys that tell where files go, and what is drawn: nothing of what was run.
 _NO_KEYS = frozenset({"out", "picture", "sim.prediction_every"})
+_NUMBERS = "number", "whole"
 
 
 def _page_figures() -> list[str]:
