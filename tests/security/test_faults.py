@@ -120,6 +120,7 @@ def test_without_a_home_what_is_compiled_is_kept_for_the_process(monkeypatch) ->
     for name in ("TRMS_CACHE", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", nowhere)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as where it finds no home
     x = ca.MX.sym("x")
     assert float(BufferedFunction(ca.Function("f", [x], [2 * x])).evaluate(3.0)[0][0]) == 6.0
     assert cache_folder().parent.stat().st_mode & 0o077 == 0
