@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -47,6 +48,8 @@ def test_every_command_has_help_and_the_summary_that_the_table_shows(trms, name)
         result = trms(*argv)
         assert f"trms {name}" in result.stdout
         assert result.stderr == ""
+        own = re.split(r"\nchoices ", result.stdout)[0]  # lists fold on a terminal
+        assert max(map(len, own.splitlines())) <= 100
 
 
 def test_every_module_with_a_summary_is_in_the_table():
