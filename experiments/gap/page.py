@@ -18,6 +18,8 @@ from experiments.gap.separation import Separation
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures" / "closing_loop"
 SCHEMA = "trms.closing_loop/1"
+#: What models are called in heads of tables; others keep their name.
+_WORDS = {TOLD: "cause known"}
 #: Share by which the nominal model's error has to exceed the true one's for a share to be told.
 _SUFFERS = 0.2
 #: Ratio of errors from which on they are drawn on a logarithmic axis.
@@ -178,10 +180,10 @@ def recovered(runs: Sequence[Tracking], by: str = DIAGNOSED) -> float | None:
 
 def _tracking(runs: Sequence[Tracking]) -> list[list[str]]:
     models = list(dict.fromkeys(run.model for run in runs))
-    heads = [f"{model} [mrad]" for model in models]
+    heads = [f"{_WORDS.get(model, model)} [mrad]" for model in models]
     rows = [["effect", "axis", *heads, "commands move [V/s]"]]
     ways = [model for model in models if model not in (NOMINAL, TRUE)] if TRUE in models else []
-    rows[0] += [f"recovered, {way}" for way in ways]
+    rows[0] += [f"recovered, {_WORDS.get(way, way)}" for way in ways]
     for effect in dict.fromkeys(run.effect for run in runs):
         of = [run for run in runs if run.effect == effect]
         shares = [recovered(of, way) for way in ways]
@@ -206,7 +208,7 @@ def _diagnoses(verdicts: Sequence[Verdict]) -> list[list[str]]:
 
 def _sizes(found: Sequence[Sizes]) -> list[list[str]]:
     models = list(dict.fromkeys(model for sizes in found for model in sizes.fitted))
-    rows = [["effect", "size", "rig", *models]]
+    rows = [["effect", "size", "rig", *(_WORDS.get(model, model) for model in models)]]
     for effect in dict.fromkeys(sizes.effect for sizes in found):
         of = [sizes for sizes in found if sizes.effect == effect]
         fitted = {name for sizes in of for values in sizes.fitted.values() for name in values}

@@ -160,7 +160,7 @@ class TestNothingContradicts:
 
     def test_what_has_no_probability_is_not_confusable(self) -> None:
         case = diagnosis(confusable=((FRICTION, "yaw_stribeck_friction", "yaw_tangling_cable"),))
-        (first, *_) = rows(findings(case), "not told apart from")
+        (first, *_) = rows(findings(case), "not distinguishable from")
         assert first[-1] == "yaw Stribeck friction"
 
     def test_a_cause_is_not_called_untestable(self) -> None:
@@ -184,7 +184,7 @@ class TestNothingContradicts:
         ]
         (bars,) = race_chart(case).panels[0].marks
         notes = dict(zip(bars.names, bars.notes, strict=True))
-        assert notes["yaw sensor bias"] == "not told from no effect"
+        assert notes["yaw sensor bias"] == "not significantly different from no effect"
         assert notes["tail thrust curve"] == ""
 
     def test_the_rows_of_all_answers_sum_to_one(self) -> None:
@@ -263,7 +263,7 @@ class TestRace:
         assert list(bars.names[:2]) == ["yaw Coulomb friction", "yaw Stribeck friction"]
         assert list(bars.values) == sorted((e.score for e in case.race), reverse=True)
         assert list(bars.colours[:2]) == ["blue", "sky"]
-        assert [n for n in bars.notes if n] == ["not told from the best"]
+        assert [n for n in bars.notes if n] == ["not significantly different from the best"]
 
     def test_one_that_fails_does_not_flatten_the_others(self) -> None:
         failed = RaceEntry(effects=("x",), score=-1e6, se=1, explained=0, moved=0)

@@ -8,9 +8,12 @@ import json
 import numpy as np
 import pytest
 
+from trms_cli.commands import runs as runs_command
 from trms_cli.commands import score as score_command
 from trms_cli.core import wording
 from trms_cli.core.findings import plain
+from trms_cli.library.report.sweeps import _page_figures
+from trms_cli.reporting.run_panels import score_note
 from trms_cli.reporting.screen import Terminal, show_table
 from trms_cli.runs.columns import COLUMNS, figures_of
 from trms_cli.scoring import figures, findings
@@ -49,6 +52,12 @@ def test_one_entry_is_a_figure_everywhere(
     assert "error, 95th percentile [rad]" in printed and wording.number(value) in printed
     tables = findings.tables_of(document)
     assert any("error, 95th percentile [rad]" in map(plain, row) for row in tables[0].rows)
+    # the tables that `trms run` ends with, a panel's note, and the page of a sweep
+    (short, *_) = findings.short_tables(document)
+    assert any("error, 95th percentile [rad]" in map(plain, row) for row in short.rows)
+    assert "error 0." in score_note(document["channels"]["alpha_h"])
+    assert {"error_p95_yaw", "error_p95_pitch"} <= {*_page_figures()}
+    assert " error_p95" in runs_command.figure_columns()
     # `trms runs`, comparisons and baselines
     assert figures_of(document)["error_p95_alpha_h"] == value
     runs = [ComparisonRun(path=p, coordinates={"controller": p}, score=document) for p in "ab"]

@@ -20,7 +20,7 @@ Reads every run in folders, however deep: logs, the jobs of sweeps, and those th
 are told apart by what they differ in: controller, observer and model name who ran, the reference,
 the rig and the seed name in what. Everybody is held against the best on the same reference, rig
 and seed; a failed run counts as the worst there. Intervals are of a bootstrap over rigs, 95 %; an
-entrant is told from the first when the interval of its ratio to the first excludes 1.
+entrant differs significantly from the first when the interval of its ratio to the first excludes 1.
 Who was in far fewer conditions, or knew more than the others, is listed without a rank; the
 others are ranked on the conditions that all of them were in.
 Two logs are put side by side instead.

@@ -289,7 +289,7 @@ def _causes(diagnosis: DiagnosisResult) -> Section | None:
     if any(_alike(cause, diagnosis) for cause in kept):
         columns.append(
             Column(
-                "not told apart from",
+                "not distinguishable from",
                 lambda cause: ", ".join(cause_name(c.effects) for c in _alike(cause, diagnosis)),
             )
         )
@@ -451,9 +451,9 @@ def race_chart(diagnosis: DiagnosisResult) -> Chart:
         [colour(e) for e in kept],
         [e.se if is_effect(e.effects) and e.score >= low else np.nan for e in kept],
         [
-            "not told from the best"
+            "not significantly different from the best"
             if e.effects in alike
-            else "not told from no effect"
+            else "not significantly different from no effect"
             if e in hardly.values() and not _beats_no_effect(e)
             else ""
             for e in kept

@@ -1,8 +1,10 @@
 """The figures of a score, each told once: key, words, unit, tolerance, and how it is computed.
 
 A new figure of a channel or an input is one entry of :data:`FIGURES`. The score computes it, and
-it stands in the tables of ``trms run``, ``trms score`` and ``trms compare``, on pages, in the JSON
-document, in baselines that are written from then on, and as a column of ``trms runs``::
+it stands in the tables of ``trms run``, of ``trms score`` and of ``trms compare`` for two runs, on
+the pages of runs and sweeps, in the JSON document, in ``trms runs`` and in its help. With
+``total="sum"`` it is one that ``trms compare --metric`` ranks many runs by, with a ``tolerance``
+one that a baseline compares; ``short=False`` leaves it out where only a few stand::
 
     Figure("channels", "error_p95", "error, 95th percentile", "{}",
            of=lambda m, channel: m.quantile(abs(channel.error), 0.95)),
@@ -48,7 +50,7 @@ class Figure:
     tolerance: FigureTolerance | None = None
     judged: bool = True  #: Whether moving further decides about the run, or is shown only
     better: Literal["less", ""] = "less"  #: Which way is better; "" for neither
-    short: bool = False  #: Whether it is among the few that ``trms run`` ends with
+    short: bool = True  #: Whether ``trms run`` ends with it, and pages of sweeps and panels have it
     of_steps: Literal["worst", "median", ""] = ""  #: Of several steps of the reference, which one
     column: str = ""  #: In ``trms runs``; "" for the key
     about: str = ""  #: What it is, for ``trms runs --help``; "" for the label
@@ -108,68 +110,69 @@ def _violations(score: Mapping[str, Any]) -> int | None:
 #: encoder with 4096 lines, 0.1 s ten samples at 100 Hz. Wall times have none: they belong to the
 #: machine.
 FIGURES: list[Figure] = [
-    Figure("channels", "rmse", "RMSE", "{}", _moves(1e-3), short=True, total="sum",
+    Figure("channels", "rmse", "RMSE", "{}", _moves(1e-3), total="sum",
            about="tracking error, root of the mean square", of=lambda m, c: m.rmse(c.error)),
     Figure("channels", "iae", "IAE", "{} s", _moves(1e-2), total="sum", about="∫|e| dt",
-           of=lambda m, c: m.iae(c.time, c.error)),
+           of=lambda m, c: m.iae(c.time, c.error), short=False),
     Figure("channels", "ise", "ISE", "{}² s", _moves(1e-3), total="sum", about="∫e² dt",
-           of=lambda m, c: m.ise(c.time, c.error)),
+           of=lambda m, c: m.ise(c.time, c.error), short=False),
     Figure("channels", "itae", "ITAE", "{} s²", _moves(0.3), total="sum", about="∫t|e| dt",
-           of=lambda m, c: m.itae(c.time, c.error)),
-    Figure("channels", "max_abs_error", "largest error", "{}", _moves(5e-3), short=True,
+           of=lambda m, c: m.itae(c.time, c.error), short=False),
+    Figure("channels", "max_abs_error", "largest error", "{}", _moves(5e-3),
            total="sum", of=lambda m, c: m.max_abs_error(c.error)),
-    Figure("channels", "overshoot_percent", "overshoot, worst step", "%", _moves(1.0), short=True,
+    Figure("channels", "overshoot_percent", "overshoot, worst step", "%", _moves(1.0),
            of_steps="worst", column="overshoot", about="of the worst step",
            of=lambda m, c: m.worst(step.overshoot_percent for step in c.steps)),
     Figure("channels", "overshoot_median_percent", "overshoot, median", "%", of_steps="median",
            column="overshoot_median", about="over the steps",
-           of=lambda m, c: m.median(step.overshoot_percent for step in c.steps)),
+           of=lambda m, c: m.median(step.overshoot_percent for step in c.steps), short=False),
     Figure("channels", "rise_time_s", "rise time, worst step", "s", _moves(0.05), judged=False,
            of_steps="worst", column="rise_time", about="of the worst step",
-           of=lambda m, c: m.worst(step.rise_time for step in c.steps)),
+           of=lambda m, c: m.worst(step.rise_time for step in c.steps), short=False),
     Figure("channels", "rise_time_median_s", "rise time, median", "s", of_steps="median",
            column="rise_time_median", about="over the steps",
-           of=lambda m, c: m.median(step.rise_time for step in c.steps)),
+           of=lambda m, c: m.median(step.rise_time for step in c.steps), short=False),
     Figure("channels", "settling_time_s", "settling time, worst step", "s", _moves(0.1),
-           short=True, of_steps="worst", column="settling_time", about="of the worst step",
+           of_steps="worst", column="settling_time", about="of the worst step",
            of=lambda m, c: m.worst(step.settling_time for step in c.steps)),
     Figure("channels", "settling_time_median_s", "settling time, median", "s", of_steps="median",
            column="settling_time_median", about="over the steps",
-           of=lambda m, c: m.median(step.settling_time for step in c.steps)),
+           of=lambda m, c: m.median(step.settling_time for step in c.steps), short=False),
     Figure("channels", "steps", "steps", better="", whole=True, about="steps of the reference",
-           of=lambda m, c: len(c.steps)),
+           of=lambda m, c: len(c.steps), short=False),
     Figure("channels", "unsettled_steps", "steps not settled", "", _moves(0.0, 0.0), whole=True,
            column="unsettled", about="steps that did not settle",
-           of=lambda m, c: sum(math.isinf(step.settling_time) for step in c.steps)),
-    Figure("channels", "steady_state_error", "steady-state error", "{}", _moves(1e-3), short=True,
+           of=lambda m, c: sum(math.isinf(step.settling_time) for step in c.steps), short=False),
+    Figure("channels", "steady_state_error", "steady-state error", "{}", _moves(1e-3),
            about="before the next step",
            of=lambda m, c: c.steady_state_error),
     Figure("inputs", "effort", "effort ∫u²dt", "{}² s", _moves(0.1, 0.05), judged=False,
-           short=True, total="sum", about="∫u² dt",
+           total="sum", about="∫u² dt",
            of=lambda m, u: m.input_effort(u.time, u.command)),
     Figure("inputs", "total_variation", "total variation Σ|Δu|", "{}", _moves(0.1, 0.05),
-           judged=False, total="sum", about="Σ|Δu|", of=lambda m, u: m.total_variation(u.command)),
+           judged=False, total="sum", about="Σ|Δu|", of=lambda m, u: m.total_variation(u.command),
+           short=False),
     Figure("inputs", "saturation_share", "share of time at a limit", "", _moves(0.01),
-           judged=False, short=True, total="largest", column="saturation",
+           judged=False, total="largest", column="saturation",
            about="share of the time at a limit",
            of=lambda m, u: m.saturation_share(u.command, *u.limits) if u.limits else math.nan),
     Figure("states", "rmse", "RMSE of the state", "{}", _moves(1e-3, 0.05),
            column="estimate_rmse"),
     Figure("states", "prediction_rmse", "RMSE of 1-step prediction", "{}", _moves(1e-3, 0.05)),
-    Figure("solver", "time_ms.median", "time of a step, median", "ms", short=True,
+    Figure("solver", "time_ms.median", "time of a step, median", "ms",
            column="solve_median", about="time of a control step"),
-    Figure("solver", "time_ms.p99", "time of a step, p99", "ms", short=True, column="solve_p99",
+    Figure("solver", "time_ms.p99", "time of a step, p99", "ms", column="solve_p99",
            about="time of a control step"),
-    Figure("solver", "time_ms.max", "time of a step, longest", "ms", short=True,
+    Figure("solver", "time_ms.max", "time of a step, longest", "ms",
            column="solve_max", about="time of a control step"),
     Figure("solver", "iterations_mean", "iterations, mean", "", _moves(0.5), judged=False,
-           better="", column="iterations", about="of the solver, on average"),
-    Figure("solver", "deadline_misses", "deadlines missed", whole=True, short=True,
+           better="", column="iterations", about="of the solver, on average", short=False),
+    Figure("solver", "deadline_misses", "deadlines missed", whole=True,
            about="control steps that took too long"),
     Figure("solver", "failures", "failures and fall-backs", "", _moves(0.0, 0.0), whole=True,
-           short=True, about="samples on which the solver failed or a fall-back acted"),
+           about="samples on which the solver failed or a fall-back acted"),
     Figure("solver", "objective_total", "objective, summed", better="", column="objective",
-           about="of the solver, summed"),
+           about="of the solver, summed", short=False),
     Figure("constraint_violations", "samples", "samples outside", "", _moves(0.0, 0.0),
            whole=True),
     Figure("constraint_violations", "worst", "worst excess", "{}", _moves(1e-4, 0.0)),
@@ -179,18 +182,20 @@ FIGURES: list[Figure] = [
            about="time in which the loop was not normal"),
     Figure("run", "landings", "landings", whole=True, about="how often the rig was landed",
            of=lambda score: finite(part(score, "degraded").get("landings"))),
-    Figure("estimate", "nees_mean", "NEES", better="", short=True, column="nees",
+    Figure("estimate", "nees_mean", "NEES", better="", column="nees",
            about="estimate's squared error over its covariance, mean"),
-    Figure("estimate", "nees_expected", "NEES expected", better="", about="of a consistent filter"),
-    Figure("estimate", "nis_mean", "NIS", better="", short=True, column="nis",
+    Figure("estimate", "nees_expected", "NEES expected", better="", about="of a consistent filter",
+           short=False),
+    Figure("estimate", "nis_mean", "NIS", better="", column="nis",
            about="innovations' squares over their covariance, mean"),
-    Figure("estimate", "nis_expected", "NIS expected", better="", about="of a consistent filter"),
+    Figure("estimate", "nis_expected", "NIS expected", better="", about="of a consistent filter",
+           short=False),
     Figure("estimate", "innovation_whiteness_p", "whiteness, p", better="", column="whiteness_p",
-           about="of the innovations"),
+           about="of the innovations", short=False),
     Figure("estimate", "missing_samples", "missing samples", better="", whole=True,
-           about="that a sensor lost"),
+           about="that a sensor lost", short=False),
     Figure("estimate", "rejected_samples", "rejected samples", better="", whole=True,
-           about="that the observer took for outliers"),
+           about="that the observer took for outliers", short=False),
 ]  # fmt: skip
 
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.core.printable import print_json
+from trms_cli.scoring.figures import Figure, of_group
 
 if TYPE_CHECKING:
     from trms_cli.runs.query import QueryResult
 
 SUMMARY = "what has been run: list, filter, sort, export"
 
-HELP = """\
+_HELP = """\
 Usage: trms runs [FILTER] [--in FOLDER]… [--sort COLUMN] [--desc] [--columns A,B] [--limit N]
                  [--json] [--csv FILE] [--parquet FILE] [--rebuild]
 
@@ -47,14 +50,7 @@ columns
   run        path log time command outcome complete problem seed duration sample_time took
              recording loop
   chosen     controller observer ref model plant supervisor experiment effects faults
-  tracking   rmse iae ise itae, summed; of each channel with _yaw or _pitch (or _alpha_h, _alpha_v):
-             rmse iae ise itae max_abs_error overshoot overshoot_median rise_time
-             rise_time_median settling_time settling_time_median steady_state_error steps unsettled
-  inputs     effort total_variation saturation; of each with _main or _tail (or _u_v, _u_h)
-  solver     solve_median solve_p99 solve_max [ms] iterations deadline_misses failures objective
-  trouble    violations degraded landings missing_samples rejected_samples
-  estimate   nees nees_expected nis nis_expected whiteness_p estimate_rmse_STATE
-             prediction_rmse_OUTPUT
+FIGURES
   origin     git version platform versions overrides choices
 
 Examples:
@@ -64,6 +60,32 @@ Examples:
   trms runs --sort solve_p99 --desc --limit 5
   trms runs "effects contains 'friction'" --csv friction.csv
 """
+
+
+def figure_columns() -> str:
+    """The columns that hold figures, as the registry has them."""
+    channels, inputs = of_group("channels"), of_group("inputs")
+    summed = " ".join(figure.column_name for figure in channels if figure.total == "sum")
+    added = " ".join(figure.column_name for figure in inputs if figure.total)
+    names = {
+        "tracking": f"{summed}, summed; of each channel with _yaw or _pitch (or _alpha_h, "
+        f"_alpha_v): {_names(channels)}",
+        "inputs": f"{added}; of each with _main or _tail (or _u_v, _u_h): {_names(inputs)}",
+        "solver": f"{_names(of_group('solver'))}; times in ms",
+        "trouble": _names(of_group("run")),
+        "estimate": f"{_names(of_group('estimate'))}; estimate_rmse_STATE prediction_rmse_OUTPUT",
+    }
+    return "\n".join(
+        fill(words, 99, initial_indent=f"  {head:9}  ", subsequent_indent=" " * 13)
+        for head, words in names.items()
+    )
+
+
+def _names(some: Sequence[Figure]) -> str:
+    return " ".join(figure.column_name for figure in some)
+
+
+HELP = _HELP.replace("FIGURES", figure_columns())
 
 #: Runs that a terminal shows when nobody says how many.
 _GLANCE = 40

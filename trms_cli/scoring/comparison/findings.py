@@ -199,7 +199,7 @@ def _pair(interval: RatioInterval | None) -> list[float] | None:
 
 #: As many failed runs or settings are listed; JSON has all.
 _MOST_LISTED = 12
-#: Of an entrant that is told from the first, and of one that is not.
+#: Of an entrant that differs significantly from the first, and of one that does not.
 _MARKS = {None: "", True: "≠", False: "="}
 #: What moved by less is not coloured.
 _LEAST_CHANGE = 0.01
@@ -246,7 +246,7 @@ def ranking_tables(ranking: Ranking, shown: Sequence[Standing]) -> list[Table]:
         Column("95 %", lambda each: _between(each[0].interval)),
         Column("over first", lambda each: _after_first(each[0], _ratio(each[0].against_first))),
         Column("95 %", lambda each: _after_first(each[0], _between(each[0].against_interval))),
-        Column("told apart", lambda each: _after_first(each[0], _MARKS[each[0].different])),
+        Column("differs", lambda each: _after_first(each[0], _MARKS[each[0].different])),
         Column("p95", lambda each: _ratio(each[1].ratio_p95)),
         Column("worst", lambda each: _ratio(each[1].ratio_worst)),
     ]
@@ -278,7 +278,7 @@ def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
     if ranking.clusters >= FEWEST_CLUSTERS:
         yield (
             f"Intervals: {100 * LEVEL:.0f} % of a paired bootstrap over {ranking.clusters} rigs. "
-            "≠ told from the first, = not told from it."
+            "≠ differs significantly from the first, = does not."
         )
     else:
         yield (
@@ -360,7 +360,7 @@ def _answer(ranking: Ranking) -> Iterator[str]:
         return
     second = ranking.ranked[1]
     behind = 100 * (second.against_first - 1)
-    words = " (not told apart)" if second.different is False else ""
+    words = " (no significant difference)" if second.different is False else ""
     yield f"**{first.name}** tracks best, {second.name} {behind:.1f} % behind{words}."
 
 

@@ -413,18 +413,18 @@ def _torques(result: ControllabilityResult) -> Section:
         [f"{signal.name} [{signal.unit}]", *(estimate(one, signal.name) for one in result.sets)]
         for signal in model.disturbances
     ]
-    rows.append(["told at once", *(result.torques[one].together for one in result.sets)])
+    rows.append(["estimated at once", *(result.torques[one].together for one in result.sets)])
     errors = Table(
         ("constant torque", *(set_words(model, one) for one in result.sets)),
         rows,
         f"Standard deviation of its estimate after {result.duration:g} s of readings every "
         f"{result.reading_time * 1000:g} ms, if it is the only one and the initial state is known "
-        "to ±1 rad and ±1 rad/s; no: it cannot be told.",
+        "to ±1 rad and ±1 rad/s; no: it is not observable.",
     )
     text = [
         "A constant torque is a state without a rate beside the others; it is observable if "
         "[A e; C 0] has full rank. Two torques that move the sensors alike in the end cannot be "
-        "told apart, whatever the filter: the last row is how many can be told at once."
+        "distinguished, whatever the filter: the last row is how many can be estimated at once."
     ]
     chart = _torque_chart(result)
     return Section("Constant torques", text, [errors, *([] if chart is None else [chart])])

@@ -315,7 +315,7 @@ def _quality_table(margins: MarginResult) -> Table:
         ["control samples at a limit", m.limited],
     ]
     rows += [[f"control samples that ended {label}", n] for label, n in m.statuses.items()]
-    return Table(["quality of the measurement", "found"], rows, on_screen=False)
+    return Table(["quality of the measurement", "value"], rows, on_screen=False)
 
 
 def _share(value: float, most: float) -> Datum:
