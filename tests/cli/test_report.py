@@ -45,6 +45,10 @@ def here(lab, tmp_path, monkeypatch) -> Path:
     return place
 
 
+#: What the pages of the lab's runs are called by, before the run's name.
+WHAT = "lqr on square, model newtonian, plant ideal (newtonian)"
+
+
 def report(*argv: str) -> int:
     """Run the command in this process."""
     return main(["report", *argv])
@@ -58,7 +62,7 @@ class TestWhatItIsOf:
     def test_a_run(self, here, capsys):
         assert report("first") == 0
         text = (here / "first/report.html").read_text(encoding="utf-8")
-        assert title(here / "first/report.html") == "lqr on square: first"
+        assert title(here / "first/report.html") == f"{WHAT}: first"
         assert "<h2>Angles and commands</h2>" in text and "<h2>Score</h2>" in text
         said = capsys.readouterr().out
         assert "report     first/report.html  (run: a run" in said and "next  " in said
@@ -68,12 +72,12 @@ class TestWhatItIsOf:
 
     def test_the_score_of_a_run_is_that_run(self, here):
         assert report("first/score.json") == 0
-        assert title(here / "first/report.html") == "lqr on square: first"
+        assert title(here / "first/report.html") == f"{WHAT}: first"
 
     def test_a_log_beside_others(self, here):
         shutil.copy("first/run.mcap", "monday.mcap")
         assert report("monday.mcap") == 0
-        assert title(here / "report.html") == "lqr on square: monday"
+        assert title(here / "report.html") == f"{WHAT}: monday"
 
     def test_two_runs(self, here, capsys):
         assert report("first", "second/run.mcap", "--out", "both.html", "--title", "Two") == 0
@@ -227,7 +231,7 @@ class TestWhatIsBroken:
         assert (
             report("first", "--force") == 0 and report("first", "--out", "first/report.html") == 2
         )
-        assert title(here / "first/report.html") == "lqr on square: first"
+        assert title(here / "first/report.html") == f"{WHAT}: first"
 
     @pytest.mark.parametrize(
         "argv, words",

@@ -102,3 +102,41 @@ def test_counts_and_names_and_times():
 )
 def test_shares_of_a_gap_are_written_one_way(share, ends, text) -> None:
     assert wording.gap_share(share, ends, "of the gap") == text
+
+
+@pytest.mark.parametrize(
+    ("typed", "name"),
+    [
+        ({"model": "fits/monday/model.yaml"}, "monday"),
+        ({"model": "fits/monday"}, "monday"),  # its folder
+        ({"model@plant.model": "tuned.yaml"}, "tuned"),
+    ],
+)
+def test_a_job_without_a_log_calls_its_model_as_its_log_would(typed, name) -> None:
+    assert list(wording.typed_models({"model": "from_file"}, typed).values()) == [name]
+    assert wording.typed_models({"model": "lqr"}, {"controller": "pid", "seed": 1}) == {}
+
+
+_FIT = {"path": "fit/model.yaml"}
+
+
+@pytest.mark.parametrize(
+    ("choices", "config", "rig"),
+    [
+        ({"model": "newtonian"}, {}, "newtonian"),
+        ({"model": "newtonian_vertical", "model@plant.model": None}, {}, "newtonian_vertical"),
+        ({"model": "from_file"}, {"model": _FIT, "plant": {"model": _FIT}}, "fit"),
+        ({"model": "from_file", "model@plant.model": "newtonian"}, {"model": _FIT}, "newtonian"),
+        ({"model": "lagrangian", "model@plant.model": "from_file"},
+         {"plant": {"model": _FIT}}, "fit"),
+        ({"model": "narx_2dof", "model@model.rig": "newtonian"}, {}, "newtonian"),
+    ],
+)  # fmt: skip
+def test_a_simulated_rig_is_called_by_the_equations_it_has(choices, config, rig) -> None:
+    shown = wording.choice_labels({"controller": "lqr", "plant": "simulated"} | choices, config)
+    assert wording.headline(shown, follows=False).endswith(f"plant simulated ({rig})")
+
+
+def test_a_plant_that_is_not_simulated_has_no_equations_of_the_model() -> None:
+    assert wording.plant_name({"plant": "replay", "model": "newtonian"}) == "replay"
+    assert wording.plant_name({"plant": "mine", "model": "newtonian"}, "bench") == "mine (bench)"

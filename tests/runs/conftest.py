@@ -80,6 +80,7 @@ def write_run(runs: Path) -> WriteRun:
         scored: dict[str, Any] | None = None,
         samples: int = 0,
         old: bool = False,
+        config: bytes = CONFIG,
         **run: str,
     ) -> Path:
         usual = {"controller": "pid", "ref": "square", "effect": [], "fault": []}
@@ -95,7 +96,7 @@ def write_run(runs: Path) -> WriteRun:
             runs / name / "run.mcap",
             _TOPICS,
             words | run,
-            {"config.yaml": ("application/yaml", CONFIG)},
+            {"config.yaml": ("application/yaml", config)},
         )
         for k in range(samples):
             values = [0.1, 0.2]

@@ -24,6 +24,8 @@ from trms_cli.runs.place import index_file, new_runs, note_run
 from trms_cli.runs.query import Query, find
 from trms_cli.scoring.score import score_log
 
+from .conftest import CONFIG
+
 
 def paths(**how) -> list[str]:
     return [Path(run["path"]).name for run in find_runs(**how)]
@@ -56,6 +58,13 @@ class TestRow:
         assert (run["git"], run["version"]) == ("abc-dirty", "0.1.0")
         assert [r["seed"] for r in find_runs("plant.prior_seed == 3")] == [7]
         assert find_runs("ref.alpha_v.amplitude > 0.25") == []
+
+    def test_a_model_of_a_file_is_called_by_its_file_or_fit(self, write_run):
+        for name, path in (("one", "fit/model.yaml"), ("two", "night/corrected_model.yaml")):
+            config = CONFIG + f"model:\n  path: {path}\n".encode()
+            write_run(name, choices={"model": "from_file"}, config=config)
+        assert {run["model"] for run in find_runs()} == {"fit", "night corrected"}
+        assert [Path(run["path"]).name for run in find_runs("model == 'fit'")] == ["one"]
 
     def test_a_killed_run_is_scored_as_far_as_it_goes(self, write_run):
         log = write_run(ending=None, samples=100)

@@ -227,18 +227,35 @@ def file_stem(text: str) -> str:
 
 
 _FILE = "from_file"
+_SIMULATED = ("simulated", "ideal")
+#: Groups that say which equations a simulated rig has, the first that does.
+_OF_RIG = ("model@plant.model", "model@model.rig", "model")
+_NOBODY = ("", "none")
+
+
+def plant_name(choices: Mapping[str, str], own: str = "") -> str:
+    """``simulated (newtonian)``: the plant and, of a simulated rig, its equations.
+
+    Those of the model, unless ``model@plant.model`` names others, or the model, a network, has a
+    rig (``model@model.rig``). ``choices``: as :func:`choice_labels` gives them. ``own``: what the
+    model of a user's own plant calls itself; "" if it is not known.
+    """
+    plant = choices.get("plant", "")
+    rig = next((name for group in _OF_RIG if (name := choices.get(group, "")) not in _NOBODY), "")
+    rig = rig if plant in _SIMULATED else own
+    return f"{plant} ({rig})" if rig else plant
 
 
 def headline(choices: Mapping[str, str], *, follows: bool = True, rig: str = "") -> str:
     """``lqr · ref square · observer ukf · model fit · plant simulated (newtonian)``.
 
     ``choices``: as :func:`choice_labels` gives them. ``follows``: whether the controller follows a
-    reference. ``rig``: name of the rig's model; "" if it is not known.
+    reference. ``rig``: what the model of a user's own plant calls itself; "" if it is not known.
     """
     parts = [choices.get("controller", "")]
     parts += [f"ref {choices.get('ref', '')}"] if follows else []
     parts += [f"{group} {choices.get(group, '')}" for group in ("observer", "model")]
-    parts.append(f"plant {choices.get('plant', '')}" + (f" ({rig})" if rig else ""))
+    parts.append(f"plant {plant_name(choices, rig)}")
     chosen = [(group, choices.get(group, "")) for group in ("effect", "fault")]
     parts += [f"{group} {names}" for group, names in chosen if names and names != "none"]
     return " · ".join(parts)
@@ -254,9 +271,39 @@ def choice_labels(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -
     if isinstance(config, str):
         node = _loaded(config) if _FILE in choices.values() else {}
     return {
-        str(group): option(choice, node.get(group)) if choice else ""
+        str(group): option(choice, _node(node, str(group))) if choice else ""
         for group, choice in choices.items()
     }
+
+
+def named_files(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -> dict[str, Any]:
+    """The options as a log has them, but each model of a file by its name."""
+    shown = choice_labels(choices, config) if _FILE in choices.values() else {}
+    return {group: shown[group] if choice == _FILE else choice for group, choice in choices.items()}
+
+
+def typed_models(choices: Mapping[str, Any], typed: Mapping[str, Any]) -> dict[str, str]:
+    """What the models of files are called of a job that left no log: by the paths typed for them.
+
+    ``choices``: the option of each group. ``typed``: what was typed, by its key.
+    """
+    names = {}
+    for key, text in typed.items():
+        if key.partition("@")[0] != "model" or not isinstance(text, str):
+            continue
+        if text.endswith((".yaml", ".yml")):
+            names[key] = model_name(text)
+        elif choices.get(key) == _FILE:  # the folder of a fit
+            names[key] = model_name(f"{text.rstrip('/')}/model.yaml")
+    return names
+
+
+def _node(config: Mapping[str, Any], group: str) -> Any:
+    """What an option was composed to: of ``model@plant.model`` what stands at ``plant.model``."""
+    node: Any = config
+    for name in group.rpartition("@")[2].split("."):
+        node = node.get(name) if isinstance(node, Mapping) else None
+    return node
 
 
 def _loaded(text: str) -> Mapping[str, Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.wording import named_files
 from trms_cli.library import html
 from trms_cli.library.call import done, done_by, words_of
 from trms_cli.library.result import Paths, Result, frame_of
@@ -144,7 +145,7 @@ class Run(Result):
     @property
     def headline(self) -> str:
         """Who ran, on what, for how long."""
-        choices = self.choices
+        choices = named_files(self.choices, self.logged.config)
         if not choices:
             return str(self.log)
         words = [str(choices.get("controller")), f"ref {choices.get('ref')}"]

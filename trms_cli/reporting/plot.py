@@ -30,6 +30,7 @@ from matplotlib.ticker import MaxNLocator
 
 from trms_cli.core.chart import Bars, Panel
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.wording import named_files
 from trms_cli.reporting import plot_kinds
 from trms_cli.reporting.chart_picture import Handle, draw_panel
 from trms_cli.reporting.plot_kinds import Absent
@@ -48,6 +49,11 @@ class PlottedLog(Protocol):
     @property
     def tables(self) -> Mapping[str, Any]:
         """:class:`~trms_cli.scoring.metrics.Columns` by topic."""
+        ...
+
+    @property
+    def config(self) -> str:
+        """The resolved configuration as YAML."""
         ...
 
     @property
@@ -413,7 +419,7 @@ def names_of(logs: Sequence[PlottedLog]) -> list[str]:
 def _told(log: PlottedLog) -> dict[str, str]:
     """Options and typed values of a run; empty for a log without such words."""
     try:
-        choices = json.loads(log.run.get("choices", "{}"))
+        choices = named_files(json.loads(log.run.get("choices", "{}")), log.config)
         typed = json.loads(log.run.get("overrides", "[]"))
         told = {
             key: ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -119,12 +119,18 @@ def phases_of(runs: Sequence[RunSignals], channels: Sequence[str]) -> list[Panel
 
 
 def title_of(run: RunReport) -> str:
-    """``newton_mpc on square: first``; without choices the name alone."""
+    """``newton_mpc on square, model fit, plant simulated (newtonian): first``.
+
+    Without choices the name alone.
+    """
     controller, reference = run.choices.get("controller", ""), run.choices.get("ref", "")
     what = controller
     if controller and reference and "/reference" in run.tables:
         what = f"{controller} on {reference}"
-    return f"{what}: {run.name}" if what else run.name
+    parts = [what] if what else []
+    parts += [f"model {run.choices['model']}"] if run.choices.get("model") else []
+    parts += [f"plant {plant}"] if (plant := wording.plant_name(run.choices)) else []
+    return f"{', '.join(parts)}: {run.name}" if parts else run.name
 
 
 def ended(run: RunReport) -> str:
@@ -155,6 +161,7 @@ def _problems(run: RunReport) -> list[str]:
 
 def _facts(run: RunReport) -> dict[str, str]:
     facts = {words: run.choices[group] for group, words in _PARTS.items() if run.choices.get(group)}
+    facts |= {"rig": plant} if (plant := wording.plant_name(run.choices)) else {}
     facts |= {"outcome": ended(run), "duration": f"{run.duration:g} s"}
     facts |= dict(run.facts)
     if run.repeat:

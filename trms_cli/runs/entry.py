@@ -12,6 +12,7 @@ from typing import Any
 from trms_cli.core.data_file import json_or_none, unreadable
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
+from trms_cli.core.wording import named_files, typed_models
 from trms_cli.recordings.log_head import LogHead, read_log_head
 from trms_cli.runs.columns import COLUMNS, figures_of
 
@@ -79,7 +80,7 @@ def _entry(head: LogHead) -> IndexEntry:
         "command": run.get("command"),
         "outcome": outcome,
         "complete": head.finished and outcome == "completed",
-        **choices_of_run(choices),
+        **choices_of_run(named_files(choices, head.config)),
         "recording": run.get("recording.file"),
         "loop": run.get("loop"),
         "seed": _parsed(run.get("seed", "")),
@@ -259,7 +260,7 @@ def read_status(path: Path) -> IndexEntry | None:
         "outcome": "failed" if ended else "unfinished",
         "complete": False,
         "problem": _problem(document.get("error")),
-        **choices_of_run(choices),
+        **choices_of_run({**choices, **typed_models(choices, keys)}),
         "seed": keys.get("seed"),
         "overrides": json.dumps(overrides, ensure_ascii=False),
         "choices": json.dumps(choices, ensure_ascii=False),

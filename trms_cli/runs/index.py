@@ -33,7 +33,7 @@ _RUNS = (
     + ", typed TEXT, more TEXT, PRIMARY KEY (log))"
 )
 #: Changes with the columns, and with what is put into them.
-_CONTENT = 2
+_CONTENT = 3
 _VERSION = zlib.crc32(f"{_CONTENT} {_LOGS} {_RUNS}".encode()) & 0x7FFFFFFF
 _PATIENCE = 20.0  # s, for another process that is writing
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from rich.cells import set_cell_size
 from rich.text import Text
 
+from trms_cli.core.wording import named_files
 from trms_cli.runs.follower import AxisMoment, Input, Moment, RunFollower, Solver
 
 FloatArray = npt.NDArray[np.float64]
@@ -543,7 +544,7 @@ class Player:
         elif keys and not self.live and not self.at_end:
             replay = f"replay {self.speed:g}×"
         return View(
-            about=about(run.choices, run.run, str(run.path), run.total),
+            about=about(named_files(run.choices, run.config), run.run, str(run.path), run.total),
             moment=run.at(self.position, self._span),
             state=run.state,
             replay=replay,

@@ -26,7 +26,7 @@ from typing import Any
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
-from trms_cli.core.wording import choice_labels
+from trms_cli.core.wording import named_files, typed_models
 from trms_cli.scoring.figures import entries
 from trms_cli.scoring.score import SCHEMA as SCORE_SCHEMA
 
@@ -368,8 +368,7 @@ def _of_log(path: Path) -> ComparisonRun:
     config = load_yaml(log.config) or {}
     overrides = json.loads(log.run.get(OVERRIDES_KEY, "[]"))
     chosen = json.loads(log.run.get(CHOICES_KEY, "{}")) or choices_of(config, overrides)
-    named = choice_labels(chosen, config)  # a fitted model is called by its file or fit
-    choices = {g: named[g] if c == "from_file" else c for g, c in chosen.items()}
+    choices = named_files(chosen, config)
     state = State.DONE if log.complete else State.INCOMPLETE
     state = _ENDINGS.get(log.outcome, state)
     score: Mapping[str, Any] | None = log.score or None
@@ -408,10 +407,12 @@ def _of_status(status: Mapping[str, Any], folder: Path) -> ComparisonRun:
     overrides = [str(word) for word in status.get("overrides", ())]
     typed = of_overrides(overrides)
     named = {key: value for key, value in typed.items() if "." not in key or "@" in key}
+    choices = status.get("choices") or {}
+    models = typed_models(choices, typed)
     state = State.FAILED if status.get("state") in ("failed", "done") else State.INCOMPLETE
     return ComparisonRun(
         path=str(folder),
-        coordinates=_as_text(given or {**(status.get("choices") or {}), **named}),
+        coordinates=_as_text(given or {**choices, **named, **models}),
         state=state,
         message=_reason(status),
         outside=str(status.get("outside", "")),
