@@ -25,6 +25,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import brentq, linear_sum_assignment
 
+from trms_cli.core import wording
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import require_known
@@ -219,13 +220,13 @@ class OperatingPath:
 
     @property
     def unit(self) -> str:
-        """Empty for a number without one."""
-        return unit_of(self.model, self.over)
+        """As it is printed; empty for a number without one."""
+        return wording.unit(unit_of(self.model, self.over))
 
     @property
     def head(self) -> str:
         """Of a column: ``u_v [V]``."""
-        return headed(self.over, self.unit)
+        return wording.titled(self.over, self.unit)
 
     def held(self, value: float) -> TrimCondition:
         """What is held at a value."""
@@ -419,12 +420,7 @@ def unit_of(model: Model, name: str) -> str:
 
 def amount_words(model: Model, name: str, value: float, digits: int = 6) -> str:
     """``alpha_v = 0.4 rad``: a state, an input or a parameter with its unit."""
-    return f"{name} = {value:.{digits}g} {unit_of(model, name)}".rstrip()
-
-
-def headed(name: str, unit: str) -> str:
-    """The head of a column: ``u_v [V]``."""
-    return f"{name} [{unit}]" if unit else name
+    return f"{name} = {value:.{digits}g} {wording.unit(unit_of(model, name))}".rstrip()
 
 
 def usual_line(model: Model, last: bool = False) -> str:

@@ -45,7 +45,7 @@ from trms_cli.stability.local.linear import (
     parts_of,
     shares_of_parts,
 )
-from trms_cli.stability.local.sweep import Crossing, Locus, Track, amount_words, cell
+from trms_cli.stability.local.sweep import Crossing, Locus, Track, amount_words, cell, unit_of
 
 _JUDGED: dict[str, Judgement] = {"stable": "good", "marginal": "doubtful", "unstable": "bad"}
 #: Rows of the table over a range.
@@ -170,7 +170,7 @@ def locus_data(locus: Locus) -> dict[str, Any]:
     path, sweep, model = locus.path, locus.sweep, locus.path.model
     return {
         "over": path.over,
-        "unit": path.unit,
+        "unit": unit_of(path.model, path.over),
         "side": path.side,
         "values": sweep.values,
         "commands": {

@@ -47,6 +47,7 @@ from trms_cli.stability.local.sweep import (
     OperatingPath,
     line_of,
     sweep_eigenvalues,
+    unit_of,
     usual_line,
 )
 from trms_cli.stability.study import Tell
@@ -251,7 +252,7 @@ def _data(result: ControllabilityResult) -> dict[str, Any]:
         "torque_times_s": result.times,
         "range": {
             "over": result.path.over,
-            "unit": result.path.unit,
+            "unit": unit_of(result.path.model, result.path.over),
             "values": sweep.values,
             "states": dict(zip(model.state_names, sweep.states.T, strict=True)),
             "moved_per_unit_rms": by_input(result.gains.per_volt),

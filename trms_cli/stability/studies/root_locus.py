@@ -25,6 +25,7 @@ from trms_cli.core.findings import (
     rounded,
     table,
 )
+from trms_cli.core.wording import titled
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.linear import STILL, Side, rate_of
@@ -43,7 +44,6 @@ from trms_cli.stability.local.sweep import (
     OperatingPath,
     amount_words,
     crossings,
-    headed,
     line_of,
     locus_of,
     sweep_eigenvalues,
@@ -221,7 +221,7 @@ def map_section(path: OperatingPath, mapped: StabilityMap) -> Section:
         [
             Column(path.head, lambda c: rounded(c["over"], 5)),
             Column("mode", "mode"),
-            Column(headed(against, unit_2), lambda c: rounded(c["value"], 5)),
+            Column(titled(against, unit_2), lambda c: rounded(c["value"], 5)),
             Column("ω [rad/s]", lambda c: rounded(c["frequency_rad_s"])),
             Column("unstable", lambda c: "above" if c["unstable_above"] else "below"),
         ],
