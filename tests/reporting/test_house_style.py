@@ -5,14 +5,19 @@ from __future__ import annotations
 import ast
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from matplotlib.colors import CSS4_COLORS, TABLEAU_COLORS
+
+from trms_cli.core.chart import Colour
 
 ROOT = Path(__file__).parents[2]
 STYLE = ROOT / "trms_cli" / "reporting" / "style.py"
 #: Words of colours that say something else than a colour.
 PLAIN = {"none", "inherit", "face", "auto"}
+#: A mark of a chart is coloured by the house's own names: Curve(…, colour="grey").
+HOUSE = set(get_args(Colour))
 HEX = re.compile(r"#(?:[0-9a-fA-F]{3,4}){1,2}")
 COLOUR_KEYS = re.compile(r"(?:^|_)colou?rs?$|^(?:edge|face|label|marker\w*)colou?r$|^[cf]c$|^ec$")
 NAMED = set(CSS4_COLORS) | set(TABLEAU_COLORS) | set("bgrcmykw") | {f"C{i}" for i in range(10)}
@@ -47,7 +52,8 @@ def offences(source: str) -> list[str]:
                 found.append(f"{at}: colour {node.value}")
         elif isinstance(node, ast.keyword) and node.arg and COLOUR_KEYS.search(node.arg):
             value = node.value
-            if isinstance(value, ast.Constant) and value.value in NAMED - PLAIN:
+            own = HOUSE if node.arg == "colour" else PLAIN
+            if isinstance(value, ast.Constant) and value.value in NAMED - own:
                 found.append(f"{value.lineno}: {node.arg}={value.value!r}")
     return found
 
@@ -74,6 +80,7 @@ def test_all_figures_of_the_studies_are_looked_at():
         "axes.plot(x, y, color='red')",
         "axes.fill(x, y, facecolor='C1')",
         "line.set_color('#abc')",
+        "Curve(x, y, colour='red')",
     ],
 )
 def test_other_styles_are_found(source):
