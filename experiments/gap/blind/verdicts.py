@@ -238,7 +238,7 @@ def _confusions(confusions: Mapping[str, Mapping[str, int]]) -> list[str]:
 
 
 def _bins(bins: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = [_line("probability told", "mean", "right", "cases"), _line(*["---"] * 4)]
+    lines = [_line("stated probability", "mean", "right", "cases"), _line(*["---"] * 4)]
     for b in bins:
         low, high = b["right_ci95"]
         right = f"{b['right']:.2f} [{low:.2f}, {high:.2f}]"
