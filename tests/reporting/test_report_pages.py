@@ -370,7 +370,7 @@ class TestSweep:
     def test_lead_counts_and_names_the_best(self, sweep):
         lead = findings_of_sweep(sweep).lead
         assert lead[0] == "20 of 21 runs completed; **1 failed**."
-        assert "rmse [rad] of a run is 0.1: 0 " in lead[-1]
+        assert "Run 0 has the least rmse [rad], 0.1 (" in lead[-1]
 
     def test_every_run_is_in_the_table_and_failures_have_their_reason(self, sweep):
         text = page_html(findings_of_sweep(sweep))

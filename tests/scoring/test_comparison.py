@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.comparison.findings import pair
+from trms_cli.scoring.comparison.findings import pair, ranking_findings
 from trms_cli.scoring.comparison.ranking import FAILED_RATIO, figures_of, group, matching, rank
-from trms_cli.scoring.comparison.runs import ComparisonRun, State, complete_coordinates, differences
+from trms_cli.scoring.comparison.runs import (
+    ComparisonRun,
+    RunCollection,
+    State,
+    complete_coordinates,
+    differences,
+)
 
 
 def run(controller, rmse=0.1, ref="square", rig="nominal", **more):
@@ -250,3 +256,41 @@ def test_a_pair_lists_every_figure_and_what_differs():
     assert found.settings == (("controller", "a", "b"), ("sim.duration", "40.0", "80.0"))
     rmse = next(row for row in found.rows if row.key == "channels.alpha_v.rmse")
     assert rmse.change == pytest.approx(1.0)
+
+
+def _title_and_notes(runs):
+    """The head of a comparison, and the words under its first table."""
+    ranking = rank(group(runs))
+    found = ranking_findings(ranking, RunCollection(tuple(runs)), ranking.standings)
+    return found.title, found.sections[0].blocks[0].caption, found.results
+
+
+def test_one_condition_is_by_nothing():
+    title, _, _ = _title_and_notes([run("a"), run("b", 0.2)])
+    assert title == "2 runs: 2 entrants by controller, 1 condition"
+
+
+def test_many_drawn_parameters_of_the_rig_are_named_once():
+    keys = [f"plant.parameters.k_{i}" for i in range(25)]
+    runs = []
+    for draw in range(3):
+        for who, rmse in (("a", 0.1), ("b", 0.2)):
+            made = run(who, rmse + 0.1 * draw)
+            drawn = {key: str(draw + i) for i, key in enumerate(keys)}
+            runs.append(replace(made, coordinates={**made.coordinates, **drawn}))
+    title, notes, data = _title_and_notes(runs)
+    assert title.endswith("3 conditions by the rig's parameters (25 of plant.parameters)")
+    assert "k_3" not in title + notes and "Worst of b: rig 1 (" in notes
+    assert data["conditions_by"] == keys
+
+
+@pytest.mark.parametrize(("own", "differ"), [(True, True), (False, False)])
+def test_rigs_that_each_took_their_own_model_are_told(own, differ):
+    runs = []
+    for model in ("fit", "newtonian"):
+        rig = {"path": model if own else "newtonian"}
+        made = run("lqr", config={"plant": {"model": rig}})
+        runs.append(replace(made, coordinates={**made.coordinates, "model": model}))
+    _, notes, data = _title_and_notes(runs)
+    assert data["rigs_differ_by_model"] is differ
+    assert ("The rigs differ" in notes) is differ

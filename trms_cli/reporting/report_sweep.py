@@ -396,7 +396,8 @@ def _lead(sweep: SweepReport, ranking: Ranking | None) -> list[str]:
     if best is not None:
         run, value, name = best
         sentences.append(
-            f"The least {name} of a {_kind(sweep)} is {value:.3g}: {run.name}{_where(sweep, run)}."
+            f"{_kind(sweep).capitalize()} {run.name} has the least {name}, {value:.3g}"
+            f"{_where(sweep, run)}."
         )
     return sentences
 

@@ -119,7 +119,7 @@ def in_short(score: Mapping[str, Any]) -> dict[str, str]:
         if figure.short and figure.unit and (value := figure.value(solver)) is not None
     ]
     if times:
-        troubles = " and ".join(trouble_of(score, marks=False)) or "nothing missed"
+        troubles = wording.listing(trouble_of(score, marks=False)) or "nothing missed"
         lines["solver"] = f"{', '.join(times)} a step; {troubles}"
     return lines
 

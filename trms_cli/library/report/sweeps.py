@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from trms_cli.core.wording import listing
 from trms_cli.library.report.summary import (
     drawn_keys,
     draws_of,
@@ -107,7 +108,7 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
     ]
     runs.sort(key=lambda run: (run.number is None, run.number or 0))
     return SweepReport(
-        name=root.name or str(root),
+        name=_name(folders, root),
         runs=runs,
         keys=[*others, *named.values()],
         figures=figures,
@@ -154,7 +155,7 @@ def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> SweepReport
         )
     present = {name for run in runs for name in run.figures}
     return SweepReport(
-        name=root.name,
+        name=_name(folders, root),
         runs=runs,
         keys=keys,
         figures={name: unit for name, unit in units.items() if name in present},
@@ -324,6 +325,13 @@ def _root(rows: Sequence[Mapping[str, Any]], folders: Sequence[Path]) -> Path:
         return folders[0].resolve()
     paths = [str(row["path"]) for row in rows]
     return Path(os.path.commonpath(paths)) if paths else Path.cwd()
+
+
+def _name(folders: Sequence[Path], root: Path) -> str:
+    """What many runs are called: by their folders."""
+    if len(folders) > 1:
+        return listing([folder.resolve().name for folder in folders], most=4)
+    return root.name or str(root)
 
 
 def _relative(path: str, root: Path) -> str:

@@ -12,8 +12,10 @@ from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table
 from trms_cli.scoring.comparison import ranking as ranked
 from trms_cli.scoring.comparison.ranking import (
     FEWEST_CLUSTERS,
+    FEWEST_GATHERED,
     LEVEL,
     OF_ENTRANTS,
+    RIG_PARAMETERS,
     Figures,
     Ranking,
     RatioInterval,
@@ -95,12 +97,23 @@ SCHEMA, PAIR_SCHEMA = "trms.compare/1", "trms.compare_pair/1"
 def rule(ranking: Ranking) -> str:
     """How the rank comes about, in two sentences."""
     name = ranking.metric.upper() if ranking.metric != "max_abs_error" else "largest error"
-    given = ", ".join(ranking.contest.given_by) or "condition"
+    given = ", ".join(_gathered(ranking.contest.given_by)) or "condition"
     return (
         f"Ranked by tracking: the {name} of all channels added, over the best entrant's on the "
         f"same {given}; geometric mean over the runs. A failed run counts as the worst of its "
         f"condition, and at least as {ranked.FAILED_RATIO:g} times the best."
     )
+
+
+def _gathered(keys: Sequence[str]) -> list[str]:
+    """Coordinates as prose names them: many parameters of the rig, as draws have, are one."""
+    drawn = [key for key in keys if key.startswith(RIG_PARAMETERS)]
+    if len(drawn) < FEWEST_GATHERED:
+        return list(keys)
+    return [
+        *(key for key in keys if key not in drawn),
+        f"the rig's parameters ({len(drawn)} of {RIG_PARAMETERS.rstrip('.')})",
+    ]
 
 
 def document(
@@ -117,6 +130,7 @@ def document(
             "conditions_by": list(ranking.contest.given_by),
             "runs": len(runs),
             "conditions_left_out": ranking.left_out,
+            "rigs_differ_by_model": ranking.contest.rigs_differ,
             "conditions": [dict(told) for told in ranking.contest.conditions],
             "interval": {
                 "of": "percentile bootstrap over rigs, paired",
@@ -211,12 +225,12 @@ def ranking_findings(
     """Who won, what that took, and what went wrong; the entrants in the order given."""
     contest = ranking.contest
     runs = wording.count(len(gathered.runs), "run")
-    title = (
-        f"{runs}: {wording.count(len(contest.entrants), 'entrant')} by "
-        f"{', '.join(contest.by) or 'nothing'}, "
-        f"{wording.count(len(contest.conditions), 'condition')} by "
-        f"{', '.join(contest.given_by) or 'nothing'}"
-    )
+    counted = [
+        (wording.count(len(contest.entrants), "entrant"), contest.by),
+        (wording.count(len(contest.conditions), "condition"), contest.given_by),
+    ]
+    parts = [f"{many} by {', '.join(_gathered(by))}" if by else many for many, by in counted]
+    title = f"{runs}: {', '.join(parts)}"
     tables = ranking_tables(ranking, shown)
     lead, troubles = [*_answer(ranking)], [*trouble(gathered)]
     if not any("failed runs" in told.columns for told in tables):
@@ -275,6 +289,11 @@ def ranking_tables(ranking: Ranking, shown: Sequence[Standing]) -> list[Table]:
 def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
     """How the tables are to be read."""
     yield rule(ranking)
+    if ranking.contest.rigs_differ:
+        yield (
+            "The rigs differ: each took its own model's equations "
+            "(model@plant.model=newtonian gives all the same)."
+        )
     if ranking.clusters >= FEWEST_CLUSTERS:
         yield (
             f"Intervals: {100 * LEVEL:.0f} % of a paired bootstrap over {ranking.clusters} rigs. "
@@ -287,7 +306,7 @@ def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
         )
     if ranking.first is not None and len(shown) > 1:
         for standing in ranking.ranked[:2]:
-            where = worst_condition(standing, ranking.contest.condition_name)
+            where = worst_condition(standing, ranking.contest.brief_condition_name)
             ratio = float(standing.ratios.max())
             if ratio > 1.0 + 1e-9:
                 yield f"Worst of {standing.name}: {where} ({ratio:.3f} times the best)."

@@ -29,6 +29,8 @@ from trms_cli.scoring.comparison.runs import ComparisonRun, State, differing
 OF_ENTRANTS = ("controller", "observer", "model", "supervisor", "qp_solver")
 #: The coordinate that is no rig's.
 REFERENCE = "ref"
+#: Keys of true values of a rig; as many as this are named together.
+RIG_PARAMETERS, FEWEST_GATHERED = "plant.parameters.", 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +58,34 @@ class ComparisonGroup:
             table[place] = float(np.mean(values))
         return table
 
+    @property
+    def rigs_differ(self) -> bool:
+        """Whether runs of one condition had rigs of other equations, each its own model's."""
+        rigs: dict[int, set[str]] = {}
+        for (_, condition), runs in self.cells.items():
+            for run in runs:
+                plant = run.config.get("plant")
+                model = plant.get("model") if isinstance(plant, Mapping) else None
+                if model is not None:
+                    rigs.setdefault(condition, set()).add(str(model))
+        return any(len(found) > 1 for found in rigs.values())
+
     def condition_name(self, condition: int) -> str:
         """In what it differs from the others."""
+        return self._named(condition, self.given_by)
+
+    def brief_condition_name(self, condition: int) -> str:
+        """In what it differs, but where many parameters of the rig do, which condition it is."""
+        keys = [key for key in self.given_by if not key.startswith(RIG_PARAMETERS)]
+        if len(self.given_by) - len(keys) < FEWEST_GATHERED:
+            return self.condition_name(condition)
+        others = [self._named(condition, keys)] if keys else []
+        return ", ".join([*others, f"rig {self.clusters()[condition] + 1}"])
+
+    def _named(self, condition: int, keys: Sequence[str]) -> str:
         told = self.conditions[condition]
         parts = []
-        for key in self.given_by:
+        for key in keys:
             if told[key] not in ("", "–", "none"):
                 name = key.rpartition(".")[2]
                 parts.append(f"{name} {told[key]}" if "." in key or name == "seed" else told[key])
