@@ -454,7 +454,7 @@ def diagnose(
     model : str, path or result
         What is believed.
     candidates : str or sequence of str
-        Suspected effects: names, patterns ``"yaw_*"``, ``"!NAME"``; by default all.
+        Effects that may be the cause: names, patterns ``"yaw_*"``, ``"!NAME"``; by default all.
     effort : {"quick", "normal", "thorough"}
     effect, data : str, sequence or mapping
         As on the command line.

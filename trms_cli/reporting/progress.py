@@ -273,7 +273,7 @@ class DiagnoseProgress(FitProgress):
             return None
         if content.get("problem") != self._fingerprint:
             raise ConfigurationError(
-                "what is diagnosed has changed since: a recording, the model or the suspects",
+                "what is diagnosed has changed since: a recording, the model or the candidates",
                 where=str(self._file),
                 remedy="diagnose anew into another folder",
             )

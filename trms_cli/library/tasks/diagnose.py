@@ -242,7 +242,7 @@ def candidates_of(
     if not effects:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise ConfigurationError(
-            "no effect is left to be suspected" + (f" ({reasons})" if reasons else ""),
+            "no effect is left as a candidate" + (f" ({reasons})" if reasons else ""),
             where="candidates",
             remedy="candidates=[all], or names that `trms list effect` shows",
         )
