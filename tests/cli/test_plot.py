@@ -15,7 +15,7 @@ from trms_cli.cli import main
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.reporting.plot import KINDS, absences, names_of, plot, size_of
-from trms_cli.reporting.style import house_style
+from trms_cli.reporting.style import PALETTE, house_style
 
 ALL = [kind for kind in KINDS if kind != "comparison"]
 LONG = "plant.prior_seed=3"
@@ -150,10 +150,23 @@ def looks(figure) -> dict[str, set[tuple[str, str]]]:
 
 def test_each_word_of_a_legend_has_one_look_and_no_other_has_it(logs):
     found = looks(plot(logs[:1], ["tracking", "errors", "rates", "estimate", "torques"]))
-    assert {"rig", "estimate", "estimate − true"} <= set(found)
-    seen = [found[word] for word in ("rig", "estimate", "estimate − true", "reference")]
-    assert all(len(each) == 1 for each in seen)
+    assert all(len(each) == 1 for each in found.values())
+    seen = [found[word] for word in ("rig", "estimate ± 2 sd", "estimate − true", "reference")]
     assert len(set.union(*seen)) == len(seen)
+
+
+def test_what_belongs_to_an_axis_has_its_colour_in_all_plots_of_a_log(logs):
+    """Pitch and the main rotor the first one, yaw and the tail rotor the second."""
+    curves = {
+        axes.get_ylabel().replace("\n", " ").partition(" [")[0].strip(): line.get_color()
+        for axes in plot(logs[:1], ["inputs", "rates", "torques", "phase"]).axes
+        for line in axes.lines
+        if len(line.get_xdata()) > 10
+    }
+    for label, colour in curves.items():
+        main = label.startswith(("pitch", "main"))
+        assert colour == PALETTE["blue" if main else "vermilion"], label
+    assert {"tail rotor command", "tail rotor", "yaw rate", "pitch moment"} <= set(curves)
 
 
 def test_panels_of_the_estimate_say_that_they_show_errors(logs):

@@ -126,7 +126,7 @@ def test_files_that_are_no_logs(path: Path, content: bytes, problem: str) -> Non
 def test_no_such_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file"):
         read_log(tmp_path / "none.mcap")
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="no log of a run in it"):
         read_log(tmp_path)
 
 

@@ -66,10 +66,10 @@ def test_a_slower_run_is_worse_than_the_baseline(
     assert score.main([good, "--write-baseline", baseline, "--reason", "first"]) == 0
     assert json.loads(Path(baseline).read_text())["reason"] == "first"
     assert score.main([good, "--baseline", baseline]) == 0
-    assert "not worse than the baseline" in capsys.readouterr().out
+    assert "Not worse than the baseline baseline.json: no figure worse" in capsys.readouterr().out
     assert score.main([slow, "--baseline", baseline]) == 1
     printed = capsys.readouterr().out
-    assert "worse than the baseline" in printed and "alpha_h settling_time" in printed
+    assert "Worse than the baseline" in printed and "alpha_h settling_time" in printed
     assert score.main([good, slow, "--baseline", baseline, "--json"]) == 1
     scores = json.loads(capsys.readouterr().out)["scores"]
     assert [one["comparison"]["worse"] for one in scores] == [False, True]
@@ -164,3 +164,24 @@ def test_innovations_are_doubted_by_size_not_by_number_of_samples(
 
 def test_without_innovations_nothing_is_said_of_them() -> None:
     assert innovation_sentences({"innovation_whiteness_p": None, "innovations": {}}) == []
+
+
+@pytest.mark.parametrize(
+    ("given", "problem", "remedy"),
+    [
+        (["fit"], "no log of a run in it", "runs lists them"),
+        (["nothing.mcap"], "no such file", "runs lists the runs there are"),
+        (["run.mcap", "--baseline", "nope.json"], "read: No such file", "--write-baseline FILE"),
+        (["run.mcap", "--write-baseline", "run.mcap/b.json"], "is a file", "--write-baseline"),
+    ],
+)
+def test_a_place_that_is_wrong_is_told_with_what_to_do(
+    make_log: MakeLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    given: list[str], problem: str, remedy: str,
+) -> None:  # fmt: skip
+    make_log("run.mcap").rename(tmp_path / "run.mcap")
+    (tmp_path / "fit").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RecordingError, match=problem) as raised:
+        score.main(given)
+    assert remedy in raised.value.remedy and "Errno" not in str(raised.value)

@@ -217,8 +217,9 @@ def _lines(found: Export, folder: Path, measured: Measured | None, reason: str) 
         lines.append(f"  not measured: {reason}")
     else:
         lines += [
-            f"  step      median {measured.median:.1f} µs, 99 % {measured.p99:.1f} µs, slowest "
-            f"{measured.slowest:.1f} µs ({measured.samples} steps)",
+            f"  step      median {measured.median:.1f} µs, 99 % {measured.p99:.1f} µs, longest "
+            f"{measured.longest:.1f} µs ({measured.samples} steps); slowest sample in the best of "
+            f"its passes {measured.slowest:.1f} µs",
             *_observer_line(measured),
             f"  agrees    with the Python controller to {measured.largest_difference:.2g} V",
             f"  memory    {measured.context_bytes / 1024:.0f} KiB in the context"

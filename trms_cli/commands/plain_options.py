@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from trms_cli.core.errors import ConfigurationError
+
+#: What argparse says of a value that it cannot convert.
+_NO_NUMBER = re.compile(r"argument (\S+): invalid (int|float) value: (.*)")
 
 
 def as_options(argv: Sequence[str], takes: Mapping[str, bool]) -> list[str]:
@@ -70,6 +74,11 @@ class PlainOptions(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise what argparse would print before it exits."""
+        if match := _NO_NUMBER.fullmatch(message):
+            raise ConfigurationError(
+                f"{match[3]} is no number", where=match[1],
+                remedy="give a whole number" if match[2] == "int" else "give a number",
+            )  # fmt: skip
         first_line = self._help_text.splitlines()[0].removeprefix("usage: ")
         raise ConfigurationError(
             message, where=self.prog, remedy=f"{first_line}; more by {self.prog} --help"

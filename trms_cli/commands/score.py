@@ -108,7 +108,7 @@ def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bo
     from trms_cli.scoring.baseline import Baseline
 
     text = json.dumps(Baseline(score, reason=reason).document(), indent=2, ensure_ascii=False)
-    with whole_file(path, force=force) as temporary:
+    with whole_file(path, force=force, option="--write-baseline") as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
@@ -130,7 +130,7 @@ def findings_of(
         because = [f"The baseline: {baseline.reason}"] if baseline and baseline.reason else []
         table = told.comparison_table(rows, name, everything=everything)
         sections.append(Section("Against the baseline", because, [table]))
-        lead.append(f"{told.comparison_sentence(rows)}.")
+        lead.append(f"{told.comparison_sentence(rows, name)}.")
         lead += because
     path = log.path
     title = path.parent.name if path.name == LOG_NAME else path.name

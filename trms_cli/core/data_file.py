@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
+from trms_cli.core.invocation import program
 
 #: Raises (or lowers) what is read of recordings and logs, in MiB.
 ENVIRONMENT = "TRMS_LARGEST_FILE"
@@ -63,13 +64,25 @@ def recorded_bytes(path: Path, usual: int) -> bytes:
     try:
         return read_bytes(path, largest(usual))
     except FileNotFoundError as error:
-        raise RecordingError("there is no such file", where=str(path)) from error
+        raise absent(path) from error
     except OSError as error:
         raise unreadable(error, path) from error
 
 
+def absent(path: Path, what: str = "file") -> RecordingError:
+    """The words for a log or a recording that is not there."""
+    remedy = f"check the path; {program()} runs lists the runs there are"
+    return RecordingError(f"there is no such {what}", where=str(path), remedy=remedy)
+
+
 def unreadable(error: OSError, path: Path) -> RecordingError:
-    """The words for a file that the system does not let be read."""
+    """The words for a file that the system does not let be read, or that is a folder."""
+    if isinstance(error, IsADirectoryError):
+        return RecordingError(
+            "it is a folder, and there is no log of a run in it",
+            where=str(path),
+            remedy=f"name a log or the folder of a run; {program()} runs lists them",
+        )
     return RecordingError(f"it cannot be read ({error.strerror or error})", where=str(path))
 
 

@@ -34,6 +34,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from trms_cli.core.data_file import (
     MEBIBYTE,
+    absent,
     how_to_raise,
     largest,
     not_as_written,
@@ -494,7 +495,7 @@ class LogTail:
         try:
             self._descriptor = os.open(self.path, os.O_RDONLY)
         except FileNotFoundError as error:
-            raise RecordingError("there is no such file", where=str(path)) from error
+            raise absent(Path(path)) from error
         except OSError as error:
             raise unreadable(error, self.path) from error
 

@@ -48,18 +48,19 @@ def refuse_overwrite(path: Path, remedy: str) -> None:
 
 
 @contextlib.contextmanager
-def whole_file(path: Path, *, force: bool = False) -> Iterator[Path]:
+def whole_file(path: Path, *, force: bool = False, option: str = "--out") -> Iterator[Path]:
     """Give a temporary path that becomes ``path`` when the block ends well.
 
     Another program sees the old file or the new one, never a half; a failure or Ctrl-C
-    leaves nothing behind. ``force`` allows an existing file to be replaced.
+    leaves nothing behind. ``force`` allows an existing file to be replaced. ``option``: the one
+    that names the file, for who has to name another.
     """
     folder = path.parent
     try:
         if not force:
-            refuse_overwrite(path, "give another name with --out, or --force to replace it")
+            refuse_overwrite(path, f"give another name with {option}, or --force to replace it")
         elif path.is_dir():
-            refuse_overwrite(path, "give the name of a file with --out")
+            refuse_overwrite(path, f"give the name of a file with {option}")
         folder.mkdir(parents=True, exist_ok=True)
         # A folder of its own: writers that refuse to overwrite can then create the file.
         with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=folder) as scratch:
@@ -68,20 +69,20 @@ def whole_file(path: Path, *, force: bool = False) -> Iterator[Path]:
             if force:
                 os.replace(temporary, path)
             else:
-                _move_without_overwriting(temporary, path)
+                _move_without_overwriting(temporary, path, option)
     except OSError as error:
-        raise explain_os_error(error, path, "choose another place with --out") from error
+        raise explain_os_error(error, path, f"choose another place with {option}") from error
 
 
-def _move_without_overwriting(source: Path, target: Path) -> None:
+def _move_without_overwriting(source: Path, target: Path, option: str) -> None:
     """Rename, but fail when ``target`` has come into being meanwhile."""
     try:
         os.link(source, target)
     except FileExistsError:
-        refuse_overwrite(target, "give another name with --out, or --force to replace it")
+        refuse_overwrite(target, f"give another name with {option}, or --force to replace it")
         raise
     except OSError:  # a file system without hard links
-        refuse_overwrite(target, "give another name with --out, or --force to replace it")
+        refuse_overwrite(target, f"give another name with {option}, or --force to replace it")
         os.replace(source, target)
 
 

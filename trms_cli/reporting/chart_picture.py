@@ -217,7 +217,9 @@ def draw_panel(axes: Any, panel: charts.Panel) -> dict[str, Handle]:
     if panel.note:
         axes.set_title(panel.note, loc="right", fontsize=8, color=GREY, pad=3)
     if panel.equal:
-        axes.set_aspect("equal", adjustable="datalim")
+        # limits that were chosen are kept: then it is the box that gives way
+        chosen = panel.x.limits is not None and panel.y.limits is not None
+        axes.set_aspect("equal", adjustable="box" if chosen else "datalim")
     return handles
 
 

@@ -27,6 +27,7 @@ from trms_cli.core.chart import (
     Points,
     curve_look,
     page_look,
+    signal_colour,
 )
 from trms_cli.reporting.run_panels import (
     Look,
@@ -65,7 +66,7 @@ def tracking(runs: Runs, look: Look = curve_look) -> list[Panel]:
         name for run in runs for name in [*run.names("/reference"), *_angles(run)]
     ) or _in_order(name for run in runs for name in run.channels())
     if not found:
-        raise Absent("no log has an angle: a motor or a propeller alone has none")
+        raise Absent(_no_angle(runs))
     if len(runs) == 1:
         return [channel_panel(runs[0], name) for name in found]
     panels = []
@@ -76,6 +77,12 @@ def tracking(runs: Runs, look: Look = curve_look) -> list[Panel]:
         axis = Axis(label_of(name), unit or "rad", limits)
         panels.append(Panel(time_axis(*runs), axis, [*references, *marks, *lines], label_of(name)))
     return panels
+
+
+def _no_angle(runs: Runs) -> str:
+    if any(len(table.time) for run in runs for table in run.tables.values()):
+        return "no log has an angle: a motor or a propeller alone has none"
+    return "no log holds a sample: the run ended, or was cut off, before the first one"
 
 
 def errors(runs: Runs, look: Look = curve_look) -> list[Panel]:
@@ -205,8 +212,9 @@ def torques(runs: Runs) -> list[Panel]:
             torque, factor = in_small_unit(guess[0])
             guess[1][: len(guess[1]) // 20] = np.nan  # an observer that finds its feet
             unit = torque.unit
-            look = {"colour": "vermilion"} if len(runs) == 1 else curve_look(i)
-            label = "estimate" if len(runs) == 1 else run.name
+            alone = len(runs) == 1
+            look = {"colour": signal_colour(name)} if alone else curve_look(i)
+            label = f"{name.replace('_', ' ')}, estimate" if alone else run.name
             marks += with_band(torque, factor * guess[1], label, look.pop("colour"), 1.4, **look)
         axis = Axis(f"{name.replace('_', ' ')}\n", unit)
         panels.append(Panel(time_axis(*runs), axis, marks, row_height=0.8))
@@ -263,7 +271,7 @@ def phase(runs: Runs, look: Look = curve_look) -> list[Panel]:
     """Each axis's rate over its angle."""
     names = [n for n in _ANGLES if any(run.truth(n) is not None for run in runs)]
     if not names:
-        raise Absent("no log has an angle: a motor or a propeller alone has none")
+        raise Absent(_no_angle(runs))
     return phase_panels(runs, names, look)
 
 
@@ -277,10 +285,10 @@ def phase_panels(runs: Runs, names: Sequence[str], look: Look = curve_look) -> l
             found = _rising(run.smooth(name))
             if found is not None:
                 unit = found.unit
-                label = run.name if len(runs) > 1 else found.source
-                marks += _trajectory(
-                    found.values, found.rate.values, label, look(i), alone=len(runs) == 1
-                )
+                alone = len(runs) == 1
+                label = f"{label_of(name)}, {found.source}" if alone else run.name
+                own = {"colour": signal_colour(name), "style": "solid"} if alone else look(i)
+                marks += _trajectory(found.values, found.rate.values, label, own, alone=alone)
         words = label_of(name)
         if marks:
             across, up = Axis(words, unit), Axis(f"{words} rate", f"{unit}/s")

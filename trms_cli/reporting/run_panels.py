@@ -500,8 +500,9 @@ def curves_of(
             continue
         unit = unit or signal.unit
         seen.append(signal.values)
-        # of a log alone an estimate has one look in all panels, and the rig another: one legend
-        own = look(1 if len(runs) == 1 and signal.source == "estimate" else i)
-        label = run.name if len(runs) > 1 else signal.source
+        own, label = look(i), run.name
+        if len(runs) == 1:  # the colour says which axis it is
+            own = {"colour": signal_colour(name), "style": "solid"}
+            label = f"{label_of(name)}, {signal.source}" if signal.source else ""
         marks.append(Curve(signal.time, signal.values, label, **own, held=held))
     return marks, seen, unit

@@ -236,7 +236,7 @@ def _sensitivity(summary: Mapping[str, Any]) -> list[Chart]:
     looks = [CURVES[i % len(CURVES)] for i in range(len(groups))]
     legend = [Points([], [], _words(group), "square", look)
               for group, look in zip(groups, looks, strict=True)]  # fmt: skip
-    legend.append(Points([], [], "not told from chance", "square", "pale"))
+    legend.append(Points([], [], "not distinguishable from chance", "square", "pale"))
     panels, most = [], 0
     for name in summary["figures"]:
         found = [{e["key"]: e for e in g["sensitivity"] if e["figure"] == name} for g in groups]

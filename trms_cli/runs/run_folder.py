@@ -44,8 +44,10 @@ def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
         if not os.access(folder, os.W_OK):
             raise PermissionError(13, "Permission denied", str(folder))
     except (FileExistsError, NotADirectoryError) as error:
+        place = Path(error.filename or out or "outputs")
+        blocking = next((each for each in (place, *place.parents) if each.is_file()), place)
         raise TrmsError(
-            f"{str(error.filename or out)!r} is a file, and a folder is written here",
+            f"{str(blocking)!r} is a file, and a folder is written here",
             where="out",
             remedy="name a new folder: out=FOLDER",
         ) from error

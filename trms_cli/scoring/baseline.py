@@ -107,8 +107,9 @@ def read_baseline(path: Path) -> Baseline:
     try:
         document = read_json(path)
     except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise RecordingError(
-            f"the baseline cannot be read: {error}",
+            f"the baseline cannot be read: {reason}",
             where=str(path),
             remedy="write one with: trms score LOG --write-baseline FILE",
         ) from error

@@ -173,13 +173,13 @@ def comparison_table(rows: Sequence[BaselineRow], name: str, *, everything: bool
     return table(shown, columns, hint if any(not row.judged for row in shown) else "")
 
 
-def comparison_sentence(rows: Sequence[BaselineRow]) -> str:
+def comparison_sentence(rows: Sequence[BaselineRow], name: str) -> str:
     """Whether a score is worse than the baseline, with the counts."""
     same = sum(row.verdict == "same" for row in rows)
     better = sum(row.judged and row.verdict == "better" for row in rows)
     worse = wording.count(sum(row.regressed for row in rows), "figure")
-    verdict = "worse" if regressed(list(rows)) else "not worse"
-    return f"{verdict} than the baseline: {worse} worse, {better} better, {same} the same"
+    verdict = "Worse" if regressed(list(rows)) else "Not worse"
+    return f"{verdict} than the baseline {name}: {worse} worse, {better} better, {same} the same"
 
 
 def comparison_rows(scores: Sequence[Mapping[str, Any]]) -> list[list[Cell]]:
@@ -262,7 +262,9 @@ def _by_name(
         rows.append([_title(figure, unit, steps), *values])
     unsettled = [finite(own.get("unsettled_steps")) or 0 for own in members.values()]
     late = wording.count(int(sum(unsettled)), "step") if sum(unsettled) else ""
-    caption = f"{late} had not settled when the next one came." if late and short else ""
+    caption = (
+        f"{late} had not settled when the next one came or the run ended." if late and short else ""
+    )
     return Table([title, *map(named, members)], rows if members else [], caption)
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from trms_cli.core.data_file import absent
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.wording import choice_labels
 from trms_cli.library.report.summary import drawn_keys
@@ -290,7 +291,7 @@ def report_of(
     given = [Path(path).expanduser() for path in paths]
     for path in given:
         if not path.exists():
-            raise RecordingError("there is no such file or folder", where=str(path))
+            raise absent(path, "file or folder")
     folder = _folder(given)
     logs = [log for path in given if (log := _own_log(path)) is not None]
     if len(logs) == len(given) and len(_distinct(logs)) <= MOST_OVERLAID:

@@ -23,7 +23,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from trms_cli.core.data_file import not_as_written, read_json
+from trms_cli.core.data_file import absent, not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
 from trms_cli.core.wording import named_files, typed_models
@@ -278,7 +278,7 @@ def gather(paths: Sequence[Path]) -> RunCollection:
     seen: set[Path] = set()
     for path in paths:
         if not path.exists():
-            raise RecordingError("there is no such file or folder", where=str(path))
+            raise absent(path, "file or folder")
         with not_as_written(str(path)):
             found = [_of_file(path)] if path.is_file() else _of_folder(path, left_out)
         for run in found:
