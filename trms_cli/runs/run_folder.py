@@ -52,7 +52,7 @@ def new_folder(out: str | os.PathLike[str] | None, what: str) -> Path:
             remedy="name a new folder: out=FOLDER",
         ) from error
     except OSError as error:
-        place = error.filename or out or "outputs"
+        place = Path(error.filename or out or "outputs")
         raise TrmsError(
             f"cannot write into {str(place)!r}: {error.strerror or error}",
             where="out",
