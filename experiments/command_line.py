@@ -13,7 +13,7 @@ from trms_cli.cli import describe_error
 from trms_cli.core.errors import EXIT_INTERRUPTED, ConfigurationError, TrmsError
 
 
-def ended(work: Callable[[], int]) -> int:
+def exit_code_of(work: Callable[[], int]) -> int:
     """The exit code of the work; a mistake of the user's is told on one screen."""
     try:
         return work()
@@ -58,7 +58,7 @@ def one_thread_each() -> None:
         os.environ[variable] = "1"
 
 
-def clocked() -> Callable[[str], None]:
+def progress_with_time() -> Callable[[str], None]:
     """What tells how far a study is, with the seconds since now."""
     begin = perf_counter()
 

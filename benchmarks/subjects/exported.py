@@ -13,7 +13,7 @@ from benchmarks.lockstep import WARM_UP, quantiles
 from benchmarks.options import Options
 from benchmarks.setups import experiment, newton_horizon, newton_of
 from trms_cli.code_generation.export import example_rows, export, rounding_difference
-from trms_cli.code_generation.measure import FLAGS, PASSES, Measured, measure
+from trms_cli.code_generation.measure import FLAGS, PASSES, ExampleMeasurement, measure
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.core.compilation import compiler
 from trms_cli.models.estimate import Estimate
@@ -193,7 +193,7 @@ class _Example:
             observing=observing,
         ).files
 
-    def measured(self, program: str, passes: int = PASSES) -> Measured:
+    def measured(self, program: str, passes: int = PASSES) -> ExampleMeasurement:
         """What the example says."""
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)

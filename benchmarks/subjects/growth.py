@@ -13,7 +13,7 @@ from benchmarks.lockstep import quantiles, race
 from benchmarks.options import Options
 from benchmarks.setups import FULL_STATE, experiment, newton_horizon
 from benchmarks.subjects.parts import runner_times
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
 from trms_cli.simulation.closed_loop import Experiment
@@ -91,7 +91,7 @@ def _delayed(model: Model) -> Model:
         "main_input_delay": InputDelay(rotor="main", delay=0.05, longest=0.2),
         "tail_input_delay": InputDelay(rotor="tail", delay=0.05, longest=0.2),
     }
-    return extended(model, delays)
+    return extend_model(model, delays)
 
 
 def _one_iteration(options: Options, *overrides: str) -> Experiment:

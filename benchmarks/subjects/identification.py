@@ -15,7 +15,7 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.genetic import Genetic
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.population import SimulationCost
-from trms_cli.identification.problem import FitProblem, FitResult, Unwatched, free_parameters
+from trms_cli.identification.problem import FitProblem, FitResult, SilentProgress, free_parameters
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.multilevel import Multilevel
 from trms_cli.simulation.rollout import Rollout
@@ -214,13 +214,13 @@ def _add(
     table: Table,
     words: str,
     problem: FitProblem,
-    fit: Callable[[FitProblem, Unwatched], FitResult],
+    fit: Callable[[FitProblem, SilentProgress], FitResult],
     limit: float,
 ) -> None:
     cost = SimulationCost(problem)  # also compiles what the searches use
     Rollout(problem.model, _STEP, free=problem.names)
     begin, used = time.perf_counter(), time.process_time()
-    result = fit(problem, Unwatched())
+    result = fit(problem, SilentProgress())
     spent, processor = time.perf_counter() - begin, time.process_time() - used
     table.add_limited(
         "time",

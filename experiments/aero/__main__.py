@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from experiments.aero.study import (
-    Fitted,
+    AeroFit,
     errors,
-    fitted,
+    fit_model,
     parts_of,
     problem_of,
     read_study,
@@ -54,7 +54,7 @@ def _told(given: argparse.Namespace, settings: dict[str, Any]) -> dict[str, Any]
     if given.variants:
         left_out |= settings["variants"]
     fits = {
-        name: fitted(problem_of((first,), settings, without, given.jobs), settings)
+        name: fit_model(problem_of((first,), settings, without, given.jobs), settings)
         for name, without in left_out.items()
     }
     published = QuanserAero(parameter_set=settings["set"], rotor_speeds=False)
@@ -74,7 +74,7 @@ def _told(given: argparse.Namespace, settings: dict[str, Any]) -> dict[str, Any]
     }
 
 
-def _of_fit(fit: Fitted) -> dict[str, Any]:
+def _of_fit(fit: AeroFit) -> dict[str, Any]:
     assert fit.result.covariance is not None
     sd = np.sqrt(np.diag(fit.result.covariance))
     return {

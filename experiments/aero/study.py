@@ -17,7 +17,7 @@ from trms_cli.identification.problem import (
     FitProblem,
     FitResult,
     Prior,
-    Unwatched,
+    SilentProgress,
     free_parameters,
     with_values,
 )
@@ -34,7 +34,7 @@ _CHANNELS = ("alpha_v", "alpha_h")
 
 
 @dataclass(frozen=True)
-class Fitted:
+class AeroFit:
     """A fit of the study."""
 
     problem: FitProblem
@@ -89,12 +89,12 @@ def parts_of(dataset: Dataset, settings: Mapping[str, Any]) -> tuple[Dataset, Da
     return dataset.part(a, b), dataset.part(c, min(d, len(dataset)))
 
 
-def fitted(problem: FitProblem, settings: Mapping[str, Any]) -> Fitted:
+def fit_model(problem: FitProblem, settings: Mapping[str, Any]) -> AeroFit:
     """Fit it."""
-    result = MultipleShooting(starts=settings["starts"]).fit(problem, Unwatched())
+    result = MultipleShooting(starts=settings["starts"]).fit(problem, SilentProgress())
     model = with_values(problem.model, result.values)
     assert isinstance(model, QuanserAero)
-    return Fitted(problem, model, result)
+    return AeroFit(problem, model, result)
 
 
 def errors(

@@ -13,9 +13,9 @@ from experiments.chapter2.axes import ANGLES, Comparison, one_axis, two_axes
 from experiments.chapter2.bench_tests import study_bench_tests
 from experiments.chapter2.rotors import ROTORS, study_rotor
 from experiments.chapter2.study import HERE, STUDY, read_study
-from experiments.command_line import clocked, ended
+from experiments.command_line import exit_code_of, progress_with_time
+from experiments.expected_figures import json_text, rounded
 from experiments.page_tables import write_alone, write_tables
-from experiments.recorded import json_text, rounded
 from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--out", type=Path, help="put tables, figures and JSON there and leave docs/ as it is"
     )
     given = parser.parse_args(argv)
-    return ended(lambda: _run(given))
+    return exit_code_of(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -40,7 +40,7 @@ def _run(given: argparse.Namespace) -> int:
     study = read_study(given.study)
     folder = given.out or FIGURES
     folder.mkdir(parents=True, exist_ok=True)
-    said = clocked()
+    said = progress_with_time()
 
     rotors = [study_rotor(study, rotor) for rotor in ROTORS]
     figures.draw_rotors(rotors, folder / "rotors.png")

@@ -33,7 +33,7 @@ _ROTORS = {"main": ("v", "mr"), "tail": ("h", "tr")}
 
 
 @dataclass(frozen=True)
-class Found:
+class BenchTestResult:
     """A parameter by its test."""
 
     name: str
@@ -64,7 +64,7 @@ class BenchRecords:
     swing: tuple[FloatArray, FloatArray, FloatArray]  #: (time, α_v measured, α_v fitted) arrays
 
 
-def study_bench_tests(study: Study, seed: int = 0) -> tuple[list[Found], BenchRecords]:
+def study_bench_tests(study: Study, seed: int = 0) -> tuple[list[BenchTestResult], BenchRecords]:
     """All tests, as often as the study asks."""
     rig = {p.name: p for p in Lagrangian().parameters}
     clean = _Clean.simulated(study)
@@ -78,7 +78,7 @@ def study_bench_tests(study: Study, seed: int = 0) -> tuple[list[Found], BenchRe
             drawn.setdefault(name, []).append(value)
     assert records is not None
     return [
-        Found(
+        BenchTestResult(
             name,
             rig[name].unit,
             _test_of(name),

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from experiments.chapter2.agreement import Agreement, TermStudy
 from experiments.chapter2.axes import ANGLES, Comparison
-from experiments.chapter2.bench_tests import Found
+from experiments.chapter2.bench_tests import BenchTestResult
 from experiments.chapter2.bridge import TERMS
 from experiments.chapter2.rotors import RotorStudy
 from experiments.chapter2.simulation import Difference
@@ -94,7 +94,7 @@ def agreement_tables(agreements: Sequence[Agreement], terms: Sequence[TermStudy]
     }
 
 
-def bench_table(found: Sequence[Found]) -> str:
+def bench_table(found: Sequence[BenchTestResult]) -> str:
     """Parameters by bench test."""
     rows = [
         [

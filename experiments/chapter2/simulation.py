@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.model import Model, names
 from trms_cli.plants.simulated import with_stops
 from trms_cli.simulation.rollout import Rollout
@@ -62,7 +62,7 @@ class OpenLoop:
     def __init__(
         self, model: Model, sample_time: float, substeps: int, *, stops: bool = True
     ) -> None:
-        self.model = extended(model, with_stops(model)) if stops else model
+        self.model = extend_model(model, with_stops(model)) if stops else model
         self._sample_time = sample_time
         self._rollout = Rollout(self.model, sample_time, substeps=substeps)
 

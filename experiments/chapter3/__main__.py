@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.command_line import ended
+from experiments.command_line import exit_code_of
 from trms_cli.core.errors import EXIT_OK
 
 _DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -24,7 +24,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(argv)
     # Before the linear algebra is loaded: small matrices, and a process for each core.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    return ended(lambda: _networks(given.only) if given.what == "networks" else _study(given))
+    return exit_code_of(
+        lambda: _networks(given.only) if given.what == "networks" else _study(given)
+    )
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.chapter3.structure_selection import selected
+from experiments.chapter3.structure_selection import select_candidate
 from experiments.chapter3.study import Study
-from experiments.chapter3.tables import MEMBERS, TITLES, angles, grouped
+from experiments.chapter3.tables import MEMBERS, TITLES, angles, group_trainings
 from experiments.chapter3.training_picture import (
     Correlation,
     LearningCurve,
@@ -20,8 +20,12 @@ from experiments.chapter3.training_picture import (
     draw_spread,
     draw_structure,
 )
-from experiments.chapter3.trainings import Trained, recorded
-from trms_cli.identification.blackbox.prediction_error import predicted, sampled, simulated
+from experiments.chapter3.trainings import TrainingResult, make_recording
+from trms_cli.identification.blackbox.prediction_error import (
+    predict_samples,
+    sample_signals,
+    simulate_network,
+)
 from trms_cli.identification.validation.residual_tests import residual_tests
 from trms_cli.models.network import NarxStructure, Network
 
@@ -48,7 +52,7 @@ def draw_all(study: Study, folder: Path, short: float) -> None:
                         np.array([1e3 * one.free_run["test"][angle] for one in group]),
                         np.array([one.seconds for one in group]),
                     )
-                    for label, group in grouped(results).items()
+                    for label, group in group_trainings(results).items()
                 ],
                 folder / f"spread_{name}{suffix}.png",
                 unit="mrad",
@@ -59,7 +63,7 @@ def draw_all(study: Study, folder: Path, short: float) -> None:
         _draw_runs(name, _best_of(results, ("nnarx", "nnoe")), folder / f"runs_{name}.png", short)
     draw_structures(study, folder / "structure.png")
     for label in ("nnarx", "nnoe"):
-        chosen = min(grouped(study.members["vertical"])[label], key=_test_error)
+        chosen = min(group_trainings(study.members["vertical"])[label], key=_test_error)
         _draw_tests(chosen, folder / f"correlations_{label}.png", short)
 
 
@@ -71,7 +75,7 @@ def draw_structures(study: Study, path: Path) -> None:
     for one in study.structures:
         row, column = lags.index(one.candidate.lags), hidden.index(one.candidate.hidden)
         errors[row, column] = one.free_run
-    chosen = selected(study.structures).candidate
+    chosen = select_candidate(study.structures).candidate
     draw_structure(
         lags,
         hidden,
@@ -82,26 +86,26 @@ def draw_structures(study: Study, path: Path) -> None:
     )
 
 
-def _test_error(one: Trained) -> float:
+def _test_error(one: TrainingResult) -> float:
     return sum(one.free_run["test"][angle] for angle in angles([one]))
 
 
-def _best_of(results: Sequence[Trained], labels: Sequence[str]) -> dict[str, Trained]:
+def _best_of(results: Sequence[TrainingResult], labels: Sequence[str]) -> dict[str, TrainingResult]:
     """The median start of each label, so that no lucky one is shown."""
     chosen = {}
     for label in labels:
-        ordered = sorted(grouped(results)[label], key=_test_error)
+        ordered = sorted(group_trainings(results)[label], key=_test_error)
         chosen[MEMBERS[label].split(",")[0]] = ordered[len(ordered) // 2]
     return chosen
 
 
-def _draw_runs(system: str, networks: dict[str, Trained], path: Path, short: float) -> None:
-    dataset = recorded(system, "test", short)
+def _draw_runs(system: str, networks: dict[str, TrainingResult], path: Path, short: float) -> None:
+    dataset = make_recording(system, "test", short)
     runs = {}
     for label, one in networks.items():
         structure = NarxStructure.from_data(one.structure)
-        samples = sampled(dataset, structure)
-        run = simulated(structure, Network.from_data(one.network), samples)
+        samples = sample_signals(dataset, structure)
+        run = simulate_network(structure, Network.from_data(one.network), samples)
         runs[label] = dict(zip(structure.outputs, run.T, strict=True))
     time = np.arange(len(samples), dtype=np.float64) * structure.sample_time
     units = dict(zip(structure.outputs, structure.output_units, strict=True))
@@ -116,11 +120,11 @@ def _draw_runs(system: str, networks: dict[str, Trained], path: Path, short: flo
     )
 
 
-def _draw_tests(one: Trained, path: Path, short: float) -> None:
+def _draw_tests(one: TrainingResult, path: Path, short: float) -> None:
     """Correlation tests of the one-step residuals over the test recording."""
     structure = NarxStructure.from_data(one.structure)
-    samples = sampled(recorded(one.job.system, "test", short), structure)
-    residual = samples.outputs - predicted(structure, Network.from_data(one.network), samples)
+    samples = sample_signals(make_recording(one.job.system, "test", short), structure)
+    residual = samples.outputs - predict_samples(structure, Network.from_data(one.network), samples)
     first = structure.longest_lag
     tests = residual_tests(
         dict(zip(structure.outputs, residual[first:].T, strict=True)),

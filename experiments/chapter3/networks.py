@@ -13,7 +13,7 @@ from experiments.chapter3.methods import method, option
 from experiments.chapter3.recordings import cut_at_stops, recording
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
-from trms_cli.identification.blackbox.prediction_error import free_run, rms, sampled
+from trms_cli.identification.blackbox.prediction_error import free_run, rms, sample_signals
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FitProblem, Progress
 from trms_cli.models.narx_file import NarxFile, write_narx_file
@@ -91,7 +91,7 @@ def window_errors(
     steps, first = round(horizon / structure.sample_time), structure.longest_lag
     past, inputs, measured = [], [], []
     for dataset in datasets:
-        raw, smooth = (sampled(dataset, structure, window) for window in (0.0, smoothing))
+        raw, smooth = (sample_signals(dataset, structure, window) for window in (0.0, smoothing))
         for start in range(first, len(raw) - steps + 1, steps):
             past.append(smooth.outputs[start - first : start])
             inputs.append(raw.inputs[start - first : start + steps])

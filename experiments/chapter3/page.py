@@ -9,7 +9,7 @@ from pathlib import Path
 from trms_cli.core.errors import RecordingError
 
 
-def filled(text: str, tables: Mapping[str, str], where: str) -> str:
+def fill_tables(text: str, tables: Mapping[str, str], where: str) -> str:
     """The page with each table between its marks ``<!-- table NAME -->`` and ``<!-- end -->``.
 
     Raises RecordingError if a table has no place in the page.
@@ -28,4 +28,6 @@ def filled(text: str, tables: Mapping[str, str], where: str) -> str:
 
 def write_page(path: Path, tables: Mapping[str, str]) -> None:
     """Renew the tables of a page."""
-    path.write_text(filled(path.read_text(encoding="utf-8"), tables, str(path)), encoding="utf-8")
+    path.write_text(
+        fill_tables(path.read_text(encoding="utf-8"), tables, str(path)), encoding="utf-8"
+    )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 
-from trms_cli.identification.problem import Unwatched
+from trms_cli.identification.problem import SilentProgress
 
 
-class Screen(Unwatched):
+class Screen(SilentProgress):
     """Progress of a training, on a terminal only.
 
     Parameters

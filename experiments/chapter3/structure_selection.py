@@ -80,7 +80,7 @@ def assess(
     )
 
 
-def selected(assessed: Sequence[AssessedCandidate]) -> AssessedCandidate:
+def select_candidate(assessed: Sequence[AssessedCandidate]) -> AssessedCandidate:
     """The candidate with the fewest weights within one standard error of the best."""
     best = min(assessed, key=lambda one: one.level)
     if not np.isfinite(best.level):  # every one has diverged at least once

@@ -15,8 +15,15 @@ from time import perf_counter
 from experiments.chapter3.methods import method
 from experiments.chapter3.structure_selection import AssessedCandidate, Candidate
 from experiments.chapter3.structure_selection import assess as assess_candidate
-from experiments.chapter3.trainings import Job, Trained, model_of, recorded, run_job, settings
-from trms_cli.identification.problem import FitProblem, Unwatched
+from experiments.chapter3.trainings import (
+    Job,
+    TrainingResult,
+    make_recording,
+    model_of,
+    run_job,
+    settings,
+)
+from trms_cli.identification.problem import FitProblem, SilentProgress
 
 #: Where all members are trained; ``systems`` of a member says others.
 ONE_AXIS = ("horizontal", "vertical")
@@ -28,9 +35,9 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 class Study:
     """What came out of a study."""
 
-    tables: dict[str, list[Trained]]  #: The trainings of each system
-    members: dict[str, list[Trained]]  #: The members of each system
-    excitations: list[Trained]  #: The same network fitted to two kinds of commands
+    tables: dict[str, list[TrainingResult]]  #: The trainings of each system
+    members: dict[str, list[TrainingResult]]  #: The members of each system
+    excitations: list[TrainingResult]  #: The same network fitted to two kinds of commands
     structures: list[AssessedCandidate]
     seconds: dict[str, float]  #: Wall time of each part
 
@@ -43,7 +50,7 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
     seconds: dict[str, float] = {}
     with _pool(jobs) as run:
 
-        def timed(name: str, work: Sequence[Job]) -> list[Trained]:
+        def timed(name: str, work: Sequence[Job]) -> list[TrainingResult]:
             begin = perf_counter()
             done = list(_told(name, run(partial(run_job, short=short), work), len(work)))
             seconds[name] = perf_counter() - begin
@@ -101,11 +108,11 @@ def _assess(candidate: Candidate, seeds: Sequence[int], short: float) -> Assesse
     system = settings()["structure"]["system"]
     problem = FitProblem(
         model=model_of(system),
-        datasets=(recorded(system, "fitted", short),),
-        validation=(recorded(system, "validation", short),),
+        datasets=(make_recording(system, "fitted", short),),
+        validation=(make_recording(system, "validation", short),),
     )
     return assess_candidate(
-        candidate, method("narx", "lm", settings()["method"]), problem, seeds, Unwatched()
+        candidate, method("narx", "lm", settings()["method"]), problem, seeds, SilentProgress()
     )
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.chapter3.structure_selection import selected
+from experiments.chapter3.structure_selection import select_candidate
 from experiments.chapter3.study import Study
-from experiments.chapter3.trainings import Trained
+from experiments.chapter3.trainings import TrainingResult
 
 #: Factor and unit of an output in the tables.
 _SHOWN = {"alpha_v": (1e3, "mrad"), "alpha_h": (1e3, "mrad")}
@@ -60,27 +60,27 @@ def plain(study: Study) -> dict[str, Any]:
     }
 
 
-def grouped(results: Sequence[Trained]) -> dict[str, list[Trained]]:
+def group_trainings(results: Sequence[TrainingResult]) -> dict[str, list[TrainingResult]]:
     """Trainings by label, in order."""
-    groups: dict[str, list[Trained]] = {}
+    groups: dict[str, list[TrainingResult]] = {}
     for one in results:
         groups.setdefault(one.job.label, []).append(one)
     return groups
 
 
-def angles(results: Sequence[Trained]) -> list[str]:
+def angles(results: Sequence[TrainingResult]) -> list[str]:
     """The measured angles of a system."""
     return [name for name in results[0].structure["outputs"] if name in _SHOWN]
 
 
-def _trainings(results: Sequence[Trained]) -> str:
+def _trainings(results: Sequence[TrainingResult]) -> str:
     shown = angles(results)
     heads = ["training", "epochs", "processor time [s]"]
     for name in shown:
         heads += [f"{_NAMES[name]}, one step, fitted [mrad]", "test"]
         heads += [f"{_NAMES[name]}, free run, fitted [mrad]", "test"]
     rows = []
-    for label, group in grouped(results).items():
+    for label, group in group_trainings(results).items():
         cells = [f"`{label}`", _spread([one.epochs for one in group], 0)]
         cells.append(_spread([one.seconds for one in group], 2))
         for name in shown:
@@ -93,13 +93,13 @@ def _trainings(results: Sequence[Trained]) -> str:
     return _table(heads, rows)
 
 
-def _members(results: Sequence[Trained]) -> str:
+def _members(results: Sequence[TrainingResult]) -> str:
     shown = angles(results)
     heads = ["network", "weights", "processor time [s]"]
     for name in shown:
         heads += [f"{_NAMES[name]}, one step, test [mrad]", "free run, fitted", "free run, test"]
     rows = []
-    for label, group in grouped(results).items():
+    for label, group in group_trainings(results).items():
         cells = [MEMBERS.get(label, label), str(group[0].weights)]
         cells.append(_spread([one.seconds for one in group], 2))
         for name in shown:
@@ -116,7 +116,7 @@ def _members(results: Sequence[Trained]) -> str:
 
 def _structure(study: Study) -> str:
     best = min(study.structures, key=lambda one: one.level)
-    chosen = selected(study.structures)
+    chosen = select_candidate(study.structures)
     rows = [
         [
             words,
@@ -152,7 +152,7 @@ def _times(study: Study) -> str:
     )
 
 
-def _row(one: Trained) -> dict[str, Any]:
+def _row(one: TrainingResult) -> dict[str, Any]:
     errors = {
         key: {
             part: {name: _number(value) for name, value in by_output.items()}

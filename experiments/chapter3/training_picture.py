@@ -26,7 +26,7 @@ from trms_cli.reporting.style import (
     legend_above,
     new_figure,
     save_png,
-    thinned,
+    thin_every,
 )
 
 FloatArray = npt.NDArray[np.float64]
@@ -153,15 +153,15 @@ def draw_free_runs(
         figure = new_figure(_WIDTH, 0.7 + _ROW_HEIGHT * rows)
         panels = figure.subplots(rows, 1, sharex=True)
         for panel, (name, values) in zip(panels, measured.items(), strict=False):
-            panel.plot(*thinned(time, values), color=MEASURED, lw=2.6, label="measured")
+            panel.plot(*thin_every(time, values), color=MEASURED, lw=2.6, label="measured")
             for colour, (label, run) in zip(_ORDER[:1] + _ORDER[1:], runs.items(), strict=False):
-                panel.plot(*thinned(time, run[name]), color=PALETTE[colour], lw=1.0, label=label)
+                panel.plot(*thin_every(time, run[name]), color=PALETTE[colour], lw=1.0, label=label)
             _stay_near(panel, values)
             panel.set_ylabel(f"{SIGNALS.get(name, name)}\n[{units[name]}]")
         legend_above(panels[0])
         for colour, (name, values) in zip(_ORDER, commands.items(), strict=False):
             panels[-1].plot(
-                *thinned(time, values), color=PALETTE[colour], lw=0.8, drawstyle="steps-post",
+                *thin_every(time, values), color=PALETTE[colour], lw=0.8, drawstyle="steps-post",
                 label=SIGNALS.get(name, name),
             )  # fmt: skip
         panels[-1].set_ylabel("command\n[V]")

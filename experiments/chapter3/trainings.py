@@ -17,13 +17,13 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.plugins import build
 from trms_cli.identification.blackbox.prediction_error import (
     Samples,
-    predicted,
+    predict_samples,
     rms,
-    sampled,
-    simulated,
+    sample_signals,
+    simulate_network,
 )
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.problem import FitProblem, FitResult, Unwatched
+from trms_cli.identification.problem import FitProblem, FitResult, SilentProgress
 from trms_cli.models.model import Model
 from trms_cli.models.network import NarxStructure, Network
 
@@ -46,7 +46,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainingResult:
     """What came out."""
 
     job: Job
@@ -79,7 +79,7 @@ def model_of(system: str) -> Model:
 
 
 @cache
-def recorded(system: str, part: str, short: float = 1.0) -> Dataset:
+def make_recording(system: str, part: str, short: float = 1.0) -> Dataset:
     """A recording of a system; ``short`` is the share of its duration."""
     own = settings()["systems"][system]
     return recording(
@@ -92,7 +92,7 @@ def recorded(system: str, part: str, short: float = 1.0) -> Dataset:
     )
 
 
-def run_job(job: Job, short: float = 1.0) -> Trained:
+def run_job(job: Job, short: float = 1.0) -> TrainingResult:
     """Train and judge."""
     # Loaded before any time is taken.
     from scipy import cluster, linalg, optimize  # noqa: F401
@@ -101,7 +101,7 @@ def run_job(job: Job, short: float = 1.0) -> Trained:
     if job.method in ("rbf", "wavelet"):
         changes.pop("hidden", None)
     changes = _merged(changes, job.changes)
-    fitted = recorded(job.system, "fitted", short)
+    fitted = make_recording(job.system, "fitted", short)
     if job.excitation is not None:
         fitted = recording(
             settings()["systems"][job.system]["model"],
@@ -113,8 +113,8 @@ def run_job(job: Job, short: float = 1.0) -> Trained:
         )
     parts = {
         "fitted": fitted,
-        "validation": recorded(job.system, "validation", short),
-        "test": recorded(job.system, "test", short),
+        "validation": make_recording(job.system, "validation", short),
+        "test": make_recording(job.system, "test", short),
     }
     problem = FitProblem(
         model=model_of(job.system),
@@ -122,11 +122,11 @@ def run_job(job: Job, short: float = 1.0) -> Trained:
         validation=(parts["validation"],),
         seed=job.seed,
     )
-    result = method(job.method, job.training, changes).fit(problem, Unwatched())
+    result = method(job.method, job.training, changes).fit(problem, SilentProgress())
     return _judged(job, result, parts)
 
 
-def _judged(job: Job, result: FitResult, parts: Mapping[str, Dataset]) -> Trained:
+def _judged(job: Job, result: FitResult, parts: Mapping[str, Dataset]) -> TrainingResult:
     document = result.model_document
     assert document is not None
     structure = NarxStructure.from_data(document["structure"])
@@ -134,10 +134,10 @@ def _judged(job: Job, result: FitResult, parts: Mapping[str, Dataset]) -> Traine
     stages = result.details["stages"]
     one_step, free_run = {}, {}
     for part, dataset in parts.items():
-        samples = sampled(dataset, structure)
-        one_step[part] = _errors(structure, samples, predicted(structure, network, samples))
-        free_run[part] = _errors(structure, samples, simulated(structure, network, samples))
-    return Trained(
+        samples = sample_signals(dataset, structure)
+        one_step[part] = _errors(structure, samples, predict_samples(structure, network, samples))
+        free_run[part] = _errors(structure, samples, simulate_network(structure, network, samples))
+    return TrainingResult(
         job,
         sum(stage["epochs"] for stage in stages),
         stages[-1]["kept_epoch"],

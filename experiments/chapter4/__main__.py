@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from time import perf_counter
 
-from experiments.command_line import ended, one_thread_each
+from experiments.command_line import exit_code_of, one_thread_each
 from trms_cli.core.errors import EXIT_OK
 
 
@@ -18,7 +18,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the study, print its tables, write them into the documentation on request."""
     given = _parser().parse_args(argv)
     one_thread_each()
-    return ended(lambda: _study(given))
+    return exit_code_of(lambda: _study(given))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -38,7 +38,7 @@ def _parser() -> argparse.ArgumentParser:
 def _study(given: argparse.Namespace) -> int:
     from experiments.chapter4 import page
     from experiments.chapter4.cases import Case, read_study
-    from experiments.chapter4.fitting import CaseOutcome, run_case
+    from experiments.chapter4.fits import CaseOutcome, run_case
 
     study = read_study(given.only, given.quick)
     begin = perf_counter()

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.chapter4.fitting import CaseOutcome, Fitted
+from experiments.chapter4.fits import CaseOutcome, GreyboxFit
 from trms_cli.core.findings import json_data
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,7 +95,7 @@ def publish(found: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None
 def document(found: Findings) -> dict[str, Any]:
     """``trms.chapter4/1``."""
 
-    def fit(f: Fitted) -> dict[str, Any]:
+    def fit(f: GreyboxFit) -> dict[str, Any]:
         return {
             "method": f.method,
             "errors": f.errors,

@@ -9,9 +9,15 @@ from collections.abc import Sequence
 from experiments.chapter5.answers import answers, figures_of
 from experiments.chapter5.page import parts_of
 from experiments.chapter5.study import HERE, STUDY, read_study
-from experiments.command_line import clocked, ended, one_thread_each, recorded_parser, refuse_part
+from experiments.command_line import (
+    exit_code_of,
+    one_thread_each,
+    progress_with_time,
+    recorded_parser,
+    refuse_part,
+)
+from experiments.expected_figures import exit_code, json_text, read_expected
 from experiments.page_tables import write_tables
-from experiments.recorded import exit_code, json_text, read_expected
 from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
@@ -24,14 +30,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a figure is not what was recorded."""
     given = recorded_parser("chapter5", __doc__, STUDY).parse_args(argv)
     one_thread_each()
-    return ended(lambda: _run(given))
+    return exit_code_of(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
     refuse_part(given)
     study = read_study(given.study, quick=given.quick)
     expected = None if given.update else read_expected(EXPECTED, "figures")
-    said = clocked()
+    said = progress_with_time()
     pictures = FIGURES if given.update else given.out
     if pictures is not None:
         pictures.mkdir(parents=True, exist_ok=True)

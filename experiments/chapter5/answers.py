@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.chapter5.study import Question, Study
-from experiments.recorded import Figure
+from experiments.expected_figures import Figure
 from trms_cli.core.errors import ConfigurationError
 
 #: In place of a number in a key: how many there are.

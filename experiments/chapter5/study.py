@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from experiments.recorded import Tolerance
+from experiments.expected_figures import Tolerance
 from experiments.study_file import read_as
 
 HERE = Path(__file__).parent

@@ -9,8 +9,14 @@ from pathlib import Path
 
 from experiments.chapter6.results import Results, compute, details_of, document_of, figures_of
 from experiments.chapter6.study import HERE, STUDY, Study, read_study
-from experiments.command_line import clocked, ended, one_thread_each, recorded_parser, refuse_part
-from experiments.recorded import exit_code, json_text, read_expected
+from experiments.command_line import (
+    exit_code_of,
+    one_thread_each,
+    progress_with_time,
+    recorded_parser,
+    refuse_part,
+)
+from experiments.expected_figures import exit_code, json_text, read_expected
 from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
@@ -22,14 +28,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a figure is not what was recorded."""
     given = recorded_parser("chapter6", __doc__, STUDY).parse_args(argv)
     one_thread_each()
-    return ended(lambda: _run(given))
+    return exit_code_of(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
     refuse_part(given)
     study = read_study(given.study, quick=given.quick)
     expected = None if given.update else read_expected(EXPECTED, "quick" if given.quick else "full")
-    said = clocked()
+    said = progress_with_time()
     results = compute(study, given.jobs, said)
     found = figures_of(results)
     if given.update:

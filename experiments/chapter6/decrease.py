@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.chapter6.rig import FloatArray, Loop, Record
-from experiments.chapter6.study import Decrease, Mode, drawn
+from experiments.chapter6.study import Decrease, Mode, draw_states
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,9 @@ def _checked(name: str, mode: Mode, study: Decrease, seed: int) -> tuple[Claim, 
     loop, goal = Loop(mpc, mode.substeps), np.array(study.goal)
     target = loop.state.steady_state.solve(goal)
     goals = np.tile(goal, (study.samples, 1))
-    records = [loop.run(x, goals, target.u) for x in drawn(target.x, study.box, study.states, seed)]
+    records = [
+        loop.run(x, goals, target.u) for x in draw_states(target.x, study.box, study.states, seed)
+    ]
     rows = [_gaps(record, mode.terminal) for record in records]
     before, gaps, moves = (np.concatenate([row[i] for row in rows]) for i in range(3))
     held = np.concatenate([r.residual[:-1] <= study.held for r in records])

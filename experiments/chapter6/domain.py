@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.chapter6.rig import FloatArray, Loop, state_at
-from experiments.chapter6.study import Domain, Mode, drawn
+from experiments.chapter6.study import Domain, Mode, draw_states
 
 BoolArray = npt.NDArray[np.bool_]
 #: Samples at the end of a loop over which it must have arrived.
@@ -24,7 +24,7 @@ _AT_REST = 5
 
 
 @dataclass
-class Found:
+class FeasibleStates:
     """Feasible states of one set of points."""
 
     states: list[FloatArray]  #: list of (n_x,) arrays
@@ -98,9 +98,9 @@ class _Finder:
 
 def find_all(
     study: Domain, states: list[FloatArray], sides: tuple[int, int] | None = None
-) -> Found:
+) -> FeasibleStates:
     """Feasibility of states; those of a grid (``sides``, row by row) have neighbours."""
-    found = Found(states)
+    found = FeasibleStates(states)
     for terminal in study.terminals:
         shorter: list[FloatArray | None] = [None] * len(states)
         before: _Finder | None = None
@@ -161,7 +161,7 @@ def slice_axes(study: Domain, name: str) -> tuple[tuple[str, FloatArray], tuple[
     return (first, np.linspace(-width, width, n)), (second, np.linspace(-height, height, n))
 
 
-def study_slice(study: Domain, name: str) -> Found:
+def study_slice(study: Domain, name: str) -> FeasibleStates:
     """Feasibility over a slice through the target; rows along the second axis."""
     target = _Finder(study, study.terminals[0], study.horizons[0]).target
     (first, xs), (second, ys) = slice_axes(study, name)
@@ -169,10 +169,10 @@ def study_slice(study: Domain, name: str) -> Found:
     return find_all(study, states, (len(ys), len(xs)))
 
 
-def study_box(study: Domain, seed: int) -> Found:
+def study_box(study: Domain, seed: int) -> FeasibleStates:
     """Feasibility of states drawn from the box."""
     target = _Finder(study, study.terminals[0], study.horizons[0]).target
-    return find_all(study, drawn(target.x, study.box, study.box_states, seed))
+    return find_all(study, draw_states(target.x, study.box, study.box_states, seed))
 
 
 def study_loops(study: Domain, seed: int) -> list[Arrivals]:
@@ -184,7 +184,7 @@ def study_loops(study: Domain, seed: int) -> list[Arrivals]:
             loop = Loop(Mode(terminal=terminal, horizon=horizon).controller())
             target = loop.state.steady_state.solve(goal)
             feasible, arrived, cost = [], [], []
-            for x in drawn(target.x, study.box, loops.states, seed):
+            for x in draw_states(target.x, study.box, loops.states, seed):
                 record = loop.run(x, goals, target.u)
                 ends = record.x[-_AT_REST:] - target.x
                 rates = np.diff(record.x[-_AT_REST:], axis=0) / loop.mpc.sample_time

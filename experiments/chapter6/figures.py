@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
 
 from experiments.chapter6.cases import Plans, Run
-from experiments.chapter6.domain import Arrivals, Found, slice_axes
+from experiments.chapter6.domain import Arrivals, FeasibleStates, slice_axes
 from experiments.chapter6.iterations import Economy
 from experiments.chapter6.rig import Record
 from experiments.chapter6.study import Domain
@@ -185,7 +185,7 @@ def draw_decrease(runs: Mapping[str, Sequence[Record]], period: float, path: Pat
 _SHOWN_MODES = ("equality", "equality, blocked, one iteration", "quasi-infinite", "none, N = 12")
 
 
-def draw_domain(study: Domain, slices: Mapping[str, Found], path: Path) -> None:
+def draw_domain(study: Domain, slices: Mapping[str, FeasibleStates], path: Path) -> None:
     """The shortest horizon from which the terminal constraint can be met, over three slices."""
     horizons = study.horizons
     colours = LinearSegmentedColormap.from_list(
@@ -222,7 +222,9 @@ def draw_domain(study: Domain, slices: Mapping[str, Found], path: Path) -> None:
         save_png(page, path)
 
 
-def draw_shares(study: Domain, box: Found, arrivals: Sequence[Arrivals], path: Path) -> None:
+def draw_shares(
+    study: Domain, box: FeasibleStates, arrivals: Sequence[Arrivals], path: Path
+) -> None:
     """Horizon against the feasible share of the box, the share that arrives, and what it costs."""
     with house_style():
         page = new_figure(10.0, 3.0)

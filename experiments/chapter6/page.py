@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from experiments.chapter6.cases import ANGLES, Run
 from experiments.chapter6.decrease import Claim
-from experiments.chapter6.domain import Arrivals, Found
+from experiments.chapter6.domain import Arrivals, FeasibleStates
 from experiments.chapter6.iterations import Economy
 from experiments.chapter6.study import Case, Domain
 
@@ -84,7 +84,10 @@ def decrease_table(claims: Sequence[Claim]) -> str:
 
 
 def domain_tables(
-    study: Domain, box: Found, slices: Mapping[str, Found], arrivals: Sequence[Arrivals]
+    study: Domain,
+    box: FeasibleStates,
+    slices: Mapping[str, FeasibleStates],
+    arrivals: Sequence[Arrivals],
 ) -> dict[str, str]:
     """Feasible shares by horizon, and the loops."""
     shares = [

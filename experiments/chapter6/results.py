@@ -10,11 +10,17 @@ from typing import Any
 
 from experiments.chapter6.cases import ANGLES, Plans, Run, study_cases, study_predictions
 from experiments.chapter6.decrease import Claim, study_decrease
-from experiments.chapter6.domain import Arrivals, Found, study_box, study_loops, study_slice
+from experiments.chapter6.domain import (
+    Arrivals,
+    FeasibleStates,
+    study_box,
+    study_loops,
+    study_slice,
+)
 from experiments.chapter6.iterations import Economy, study_iterations
 from experiments.chapter6.rig import Record
 from experiments.chapter6.study import Study
-from experiments.recorded import json_text, rounded
+from experiments.expected_figures import json_text, rounded
 
 _CASE_FIGURES = ("rmse", "overshoot_percent", "settling_time_s")
 
@@ -27,8 +33,8 @@ class Results:
     plans: dict[str, Plans]
     claims: list[Claim]
     records: dict[str, list[Record]]
-    box: Found
-    slices: dict[str, Found]
+    box: FeasibleStates
+    slices: dict[str, FeasibleStates]
     arrivals: list[Arrivals]
     economy: list[Economy]
 

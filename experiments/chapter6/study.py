@@ -11,7 +11,7 @@ import numpy.typing as npt
 import yaml
 
 from experiments.chapter6.rig import state_at
-from experiments.recorded import Tolerance
+from experiments.expected_figures import Tolerance
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.errors import ConfigurationError
 
@@ -164,7 +164,9 @@ def _merged(given: dict[str, Any], instead: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def drawn(target: FloatArray, box: dict[str, float], count: int, seed: int) -> list[FloatArray]:
+def draw_states(
+    target: FloatArray, box: dict[str, float], count: int, seed: int
+) -> list[FloatArray]:
     """States around a target; the first of more are those of fewer."""
     generator = np.random.default_rng(seed)
     shares = generator.uniform(-1.0, 1.0, (count, len(box)))

@@ -14,9 +14,9 @@ from experiments.chapter7.comparison import deviations
 from experiments.chapter7.page import tables_of
 from experiments.chapter7.runs import Outcome, run_all
 from experiments.chapter7.study import HERE, STUDY, Study, jobs_of, read_study
-from experiments.command_line import ended
+from experiments.command_line import exit_code_of
+from experiments.expected_figures import json_text, rounded
 from experiments.page_tables import write_alone, write_tables
-from experiments.recorded import json_text, rounded
 from trms_cli.core.errors import EXIT_OK, EXIT_WORSE
 
 SCHEMA = "trms.chapter7/1"
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--update", action="store_true", help="make these the expected figures; redo the page"
     )
     given = parser.parse_args(argv)
-    return ended(lambda: _run(given))
+    return exit_code_of(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:

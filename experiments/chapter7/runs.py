@@ -39,7 +39,7 @@ def run_job(job: Job, last: float) -> Outcome:
     """
     outcome = Outcome(job)
     try:
-        tables, limits, duration = closed(job.overrides)
+        tables, limits, duration = close_loop(job.overrides)
         outcome.figures = _figures(tables, limits, duration, last)
         outcome.traces = _traces(tables)
     except Exception as error:  # a failing run must not hide the others
@@ -59,7 +59,7 @@ def run_all(jobs: Sequence[Job], last: float, processes: int) -> Iterator[Outcom
         yield from pool.map(work, jobs)
 
 
-def closed(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any], float]:
+def close_loop(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any], float]:
     """Tables by topic, limits by name, and the length (s) of a run kept in memory."""
     from trms_cli.composition.composer import compose
     from trms_cli.library.tasks.experiment import experiment_of, topics_of

@@ -14,8 +14,8 @@ from experiments.chapter8.domain import study_domain
 from experiments.chapter8.laws import LawResult, study_laws
 from experiments.chapter8.runs import Ran, cases, run_all
 from experiments.chapter8.study import HERE, STUDY, read_study
-from experiments.command_line import clocked, ended
-from experiments.recorded import json_text, rounded
+from experiments.command_line import exit_code_of, progress_with_time
+from experiments.expected_figures import json_text, rounded
 from trms_cli.core.errors import EXIT_OK
 
 DOCS = HERE.parents[1] / "docs"
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = parser.parse_args(argv)
     if given.update and given.quick:
         parser.error("--update takes the whole study")
-    return ended(lambda: _run(given))
+    return exit_code_of(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -49,7 +49,7 @@ def _run(given: argparse.Namespace) -> int:
     study = read_study(given.study)
     folder = FIGURES if given.update else (given.out or Path("outputs", "chapter8"))
     folder.mkdir(parents=True, exist_ok=True)
-    said = clocked()
+    said = progress_with_time()
 
     contained, clouds = study_coverage(study)
     figures.draw_polytope(clouds, folder / "polytope.png")

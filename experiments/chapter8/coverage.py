@@ -14,7 +14,7 @@ from trms_cli.controllers.robust.polytope import box, independent_cube
 
 
 @dataclass(frozen=True)
-class Contained:
+class ContainmentCheck:
     """One polytope against independent points."""
 
     size: float  #: Half-width of its region, in typical sizes
@@ -40,7 +40,7 @@ class Gain:
     yaw: float  #: What that torque holds off against the cable alone, rad
 
 
-def study_coverage(study: Study) -> tuple[list[Contained], dict[float, FloatArray]]:
+def study_coverage(study: Study) -> tuple[list[ContainmentCheck], dict[float, FloatArray]]:
     """Every size and number of components; the coefficients by size, for the figure."""
     bench, s = Bench(), study.coverage
     r = bench.regulation
@@ -57,7 +57,7 @@ def study_coverage(study: Study) -> tuple[list[Contained], dict[float, FloatArra
             inside = polytope.inside(others)
             left = polytope.remainder(others)
             found.append(
-                Contained(
+                ContainmentCheck(
                     size,
                     components,
                     float(np.ptp(others, axis=0).max()),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.chapter8.coverage import Contained, Gain
+from experiments.chapter8.coverage import ContainmentCheck, Gain
 from experiments.chapter8.domain import Map
 from experiments.chapter8.laws import LawResult, Switching
 from experiments.chapter8.runs import Ran
@@ -60,7 +60,7 @@ def runs_tables(runs: Sequence[Ran]) -> dict[str, str]:
     }  # fmt: skip
 
 
-def coverage_table(found: Sequence[Contained]) -> str:
+def coverage_table(found: Sequence[ContainmentCheck]) -> str:
     """Polytopes against independent points."""
     rows = [
         [

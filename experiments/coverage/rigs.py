@@ -26,7 +26,7 @@ HOLD = (0.5, 4.0)
 RIG_STEP = 0.005
 
 
-class Recorded(NamedTuple):
+class RigRecording(NamedTuple):
     """A recording with what is hidden behind it."""
 
     dataset: Dataset
@@ -34,7 +34,7 @@ class Recorded(NamedTuple):
     travel: float  #: Largest share of the range of any angle that was used; near 1 a stop was hit
 
 
-def recorded(model: Model, seed: int, duration: float, sample_time: float = 0.02) -> Recorded:
+def record_rig(model: Model, seed: int, duration: float, sample_time: float = 0.02) -> RigRecording:
     """A rig drawn from the priors, excited by random levels and measured by noisy sensors.
 
     Parameters
@@ -78,7 +78,7 @@ def recorded(model: Model, seed: int, duration: float, sample_time: float = 0.02
         measured,
         np.array([run.noise_sd[s.name] for s in model.outputs]),
     )
-    return Recorded(dataset, run.parameters, travel)
+    return RigRecording(dataset, run.parameters, travel)
 
 
 def excitation(model: Model, seed: int, samples: int, sample_time: float) -> FloatArray:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from experiments.coverage.rigs import recorded
+from experiments.coverage.rigs import record_rig
 from trms_cli.identification.multiple_shooting import MultipleShooting
-from trms_cli.identification.problem import FitProblem, Unwatched, free_parameters
+from trms_cli.identification.problem import FitProblem, SilentProgress, free_parameters
 from trms_cli.models.newtonian import Newtonian
 
 FloatArray = npt.NDArray[np.float64]
@@ -92,7 +92,7 @@ def coverage(
         told(done)
         model = Newtonian()
         nominal = model.parameters
-        record = recorded(model, seed, duration)
+        record = record_rig(model, seed, duration)
         if record.travel > STOPPED:
             left_out += 1
             continue
@@ -105,7 +105,7 @@ def coverage(
                 model.parameters, IDENTIFIABLE, priors=dict.fromkeys(IDENTIFIABLE)
             )
         problem = FitProblem(model=model, datasets=(record.dataset,), free=free, jobs=jobs)
-        result = MultipleShooting(starts=1).fit(problem, Unwatched())
+        result = MultipleShooting(starts=1).fit(problem, SilentProgress())
         assert result.covariance is not None
         names = problem.names
         truth = np.array([record.truth[name].value for name in names])

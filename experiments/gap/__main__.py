@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import process_time
 
-from experiments.command_line import ended
+from experiments.command_line import exit_code_of
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import nearest
 
@@ -20,7 +20,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(argv)
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    return ended(lambda: _study(given))
+    return exit_code_of(lambda: _study(given))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -90,7 +90,7 @@ def loss(constants: Calibration, cases: Sequence[Case]) -> float:
     return total / max(len(cases), 1)
 
 
-def fitted(start: Calibration, cases: Sequence[Case]) -> Calibration:
+def fit_constants(start: Calibration, cases: Sequence[Case]) -> Calibration:
     """Constants that make the truth least surprising."""
     centre = np.log([getattr(start, name) for name in FITTED])
 
@@ -142,7 +142,7 @@ def main(argv: Sequence[str]) -> int:
     cases, nulls = read_cases(key, diagnoses)
     start = calibration()
     after = replace(
-        fitted(start, cases), usual_shares={**start.usual_shares, **usual_shares(nulls)}
+        fit_constants(start, cases), usual_shares={**start.usual_shares, **usual_shares(nulls)}
     )
     sys.stdout.write(
         f"{len(cases)} cases: surprise {loss(start, cases):.3f} before, "

@@ -17,8 +17,16 @@ import numpy.typing as npt
 
 from experiments.gap.blind.drivers import OpenLoop
 from experiments.gap.driver import Loop, ModelBased, loop_of
-from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE, diagnosed, identified
-from experiments.gap.rigs import Rig, driven, gentle_excitation, rig_of, write_csv
+from experiments.gap.models import (
+    DIAGNOSED,
+    NOMINAL,
+    REFIT,
+    TOLD,
+    TRUE,
+    diagnose_recordings,
+    identify_model,
+)
+from experiments.gap.rigs import Rig, drive_rigs, gentle_excitation, rig_of, write_csv
 from trms_cli.effects.model_file import load_model
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -93,7 +101,7 @@ def record(rigs: Sequence[Rig], study: Mapping[str, Any], out: Path, told: Told)
     duration, step = study["record"]["duration"], study["record"]["sample_time"]
     commands = {s: gentle_excitation(s, duration, step) for s in {r.seed for r in missing}}
     driver = OpenLoop(np.stack([commands[rig.seed] for rig in missing]))
-    recorded = driven(
+    recorded = drive_rigs(
         missing, driver, duration, step, among=rigs, settling=_SETTLING, seed=_RECORDING_SEED
     )
     for i, rig in enumerate(missing):
@@ -103,7 +111,7 @@ def record(rigs: Sequence[Rig], study: Mapping[str, Any], out: Path, told: Told)
 
 def diagnose(rig: Rig, words: Sequence[str], out: Path) -> Verdict:
     """Diagnose a rig from its recording; an earlier diagnosis is taken."""
-    folder = diagnosed([out / rig.name / RECORDING], out / rig.name / DIAGNOSED, words)
+    folder = diagnose_recordings([out / rig.name / RECORDING], out / rig.name / DIAGNOSED, words)
     return verdict_of(rig, folder)
 
 
@@ -127,9 +135,9 @@ def model_of(rig: Rig, model: str, out: Path) -> Model:
     if model == NOMINAL:
         return Newtonian()
     paths = {
-        REFIT: lambda: identified(folder / RECORDING, folder / REFIT),
+        REFIT: lambda: identify_model(folder / RECORDING, folder / REFIT),
         DIAGNOSED: lambda: folder / DIAGNOSED / "corrected_model.yaml",
-        TOLD: lambda: identified(folder / RECORDING, folder / TOLD, rig.effect),
+        TOLD: lambda: identify_model(folder / RECORDING, folder / TOLD, rig.effect),
         TRUE: lambda: rig.write_true_model(folder / "true_model.yaml"),
     }
     return load_model(str(paths[model]()))
@@ -170,7 +178,7 @@ def _control(
     )
     told(f"{len(runs)} runs of {duration:g} s")
     rigs = [rig for rig, _, _ in runs]
-    recorded = driven(rigs, driver, duration, step, among=rigs_of(study), seed=_RUN_SEED)
+    recorded = drive_rigs(rigs, driver, duration, step, among=rigs_of(study), seed=_RUN_SEED)
     for i, run in enumerate(runs):
         angles, commands = recorded.measured[i, :, :2], recorded.commands[i]
         references = driver.references[i]

@@ -14,7 +14,7 @@ from pathlib import Path
 NOMINAL, REFIT, DIAGNOSED, TOLD, TRUE = "nominal", "refit", "diagnosed", "told", "true"
 
 
-def identified(recording: Path, out: Path, effect: str = "") -> Path:
+def identify_model(recording: Path, out: Path, effect: str = "") -> Path:
     """``trms identify`` on a recording: all parameters with priors, and the sizes of an effect.
 
     Returns of the fitted model; an earlier fit in the same folder is taken.
@@ -33,7 +33,7 @@ def identified(recording: Path, out: Path, effect: str = "") -> Path:
     return model
 
 
-def diagnosed(recordings: Sequence[Path], out: Path, words: Sequence[str] = ()) -> Path:
+def diagnose_recordings(recordings: Sequence[Path], out: Path, words: Sequence[str] = ()) -> Path:
     """``trms diagnose`` on recordings.
 
     Returns the folder with ``diagnosis.json`` and ``corrected_model.yaml``; an earlier diagnosis is

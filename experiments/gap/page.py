@@ -157,7 +157,7 @@ def errors(run: Tracking) -> Mapping[str, float]:
     return run.rmse if run.task == "trajectory" else run.settled
 
 
-def recovered(runs: Sequence[Tracking], by: str = DIAGNOSED) -> float | None:
+def recovered_share(runs: Sequence[Tracking], by: str = DIAGNOSED) -> float | None:
     """Share of the squared error that a model takes away of what the true one would.
 
     Over both axes and all rigs of an effect. None where the nominal model's error is hardly above
@@ -186,7 +186,7 @@ def _tracking(runs: Sequence[Tracking]) -> list[list[str]]:
     rows[0] += [f"recovered, {_WORDS.get(way, way)}" for way in ways]
     for effect in dict.fromkeys(run.effect for run in runs):
         of = [run for run in runs if run.effect == effect]
-        shares = [recovered(of, way) for way in ways]
+        shares = [recovered_share(of, way) for way in ways]
         for axis in AXES:
             row = ["`" + effect + "`" if axis == AXES[0] else "", axis]
             for model in models:

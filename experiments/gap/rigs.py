@@ -94,7 +94,7 @@ class OwnDraws(np.random.Generator):
         return super().standard_normal(self._shape(size))[..., self._places]
 
 
-def driven(
+def drive_rigs(
     rigs: Sequence[Rig],
     driver: Driver,
     duration: float,

@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from experiments.gap.blind.drivers import MAIN_CENTRE, OpenLoop
 from experiments.gap.closing_loop import RECORDING, Told
-from experiments.gap.models import diagnosed
-from experiments.gap.rigs import INPUTS, Rig, driven, rig_of, write_csv
+from experiments.gap.models import diagnose_recordings
+from experiments.gap.rigs import INPUTS, Rig, drive_rigs, rig_of, write_csv
 from trms_cli.core.errors import ConfigurationError
 
 FloatArray = npt.NDArray[np.float64]
@@ -69,7 +69,7 @@ def separate(study: Mapping[str, Any], out: Path, told: Told) -> list[Separation
         told(f"recording {len(rigs)} rigs with slow sines")
         samples = round(asked["duration"] / step)
         commands = np.stack([slow_sines(r.seed, samples, step, asked["highest"]) for r in rigs])
-        recorded = driven(
+        recorded = drive_rigs(
             rigs, OpenLoop(commands), samples * step, step, settling=20.0, seed=_SEEDS[0]
         )
         for i, folder in enumerate(folders):
@@ -86,23 +86,23 @@ def _separate(
 ) -> Separation:
     words, step = study["diagnose"], study["record"]["sample_time"]
     told(f"separating {rig.name}: the first recording")
-    first = diagnosed([folder / RECORDING], folder / "first", words)
-    before, advice = standing(first, true, rival)
+    first = diagnose_recordings([folder / RECORDING], folder / "first", words)
+    before, advice = pair_standing(first, true, rival)
     if advice is None:
         return Separation(rig.name, true, rival, "", "", before, before)
     advised = folder / "advised.csv"
     if not advised.exists():
         commands = commands_of(advice["command"], folder / "advice", step)
         driver = OpenLoop(commands[None])
-        recorded = driven([rig], driver, len(commands) * step, step, seed=_SEEDS[1])
+        recorded = drive_rigs([rig], driver, len(commands) * step, step, seed=_SEEDS[1])
         write_csv(recorded, 0, advised)
     told(f"separating {rig.name}: both recordings")
-    both = diagnosed([folder / RECORDING, advised], folder / "both", words)
-    after, _ = standing(both, true, rival)
+    both = diagnose_recordings([folder / RECORDING, advised], folder / "both", words)
+    after, _ = pair_standing(both, true, rival)
     return Separation(rig.name, true, rival, advice["why"], advice["command"], before, after)
 
 
-def standing(folder: Path, true: str, rival: str) -> tuple[Standing, Mapping[str, str] | None]:
+def pair_standing(folder: Path, true: str, rival: str) -> tuple[Standing, Mapping[str, str] | None]:
     """What the diagnosis in a folder holds of a pair, and its advice."""
     said = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
     beliefs = {frozenset(c["effects"]): float(c["probability"]) for c in said["causes"]}

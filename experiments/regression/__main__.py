@@ -10,7 +10,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from experiments.command_line import ended
+from experiments.command_line import exit_code_of
 from experiments.regression import comparison as comparing
 from experiments.regression.matrix import MATRIX, Case, read_matrix
 from experiments.regression.runs import Outcome, run_all
@@ -20,7 +20,7 @@ from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsEr
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a score got worse, 2 for bad input."""
     given = _parser().parse_args(argv)
-    return ended(lambda: _regression(given))
+    return exit_code_of(lambda: _regression(given))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -50,7 +50,7 @@ def _regression(given: argparse.Namespace) -> int:
     begin = perf_counter()
     outcomes = _outcomes(cases, given.jobs)
     seconds = perf_counter() - begin
-    comparisons = [comparing.compared(outcome, recorded) for outcome in outcomes]
+    comparisons = [comparing.compare_outcome(outcome, recorded) for outcome in outcomes]
 
     from experiments.regression import screen
 
@@ -85,13 +85,13 @@ def _check(given: argparse.Namespace) -> None:
         raise ConfigurationError("--reason goes with --update", where="--reason")
 
 
-def _recorded(given: argparse.Namespace) -> comparing.Recorded:
+def _recorded(given: argparse.Namespace) -> comparing.BaselineFile:
     """The baseline; an update needs none, and may replace a broken one."""
     try:
         return comparing.read_recorded(given.baseline)
     except TrmsError:
         if given.update:
-            return comparing.Recorded()
+            return comparing.BaselineFile()
         raise
 
 
@@ -124,7 +124,9 @@ class _progress:
         self._bar.stop()
 
 
-def _update(given: argparse.Namespace, outcomes: list[Outcome], before: comparing.Recorded) -> int:
+def _update(
+    given: argparse.Namespace, outcomes: list[Outcome], before: comparing.BaselineFile
+) -> int:
     from experiments.regression.screen import console
     from trms_cli.library.tasks.git_revision import GitRevision
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from experiments.regression.matrix import HERE, Case
 from experiments.regression.runs import Outcome
 from trms_cli.core.errors import RecordingError
-from trms_cli.scoring.baseline import Baseline, BaselineRow, baseline_from, compare, regressed
+from trms_cli.scoring.baseline import Baseline, BaselineRow, baseline_from, compare, has_regressed
 
 SCHEMA = "trms.regression_baseline/1"
 BASELINE = HERE / "baseline.json"
@@ -24,7 +24,7 @@ RunVerdict = Literal["same", "better", "worse", "failed", "new"]
 
 
 @dataclass
-class Recorded:
+class BaselineFile:
     """A baseline file."""
 
     #: ``reason``, ``date``, ``git``: Why, when (ISO 8601) and at which revision it was recorded
@@ -57,7 +57,7 @@ class Comparison:
         return self.verdict in ("worse", "failed", "new")
 
 
-def read_recorded(path: Path = BASELINE) -> Recorded:
+def read_recorded(path: Path = BASELINE) -> BaselineFile:
     """Read a baseline file.
 
     Raises RecordingError if it is missing or not complete.
@@ -78,7 +78,7 @@ def read_recorded(path: Path = BASELINE) -> Recorded:
         for run in document["runs"].values():
             baseline_from(run["score"], str(path))
             list(map(str.strip, run["overrides"]))
-        return Recorded(**{key: value for key, value in document.items() if key != "schema"})
+        return BaselineFile(**{key: value for key, value in document.items() if key != "schema"})
     except (KeyError, TypeError, AttributeError, RecordingError) as error:
         raise RecordingError(
             f"this is no baseline of the matrix: {error}",
@@ -87,7 +87,7 @@ def read_recorded(path: Path = BASELINE) -> Recorded:
         ) from error
 
 
-def check_matrix(cases: Sequence[Case], recorded: Recorded) -> None:
+def check_matrix(cases: Sequence[Case], recorded: BaselineFile) -> None:
     """Refuse to compare a run with another run's score.
 
     Raises RecordingError if a case has other overrides than the baseline's of its name.
@@ -102,22 +102,22 @@ def check_matrix(cases: Sequence[Case], recorded: Recorded) -> None:
             )
 
 
-def compared(outcome: Outcome, recorded: Recorded) -> Comparison:
+def compare_outcome(outcome: Outcome, recorded: BaselineFile) -> Comparison:
     """Hold one outcome against the baseline."""
     if outcome.score is None:
         return Comparison(outcome, [], "failed")
     if outcome.case.name not in recorded.runs:
         return Comparison(outcome, [], "new")
     then = recorded.runs[outcome.case.name]["score"]
-    now = held(outcome.score, outcome.case)
+    now = baseline_part(outcome.score, outcome.case)
     rows = compare(now, Baseline(then, outcome.case.tolerances))
-    if regressed(rows):
+    if has_regressed(rows):
         return Comparison(outcome, rows, "worse")
     better = any(row.verdict == "better" and row.judged for row in rows)
     return Comparison(outcome, rows, "better" if better else "same")
 
 
-def held(score: Mapping[str, Any], case: Case) -> dict[str, Any]:
+def baseline_part(score: Mapping[str, Any], case: Case) -> dict[str, Any]:
     """The part of a score that a case is held to, rounded: what stands in the baseline."""
     chosen = case.tolerances
 
@@ -156,8 +156,8 @@ def _rounded(value: Any) -> Any:
 
 
 def write_recorded(
-    outcomes: Sequence[Outcome], before: Recorded, reason: str, git: str, path: Path = BASELINE
-) -> Recorded:
+    outcomes: Sequence[Outcome], before: BaselineFile, reason: str, git: str, path: Path = BASELINE
+) -> BaselineFile:
     """Make the scores of these outcomes the baseline.
 
     Raises RecordingError if a run failed, or the file cannot be written: the old one stays.
@@ -174,14 +174,14 @@ def write_recorded(
     history = list(before.history)
     if before.reason:
         history.insert(0, {"reason": before.reason, "date": before.date, "git": before.git})
-    new = Recorded(
+    new = BaselineFile(
         reason,
         date.today().isoformat(),
         git,
         {
             outcome.case.name: {
                 "overrides": list(outcome.case.overrides),
-                "score": held(outcome.score or {}, outcome.case),
+                "score": baseline_part(outcome.score or {}, outcome.case),
             }
             for outcome in outcomes
         },

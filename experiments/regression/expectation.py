@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.regression.comparison import Recorded
+from experiments.regression.comparison import BaselineFile
 from experiments.regression.matrix import HERE
 from experiments.regression.runs import Outcome
 
@@ -16,7 +16,10 @@ _BEGIN, _END = "<!-- expected figures: begin -->", "<!-- expected figures: end -
 
 
 def write_expectation(
-    outcomes: Sequence[Outcome], recorded: Recorded, readme: Path = README, figure: Path = FIGURE
+    outcomes: Sequence[Outcome],
+    recorded: BaselineFile,
+    readme: Path = README,
+    figure: Path = FIGURE,
 ) -> None:
     """Redraw the figure and rewrite the table."""
     draw(outcomes, figure)
@@ -28,7 +31,7 @@ def write_expectation(
     readme.write_text(words, encoding="utf-8")
 
 
-def _table(recorded: Recorded) -> str:
+def _table(recorded: BaselineFile) -> str:
     lines = [
         f"Baseline of {recorded.date} at {recorded.git or 'no revision'}: {recorded.reason}.",
         "",

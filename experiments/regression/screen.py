@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from experiments.regression.comparison import Comparison, Recorded
+from experiments.regression.comparison import BaselineFile, Comparison
 from trms_cli.scoring.baseline import BaselineRow
 
 _STYLES = {"worse": "bold red", "failed": "bold red", "new": "yellow", "better": "green"}
@@ -23,7 +23,7 @@ def console() -> Console:
     return usual if usual.width <= _WIDTH else Console(width=_WIDTH)
 
 
-def print_runs(comparisons: Sequence[Comparison], recorded: Recorded) -> None:
+def print_runs(comparisons: Sequence[Comparison], recorded: BaselineFile) -> None:
     """One line a run: its tracking error then and now."""
     table = _table("run", "pitch", "was", "yaw", "was", "")
     for comparison in comparisons:
@@ -58,7 +58,9 @@ def print_changes(comparisons: Sequence[Comparison]) -> None:
             out.print(f"  {name} failed: {problem}\n", style="bold red", highlight=False)
 
 
-def print_verdict(comparisons: Sequence[Comparison], recorded: Recorded, seconds: float) -> None:
+def print_verdict(
+    comparisons: Sequence[Comparison], recorded: BaselineFile, seconds: float
+) -> None:
     """The last lines."""
     out = console()
     count = {kind: sum(c.verdict == kind for c in comparisons) for kind in (*_STYLES, "same")}
@@ -77,7 +79,7 @@ def print_verdict(comparisons: Sequence[Comparison], recorded: Recorded, seconds
         )
 
 
-def document(comparisons: Sequence[Comparison], recorded: Recorded) -> dict[str, Any]:
+def document(comparisons: Sequence[Comparison], recorded: BaselineFile) -> dict[str, Any]:
     """``trms.regression/1``: the same figures as printed, and those that stayed."""
     return {
         "schema": "trms.regression/1",

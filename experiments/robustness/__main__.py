@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from experiments.command_line import ended, one_thread_each, refuse_part
+from experiments.command_line import exit_code_of, one_thread_each, refuse_part
 from experiments.page_tables import write_tables
 from experiments.robustness.tables import table_of
 from experiments.study_file import read_as
@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", help="one of the sweeps: draws, tuning")
     given = parser.parse_args(argv)
     one_thread_each()
-    return ended(lambda: _study(given))
+    return exit_code_of(lambda: _study(given))
 
 
 def _study(given: argparse.Namespace) -> int:

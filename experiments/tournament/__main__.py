@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _tournament(given: argparse.Namespace) -> int:
     from experiments.tournament import figures, page
-    from experiments.tournament.published import put_beside, read_published
+    from experiments.tournament.publications import put_beside, read_published
     from experiments.tournament.verdict import read_results
     from trms_cli.runs.run_folder import write_document
 
@@ -82,7 +82,7 @@ def _tournament(given: argparse.Namespace) -> int:
 
 def _run(runs: Sequence[Run], given: argparse.Namespace, plan: Plan) -> float:
     """Run what has not been run; returns the seconds that all of it took, resumed or not."""
-    from experiments.tournament.running import is_done, run_all
+    from experiments.tournament.runs import is_done, run_all
 
     given.out.mkdir(parents=True, exist_ok=True)
     if any(given.out.iterdir()) and not given.resume:

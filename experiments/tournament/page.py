@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.page_tables import number
-from experiments.tournament.published import Beside
+from experiments.tournament.publications import Beside
 from experiments.tournament.schedule import Criteria
 from experiments.tournament.verdict import Results, by_rig
 from trms_cli.scoring.comparison.findings import document, rule

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from experiments.tras_fit.study import (
-    Fitted,
+    TrasFit,
     cross_validated,
     errors,
-    fitted,
+    fit_first_part,
     model_of,
     parts_of,
     read_study,
@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _told(given: argparse.Namespace, settings: dict[str, Any], fit: dict[str, Any]) -> Any:
     if given.folds:
         return cross_validated(given.folder, settings, fit, given.jobs)
-    found = fitted(given.folder, settings, fit, given.jobs)
+    found = fit_first_part(given.folder, settings, fit, given.jobs)
     first, rest = parts_of(given.folder, settings, fit)
     parts = {"fitted": first} if given.fit_only else {"fitted": first, "held_out": rest}
     before = model_of(given.folder, settings, fit)
@@ -70,7 +70,7 @@ def _told(given: argparse.Namespace, settings: dict[str, Any], fit: dict[str, An
     }
 
 
-def _parameters(found: Fitted) -> dict[str, Any]:
+def _parameters(found: TrasFit) -> dict[str, Any]:
     assert found.result.covariance is not None
     sd = np.sqrt(np.diag(found.result.covariance))
     return {

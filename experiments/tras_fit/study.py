@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from trms_cli.core.plugins import build
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.multiple_shooting import MultipleShooting
@@ -20,7 +20,7 @@ from trms_cli.identification.problem import (
     FitProblem,
     FitResult,
     Prior,
-    Unwatched,
+    SilentProgress,
     free_parameters,
     with_values,
 )
@@ -32,7 +32,7 @@ from trms_cli.identification.validation.validate import (
     lead_samples,
     predict_one_step,
 )
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import Model
 from trms_cli.models.tras import Tras
 from trms_cli.simulation.rollout import Rollout
@@ -43,7 +43,7 @@ KINDS = ("estimated", "moving_horizon", "fitted")
 
 
 @dataclass(frozen=True)
-class Fitted:
+class TrasFit:
     """One fit of the study."""
 
     problem: FitProblem
@@ -63,7 +63,7 @@ def model_of(folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any]) 
         str(folder / f"static_{rotor}.csv") if fit["curves"] else None for rotor in ("main", "tail")
     )
     effects = {name: build(node, name) for name, node in settings["effects"].items()}
-    model = extended(Tras(main_curve=main, tail_curve=tail), effects)
+    model = extend_model(Tras(main_curve=main, tail_curve=tail), effects)
     return DrivenModel(model, fit["driven"]) if fit["driven"] else model
 
 
@@ -84,9 +84,9 @@ def parts_of(
     return dataset.part(0, cut), dataset.part(cut, len(dataset))
 
 
-def fitted(
+def fit_first_part(
     folder: Path, settings: Mapping[str, Any], fit: Mapping[str, Any], jobs: int = 2
-) -> Fitted:
+) -> TrasFit:
     """Fit the first part."""
     first, _ = parts_of(folder, settings, fit)
     return _fit_to((first,), folder, settings, fit, jobs)
@@ -135,7 +135,7 @@ def _fit_to(
     settings: Mapping[str, Any],
     fit: Mapping[str, Any],
     jobs: int,
-) -> Fitted:
+) -> TrasFit:
     model = model_of(folder, settings, fit)
     priors = {name: Prior(relative_sd=share) for name, share in fit["priors"].items()}
     problem = FitProblem(
@@ -146,8 +146,8 @@ def _fit_to(
         seed=settings["seed"],
         jobs=jobs,
     )
-    result = MultipleShooting(starts=settings["starts"]).fit(problem, Unwatched())
-    return Fitted(problem, with_values(model, result.values), result)
+    result = MultipleShooting(starts=settings["starts"]).fit(problem, SilentProgress())
+    return TrasFit(problem, with_values(model, result.values), result)
 
 
 def errors(model: Model, dataset: Dataset, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -506,11 +506,11 @@ class TestMapping:
             compose({"controler": "pid"})
 
     def test_an_object_stands_in_it(self):
-        from trms_cli.composition.given_object import given
+        from trms_cli.composition.given_object import place_objects
         from trms_cli.core.plugins import build
         from trms_cli.references.constant import Constant
 
         signal = Constant(offset=0.2)
         composition = compose({"ref": {"alpha_h": signal}})
-        with given([signal]):
+        with place_objects([signal]):
             assert build(composition.config["ref"], "ref").alpha_h is signal

@@ -42,7 +42,7 @@ from trms_cli.commands.watch.sweep import sweep_frame, sweep_line
 from trms_cli.runs.follower import AxisMoment, Event, Input, Moment, RunFollower, Solver
 from trms_cli.runs.query import latest_run
 from trms_cli.sweeps.outcome import SweepFollower, _values
-from trms_cli.sweeps.record import driving
+from trms_cli.sweeps.record import drive_sweep
 
 ALTERNATE, NORMAL = b"\x1b[?1049h", b"\x1b[?1049l"
 
@@ -599,7 +599,7 @@ class TestSweep:
         self.say(folder, 1, 110.0, state="interrupted")
         self.say(folder, 2, 120.0, state="interrupted")
         sweep = SweepFollower(folder)
-        with driving(folder):
+        with drive_sweep(folder):
             assert sweep.now().state == "running" and not sweep.now().ended
             (folder / "sweep.json").write_text(json.dumps(record | {"total": 200}))
         seen = sweep.now()

@@ -18,7 +18,7 @@ from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import compiler
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.cable_hysteresis import CableHysteresis
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.references.square import Square
@@ -152,10 +152,10 @@ def test_without_a_terminal_constraint(unconstrained):
         pytest.param(Newtonian(freedom="vertical"), id="vertical"),
         pytest.param(Newtonian(freedom="horizontal"), id="horizontal", marks=pytest.mark.slow),
         pytest.param(
-            extended(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)}), id="delay"
+            extend_model(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)}), id="delay"
         ),
         pytest.param(
-            extended(Newtonian(), {"h": CableHysteresis(axis="yaw", torque=0.005, width=0.15)}),
+            extend_model(Newtonian(), {"h": CableHysteresis(axis="yaw", torque=0.005, width=0.15)}),
             id="path_memory",
         ),
     ],

@@ -12,7 +12,7 @@ from trms_cli.code_generation.observer_source import observer_source
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import compiler
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.models.discretisation import discretise
@@ -124,7 +124,7 @@ def test_filters(tmp_path, observer, channels):
 
 
 def test_a_delay_of_the_input_is_remembered(tmp_path):
-    model = extended(Newtonian(freedom="vertical"), {"d": InputDelay(rotor="main", delay=0.05)})
+    model = extend_model(Newtonian(freedom="vertical"), {"d": InputDelay(rotor="main", delay=0.05)})
     setup, library = made(tmp_path, Ukf(), model, ("alpha_v", "omega_v"))
     agree(setup, Ukf(), library, 400)
 
@@ -142,6 +142,6 @@ def test_an_estimate_is_always_finite(tmp_path):
 
 
 def test_sensors_with_memory_are_refused(tmp_path):
-    model = extended(Newtonian(), {"s": SensorDelay(axis="pitch", delay=0.05)})
+    model = extend_model(Newtonian(), {"s": SensorDelay(axis="pitch", delay=0.05)})
     with pytest.raises(ConfigurationError, match="whose sensors remember"):
         made(tmp_path, Ukf(), model, tuple(CHANNELS))

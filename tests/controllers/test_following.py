@@ -14,7 +14,7 @@ from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.pid import Pid
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
@@ -42,9 +42,9 @@ MODELS: dict[str, Model] = {
     "horizontal": Newtonian(freedom="horizontal"),
     "currents": Newtonian(currents="dynamic"),
     "tras": Tras(),
-    "delay": extended(BOTH, {"late": InputDelay(rotor="main", delay=0.1)}),
+    "delay": extend_model(BOTH, {"late": InputDelay(rotor="main", delay=0.1)}),
 }
-LATER = extended(BOTH, {"late": InputDelay(rotor="main", delay=0.3)})
+LATER = extend_model(BOTH, {"late": InputDelay(rotor="main", delay=0.3)})
 WAYS: list[Any] = ["fixed", "target", "current"]
 LAWS: dict[str, Any] = {
     "pid": Pid(),

@@ -18,7 +18,7 @@ from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.qp import Daqp, Qp
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
@@ -349,7 +349,7 @@ def test_soft_limit_gives_way_when_it_must() -> None:
 # -- the closed loop --------------------------------------------------------------------------
 
 
-DELAYED = extended(MODEL, {"d": InputDelay(rotor="main", delay=0.13)})
+DELAYED = extend_model(MODEL, {"d": InputDelay(rotor="main", delay=0.13)})
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from trms_cli.controllers.controller import Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.newton_region import TerminalRegion
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
@@ -305,7 +305,7 @@ def test_objective_falls_by_the_stage_cost_every_sample() -> None:
 
 
 def test_models_with_memory_and_with_currents() -> None:
-    delayed = extended(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)})
+    delayed = extend_model(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)})
     state = begun(NewtonMpc(**QUASI), delayed, [0.1, 0.2])
     assert state.regions.region is not None
     assert state.regions.region.root.shape == (2 + state.discrete.n_x,) * 2

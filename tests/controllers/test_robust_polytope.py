@@ -9,7 +9,7 @@ from trms_cli.controllers.robust.polytope import box, independent_cube
 from trms_cli.controllers.robust.regulation import Regulation, RegulationDesign
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -81,7 +81,7 @@ class TestCoordinates:
 
     def test_memory_and_unknown_names_are_refused(self) -> None:
         with pytest.raises(ConfigurationError, match="memory"):
-            regulation_of(extended(BOTH, {"late": InputDelay(rotor="main", delay=0.1)}))
+            regulation_of(extend_model(BOTH, {"late": InputDelay(rotor="main", delay=0.1)}))
         with pytest.raises(ConfigurationError, match="u_x"):
             regulation_of(thrust_inputs=("u_x",))
         with pytest.raises(ConfigurationError, match="alpha_x"):

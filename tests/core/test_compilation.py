@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core import compilation
-from trms_cli.core.compilation import BufferedFunction, compiled
+from trms_cli.core.compilation import BufferedFunction, compile_function
 
 
 @pytest.fixture(name="cache")
@@ -43,16 +43,16 @@ def test_compiled_equals_interpreted(cache: Path) -> None:
 
 
 def test_cache_is_by_content(cache: Path) -> None:
-    compiled(function(2.0))
-    compiled(function(2.0))
+    compile_function(function(2.0))
+    compile_function(function(2.0))
     assert len(list(cache.glob("*.so"))) == 1
-    compiled(function(3.0))
+    compile_function(function(3.0))
     assert len(list(cache.glob("*.so"))) == 2
     assert not [path for path in cache.iterdir() if path.suffix != ".so"]
 
 
 def test_cache_key_is_the_same_in_another_process(cache: Path) -> None:
-    compiled(function())
+    compile_function(function())
     code = (
         "import casadi as ca; from trms_cli.core.compilation import compiled\n"
         "x, y = ca.SX.sym('x', 3), ca.SX.sym('y', 2, 2)\n"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from trms_cli.core import process_cache
-from trms_cli.core.process_cache import MOST_RESULTS, forget, kept
+from trms_cli.core.process_cache import MOST_RESULTS, call_memoised, forget
 from trms_cli.models.newtonian import Newtonian
 
 _calls: list[Any] = []
@@ -43,20 +43,20 @@ def plain(value: Any) -> list[Any]:
 
 
 def test_equal_content_is_computed_once() -> None:
-    assert plain(1) is not kept(plain, 1)
+    assert plain(1) is not call_memoised(plain, 1)
     _calls.clear()
-    assert kept(plain, {"a": 0.1}) is kept(plain, {"a": 0.1})
-    assert kept(plain, np.arange(3.0)) is kept(plain, np.arange(3.0))
+    assert call_memoised(plain, {"a": 0.1}) is call_memoised(plain, {"a": 0.1})
+    assert call_memoised(plain, np.arange(3.0)) is call_memoised(plain, np.arange(3.0))
     assert len(_calls) == 2
 
 
 def test_an_object_that_was_changed_is_another_input() -> None:
     weights = Weights({"a": 1.0, "b": 2.0})
-    assert kept(total, weights) == 3.0
+    assert call_memoised(total, weights) == 3.0
     weights.values["b"] = 5.0
-    assert kept(total, weights) == 6.0
+    assert call_memoised(total, weights) == 6.0
     weights.values["b"] = 2.0
-    assert kept(total, weights) == 3.0
+    assert call_memoised(total, weights) == 3.0
     assert len(_calls) == 2
 
 
@@ -65,12 +65,12 @@ def test_an_object_that_was_changed_is_another_input() -> None:
     [(1, 1.0), (0.0, -0.0), ((1, 2), [1, 2]), ("1", 1), (np.float32(1), np.float64(1))],
 )
 def test_what_is_only_equal_in_value_is_told_apart(one: Any, other: Any) -> None:
-    assert kept(plain, one) is not kept(plain, other)
+    assert call_memoised(plain, one) is not call_memoised(plain, other)
 
 
 def test_two_functions_of_equal_inputs_are_told_apart() -> None:
-    assert kept(total, Weights({})) == 0
-    assert kept(plain, Weights({})) == [Weights({})]
+    assert call_memoised(total, Weights({})) == 0
+    assert call_memoised(plain, Weights({})) == [Weights({})]
 
 
 def test_a_class_defined_anew_is_another_class() -> None:
@@ -79,7 +79,7 @@ def test_a_class_defined_anew_is_another_class() -> None:
         exec(f"class Cell:\n    def of(self):\n        return {factor}", space)
         return space["Cell"]()
 
-    found = [kept(_what_a_cell_says, defined(factor)) for factor in (1.0, 2.0)]
+    found = [call_memoised(_what_a_cell_says, defined(factor)) for factor in (1.0, 2.0)]
     assert found == [1.0, 2.0]
 
 
@@ -95,15 +95,15 @@ def test_inputs_without_a_content_are_computed_each_time() -> None:
 
     x = ca.SX.sym("x")
     for value in (closure, x, (i for i in range(3))):
-        assert kept(plain, value) is not kept(plain, value)
+        assert call_memoised(plain, value) is not call_memoised(plain, value)
     assert not process_cache._kept
 
 
 def test_what_is_raised_is_not_kept() -> None:
     with pytest.raises(ZeroDivisionError):
-        kept(_inverse, 0.0)
+        call_memoised(_inverse, 0.0)
     with pytest.raises(ZeroDivisionError):
-        kept(_inverse, 0.0)
+        call_memoised(_inverse, 0.0)
     assert not process_cache._kept
 
 
@@ -112,30 +112,30 @@ def _inverse(value: float) -> float:
 
 
 def test_the_longest_unused_goes_first() -> None:
-    first = kept(plain, "first")
+    first = call_memoised(plain, "first")
     for i in range(MOST_RESULTS):
-        kept(plain, i)
-        assert kept(plain, "first") is first
+        call_memoised(plain, i)
+        assert call_memoised(plain, "first") is first
     assert len(process_cache._kept) == MOST_RESULTS
-    assert kept(plain, 0) is not None and _calls.count(0) == 2  # it had gone
+    assert call_memoised(plain, 0) is not None and _calls.count(0) == 2  # it had gone
 
 
 def test_casadi_functions_are_told_apart_by_what_they_are() -> None:
     x = ca.SX.sym("x")
     one, other = (ca.Function("f", [x], [k * x]) for k in (2, 3))
     again: Callable[[ca.Function], ca.Function] = ca.Function
-    assert kept(plain, one) is kept(plain, again(one))
-    assert kept(plain, one) is not kept(plain, other)
+    assert call_memoised(plain, one) is call_memoised(plain, again(one))
+    assert call_memoised(plain, one) is not call_memoised(plain, other)
 
 
 def test_a_model_with_parameters_assigned_is_another_model() -> None:
     model = Newtonian()
-    before = kept(_coupling, model)
-    assert kept(_coupling, Newtonian()) == before and len(_calls) == 1
+    before = call_memoised(_coupling, model)
+    assert call_memoised(_coupling, Newtonian()) == before and len(_calls) == 1
     model.parameters = model.parameters.replaced({"k_g": 0.05})
-    assert kept(_coupling, model) == 0.05 != before
+    assert call_memoised(_coupling, model) == 0.05 != before
     model.parameters = Newtonian().parameters
-    assert kept(_coupling, model) == before
+    assert call_memoised(_coupling, model) == before
 
 
 def _coupling(model: Newtonian) -> float:

@@ -83,7 +83,7 @@ def test_counts_and_names_and_times():
     assert wording.readable("yaw_coulomb_friction") == "yaw Coulomb friction"
     assert wording.interval(0.1, 0.25, "rad") == "0.1 to 0.25 rad"
     assert wording.percent_interval(0.182, 0.456) == "18 to 46 %"
-    assert wording.titled("friction", "N*m") == "friction [N m]"
+    assert wording.with_unit("friction", "N*m") == "friction [N m]"
     assert [wording.seconds(s) for s in (0.25, 12.34, 250.0, 7500.0)] == [
         "250 ms", "12.3 s", "4 min 10 s", "2 h 05 min",
     ]  # fmt: skip

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, RigAxis, Signal
 from trms_cli.models.newtonian import Newtonian
@@ -204,7 +204,7 @@ def rig() -> SimpleNamespace:
         quantities=_quantities,
         turntable=Turntable,
         newtonian=Newtonian,
-        extended=extended,
+        extended=extend_model,
     )
 
 

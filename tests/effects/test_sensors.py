@@ -17,7 +17,7 @@ from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.effects.tacho_lag import TachoLag
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import RigAxis, Signal
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.simulation.rollout import Rollout

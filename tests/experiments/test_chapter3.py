@@ -10,12 +10,12 @@ import pytest
 
 from experiments.chapter3 import networks as shipped
 from experiments.chapter3.figures import draw_all
-from experiments.chapter3.page import filled
+from experiments.chapter3.page import fill_tables
 from experiments.chapter3.recordings import cut_at_stops, recording
-from experiments.chapter3.structure_selection import AssessedCandidate, Candidate, selected
+from experiments.chapter3.structure_selection import AssessedCandidate, Candidate, select_candidate
 from experiments.chapter3.study import Study, _excitation_jobs, _member_jobs, _table_jobs
 from experiments.chapter3.tables import markdown, plain
-from experiments.chapter3.trainings import PARTS, Job, model_of, recorded, run_job, settings
+from experiments.chapter3.trainings import PARTS, Job, make_recording, model_of, run_job, settings
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.resources import config_folder
 from trms_cli.models.model import names
@@ -76,7 +76,9 @@ class TestStudy:
         assert {job.label for job in _excitation_jobs([0])} == {"prbs", "multilevel"}
 
     def test_the_test_recording_takes_no_part_in_any_training(self):
-        parts = [recorded("vertical", part, SHORT) for part in ("fitted", "validation", "test")]
+        parts = [
+            make_recording("vertical", part, SHORT) for part in ("fitted", "validation", "test")
+        ]
         for i, one in enumerate(parts):
             for other in parts[i + 1 :]:
                 n = min(len(one), len(other))
@@ -86,7 +88,7 @@ class TestStudy:
     def test_no_recording_hits_the_frame(self, system):
         stops = model_of(system).stops
         for part in PARTS:
-            dataset = recorded(system, part)
+            dataset = make_recording(system, part)
             assert len(cut_at_stops(dataset, stops, 0.0)) == 1, part
         if system == settings()["excitations"]["system"]:
             own = settings()["excitations"]["prbs"]
@@ -143,14 +145,14 @@ class TestPage:
 
     def test_a_table_takes_the_place_of_the_old_one(self):
         text = "a\n<!-- table x -->\nold\n<!-- end -->\nb\n<!-- table y -->\n<!-- end -->\n"
-        assert filled(text, {"x": "new \\1"}, "p") == text.replace("old", "new \\1")
+        assert fill_tables(text, {"x": "new \\1"}, "p") == text.replace("old", "new \\1")
 
     def test_a_missing_place_is_named(self):
         with pytest.raises(RecordingError, match="no place for the table 'x'"):
-            filled("", {"x": "t"}, "p")
+            fill_tables("", {"x": "t"}, "p")
 
     def test_the_page_has_a_place_for_every_table(self, study):
-        filled(PAGE.read_text(encoding="utf-8"), markdown(study), str(PAGE))
+        fill_tables(PAGE.read_text(encoding="utf-8"), markdown(study), str(PAGE))
 
 
 class TestRecordings:
@@ -220,4 +222,4 @@ def test_the_smallest_structure_within_the_spread_of_the_best_is_selected():
     small = assessed(2, 4, 40, 0.12, 0.13, 0.13)
     smaller = assessed(1, 2, 15, 0.30, 0.31, 0.32)
     lost = assessed(2, 2, 20, np.inf, 0.1, np.inf)
-    assert selected([large, small, smaller, lost]) is small
+    assert select_candidate([large, small, smaller, lost]) is small

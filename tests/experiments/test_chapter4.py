@@ -11,7 +11,7 @@ import pytest
 from experiments.chapter4 import page
 from experiments.chapter4.__main__ import main
 from experiments.chapter4.cases import Case, read_study
-from experiments.chapter4.fitting import CaseOutcome, Fitted, run_case
+from experiments.chapter4.fits import CaseOutcome, GreyboxFit, run_case
 from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
 
@@ -61,7 +61,7 @@ def findings() -> page.Findings:
             for seed in (0, 1):
                 history = [(50, 1.0, 400.0), (100, 2.0, 100.0 + seed)]
                 outcome.fits.append(
-                    Fitted(method, errors(0.01 / (i + 1)), 100.0 - 50 * i + seed, 2.0, 100,
+                    GreyboxFit(method, errors(0.01 / (i + 1)), 100.0 - 50 * i + seed, 2.0, 100,
                            history, {"k_ov": 0.006}, trace)
                 )  # fmt: skip
         outcomes.append(outcome)

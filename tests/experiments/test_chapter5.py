@@ -10,7 +10,7 @@ from experiments.chapter5.__main__ import EXPECTED, PAGE
 from experiments.chapter5.answers import answers, figures_of
 from experiments.chapter5.page import parts_of
 from experiments.chapter5.study import Question, Study, read_study
-from experiments.recorded import Tolerance, differences, read_expected
+from experiments.expected_figures import Tolerance, differences, read_expected
 from trms_cli.composition.catalogue import read_groups
 from trms_cli.core.errors import ConfigurationError
 

@@ -15,7 +15,7 @@ from experiments.chapter6.iterations import square_wave
 from experiments.chapter6.results import compute, figures_of
 from experiments.chapter6.rig import MODEL, Loop, state_at
 from experiments.chapter6.study import Mode, read_study
-from experiments.recorded import differences
+from experiments.expected_figures import differences
 
 
 class TestStudy:

@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from experiments.recorded import Tolerance, differences, read_expected
+from experiments.expected_figures import Tolerance, differences, read_expected
 from trms_cli.core.errors import ConfigurationError
 
 #: A chapter, and its whole study as far as a test waits for it.

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from experiments.coverage.__main__ import document, table
-from experiments.coverage.rigs import recorded
+from experiments.coverage.rigs import record_rig
 from experiments.coverage.study import Coverage, coverage
 from trms_cli.models.newtonian import Newtonian
 
 
 def test_a_rig_is_a_function_of_its_seed() -> None:
-    first, again, other = (recorded(Newtonian(), seed, 2.0) for seed in (3, 3, 4))
+    first, again, other = (record_rig(Newtonian(), seed, 2.0) for seed in (3, 3, 4))
     assert np.array_equal(first.dataset.measurements, again.dataset.measurements)
     assert not np.array_equal(first.truth.values, other.truth.values)
 

@@ -13,9 +13,9 @@ import pytest
 from experiments.gap import separation
 from experiments.gap.closing_loop import Sizes, Tracking, Verdict, tracking
 from experiments.gap.driver import ModelBased, loop_of
-from experiments.gap.page import Findings, document, mean_and_interval, recovered, tables
-from experiments.gap.rigs import OwnDraws, driven, gentle_excitation, read_study, rig_of
-from experiments.gap.separation import Separation, Standing, commands_of, slow_sines, standing
+from experiments.gap.page import Findings, document, mean_and_interval, recovered_share, tables
+from experiments.gap.rigs import OwnDraws, drive_rigs, gentle_excitation, read_study, rig_of
+from experiments.gap.separation import Separation, Standing, commands_of, pair_standing, slow_sines
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.model_file import load_model
 from trms_cli.models.newtonian import Newtonian
@@ -45,7 +45,7 @@ def test_the_loop_follows_on_a_rig_of_other_code() -> None:
     heavier = Newtonian(parameters={"m_cb": 0.075})
     samples = round(7.0 / STEP)
     driver = ModelBased([loop] * 3, [Newtonian(), Newtonian(), heavier], samples, STEP)
-    run = driven([rig] * 3, driver, 7.0, STEP, among=[rig], seed=2)
+    run = drive_rigs([rig] * 3, driver, 7.0, STEP, among=[rig], seed=2)
     assert np.array_equal(run.measured[0], run.measured[1])
     assert not np.array_equal(run.commands[0], run.commands[2])
     assert np.abs(run.commands).max() <= 2.5
@@ -93,8 +93,11 @@ def test_figures_of_a_run() -> None:
 
 def test_the_share_recovered() -> None:
     runs = [_run("nominal", 0.03), _run("diagnosed", 0.02), _run("true", 0.01)]
-    assert recovered(runs) == pytest.approx((9 - 4) / (9 - 1))
-    assert recovered([_run("nominal", 0.011), _run("diagnosed", 0.01), _run("true", 0.01)]) is None
+    assert recovered_share(runs) == pytest.approx((9 - 4) / (9 - 1))
+    assert (
+        recovered_share([_run("nominal", 0.011), _run("diagnosed", 0.01), _run("true", 0.01)])
+        is None
+    )
     mean, half = mean_and_interval([1.0, 2.0, 3.0])
     assert (mean, half) == pytest.approx((2.0, 4.302653 / np.sqrt(3)))
     assert np.isnan(mean_and_interval([1.0])[1])
@@ -131,7 +134,7 @@ def test_what_a_diagnosis_holds_of_a_pair(tmp_path: Path) -> None:
         "next_experiment": None,
     }
     (tmp_path / "diagnosis.json").write_text(json.dumps(content))
-    found, advice = standing(tmp_path, "a", "b")
+    found, advice = pair_standing(tmp_path, "a", "b")
     assert (found.true, found.rival, found.both, found.confusable) == (0.3, 0.6, 0.1, True)
     assert found.first == ("b",)
     assert advice is None

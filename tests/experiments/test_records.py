@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.aero.study import fitted, parts_of, problem_of, read_study, recording
+from experiments.aero.study import fit_model, parts_of, problem_of, read_study, recording
 from experiments.tras_fit import study as tras
 from trms_cli.identification.problem import Prior, free_parameters
 from trms_cli.models.discretisation import discretise
@@ -52,7 +52,7 @@ def test_it_finds_what_made_a_recording(rig: tuple[Path, QuanserAero]) -> None:
     first, rest = parts_of(recording(folder, "nominal_a.csv", settings), settings)
     assert first.duration == pytest.approx(4.0, abs=0.02)
     assert rest.duration == pytest.approx(4.0, abs=0.02)
-    found = fitted(problem_of((first,), settings), settings)
+    found = fit_model(problem_of((first,), settings), settings)
     assert {p.name for p in found.problem.free} == set(settings["free"])
     assert found.result.covariance is not None
     names = [p.name for p in found.problem.free]

@@ -105,18 +105,18 @@ class TestRun:
         outcome = run_case(case)
         assert outcome.score is None
         assert "nobody" in outcome.problem
-        assert comparing.compared(outcome, comparing.Recorded()).bad
+        assert comparing.compare_outcome(outcome, comparing.BaselineFile()).bad
 
 
 class TestComparison:
     @pytest.fixture
-    def recorded(self, outcomes: list[Outcome], tmp_path: Path) -> comparing.Recorded:
+    def recorded(self, outcomes: list[Outcome], tmp_path: Path) -> comparing.BaselineFile:
         file = tmp_path / "baseline.json"
-        comparing.write_recorded(outcomes, comparing.Recorded(), "first", "abc", file)
+        comparing.write_recorded(outcomes, comparing.BaselineFile(), "first", "abc", file)
         return comparing.read_recorded(file)
 
     def test_a_run_equals_itself(self, outcomes, recorded) -> None:
-        verdicts = [comparing.compared(outcome, recorded).verdict for outcome in outcomes]
+        verdicts = [comparing.compare_outcome(outcome, recorded).verdict for outcome in outcomes]
         assert verdicts == ["same", "same"]
 
     @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ class TestComparison:
         [(0.0015, "same"), (-0.0015, "same"), (0.003, "worse"), (-0.003, "better")],
     )
     def test_a_figure_decides_beyond_its_tolerance(self, outcomes, recorded, change, verdict):
-        compared = comparing.compared(with_rmse(outcomes[0], change), recorded)
+        compared = comparing.compare_outcome(with_rmse(outcomes[0], change), recorded)
         assert compared.verdict == verdict
         assert compared.bad == (verdict == "worse")
 
@@ -132,7 +132,7 @@ class TestComparison:
         outcome = with_rmse(outcomes[0], 0.0)
         assert outcome.score is not None
         outcome.score["solver"]["failures"] = 1
-        assert comparing.compared(outcome, recorded).verdict == "worse"
+        assert comparing.compare_outcome(outcome, recorded).verdict == "worse"
 
     def test_wall_time_and_figures_that_are_not_held_stay_out(self, recorded) -> None:
         text = json.dumps(recorded.document())
@@ -140,7 +140,7 @@ class TestComparison:
         assert not any(word in text for word in ("time_ms", "effort", "overshoot"))
 
     def test_a_run_without_a_baseline_does_not_pass(self, outcomes) -> None:
-        compared = comparing.compared(outcomes[0], comparing.Recorded())
+        compared = comparing.compare_outcome(outcomes[0], comparing.BaselineFile())
         assert (compared.verdict, compared.bad) == ("new", True)
 
     def test_a_run_that_became_another_is_not_compared(self, outcomes, recorded) -> None:
@@ -171,7 +171,7 @@ class TestComparison:
         )
         recorded.runs[long.name] = recorded.runs[outcomes[0].case.name]
         worse = with_rmse(Outcome(long, outcomes[0].score), 0.5)
-        comparisons = [comparing.compared(worse, recorded)]
+        comparisons = [comparing.compare_outcome(worse, recorded)]
         screen.print_runs(comparisons, recorded)
         screen.print_changes(comparisons)
         screen.print_verdict(comparisons, recorded, 1.0)

@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 
 from experiments.tournament import __main__ as program
-from experiments.tournament import figures, page, running
-from experiments.tournament.published import put_beside, read_published
+from experiments.tournament import figures, page, runs
+from experiments.tournament.publications import put_beside, read_published
 from experiments.tournament.schedule import (
     BLOCKS,
     FAULTS,
@@ -106,11 +106,11 @@ class TestConfigurations:
     )
     def test_joined_parts_are_what_is_composed_at_once(self, pick):
         run = runs_of(PLAN, pattern=pick)[0]
-        assert running.config_of(run) == compose([*run.words, "picture=false"]).config
+        assert runs.config_of(run) == compose([*run.words, "picture=false"]).config
 
     def test_parts_that_change_one_key_are_composed_together(self):
         run = a_run(words=("plant.prior_seed=3",))
-        config = running.config_of(run)
+        config = runs.config_of(run)
         assert config == compose([*run.words, "picture=false"]).config
         assert config["plant"]["prior_seed"] == 3
         assert config["plant"]["sensors"]["noise_sd"]["omega_v"] == 0.0
@@ -118,11 +118,11 @@ class TestConfigurations:
 
 class TestRunning:
     def finish(self, runs, out, logs=False, jobs=1):
-        return list(running.run_all(runs, out, jobs=jobs, time_limit=60.0, logs=logs))
+        return list(runs.run_all(runs, out, jobs=jobs, time_limit=60.0, logs=logs))
 
     def test_a_run_without_a_log_scores_as_one_with_it(self, tmp_path):
-        running.perform(a_run(), tmp_path / "a", 60.0, logs=False)
-        running.perform(a_run(), tmp_path / "b", 60.0, logs=True)
+        runs.perform(a_run(), tmp_path / "a", 60.0, logs=False)
+        runs.perform(a_run(), tmp_path / "b", 60.0, logs=True)
         one, other = (gather([tmp_path / name]).runs[0] for name in "ab")
         assert (tmp_path / "b" / MAIN / "pid+full_state/square/nominal_0/run.mcap").is_file()
         assert one.score["channels"] == other.score["channels"]
@@ -131,23 +131,23 @@ class TestRunning:
 
     def test_is_filed_in_every_block_and_not_run_twice(self, tmp_path):
         run = a_run(blocks=(MAIN, FAULTS))
-        running.perform(run, tmp_path, 60.0, logs=False)
+        runs.perform(run, tmp_path, 60.0, logs=False)
         for block in run.blocks:
-            assert (running.folder_of(run, tmp_path, block) / "score.json").is_file()
-        assert running.is_done(run, tmp_path)
-        assert not running.is_done(replace(run, ref_words=("ref=sine",)), tmp_path)
+            assert (runs.folder_of(run, tmp_path, block) / "score.json").is_file()
+        assert runs.is_done(run, tmp_path)
+        assert not runs.is_done(replace(run, ref_words=("ref=sine",)), tmp_path)
 
     def test_a_failure_is_filed_with_its_sentence(self, tmp_path):
         run = a_run(words=("controller.sample_time=0.03",))
-        running.perform(run, tmp_path, 60.0, logs=False)
+        runs.perform(run, tmp_path, 60.0, logs=False)
         found = gather([tmp_path]).runs[0]
         assert found.state is State.FAILED
         assert "0.03" in found.message
-        assert running.is_done(run, tmp_path)  # it would fail again
+        assert runs.is_done(run, tmp_path)  # it would fail again
 
     def test_what_takes_too_long_fails(self, tmp_path):
         run = a_run(every=("sim.duration=2000.0", "sim.prediction_every=0"))
-        running.perform(run, tmp_path, 1.0, logs=False)
+        runs.perform(run, tmp_path, 1.0, logs=False)
         assert "longer than 1 s" in gather([tmp_path]).runs[0].message
 
     @pytest.mark.slow
@@ -176,7 +176,7 @@ class TestRunning:
         assert found["deadly"].state is State.FAILED
         assert "died" in found["deadly"].message
         assert found["pid"].state is State.DONE
-        assert not running.is_done(deadly, tmp_path / "out")
+        assert not runs.is_done(deadly, tmp_path / "out")
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def finished(tmp_path_factory):
                 "run": {"coordinates": run.coordinates, "non_finite": 0, "fingerprint": ""},
             }
             for block in run.blocks:
-                folder = running.folder_of(run, out, block)
+                folder = runs.folder_of(run, out, block)
                 folder.mkdir(parents=True)
                 (folder / "score.json").write_text(json.dumps(score))
     return out
@@ -264,7 +264,7 @@ class TestProgram:
     def test_runs_resumes_and_refuses_to_write_over(self, tmp_path, capsys, monkeypatch):
         # what of ours is put beside published figures is run in a test of its own
         alone = [each for each in read_published() if each.ours is None]
-        monkeypatch.setattr("experiments.tournament.published.read_published", lambda: alone)
+        monkeypatch.setattr("experiments.tournament.publications.read_published", lambda: alone)
         words = ["--only", "pid+ukf/*/nominal_0", "--quick"]
         words += ["--jobs", "1", "--out", str(tmp_path / "t")]
         assert program.main(words) == 0

@@ -13,7 +13,7 @@ from tests.identification.greybox.rigs import dataset_of, sensed
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -41,7 +41,7 @@ def recording(
 ) -> Dataset:
     """What a rig records in open loop, its sensors as those of the bench."""
     nominal = model or Newtonian()
-    rig = extended(nominal, dict(effects or {}))
+    rig = extend_model(nominal, dict(effects or {}))
     if values:
         rig.parameters = rig.parameters.replaced(dict(values))
     count = round(seconds / STEP)

@@ -12,7 +12,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from trms_cli.gap.force.description import all_conditions, change_time, regions, rounded
+from trms_cli.gap.force.description import (
+    all_conditions,
+    change_time,
+    nearest_round_number,
+    regions,
+)
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
 
@@ -117,7 +122,7 @@ def test_memory_of_coloured_noise():
     ("value", "told"), [(0.4817, 0.5), (-0.317, -0.3), (123.0, 120.0), (0.0, 0.0), (9.6, 10.0)]
 )
 def test_thresholds_are_round(value, told):
-    assert rounded(value) == pytest.approx(told)
+    assert nearest_round_number(value) == pytest.approx(told)
 
 
 @pytest.mark.parametrize(

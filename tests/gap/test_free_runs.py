@@ -9,7 +9,7 @@ import pytest
 
 from tests.identification.greybox.rigs import recording
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.flexible_mode import FlexibleMode
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.sensor_delay import SensorDelay
@@ -29,7 +29,7 @@ EFFECTS = {
 
 
 def rig(name: str | None, seed: int = 0) -> tuple[Model, Dataset]:
-    model = Newtonian() if name is None else extended(Newtonian(), {name: EFFECTS[name]})
+    model = Newtonian() if name is None else extend_model(Newtonian(), {name: EFFECTS[name]})
     return model, recording(model, seconds=40.0, ranges=RANGES, seed=seed, substeps=1)[0]
 
 

@@ -16,8 +16,8 @@ from tests.identification.greybox.rigs import recording
 from trms_cli.commands.excite import main
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
+from trms_cli.gap.competing_model import Refit, refit
 from trms_cli.gap.diagnosis import NextExperiment
-from trms_cli.gap.fitting import Refit, refit
 from trms_cli.gap.next_experiment import (
     advise,
     between,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.gap.calibrate import features_of, fitted, loss, right_answers, usual_shares
+from experiments.gap.calibrate import features_of, fit_constants, loss, right_answers, usual_shares
 from trms_cli.gap.posterior import Features, calibration, probabilities_of
 
 NAMES = (("a",), ("b",), ("a", "b"))
@@ -79,7 +79,7 @@ def test_the_fit_of_the_constants_finds_honest_ones():
         right = names[random.choice(len(names), p=list(believed.values()))]
         cases.append((drawn, frozenset({right})))
     wrong = replace(truth, temperature=0.3, entrance=0.8, unnamed=8.0)
-    found = fitted(wrong, cases)
+    found = fit_constants(wrong, cases)
     assert loss(found, cases) < loss(wrong, cases) - 0.3
     assert loss(found, cases) < loss(truth, cases) + 0.1
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import QUANTUM, TACHO_NOISE
+from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.diagnose import diagnose
-from trms_cli.gap.fitting import nominal_parameters, refit
 from trms_cli.gap.problem import GapProblem, applicable_candidates, divide, quantum_of, with_noise
 from trms_cli.gap.race import EFFORTS, Checkpoint, Race, effect_traces, run_race
 from trms_cli.identification.dataset import Dataset

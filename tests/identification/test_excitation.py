@@ -15,7 +15,7 @@ from trms_cli.identification.excitation.design import (
     ExcitationRequest,
     band_of,
     design,
-    linearised,
+    linearise_model,
 )
 from trms_cli.identification.excitation.excitation import Plan, crest_factor
 from trms_cli.identification.excitation.findings import spectra_of, summary
@@ -120,18 +120,18 @@ class TestMultisine:
 
 class TestBand:
     def test_it_spans_the_models_poles(self):
-        system = linearised(MODEL, MODEL.rest(), np.zeros(2))
+        system = linearise_model(MODEL, MODEL.rest(), np.zeros(2))
         # Eigenvalues at rest as published for this form: 0.208 ± 0.509j … 0.047 ± 2.028j.
         lowest, highest = band_of(system, 0.02, 300.0)
         assert highest == pytest.approx(5 * 2.03 / (2 * np.pi), rel=0.03)
         assert 0.2 * 0.2 / (2 * np.pi) < lowest < 0.2 * 0.55 / (2 * np.pi)
 
     def test_the_duration_and_the_sample_time_limit_it(self):
-        system = linearised(MODEL, MODEL.rest(), np.zeros(2))
+        system = linearise_model(MODEL, MODEL.rest(), np.zeros(2))
         assert band_of(system, 0.5, 20.0) == (1 / 20.0, 0.8)
 
     def test_the_response_is_that_of_the_equations(self):
-        system = linearised(MODEL, MODEL.rest(), np.zeros(2))
+        system = linearise_model(MODEL, MODEL.rest(), np.zeros(2))
         steady = system.response(np.array([1e-9]))[0]
         direct = -system.c @ np.linalg.solve(system.a, system.b) + system.d
         np.testing.assert_allclose(steady.real, direct, rtol=1e-6, atol=1e-9)

@@ -11,7 +11,7 @@ from tests.identification.greybox.rigs import dataset_of
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import error_figures, window_runs
 from trms_cli.identification.problem import acting_parameters, with_values
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout
 

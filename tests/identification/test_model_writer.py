@@ -9,11 +9,11 @@ import pytest
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.model_file import load_model
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import Prior, free_parameters, with_values
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import parameter_file
 
@@ -75,7 +75,9 @@ def test_bounds_and_priors_of_the_fit_are_those_of_the_file(tmp_path: Path) -> N
 
 
 def test_effects_come_back_with_their_sizes(tmp_path: Path) -> None:
-    model = extended(Newtonian(), {"yaw_coulomb_friction": CoulombFriction(axis="yaw", torque=0.0)})
+    model = extend_model(
+        Newtonian(), {"yaw_coulomb_friction": CoulombFriction(axis="yaw", torque=0.0)}
+    )
     path = tmp_path / "fit.yaml"
     write_model(document(model, FITTED | {"yaw_coulomb_friction.torque": 0.0035}), path)
     back = load_model(str(path))

@@ -13,17 +13,17 @@ from tests.identification.greybox.rigs import recording
 from tests.identification.watched import Watched
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import (
     FitOutcome,
     FitProblem,
     FitResult,
-    Unwatched,
+    SilentProgress,
     free_parameters,
 )
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 
@@ -49,7 +49,7 @@ def problem(model: Model, *datasets: Dataset, free: Any = FREE, **settings: Any)
 
 
 def fit(asked: FitProblem, **settings: Any) -> FitResult:
-    return MultipleShooting(**({"starts": 1} | settings)).fit(asked, Unwatched())
+    return MultipleShooting(**({"starts": 1} | settings)).fit(asked, SilentProgress())
 
 
 def errors(result: FitResult, truth: Mapping[str, float]) -> np.ndarray:
@@ -159,7 +159,7 @@ def test_parameters_that_act_as_one_are_named(measured: Dataset) -> None:
 def test_dry_friction_is_found() -> None:
     def rubbing(torque: float) -> Model:
         friction = CoulombFriction(axis="pitch", torque=torque)
-        return extended(vertical(), {"pitch_coulomb_friction": friction})
+        return extend_model(vertical(), {"pitch_coulomb_friction": friction})
 
     measured, _ = recording(rubbing(0.004), ranges=RANGES, seconds=40.0)
     asked = problem(rubbing(0.0005), measured, free=("k_ov", "k_fvp", "*.torque"))

@@ -6,10 +6,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from trms_cli.identification.problem import Unwatched
+from trms_cli.identification.problem import SilentProgress
 
 
-class Watched(Unwatched):
+class Watched(SilentProgress):
     """Asks to stop at report number ``after``; gives back what an earlier one has ``kept``."""
 
     def __init__(self, after: int = 10**6, kept: Mapping[str, Any] | None = None) -> None:

@@ -9,11 +9,11 @@ import pytest
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discrete import SteppedModel, copied_states, root_of
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.rest import rest_equations
 
@@ -57,7 +57,7 @@ class TestLongerSteps:
         assert discretise(model, 0.5).step.n_instructions() < once
 
     def test_take_a_delay_of_the_command_with_them(self):
-        model = extended(rig_like(), {"late": InputDelay(rotor="main", delay=0.04)})
+        model = extend_model(rig_like(), {"late": InputDelay(rotor="main", delay=0.04)})
         u, p, w = np.array([1.0, -0.5]), model.parameters.values, np.zeros(model.n_w)
         ends = []
         for step_length in (0.02, 0.1):
@@ -164,7 +164,7 @@ class TestRefusals:
 
     def test_an_effect_within_the_equations_cannot_be_added(self):
         with pytest.raises(ModelError, match=r"only steps.*model@plant\.model=newtonian"):
-            extended(rig_like(), {"rub": CoulombFriction(axis="yaw", torque=0.01)})
+            extend_model(rig_like(), {"rub": CoulombFriction(axis="yaw", torque=0.01)})
 
 
 def test_driven_by_measured_rotor_speeds_it_still_steps():

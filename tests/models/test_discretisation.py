@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
-from trms_cli.models.discretisation import Method, discretise, factorised
+from trms_cli.models.discretisation import Method, discretise, factorise_matrix
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 
@@ -124,7 +124,7 @@ def test_solves_diagonally_dominant_systems(density: float) -> None:
     np.fill_diagonal(values, 10.0)
     pattern = ca.DM(ca.sparsify(ca.DM(values))).sparsity()
     matrix, right = ca.SX.sym("matrix", pattern), ca.SX.sym("right", 7)
-    solve = ca.Function("solve", [matrix, right], [factorised(matrix)(right)])
+    solve = ca.Function("solve", [matrix, right], [factorise_matrix(matrix)(right)])
     b = generator.standard_normal(7)
     found = np.array(solve(ca.sparsify(ca.DM(values)), b)).ravel()
     assert found == pytest.approx(np.linalg.solve(values, b), rel=1e-12)
@@ -133,7 +133,7 @@ def test_solves_diagonally_dominant_systems(density: float) -> None:
 def test_a_triangular_matrix_costs_no_fill_in() -> None:
     matrix = ca.SX.sym("matrix", ca.Sparsity.lower(6))
     right = ca.SX.sym("right", 6)
-    solve = ca.Function("solve", [matrix, right], [factorised(matrix)(right)])
+    solve = ca.Function("solve", [matrix, right], [factorise_matrix(matrix)(right)])
     # One division a row, one product and one difference an entry below the diagonal, and as many
     # in the factorisation at the most.
     assert solve.n_nodes() < 120

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ModelError
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.rig_bodies import bodies, energies
@@ -196,7 +196,9 @@ class TestForm:
         assert slopes.nnz() == 0
 
     def test_takes_effects(self) -> None:
-        damped = extended(Lagrangian(), {"drag": QuadraticDamping(axis="yaw", coefficient=0.05)})
+        damped = extend_model(
+            Lagrangian(), {"drag": QuadraticDamping(axis="yaw", coefficient=0.05)}
+        )
         x = np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
         assert rates(damped, x)[1] < rates(Lagrangian(), x)[1]
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point
 from trms_cli.models.quanser_aero import QuanserAero
@@ -127,7 +127,7 @@ def test_each_start_may_have_its_own_command():
 
 
 def test_dry_friction_holds_an_axis_unless_it_is_left_out():
-    stuck = extended(MODEL, {"friction": CoulombFriction(axis="pitch", torque=0.05)})
+    stuck = extend_model(MODEL, {"friction": CoulombFriction(axis="pitch", torque=0.05)})
     field = VectorField(stuck)
     start = operating_point(MODEL, {}).x.copy()
     start[MODEL.state_index("alpha_v")] += 0.1

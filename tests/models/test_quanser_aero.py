@@ -8,7 +8,7 @@ import pytest
 
 from trms_cli.cli import main
 from trms_cli.core.plugins import build
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
@@ -139,7 +139,7 @@ def test_a_command_beyond_the_amplifier_acts_as_its_limit():
     beyond, at_limit = (travel(model, np.zeros(6), u, 1.0, 0.02) for u in ((36.2, -30), (24, -24)))
     np.testing.assert_array_equal(beyond, at_limit)
     # Also behind a delay, whose mean over a step is of what the amplifier lets through.
-    delayed = extended(model, {"d": InputDelay(rotor="main", delay=0.03)})
+    delayed = extend_model(model, {"d": InputDelay(rotor="main", delay=0.03)})
     x = np.zeros(discretise(delayed, 0.02).n_x)
     beyond, at_limit = (travel(delayed, x, (u, 0), 0.06, 0.02)[-1, :6] for u in (36.2, 24.0))
     np.testing.assert_array_equal(beyond, at_limit)

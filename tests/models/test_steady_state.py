@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.cable_hysteresis import CableHysteresis
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -138,7 +138,7 @@ def test_where_nothing_can_hold_the_rig_it_says_so() -> None:
         Newtonian(currents="dynamic"),
         Newtonian(freedom="vertical"),
         Newtonian(freedom="horizontal"),
-        extended(Newtonian(), {"late": InputDelay(rotor="tail", delay=0.13)}),
+        extend_model(Newtonian(), {"late": InputDelay(rotor="tail", delay=0.13)}),
     ],
     ids=["currents", "vertical", "horizontal", "delay"],
 )
@@ -178,7 +178,7 @@ def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone()
 
 @pytest.mark.parametrize("warm", [False, True])
 def test_a_path_memory_stays_and_the_inputs_hold_the_reference(warm: bool) -> None:
-    model = extended(BOTH, {"h": CableHysteresis(axis="yaw", torque=0.005, width=0.15)})
+    model = extend_model(BOTH, {"h": CableHysteresis(axis="yaw", torque=0.005, width=0.15)})
     solver, reference = SteadyState(model), np.array([0.2, 0.3])
     guess = solver.solve(np.array([0.1, -0.4])) if warm else None
     tail = {}

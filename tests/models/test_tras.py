@@ -10,7 +10,7 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.static_curve import read_static_curve, rising_spline
 from trms_cli.models.steady_state import SteadyState
@@ -107,7 +107,7 @@ class TestEquations:
         assert 0.2 < target.u[0] < 0.8
 
     def test_takes_effects(self):
-        rubbing = extended(Tras(), {"rub": CoulombFriction(axis="yaw", torque=0.004)})
+        rubbing = extend_model(Tras(), {"rub": CoulombFriction(axis="yaw", torque=0.004)})
         w = np.array([0.0, 0.003, 0.0, 0.0])  # less than friction holds
         after = travel(rubbing, Tras().rest(), (0, 0), 0.01, w=w)[-1]
         assert after[1] == pytest.approx(0.0, abs=1e-12)

@@ -10,7 +10,7 @@ import pytest
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.lagrangian import Lagrangian
@@ -98,8 +98,8 @@ def test_errors_are_as_large_as_it_says(
         Newtonian(freedom="horizontal", currents="dynamic"),
         Newtonian(currents="dynamic"),
         Lagrangian(),
-        extended(Newtonian(), {"slow": InputDelay(rotor="main", delay=0.07)}),
-        extended(Newtonian(), {"dry": CoulombFriction(axis="yaw", torque=0.002)}),
+        extend_model(Newtonian(), {"slow": InputDelay(rotor="main", delay=0.07)}),
+        extend_model(Newtonian(), {"dry": CoulombFriction(axis="yaw", torque=0.002)}),
     ],
     ids=["vertical", "horizontal, currents", "currents", "lagrangian", "delay", "friction"],
 )

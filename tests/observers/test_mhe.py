@@ -10,7 +10,7 @@ from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers import mhe
 from trms_cli.observers.ekf import Ekf
-from trms_cli.observers.mhe import Mhe, bounded
+from trms_cli.observers.mhe import Mhe, solve_bounded
 from trms_cli.observers.observer import ObserverSetup
 
 from .observed_rigs import NOISE_SD, SAMPLE_TIME, Pendulum, Rig, commands, followed, setup_for
@@ -27,7 +27,7 @@ def test_the_two_ways_to_solve_a_step_are_one_problem() -> None:
     state.function()
     rows = np.array([2, 5])
     wide = np.array([10.0, 10.0])
-    qp, centre, slopes = bounded(state.inputs, state.outputs, rows, -wide, wide)
+    qp, centre, slopes = solve_bounded(state.inputs, state.outputs, rows, -wide, wide)
     result = Daqp().solve(Daqp().start(), qp)
     assert result.solved
     dense, smooth = centre + (slopes @ result.z).T, state.outputs["smoothed"]

@@ -29,14 +29,14 @@ from trms_cli.core.chart import (
 )
 from trms_cli.reporting.chart_picture import picture_of
 from trms_cli.reporting.chart_plot import (
-    packed,
+    pack_array,
     packed_time,
     plot_text,
     plots_of,
     script_json,
-    thinned,
+    thin_samples,
 )
-from trms_cli.reporting.run_panels import framed
+from trms_cli.reporting.run_panels import axis_range
 from trms_cli.reporting.style import house_style
 
 GRID = np.linspace(-2.0, 2.0, 41)
@@ -111,7 +111,7 @@ def test_what_is_held_and_shaded_is_drawn_in_print_too():
 def test_thinning_keeps_extremes_order_and_gaps(values, most):
     values = np.array(values)
     time = np.arange(len(values), dtype=float)
-    kept_time, kept = thinned(time, values, most)
+    kept_time, kept = thin_samples(time, values, most)
     assert np.all(np.diff(kept_time) > 0)
     np.testing.assert_array_equal(values[kept_time.astype(int)], kept)
     if np.isfinite(values).any():
@@ -124,7 +124,7 @@ def test_thinning_keeps_extremes_order_and_gaps(values, most):
 def test_thinning_keeps_the_extremes_of_every_stretch():
     values = np.random.default_rng(1).normal(size=10_000)
     time = np.arange(10_000) * 0.01
-    kept_time, kept = thinned(time, values, 1000)
+    kept_time, kept = thin_samples(time, values, 1000)
     for begin in range(0, 10_000, 20):
         within = (kept_time >= time[begin]) & (kept_time <= time[begin + 19])
         assert kept[within].max() == values[begin : begin + 20].max()
@@ -132,14 +132,14 @@ def test_thinning_keeps_the_extremes_of_every_stretch():
 
 
 def test_few_samples_stay_as_they_are():
-    time, values = thinned([0, 1, 2], [3, np.nan, 5], 10)
+    time, values = thin_samples([0, 1, 2], [3, np.nan, 5], 10)
     np.testing.assert_array_equal(time, [0, 1, 2])
     np.testing.assert_array_equal(values, [3, np.nan, 5])
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=64), max_size=50))
 def test_packing_keeps_seven_digits(values):
-    back = unpacked(packed(values))
+    back = unpacked(pack_array(values))
     for told, value in zip(back, values, strict=True):
         if np.isfinite(value) and 1e-30 < abs(value) < 1e30:
             assert told == pytest.approx(value, rel=1e-7)
@@ -204,9 +204,11 @@ def test_a_band_of_nothing_is_empty():
 
 
 def test_the_range_is_of_what_happened():
-    assert framed([]) is None and framed([np.array([np.nan])]) is None
-    assert framed([np.array([0.0, 1.0]), np.array([np.nan, -1.0])]) == pytest.approx((-1.16, 1.16))
-    low, high = framed([np.array([3.0])])
+    assert axis_range([]) is None and axis_range([np.array([np.nan])]) is None
+    assert axis_range([np.array([0.0, 1.0]), np.array([np.nan, -1.0])]) == pytest.approx(
+        (-1.16, 1.16)
+    )
+    low, high = axis_range([np.array([3.0])])
     assert low < 3.0 < high
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from trms_cli.core.chart import Axis, Chart, Curve, Panel
 from trms_cli.core.findings import Datum, Findings, Remarks, Section, Table
-from trms_cli.reporting.page import embedded, page_html, write_page
+from trms_cli.reporting.page import embed_figure, page_html, write_page
 from trms_cli.reporting.style import new_figure
 
 
@@ -83,11 +83,11 @@ def test_a_column_of_numbers_stands_right(page):
 
 
 def test_few_points_are_curves_many_are_pixels_and_both_are_reproducible():
-    assert embedded(drawing())[0] == "image/svg+xml"
-    kind, content = embedded(drawing(20_000))
+    assert embed_figure(drawing())[0] == "image/svg+xml"
+    kind, content = embed_figure(drawing(20_000))
     assert kind == "image/png" and content[:4] == b"\x89PNG"
-    assert embedded(drawing()) == embedded(drawing())
-    assert embedded(drawing(20_000))[1] == content
+    assert embed_figure(drawing()) == embed_figure(drawing())
+    assert embed_figure(drawing(20_000))[1] == content
 
 
 def test_is_written_whole_or_not_at_all(findings, page, tmp_path, monkeypatch, capsys):

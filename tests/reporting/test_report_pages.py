@@ -33,7 +33,7 @@ from trms_cli.reporting.sweep_report import (
     Objective,
     SweepReport,
     SweepRun,
-    undominated,
+    pareto_optimal,
 )
 from trms_cli.scoring.comparison.ranking import group, rank
 from trms_cli.scoring.comparison.runs import ComparisonRun, State
@@ -461,7 +461,7 @@ class TestSweep:
 
 def test_undominated_keeps_equals_and_drops_what_is_beaten():
     costs = np.array([[1, 2], [2, 1], [2, 2], [1, 2], [0.5, 3]])
-    assert undominated(costs).tolist() == [True, True, False, True, True]
+    assert pareto_optimal(costs).tolist() == [True, True, False, True, True]
 
 
 class TestSafety:

@@ -40,7 +40,7 @@ def test_a_table_keeps_every_figure_and_its_width(width):
 def test_parts_hold_each_column_once_and_repeat_the_heads(widths, width):
     columns = ["name", *("x" * n for n in widths)]
     rows = [["a name", *("1" * n for n in widths)]]
-    parts = screen.parted(columns, rows, 1, width)
+    parts = screen.split_columns(columns, rows, 1, width)
     shown = [i for part in parts for i in part if i > 0]
     assert shown == list(range(1, len(columns)))
     assert all(next(iter(part)) == 0 for part in parts)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from trms_cli.runs.columns import COLUMNS, Sql
 from trms_cli.runs.entry import IndexEntry
-from trms_cli.runs.filter import FilterError, names_in, translated
+from trms_cli.runs.filter import FilterError, names_in, translate_filter
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 
 NUMBERS = ("rmse_alpha_h", "rmse_alpha_v", "duration")
@@ -150,7 +150,7 @@ class TestMeaning:
     def test_as_python_has_it(self, text, rows):
         expected = [k for k, row in enumerate(rows) if by_python(text, row)]
         typed = text.replace("N(", "(")
-        assert by_index(translated(typed), rows) == expected
+        assert by_index(translate_filter(typed), rows) == expected
 
     @settings(max_examples=150, deadline=None)
     @given(
@@ -162,19 +162,19 @@ class TestMeaning:
         expected = [
             k for k, v in enumerate(values) if v is not None and fnmatch.fnmatchcase(v, pattern)
         ]
-        assert by_index(translated(f"controller like {pattern!r}"), rows) == expected
+        assert by_index(translate_filter(f"controller like {pattern!r}"), rows) == expected
         others = sorted(set(range(len(rows))) - set(expected))
-        assert by_index(translated(f"controller not like {pattern!r}"), rows) == others
+        assert by_index(translate_filter(f"controller not like {pattern!r}"), rows) == others
 
     @settings(max_examples=100, deadline=None)
     @given(part=words, values=st.lists(st.none() | words, min_size=1, max_size=5))
     def test_contains_is_in_turned_round(self, part, values):
         rows = [{"effects": value} for value in values]
-        contains = by_index(translated(f"effects contains {part!r}"), rows)
+        contains = by_index(translate_filter(f"effects contains {part!r}"), rows)
         assert contains == [k for k, v in enumerate(values) if v is not None and part in v]
-        assert contains == by_index(translated(f"{part!r} in effects"), rows)
+        assert contains == by_index(translate_filter(f"{part!r} in effects"), rows)
         others = sorted(set(range(len(rows))) - set(contains))
-        assert by_index(translated(f"effects not contains {part!r}"), rows) == others
+        assert by_index(translate_filter(f"effects not contains {part!r}"), rows) == others
 
     @pytest.mark.parametrize(
         ("text", "matches"),
@@ -205,7 +205,7 @@ class TestMeaning:
             {"controller": "pid", "rmse_alpha_h": 0.06, "seed": 2, "effects": "a b+c"},
             {"seed": 3, "complete": False},
         ]
-        assert by_index(translated(text), rows) == matches
+        assert by_index(translate_filter(text), rows) == matches
 
 
 class TestHostile:
@@ -265,7 +265,7 @@ class TestHostile:
     )
     def test_what_is_refused_says_why_and_where(self, text):
         with pytest.raises(FilterError) as caught:
-            translated(text)
+            translate_filter(text)
         error = caught.value
         assert 0 <= error.position <= len(text)
         assert error.problem
@@ -278,7 +278,7 @@ class TestHostile:
     @given(st.text(max_size=40) | st.text("()'\"<>=!.,and ornotseed1e*%@:", max_size=30))
     def test_any_text_is_a_filter_or_an_error_of_ours(self, text):
         try:
-            condition = translated(text)
+            condition = translate_filter(text)
         except FilterError:
             return
         by_index(condition, [{"seed": 1}])
@@ -288,7 +288,7 @@ class TestHostile:
     def test_a_text_is_bound_whatever_it_holds(self, value):
         text = f"controller == {value!r}"
         rows = [{"controller": value}, {"controller": value + "x"}]
-        condition = translated(text)
+        condition = translate_filter(text)
         assert value not in condition.text or value in '(controller) IS?"'
         assert by_index(condition, rows) == [0]
 
@@ -297,12 +297,12 @@ class TestHostile:
     )
     def test_injection(self, value):
         rows = [{"controller": "pid"}, {"controller": value}]
-        assert by_index(translated(f"controller == {value!r}"), rows) == [1]
-        assert by_index(translated(f"controller contains {value!r}"), rows) == [1]
+        assert by_index(translate_filter(f"controller == {value!r}"), rows) == [1]
+        assert by_index(translate_filter(f"controller contains {value!r}"), rows) == [1]
 
     @pytest.mark.parametrize("key", ["plant.a", "x.y.z", "é.ü"])
     def test_a_key_is_bound_too(self, key):
-        condition = translated(f"{key} == 'x'")
+        condition = translate_filter(f"{key} == 'x'")
         assert key not in condition.text
         assert condition.values[0] == f'$."{key}"'
 
@@ -326,7 +326,7 @@ class TestErrors:
     )
     def test_place_and_remedy(self, text, position, hint):
         with pytest.raises(FilterError) as caught:
-            translated(text)
+            translate_filter(text)
         if position is not None:
             assert caught.value.position == position
         assert hint in caught.value.remedy

@@ -15,7 +15,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import TopicTable, read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, standard_topics
-from trms_cli.runs.follower import Growing, RunFollower, RunningSum
+from trms_cli.runs.follower import GrowingArray, RunFollower, RunningSum
 from trms_cli.scoring.score import limits_of, score_tables
 
 LIMITS = '{"u_v": [-1.0, 1.0], "u_h": [null, 0.5]}'
@@ -211,7 +211,7 @@ def test_words_of_a_stranger(tmp_path: Path, limits: str) -> None:
     )
 )
 def test_running_sums(pieces: list[np.ndarray]) -> None:
-    total, growing = RunningSum(), Growing()
+    total, growing = RunningSum(), GrowingArray()
     for piece in pieces:
         total.append(piece)
         growing.append(piece)

@@ -12,7 +12,7 @@ import pytest
 from trms_cli.core.errors import TrmsError
 from trms_cli.runs import find_runs, runs_frame, runs_table
 from trms_cli.runs.columns import ALIASES, COLUMNS
-from trms_cli.runs.filter import translated
+from trms_cli.runs.filter import translate_filter
 
 
 def test_a_table_has_types_units_and_what_find_runs_says(write_run, score):
@@ -100,4 +100,4 @@ class TestPage:
         assert len(filters) > 20
         for text in filters:
             if text != "controller == pid":  # the page's own example of a mistake
-                translated(text)
+                translate_filter(text)

@@ -443,11 +443,11 @@ class TestDatabase:
                 LogReading(values["log"], FileStamp(1, 1), IndexEntry(values["log"], values))
             )
         from trms_cli.runs.columns import column_sql
-        from trms_cli.runs.filter import translated
+        from trms_cli.runs.filter import translate_filter
 
         with RunIndex(index_file()) as index:
             index.put(looked)
-            condition = translated("controller == 'newton_mpc' and rmse_yaw < 0.05")
+            condition = translate_filter("controller == 'newton_mpc' and rmse_yaw < 0.05")
             columns = {name: column_sql(name) for name in ("log", "rmse_yaw")}
             _, order = column_sql("rmse_yaw")
             found = index.select(columns, condition, order, descending=True, limit=3)

@@ -17,8 +17,8 @@ from trms_cli.scoring.baseline import (
     FigureTolerance,
     baseline_from,
     compare,
+    has_regressed,
     read_baseline,
-    regressed,
 )
 from trms_cli.scoring.score import score_tables
 
@@ -49,7 +49,7 @@ def row(score: dict[str, Any], baseline: Baseline, key: str) -> Any:
 def test_a_score_is_the_same_as_itself(score: dict[str, Any]) -> None:
     rows = compare(score, Baseline(score))
     assert {row.verdict for row in rows} == {"same"}
-    assert not regressed(rows)
+    assert not has_regressed(rows)
     assert len({row.key for row in rows}) == len(rows) > 20
 
 
@@ -80,19 +80,19 @@ def test_a_step_that_no_longer_settles_is_a_regression(score: dict[str, Any]) ->
     worse = changed(score, "channels.alpha_v.settling_time_s", None)
     rows = compare(worse, Baseline(score))
     assert [r.key for r in rows if r.regressed] == ["channels.alpha_v.settling_time_s"]
-    assert not regressed(compare(score, Baseline(worse)))
+    assert not has_regressed(compare(score, Baseline(worse)))
 
 
 def test_a_channel_that_is_gone_is_a_regression(score: dict[str, Any]) -> None:
     without = copy.deepcopy(score)
     del without["channels"]["alpha_h"]
-    assert regressed(compare(without, Baseline(score)))
-    assert not regressed(compare(score, Baseline(without)))
+    assert has_regressed(compare(without, Baseline(score)))
+    assert not has_regressed(compare(score, Baseline(without)))
 
 
 @pytest.mark.parametrize("key", ["solver.failures", "constraint_violations.u_v.samples"])
 def test_one_failure_more_is_a_regression(score: dict[str, Any], key: str) -> None:
-    assert regressed(compare(changed(score, key, 2), Baseline(score)))
+    assert has_regressed(compare(changed(score, key, 2), Baseline(score)))
 
 
 def test_effort_and_wall_time_do_not_decide(score: dict[str, Any]) -> None:
@@ -101,7 +101,7 @@ def test_effort_and_wall_time_do_not_decide(score: dict[str, Any]) -> None:
     rows = compare(more, Baseline(score))
     assert row(more, Baseline(score), "inputs.u_v.effort").verdict == "worse"
     assert not any("time_ms" in r.key for r in rows)
-    assert not regressed(rows)
+    assert not has_regressed(rows)
 
 
 def test_runs_of_different_length_are_not_compared(score: dict[str, Any]) -> None:

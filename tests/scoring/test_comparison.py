@@ -10,7 +10,7 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.scoring.comparison.findings import pair, ranking_findings
-from trms_cli.scoring.comparison.ranking import FAILED_RATIO, figures_of, group, matching, rank
+from trms_cli.scoring.comparison.ranking import FAILED_RATIO, figures_of, group, matching_runs, rank
 from trms_cli.scoring.comparison.runs import (
     ComparisonRun,
     RunCollection,
@@ -245,8 +245,10 @@ class TestCoordinates:
         with pytest.raises(ConfigurationError, match="kontroller"):
             group(runs, ["kontroller"])
         with pytest.raises(ConfigurationError, match="there are: nominal"):
-            matching(runs, {"rig": ["draw*"]})
-        assert [each.path for each in matching(runs, {"controller": ["a*", "x"]})] == [runs[0].path]
+            matching_runs(runs, {"rig": ["draw*"]})
+        assert [each.path for each in matching_runs(runs, {"controller": ["a*", "x"]})] == [
+            runs[0].path
+        ]
 
 
 def test_a_pair_lists_every_figure_and_what_differs():

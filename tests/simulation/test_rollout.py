@@ -12,13 +12,13 @@ from trms_cli.core import compilation
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.simulation.rollout import Rollout, Sensitive, Simulated
+from trms_cli.simulation.rollout import Rollout, Sensitive, SimulatedWindows
 
 SAMPLE = 0.04  # s: two integration steps
 FREE = ("k_fvp", "k_ov", "k_m", "J_tr")
@@ -55,7 +55,7 @@ def plain() -> Rollout:
 
 
 def with_friction_and_delay() -> Model:
-    return extended(
+    return extend_model(
         Newtonian(),
         {
             "yaw_coulomb_friction": CoulombFriction(axis="yaw", torque=0.005),
@@ -116,7 +116,7 @@ def test_with_and_without_a_compiler(plain: Rollout, monkeypatch: pytest.MonkeyP
         assert interpreted._library is None
         x0 = starts(plain)
         call = (commands(), FIRST, COUNT, x0)
-        pairs: list[tuple[Simulated | Sensitive, Simulated | Sensitive]] = [
+        pairs: list[tuple[SimulatedWindows | Sensitive, SimulatedWindows | Sensitive]] = [
             (plain.outputs(*call), interpreted.outputs(*call)),
             (plain.sensitivities(*call), interpreted.sensitivities(*call)),
         ]

@@ -28,10 +28,10 @@ from trms_cli.stability.attraction.estimates import (
     Ellipsoid,
     estimates,
     from_lyapunov_equation,
+    is_proved_attracted,
     largest_level,
     methods_for,
     optimise_ellipsoid,
-    proved,
 )
 from trms_cli.stability.attraction.level_set import (
     Rays,
@@ -235,8 +235,8 @@ def test_a_proof_with_rotors_that_are_not_settled():
     P = from_lyapunov_equation(system)
     unit = Ellipsoid(P, 1.0).extents[system.names.index("alpha_v")]
     # In 2 DOF the stiffness of the cable jumps where yaw is zero: both values are covered.
-    assert proved(system, Ellipsoid(P, (0.02 / unit) ** 2))
-    assert not proved(system, Ellipsoid(P, (0.2 / unit) ** 2))
+    assert is_proved_attracted(system, Ellipsoid(P, (0.02 / unit) ** 2))
+    assert not is_proved_attracted(system, Ellipsoid(P, (0.2 / unit) ** 2))
 
 
 def test_a_state_moves_what_it_moves_and_none_may_jump():

@@ -17,7 +17,7 @@ from scipy.special import ellipk
 from trms_cli.core.chart import Curve
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.newtonian import Newtonian, geometry
@@ -251,9 +251,9 @@ def test_impulses_are_told():
     model = Newtonian()
     assert not has_impulses(model)
     friction = {"f": CoulombFriction(axis="pitch", torque=0.01)}
-    assert has_impulses(extended(model, friction))
+    assert has_impulses(extend_model(model, friction))
     damping = {"d": QuadraticDamping(axis="pitch", coefficient=0.01)}
-    assert not has_impulses(extended(model, damping))
+    assert not has_impulses(extend_model(model, damping))
 
 
 def test_starts_fill_the_box_and_nothing_else():
@@ -387,7 +387,7 @@ def test_the_curves_of_stable_and_unstable_cycles_meet_at_the_fold(strong_cross_
 
 
 def test_with_dry_friction_motions_alone_are_looked_at():
-    rig = extended(
+    rig = extend_model(
         Newtonian(freedom="vertical"), {"friction": CoulombFriction(axis="pitch", torque=0.01)}
     )
     findings = asked(rig)

@@ -11,7 +11,7 @@ from trms_cli.core.errors import ModelError, TrmsError
 from trms_cli.core.findings import Findings
 from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import ExtendedModel
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero

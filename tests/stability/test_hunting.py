@@ -15,7 +15,7 @@ from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_tuning import AxisPlant, Filters, Gains, closed_loop
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.linearisation import Linearisation
@@ -44,9 +44,9 @@ MODEL = Newtonian(freedom="vertical")
 PID = Pid(pitch=GAINS)
 LOOP = LoopParts(MODEL, PID, FullState(), 0.02, {"controller": "pid", "observer": "full_state"})
 STICTION = StribeckFriction(axis="pitch", torque=0.02, excess=1.0, velocity=0.02)
-RIG = extended(MODEL, {"friction": STICTION})
+RIG = extend_model(MODEL, {"friction": STICTION})
 POINT = operating_point(RIG, {"alpha_v": 0.0})
-RUBBING_TWICE = extended(RIG, {"more": CoulombFriction(axis="pitch", torque=0.01)})
+RUBBING_TWICE = extend_model(RIG, {"more": CoulombFriction(axis="pitch", torque=0.01)})
 LINEAR = friction_loop(RIG, LOOP, PID, POINT, "pitch")
 LAW = frictions_of(RIG)[0].law
 

@@ -17,7 +17,7 @@ from trms_cli.core.chart import Line, Points
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.effects.cable_hysteresis import CableHysteresis
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import TrimSolver
@@ -271,7 +271,7 @@ def test_bad_requests_say_what_is_possible(study, says):
 
 def test_states_of_effects_are_named_after_the_effect():
     hysteresis = CableHysteresis(axis="yaw", torque=0.004, width=0.1)
-    model = extended(Newtonian(), {"yaw_cable_hysteresis": hysteresis})
+    model = extend_model(Newtonian(), {"yaw_cable_hysteresis": hysteresis})
     assert parts_of(model)[-1] == RigPart("yaw cable hysteresis")
     # Of all memories that it may rest with, that of a rig without a past.
     point = TrimSolver(model).first({"alpha_v": 0.0})

@@ -16,7 +16,7 @@ import pytest
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.findings import Findings
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.inflow import Inflow
 from trms_cli.effects.sensor_bias import SensorBias
 from trms_cli.models.lagrangian import Lagrangian
@@ -143,18 +143,18 @@ def test_v_falls_at_random_states_of_the_outer_set() -> None:
 
 def test_dry_friction_only_helps_and_the_conclusion_is_a_set_of_rests() -> None:
     friction = {"pitch_coulomb_friction": CoulombFriction(axis="pitch", torque=0.002)}
-    found = run(extended(Newtonian(freedom="vertical"), friction), at={"alpha_v": 0.0})
+    found = run(extend_model(Newtonian(freedom="vertical"), friction), at={"alpha_v": 0.0})
     assert found.results["holds"]
     assert "friction holds it" in found.lead[1]
     attracts = next(c for c in found.results["claims"] if c["name"] == "attracts")
     assert "F_c" in attracts["detail"]
     with pytest.raises(ConfigurationError, match="strict function"):
-        run(extended(Newtonian(), friction), at={"alpha_v": 0.0, "alpha_h": 0.3})
+        run(extend_model(Newtonian(), friction), at={"alpha_v": 0.0, "alpha_h": 0.3})
 
 
 def test_sensors_change_nothing() -> None:
     bias = {"pitch_sensor_bias": SensorBias(axis="pitch", bias=0.1)}
-    found = run(extended(Newtonian(freedom="vertical"), bias), at={"alpha_v": 0.0})
+    found = run(extend_model(Newtonian(freedom="vertical"), bias), at={"alpha_v": 0.0})
     without = run(Newtonian(freedom="vertical"), at={"alpha_v": 0.0})
     assert found.results["holds"] and found.results == without.results
 
@@ -194,7 +194,7 @@ INFLOW = {"main_inflow": Inflow(rotor="main", coefficient=0.1)}
         (Newtonian(currents="dynamic"), {}, ModelError, "quasi-static"),
         (Newtonian(parameters={"k_ov": 0.0}), {}, ModelError, "viscous friction of pitch"),
         (Lagrangian(parameters={"k_chn": 0.0}), {}, ModelError, "yaw rests anywhere"),
-        (extended(Newtonian(), INFLOW), {}, ModelError, "main_inflow"),
+        (extend_model(Newtonian(), INFLOW), {}, ModelError, "main_inflow"),
         (VERTICAL, {"u_v": 2.4}, ConfigurationError, "ends at"),  # beyond the fold
         (VERTICAL, {"alpha_v": 1.0}, ModelError, "crest"),  # a saddle
     ],

@@ -22,7 +22,7 @@ from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_tuning import PidDesign
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
@@ -41,7 +41,7 @@ from trms_cli.stability.loops.frequency_response import (
     diagonal_mu,
     disk_margin,
     held_by_friction,
-    interpolated,
+    interpolate_response,
     multisine,
 )
 from trms_cli.stability.studies.margins import Margins
@@ -157,7 +157,7 @@ def test_between_the_lines_the_sensitivity_is_interpolated():
         return 1 / (1 + loop)
 
     fine = np.geomspace(0.1, 30, 2000)
-    guess = interpolated(few, sensitivity(few)[:, None, None], fine)[:, 0, 0]
+    guess = interpolate_response(few, sensitivity(few)[:, None, None], fine)[:, 0, 0]
     assert np.abs(guess - sensitivity(fine)).max() < 0.01
 
 
@@ -214,12 +214,12 @@ class TestTheStudy:
 class TestDryFriction:
     @pytest.mark.parametrize(("axis", "angle"), [("pitch", "alpha_v"), ("yaw", "alpha_h")])
     def test_holds_its_axis(self, axis, angle):
-        rig = extended(MODEL, {"dry": CoulombFriction(axis=axis, torque=0.001)})
+        rig = extend_model(MODEL, {"dry": CoulombFriction(axis=axis, torque=0.001)})
         assert held_by_friction(rig, POINT) == (angle,)
         assert held_by_friction(MODEL, POINT) == ()
 
     def test_is_left_out_of_the_margins_and_that_is_told(self, findings):
-        rig = extended(MODEL, {"dry": CoulombFriction(axis="yaw", torque=0.003)})
+        rig = extend_model(MODEL, {"dry": CoulombFriction(axis="yaw", torque=0.003)})
         stuck = STUDY.run(subject_of(lqr(), rig), silent)
         assert stuck.results["quality"]["held_by_dry_friction"] == ["alpha_h"]
         assert "Dry friction holds alpha_h" in stuck.lead[1]
@@ -401,7 +401,7 @@ class TestALinearLaw:
 
     @pytest.mark.slow
     def test_turns_by_a_delay_in_the_rig_that_it_does_not_know(self, plain):
-        rig = extended(MODEL, {"late": InputDelay(rotor="tail", delay=PERIOD)})
+        rig = extend_model(MODEL, {"late": InputDelay(rotor="tail", delay=PERIOD)})
         turn = np.ones((plain.omega.size, 2), dtype=complex)
         turn[:, 1] = np.exp(-1j * plain.omega * PERIOD)
         # the delay sits behind one input: that column of the loop transfer turns

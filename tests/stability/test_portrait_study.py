@@ -14,7 +14,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Table
 from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
@@ -105,7 +105,7 @@ def test_no_trajectory_has_the_colour_of_a_nullcline():
 
 
 def test_a_sticking_set_under_its_marker_is_told_in_the_caption():
-    rubbing = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.0005)})
+    rubbing = extend_model(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.0005)})
     findings = found(rubbing, starts=2)
     assert findings.results["sticking"]
     assert not any("dry friction holds" in curve.label for curve in marks(findings, Curve))
@@ -114,7 +114,7 @@ def test_a_sticking_set_under_its_marker_is_told_in_the_caption():
 
 def test_commands_are_those_that_reach_the_motor():
     # The drive loses a tenth of its gain under load: the equations know nothing of it.
-    derated = extended(
+    derated = extend_model(
         VERTICAL, {"weak": SupplyDerating(rotor="main", depth=0.1, time_constant=0.0)}
     )
     findings = found(derated, at={"alpha_v": 0.0}, starts=({"alpha_v": 0.3},), duration=150.0)
@@ -169,7 +169,7 @@ def test_a_line_of_rest_points_is_one_end():
 
 
 def test_dry_friction_takes_the_separatrices_away():
-    rubbing = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.02)})
+    rubbing = extend_model(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.02)})
     findings = found(rubbing, at={"alpha_v": 0.0}, starts=4)
     assert findings.results["separatrices"] == 0 and findings.results["sticking"]
     assert any("dry friction holds α_v" in curve.label for curve in marks(findings, Curve))

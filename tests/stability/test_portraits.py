@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.rotor_friction import RotorFriction
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.feedback_manual import FeedbackManual
@@ -504,7 +504,7 @@ def test_the_ways_out_of_a_saddle_of_more_states_are_motions_of_all_of_them():
 )
 @pytest.mark.parametrize("states", [("alpha_v", "rate_v"), ("S_v", "alpha_v")])
 def test_pitch_sticks_while_its_moment_is_within_the_friction(effect, torque, states):
-    section = section_of(extended(VERTICAL, {"rub": effect}), states, {})
+    section = section_of(extend_model(VERTICAL, {"rub": effect}), states, {})
     window = np.array([[-1.0, 1.0], [-1.0, 1.0]])
     (held,) = sticking_sets(section, window, search(section, window))
     assert held.what == "α_v" and held.along == states.index("alpha_v")
@@ -513,7 +513,7 @@ def test_pitch_sticks_while_its_moment_is_within_the_friction(effect, torque, st
 
 
 def test_a_rotor_sticks_while_its_current_is_too_small():
-    motor = extended(MOTOR, {"rub": RotorFriction(rotor="main", torque=0.001)})
+    motor = extend_model(MOTOR, {"rub": RotorFriction(rotor="main", torque=0.001)})
     section = section_of(motor, ("omega_v", "i_v"), {})
     window = np.array([[-20.0, 20.0], [-0.2, 0.2]])
     (held,) = sticking_sets(section, window, search(section, window))
@@ -522,7 +522,7 @@ def test_a_rotor_sticks_while_its_current_is_too_small():
 
 
 def test_trajectories_end_on_the_sticking_set():
-    model = extended(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=F_C)})
+    model = extend_model(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=F_C)})
     section = section_of(model, ("alpha_v", "rate_v"), {})
     window = np.array([[-0.8, -0.4], [-0.4, 0.4]])
     rests = search(section, window)

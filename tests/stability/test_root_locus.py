@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from study_cases import RAHIDEH, answer
 
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.inflow import Inflow
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
@@ -141,7 +141,7 @@ def test_gains_of_loops_are_those_of_masons_rule():
 
 
 def test_the_size_of_an_effect_can_be_varied():
-    model = extended(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=10.0)})
+    model = extend_model(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=10.0)})
     path, sweep, _ = locus({"alpha_v": 0.0}, "main_inflow.coefficient", (0.0, 60.0), model=model)
     assert path.unit == "rad/m"
     pitch = np.argmax(np.abs(sweep.eigenvalues[0].imag))

@@ -14,7 +14,7 @@ from trms_cli.core.findings import json_data
 from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.dead_zone import DeadZone
-from trms_cli.effects.extended_model import effect_names, extended
+from trms_cli.effects.extended_model import effect_names, extend_model
 from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.effects.sensor_bias import SensorBias
 from trms_cli.models.newtonian import Newtonian
@@ -39,7 +39,7 @@ EFFECTS = {
     "bias": SensorBias(axis="pitch", bias=0.1),
     "dry": CoulombFriction(axis="pitch", torque=0.01),
 }
-MODEL = extended(Newtonian(), EFFECTS)
+MODEL = extend_model(Newtonian(), EFFECTS)
 STUDIES = [
     path.stem for path in sorted((Path(__file__).parents[2] / "configs/study").glob("*.yaml"))
 ]
@@ -62,12 +62,12 @@ def test_the_equations_are_those_of_what_moves():
     whole = Subject(MODEL, "newtonian").require_equations("a study", command_path=True)
     assert whole is MODEL
     # Nothing is made anew without need.
-    moving = extended(Newtonian(), {"drag": EFFECTS["drag"]})
+    moving = extend_model(Newtonian(), {"drag": EFFECTS["drag"]})
     assert Subject(moving, "newtonian").require_equations("a study") is moving
 
 
 def test_values_that_were_changed_later_stay():
-    model = extended(Newtonian(), EFFECTS)
+    model = extend_model(Newtonian(), EFFECTS)
     model.parameters = model.parameters.replaced({"k_g": 0.05, "drag.drag": 1e-7})
     assert isinstance(model.parameters, ParameterSet)
     moving = Subject(model, "newtonian").require_equations("a study")

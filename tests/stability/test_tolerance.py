@@ -16,14 +16,14 @@ from loop_cases import AT, MODEL, POINT, Changed, loop_of, lqr, subject_of
 
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.effects.extended_model import effect_names, extended
+from trms_cli.effects.extended_model import effect_names, extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.stability.closed_loop import Enough, LoopRun, run_loop
 from trms_cli.stability.loops.tolerance import (
     Bounds,
-    Delayed,
+    CommandDelay,
     Impairment,
     ImpairmentLimits,
     RunVerdict,
@@ -131,7 +131,7 @@ class TestWhatGoesWrong:
     def test_a_delay_is_that_of_the_effect(self, delay):
         rig = MODEL
         for rotor in ("main", "tail"):
-            rig = extended(rig, {f"{rotor}_late": InputDelay(rotor=rotor, delay=delay)})
+            rig = extend_model(rig, {f"{rotor}_late": InputDelay(rotor=rotor, delay=delay)})
         loop, offset = loop_of(lqr()), {"alpha_v": -0.05, "alpha_h": -0.05}
         path = Impairment("delay").path(MODEL, POINT, 0.02, delay)
         ours = run_loop(MODEL, loop, POINT, 8.0, offset=offset, path=path)
@@ -140,7 +140,7 @@ class TestWhatGoesWrong:
         assert np.abs(ours.x - theirs.x)[:, -1].max() < (1e-9 if delay != 0.05 else 2e-4)
 
     def test_before_the_first_command_the_points_own_is_in_force(self):
-        delayed = Delayed(2.25, np.array([1.0]))
+        delayed = CommandDelay(2.25, np.array([1.0]))
         given = [delayed(k, np.array([float(k + 2)]))[0] for k in range(5)]
         # u(k − 2) and u(k − 3), three parts to one
         assert given == pytest.approx([1.0, 1.0, 0.75 * 2 + 0.25 * 1, 2.75, 3.75])
@@ -287,7 +287,7 @@ def test_what_reaches_the_motors_may_differ_from_the_command():
 
 
 def test_the_rig_may_have_what_the_controller_does_not_know():
-    rig = extended(MODEL, {"reaction": RotorReaction(rotor="main", drag=3e-7, inertia=1e-4)})
+    rig = extend_model(MODEL, {"reaction": RotorReaction(rotor="main", drag=3e-7, inertia=1e-4)})
     known, other = (run_loop(model, LOOP, POINT, 20.0) for model in (MODEL, rig))
     assert np.abs(other.x - known.x).max() > 0.01
 

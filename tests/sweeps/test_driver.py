@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.sweeps.driver import DISK_FULL, Driver
-from trms_cli.sweeps.plugins import Attempt, Ended
+from trms_cli.sweeps.plugins import Attempt, EndedAttempt
 from trms_cli.sweeps.record import Record, RunFolder
 from trms_cli.sweeps.space import RunResult
 
@@ -47,14 +47,14 @@ class Unreliable:
         attempt = self.given.pop(self.chance.randrange(len(self.given)))
         fate = self.chance.choice(["good", *self.deaths])
         if fate == "before":
-            return [Ended(attempt, None, "died")]
+            return [EndedAttempt(attempt, None, "died")]
         found = self.work(attempt, dies=fate == "amid")
         if fate == "twice":  # the engine has handed it to a second worker
             assert self.work(attempt, dies=False) is None or found is not None
             found = found or RunFolder(self.folder, attempt.point.number).result()
         if fate in ("amid", "after"):
-            return [Ended(attempt, None, "died")]
-        return [Ended(attempt, found)] * (2 if fate == "told twice" else 1)
+            return [EndedAttempt(attempt, None, "died")]
+        return [EndedAttempt(attempt, found)] * (2 if fate == "told twice" else 1)
 
     def work(self, attempt, *, dies):
         run = RunFolder(self.folder, attempt.point.number)
@@ -146,7 +146,7 @@ class Scripted(Unreliable):
 
     def ended(self, timeout_s):
         attempt = self.given.pop(0) if self.given else None
-        return [] if attempt is None else [Ended(attempt, self.script(self, attempt))]
+        return [] if attempt is None else [EndedAttempt(attempt, self.script(self, attempt))]
 
 
 def _driver(folder, count, **more) -> Driver:

@@ -17,7 +17,7 @@ from trms_cli.sweeps.record import (
     Record,
     RunFolder,
     SweepPlan,
-    driving,
+    drive_sweep,
     has_driver,
     is_alive,
     lost,
@@ -137,11 +137,11 @@ def test_one_process_drives_a_sweep_and_a_dead_one_holds_nothing(tmp_path):
     assert has_driver(tmp_path)
     with (
         pytest.raises(ConfigurationError, match=f"process {process.pid}"),
-        driving(tmp_path),
+        drive_sweep(tmp_path),
     ):
         pass
     process.kill()
     process.wait()
-    with driving(tmp_path):
+    with drive_sweep(tmp_path):
         assert has_driver(tmp_path)
     assert not has_driver(tmp_path)

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from trms_cli import __version__
-from trms_cli.code_generation.measure import Measured
+from trms_cli.code_generation.measure import ExampleMeasurement
 from trms_cli.code_generation.newton_source import (
     ControllerSource,
     check_exportable,
-    named,
+    name_controller,
     newton_source,
 )
 from trms_cli.code_generation.observer_source import ObserverSource, observer_source
@@ -118,9 +118,9 @@ class Export:
     #: Content by file name; the README comes last, by :meth:`readme`
     files: dict[str, str] = field(default_factory=dict)
 
-    def readme(self, command: str, measured: Measured | None) -> str:
+    def readme(self, command: str, measured: ExampleMeasurement | None) -> str:
         """Markdown: what it is, how to call it, signals, memory, times if they were measured."""
-        text = named(_template("readme.md").replace("MPC_CALL", _call(self)), self.name)
+        text = name_controller(_template("readme.md").replace("MPC_CALL", _call(self)), self.name)
         text = re.sub(r"\bmpc\b", self.name, text)
         for token, part in {
             "SIGNALS": _signals(self),
@@ -130,7 +130,7 @@ class Export:
             text = text.replace(f"{self.name.upper()}_{token}", part)
         return text
 
-    def document(self, command: str, measured: Measured | None) -> dict[str, Any]:
+    def document(self, command: str, measured: ExampleMeasurement | None) -> dict[str, Any]:
         """The same figures for programs."""
         return {
             "schema": "trms.export-controller/1",
@@ -180,8 +180,8 @@ def export(
     files = {
         f"{name}.c": source.source,
         f"{name}.h": source.header,
-        f"{name}_example.c": named(example, name),
-        "Makefile": named(_template("example.mk"), name).replace("mpc.", f"{name}."),
+        f"{name}_example.c": name_controller(example, name),
+        "Makefile": name_controller(_template("example.mk"), name).replace("mpc.", f"{name}."),
         "example.csv": example_csv(rows, setup, controller.preview(setup)),
     }
     return Export(name, setup, controller, source, part, files)
@@ -229,7 +229,7 @@ def _signals(export: Export) -> str:
     return "\n".join(lines)
 
 
-def _figures(export: Export, measured: Measured | None) -> str:
+def _figures(export: Export, measured: ExampleMeasurement | None) -> str:
     sizes = export.source.sizes
     what = (
         f"{sizes['N']} control periods, {sizes['N_Z']} unknowns, {sizes['ROWS']} rows"

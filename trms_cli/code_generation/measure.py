@@ -18,7 +18,7 @@ _TIMEOUT = 600.0  # s
 
 
 @dataclass(frozen=True)
-class Measured:
+class ExampleMeasurement:
     """What the example said."""
 
     compiler: str
@@ -44,7 +44,7 @@ class Measured:
     stack_bytes: int | None
 
 
-def measure(folder: Path, name: str, compiler: str, passes: int = PASSES) -> Measured:
+def measure(folder: Path, name: str, compiler: str, passes: int = PASSES) -> ExampleMeasurement:
     """Build in a folder of its own and run, so many times through the samples.
 
     Raises TrmsError if the source does not compile here or the example fails.
@@ -57,7 +57,9 @@ def measure(folder: Path, name: str, compiler: str, passes: int = PASSES) -> Mea
         shutil.rmtree(build, ignore_errors=True)
 
 
-def _measured(folder: Path, build: Path, name: str, compiler: str, passes: int) -> Measured:
+def _measured(
+    folder: Path, build: Path, name: str, compiler: str, passes: int
+) -> ExampleMeasurement:
     source, include = folder.resolve(), f"-I{folder.resolve()}"
     stack = ["-fstack-usage"] if _knows(compiler, "-fstack-usage", build) else []
     compile_ = [compiler, *FLAGS, *WARNINGS, include, "-c"]
@@ -68,7 +70,7 @@ def _measured(folder: Path, build: Path, name: str, compiler: str, passes: int) 
     output = _run([f"./{program}", str(source / "example.csv"), str(passes)], build)
     figures = dict(line.split() for line in output.splitlines())
     code, data = _sizes(build.resolve() / f"{name}.o", build)
-    return Measured(
+    return ExampleMeasurement(
         compiler=_run([compiler, "--version"], build).splitlines()[0],
         processor=_processor(),
         samples=int(figures["samples"]),

@@ -239,12 +239,12 @@ class GeneratedFunctions:
     n_w: Mapping[str, int]  #: Scratch, in entries
 
 
-def generated(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
+def generate_source(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
     """C source of functions, by the names they get there. Inputs and outputs are dense."""
     dense: dict[str, ca.Function] = {}
     for name, function in functions.items():
         taken = {other.name() for other in dense.values()}
-        dense[name] = densified(
+        dense[name] = densify_outputs(
             function, f"{function.name()}_{len(dense)}" if function.name() in taken else None
         )
     generator = ca.CodeGenerator("functions.c")
@@ -264,7 +264,7 @@ def generated(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
     )
 
 
-def densified(function: ca.Function, name: str | None = None) -> ca.Function:
+def densify_outputs(function: ca.Function, name: str | None = None) -> ca.Function:
     """The same function with dense outputs, by another name if one is given."""
     outputs = [function.sparsity_out(i) for i in range(function.n_out())]
     if name is None and all(sparsity.is_dense() for sparsity in outputs):
@@ -346,7 +346,7 @@ def newton_source(
     own = tuple(functions)
     if observer is not None:
         functions |= observer.functions
-    code = generated(functions)
+    code = generate_source(functions)
     _check_size(code, setup)
     sizes = sizes_of(state, controller.preview(setup)) | _scratch(code, own, "")
     filter_sizes: dict[str, tuple[int, str]] = {}
@@ -372,8 +372,8 @@ def newton_source(
         ]
     )
     return ControllerSource(
-        named(header, name),
-        named(source, name),
+        name_controller(header, name),
+        name_controller(source, name),
         {key: value for key, (value, _) in (sizes | filter_sizes).items()},
         period,
     )
@@ -410,7 +410,7 @@ def check_exportable(controller: Any, option: str = "") -> None:
         )
 
 
-def named(text: str, name: str) -> str:
+def name_controller(text: str, name: str) -> str:
     """A template's text with a controller's own name in place of ``mpc``."""
     text = re.sub(r"\bMPC_(?=\w)", f"{name.upper()}_", text)
     text = re.sub(r"\bmpc_(?=\w)", f"{name}_", text)

@@ -142,12 +142,12 @@ def _task(word: str) -> Task:
 
 def _quoted(word: str) -> str:
     """A path, or a list of NAME=FOLDER, in Hydra's words."""
-    from trms_cli.composition.overrides import quoted
+    from trms_cli.composition.overrides import quote_value
 
     key, equals, value = word.partition("=")
     if key not in _PATHS or not equals or not value or value == "null":
         return word
     if value.startswith("[") and value.endswith("]"):
         items = [item.strip().strip("'\"") for item in value[1:-1].split(",")]
-        return f"{key}=[{','.join(quoted(item) for item in items if item)}]"
-    return f"{key}={quoted(value)}"
+        return f"{key}=[{','.join(quote_value(item) for item in items if item)}]"
+    return f"{key}={quote_value(value)}"

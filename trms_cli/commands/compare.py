@@ -8,7 +8,7 @@ from pathlib import Path
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.core.printable import print_json
-from trms_cli.library.tasks.compare import METRICS, SORTS, ordered, ranking_of, runs_from
+from trms_cli.library.tasks.compare import METRICS, SORTS, ranking_of, runs_from, sort_standings
 
 SUMMARY = "many runs ranked: tracking, effort, robustness, time of a step, failures"
 
@@ -64,7 +64,7 @@ def main(argv: list[str]) -> int:
     else:
         by = [key for key in given.by.split(",") if key]
         ranking = ranking_of(gathered, by, given.metric, given.paths)
-        findings = ranking_findings(ranking, gathered, ordered(ranking, given.sort))
+        findings = ranking_findings(ranking, gathered, sort_standings(ranking, given.sort))
     if given.json:
         print_json(findings.results, allow_nan=False)
         return EXIT_OK

@@ -167,7 +167,7 @@ def _builds() -> bool:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TRMS_CACHE"] = folder
         try:
-            built = compilation.compiled(function)
+            built = compilation.compile_function(function)
             return built is not function and float(built(0.0)) == 0.0
         finally:
             if before is None:

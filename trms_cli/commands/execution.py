@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.composer import Composition, Outcome, Task, compose_request
 from trms_cli.composition.overrides import read_request
-from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Terminated
+from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Termination
 
 if TYPE_CHECKING:
     from trms_cli.library.tasks.task import Done
@@ -66,7 +66,7 @@ def study(command: str, composition: Composition, task: Callable[..., Done], **h
             return Outcome(stopped.exit_code, folder=stopped.folder)
         sys.stderr.write(f"stopped; finished stages are kept: {stopped.how}\n")
         if stopped.exit_code == EXIT_TERMINATED:
-            raise Terminated from None
+            raise Termination from None
         raise KeyboardInterrupt from None
     screen.done(done)
     return Outcome(done.exit_code, done.objective, done.folder)

@@ -15,7 +15,7 @@ from trms_cli.core.errors import EXIT_OK, ConfigurationError
 
 if TYPE_CHECKING:
     from trms_cli.code_generation.export import Export
-    from trms_cli.code_generation.measure import Measured
+    from trms_cli.code_generation.measure import ExampleMeasurement
     from trms_cli.simulation.closed_loop import Experiment
 
 SUMMARY = "a controller as C source for a rig's own computer"
@@ -191,7 +191,7 @@ def _check_observer(experiment: Experiment, option: str) -> None:
         )
 
 
-def _measured(found: Export, folder: Path, wanted: bool) -> tuple[Measured | None, str]:
+def _measured(found: Export, folder: Path, wanted: bool) -> tuple[ExampleMeasurement | None, str]:
     """What was measured, or why nothing was."""
     from trms_cli.code_generation.measure import measure
     from trms_cli.core.compilation import compiler
@@ -206,7 +206,9 @@ def _measured(found: Export, folder: Path, wanted: bool) -> tuple[Measured | Non
     return measure(folder, found.name, program), ""
 
 
-def _lines(found: Export, folder: Path, measured: Measured | None, reason: str) -> list[str]:
+def _lines(
+    found: Export, folder: Path, measured: ExampleMeasurement | None, reason: str
+) -> list[str]:
     sizes, name = found.source.sizes, found.name
     lines = [
         f"{name}: newton_mpc of model {found.setup.model.name}, {sizes['N']} periods of "
@@ -241,7 +243,7 @@ def _lines(found: Export, folder: Path, measured: Measured | None, reason: str) 
     ]
 
 
-def _observer_line(measured: Measured) -> list[str]:
+def _observer_line(measured: ExampleMeasurement) -> list[str]:
     if measured.observer_median is None:
         return []
     return [

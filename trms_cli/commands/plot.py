@@ -252,7 +252,7 @@ def plot_scene(log: LoggedRun, given: Any) -> int:
     without an angle, or a file that exists.
     """
     from trms_cli.reporting.plot import size_of
-    from trms_cli.reporting.scene_picture import animated, draw_scene
+    from trms_cli.reporting.scene_picture import animate_scene, draw_scene
     from trms_cli.reporting.style import figure_bytes, house_style
 
     format_: Any = given.format or ending_of(given.out) or "png"
@@ -265,7 +265,7 @@ def plot_scene(log: LoggedRun, given: Any) -> int:
     bodies, shots = shots_of(log, given.start, given.end, moving=format_ == "gif")
     speed = 1.0
     if format_ == "gif":
-        content = animated(bodies, shots, pause=_PAUSE)
+        content = animate_scene(bodies, shots, pause=_PAUSE)
         if len(shots) > 1:
             speed = (shots[-1].time - shots[0].time) / ((len(shots) - 1) * _PAUSE)
     else:

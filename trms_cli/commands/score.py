@@ -74,7 +74,7 @@ def main(argv: list[str]) -> int:
         )
 
     from trms_cli.recordings.log_reader import read_log
-    from trms_cli.scoring.baseline import compare, document_of, read_baseline, regressed
+    from trms_cli.scoring.baseline import compare, document_of, has_regressed, read_baseline
     from trms_cli.scoring.score import score_log
 
     baseline = read_baseline(given.baseline) if given.baseline else None
@@ -83,7 +83,7 @@ def main(argv: list[str]) -> int:
         log = read_log(path)
         score = score_log(log)
         scored.append((log, score, compare(score, baseline) if baseline else None))
-    worse = any(regressed(rows) for _, _, rows in scored if rows is not None)
+    worse = any(has_regressed(rows) for _, _, rows in scored if rows is not None)
 
     if given.json:
         whole = document_of([(score, rows) for _, score, rows in scored], given.baseline)

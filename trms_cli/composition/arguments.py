@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.composition.catalogue import Groups, Primary, read_groups, read_primary
-from trms_cli.composition.overrides import parse, quoted
+from trms_cli.composition.overrides import parse, quote_value
 from trms_cli.core.errors import ConfigurationError
 
 #: Words that need no quotes: they cannot be read as a number, a truth value or Hydra's grammar.
@@ -220,7 +220,7 @@ def text_of(value: Any, key: str = "") -> str:
         value = _file_of(value, key)
     if isinstance(value, str):
         plain = _PLAIN.fullmatch(value) and value.lower() not in _OTHER_MEANING
-        return value if plain else quoted(value)
+        return value if plain else quote_value(value)
     if isinstance(value, Mapping):
         inner = (f"{text_of(str(k))}: {text_of(v, key)}" for k, v in value.items())
         return "{" + ", ".join(inner) + "}"

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.composition.catalogue import Groups, Primary, read_yaml
-from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, quoted
+from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, quote_value
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, nearest, require_known
@@ -224,7 +224,7 @@ def _from_file(override: Override, names: Sequence[str], groups: Groups) -> list
                 where=group,
                 remedy="name a YAML that exists, or an option: " + ", ".join(groups.get(group, {})),
             )
-    paths = ",".join(quoted(str(Path(name).expanduser())) for name in names)
+    paths = ",".join(quote_value(str(Path(name).expanduser())) for name in names)
     chosen = [override._replace(value="from_file"), Override("", f"{group}.path", "", paths)]
     rigs = {_rig_of(Path(name).expanduser()) for name in names}
     if group == "model" and len(rigs) == 1 and "" not in rigs:
@@ -253,7 +253,7 @@ def prepared_value(override: Override, keys: DeclaredKeys, multirun: bool) -> Ov
             override = override._replace(prefix="++")
     value = override.value
     if parts[-1] in PATH_KEYS and value and not multirun and _needs_quotes(value):
-        override = override._replace(value=quoted(value))
+        override = override._replace(value=quote_value(value))
     return override
 
 
@@ -420,7 +420,7 @@ class DeclaredKeys:
         if not isinstance(content, dict):
             return {}
         inside: dict[str, Any] = {}
-        for inner_group, inner_place, default in included(content):
+        for inner_group, inner_place, default in defaults_list(content):
             for inner in self._chosen(inner_group, f"{place}.{inner_place}", default):
                 node = self._option(inner_group, inner, f"{place}.{inner_place}")
                 for step in reversed(inner_place.split(".")):
@@ -437,11 +437,13 @@ class DeclaredKeys:
                 option = self._groups.get(group, {}).get(name)
                 content = read_yaml(option.file) if option is not None else None
                 if isinstance(content, dict):
-                    found += [(inner, f"{group}.{place}") for inner, place, _ in included(content)]
+                    found += [
+                        (inner, f"{group}.{place}") for inner, place, _ in defaults_list(content)
+                    ]
         return found
 
 
-def included(content: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
+def defaults_list(content: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
     """``(group, place, option)`` of a YAML's own defaults list."""
     found = []
     for entry in content.get("defaults") or []:

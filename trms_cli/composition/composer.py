@@ -33,7 +33,7 @@ from trms_cli.composition.catalogue import (
 from trms_cli.composition.checks import (
     DeclaredKeys,
     check_composed,
-    included,
+    defaults_list,
     prepare,
     prepared_value,
 )
@@ -111,8 +111,8 @@ def compose(
     `given` is what would be typed (``["controller=pid", "sim.duration=20"]``; ``-m`` and ``--cfg``
     are a command's and refused here), or the same as a mapping: ``{"controller": "pid", "sim":
     {"duration": 20}, "effect": ["main_input_delay"]}``. In a mapping objects may stand for plugins;
-    they are built inside of :func:`trms_cli.composition.given_object.given`. `config_dirs` are the
-    user's folders of options, absolute; those of ``--config-dir`` in `given` come first.
+    they are built inside of :func:`trms_cli.composition.given_object.place_objects`. `config_dirs`
+    are the user's folders of options, absolute; those of ``--config-dir`` in `given` come first.
 
     Raises ConfigurationError for the first key that is wrong.
     """
@@ -186,7 +186,7 @@ class Composer:
 
         from omegaconf import OmegaConf
 
-        from trms_cli.composition.hydra_composition import compose_by_hydra, explained
+        from trms_cli.composition.hydra_composition import compose_by_hydra, explain_errors
 
         def keys(fewer: Sequence[str]) -> Mapping[str, Any]:
             composed, _ = compose_by_hydra(self.primary, fewer, self.config_dirs)
@@ -194,7 +194,7 @@ class Composer:
             assert isinstance(content, dict)
             return content  # type: ignore[return-value]
 
-        with explained(overrides, self._declared, self._groups, keys):
+        with explain_errors(overrides, self._declared, self._groups, keys):
             composed, choices = self._by_hydra(overrides, request.overrides)
             missing = sorted(OmegaConf.missing_keys(composed))
             if missing:
@@ -441,13 +441,13 @@ def _replaced(
     """
     for group in declared.defaults:
         content = _content(group, choices.get(group), config_dirs)
-        for inner, place, default in included(content):
+        for inner, place, default in defaults_list(content):
             chosen = choices.get(f"{inner}@{group}.{place}")
             if chosen in (None, default):
                 continue
             body = value_at(content, place)
             own = _content(inner, chosen, config_dirs)
-            kept = {*own, *(key.split(".")[0] for _, key, _ in included(own))}
+            kept = {*own, *(key.split(".")[0] for _, key, _ in defaults_list(own))}
             if isinstance(body, Mapping) or (isinstance(body, str) and "${" in body):
                 yield f"{group}.{place}", kept, body
 

@@ -37,7 +37,7 @@ _given: ContextVar[Sequence[Any]] = ContextVar("given", default=())
 
 
 @contextmanager
-def given(objects: Sequence[Any]) -> Iterator[None]:
+def place_objects(objects: Sequence[Any]) -> Iterator[None]:
     """Inside, :func:`node_of` their places in `objects` builds to them."""
     before = _given.set(tuple(objects))
     try:
@@ -70,7 +70,7 @@ _REMEDY = (
 )
 
 
-def refuse_given(config: Any, where: str, source: str) -> None:
+def refuse_objects(config: Any, where: str, source: str) -> None:
     """Refuse a configuration of `source`, at the place `where` of the whole, that had an object.
 
     Raises ConfigurationError: it names the place and what stood there.
@@ -85,7 +85,7 @@ def refuse_given(config: Any, where: str, source: str) -> None:
             remedy=_REMEDY,
         )
     for key, value in config.items():
-        refuse_given(value, f"{where}.{key}" if where else str(key), source)
+        refuse_objects(value, f"{where}.{key}" if where else str(key), source)
 
 
 def kind_of(plugin: Any) -> str:

@@ -279,7 +279,7 @@ Compose = Callable[[Sequence[str]], Mapping[str, Any]]
 
 
 @contextmanager
-def explained(
+def explain_errors(
     overrides: Sequence[str], declared: Primary, groups: Groups, compose: Compose
 ) -> Iterator[None]:
     """Turn what Hydra, OmegaConf and YAML raise inside into a `ConfigurationError`.

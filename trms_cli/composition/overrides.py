@@ -1,8 +1,8 @@
 """The language of overrides: ``controller=pid``, ``+key@place=value``, and the options around them.
 
 What is typed after a composing command is read here (:func:`read_request`), each override is taken
-apart here (:func:`parse`), and values are written here (:func:`quoted`). Whether a key exists is
-:mod:`trms_cli.composition.checks`'.
+apart here (:func:`parse`), and values are written here (:func:`quote_value`). Whether a key exists
+is :mod:`trms_cli.composition.checks`'.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def parse(text: str, groups: Groups) -> Override:
     return Override(prefix, key, at + package, value if equals else None)
 
 
-def quoted(value: str) -> str:
+def quote_value(value: str) -> str:
     """`value` as a quoted string of Hydra's grammar: a backslash counts as one before a quote."""
     escaped = re.sub(
         r'(\\*)("|\Z)', lambda found: found[1] * 2 + found[2].replace('"', '\\"'), value

@@ -59,7 +59,7 @@ _INSTEAD = {
 }
 
 
-class Divided(NamedTuple):
+class SweepOverrides(NamedTuple):
     """The overrides of ``-m``."""
 
     runs: tuple[str, ...]
@@ -75,7 +75,9 @@ class Settings(NamedTuple):
     retries: int
 
 
-def divided(overrides: Sequence[str], primary: str, config_dirs: Sequence[Path]) -> Divided:
+def divide_overrides(
+    overrides: Sequence[str], primary: str, config_dirs: Sequence[Path]
+) -> SweepOverrides:
     """Take the sweep's own overrides off.
 
     Raises ConfigurationError for Hydra's own keys; it tells what to write instead.
@@ -97,7 +99,9 @@ def divided(overrides: Sequence[str], primary: str, config_dirs: Sequence[Path])
             out = None if value in ("", "null") else value
         else:
             runs.append(text)
-    return Divided((*_added(runs, primary, groups, config_dirs), *runs), tuple(settings), out)
+    return SweepOverrides(
+        (*_added(runs, primary, groups, config_dirs), *runs), tuple(settings), out
+    )
 
 
 def settings_of(settings: Sequence[str], config_dirs: Sequence[Path]) -> Settings:
@@ -303,10 +307,10 @@ def _swept(text: str, override: Override, declared: Primary, groups: Groups) -> 
         Transformer,
     )
 
-    from trms_cli.composition.hydra_composition import explained
+    from trms_cli.composition.hydra_composition import explain_errors
 
     try:
-        with explained([text], declared, groups, lambda _: {}):
+        with explain_errors([text], declared, groups, lambda _: {}):
             parsed = OverridesParser.create().parse_override(text)
     except ConfigurationError as error:  # a function with wrong arguments names no key
         error.where = override.key + override.package

@@ -59,7 +59,7 @@ def fall_back(
     return Command(np.clip(chosen, *bounds), Status.FAILED, fallback=acting, message=words)
 
 
-def held(last: FloatArray, reason: str) -> Command:
+def hold_command(last: FloatArray, reason: str) -> Command:
     """The last command, (n_u,) and finite, of a law that has no answer."""
     words = f"{reason}; the last command is held"
     return Command(last.copy(), Status.FAILED, fallback="hold", message=words)

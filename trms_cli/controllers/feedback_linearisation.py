@@ -51,7 +51,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
-from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.arrays import FloatArray
@@ -383,7 +383,7 @@ class FeedbackLinearisation:
         x, previous = sample.estimate.x, sample.previous_command
         reference = sample.reference[0]
         if not are_finite(x, sample.estimate.disturbance, reference):
-            return held(previous, NOT_FINITE)
+            return hold_command(previous, NOT_FINITE)
         w = sample.estimate.disturbance * float(self.use_disturbance)
         axes = state.parts.axes
         rate, a, change, mobility, arms, thrusts = state.parts.motion.evaluate(x, previous, w)
@@ -411,16 +411,16 @@ class FeedbackLinearisation:
         try:
             wanted = (moments + np.linalg.solve(mobility, v - a - change / rotor)) / arms
         except np.linalg.LinAlgError:
-            return held(previous, "the moments have no influence on the axes here")
+            return hold_command(previous, "the moments have no influence on the axes here")
         if not math.isfinite(float(wanted.sum()) + float(jerk.sum())):
-            return held(previous, "the model's moments are not finite at this estimate")
+            return hold_command(previous, "the model's moments are not finite at this estimate")
         forces = np.clip(wanted, *ends)
         speeds = [axis.speed.at(f) for axis, f in zip(axes, forces.tolist(), strict=True)]
         now = x[[axis.rotor for axis in axes]]
         u = state.parts.command.evaluate(x, previous, w, rotor * (speeds - now))[0].copy()
         lacking = mobility @ (arms * (forces - wanted))
         if not math.isfinite(float(u.sum()) + float(lacking.sum())):
-            return held(previous, "the model's moments are not finite at this estimate")
+            return hold_command(previous, "the model's moments are not finite at this estimate")
         largest = np.abs(np.diag(mobility) * arms * (ends[1] - ends[0]))
         self._integrate(state, u, ki * error, lacking, largest)
         _advance(state, jerk)

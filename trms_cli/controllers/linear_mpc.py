@@ -130,7 +130,7 @@ class Limits:
     quadratic: float  #: Price of the square of the violation
 
 
-class Condensed:
+class CondensedProblem:
     """One linear model over one horizon.
 
     ``A``, ``B``: (n, n), (n, n_u). ``blocks``: (N,); block of each period. ``terminal``: (m, n +
@@ -393,8 +393,8 @@ class LinearMpcState:
         self.age: int | None = None
         self._started = False
 
-    def _condensed(self, A: FloatArray, B: FloatArray) -> Condensed:
-        return Condensed(A, B, self.blocks, self._cost, self._root, self._limited)
+    def _condensed(self, A: FloatArray, B: FloatArray) -> CondensedProblem:
+        return CondensedProblem(A, B, self.blocks, self._cost, self._root, self._limited)
 
     def begin_sample(self, sample: ControlSample) -> str:
         """Take in the sample; why it cannot be answered, empty if it can."""
@@ -444,7 +444,7 @@ class LinearMpcState:
         # A single input's B comes as a vector.
         return after.copy(), A.copy(), B.reshape(len(full), -1).copy()
 
-    def condensed_here(self) -> tuple[Condensed, FloatArray]:
+    def condensed_here(self) -> tuple[CondensedProblem, FloatArray]:
         """The prediction to use at this sample, and how its model drifts at the target."""
         target, still = self.target, np.zeros(self.discrete.n_x)
         assert target is not None
@@ -465,12 +465,14 @@ class LinearMpcState:
                     return here, drift
         return self._fixed, still
 
-    def _effective(self, condensed: Condensed) -> Condensed:
+    def _effective(self, condensed: CondensedProblem) -> CondensedProblem:
         """A prediction in which every input does something, else that of the operating point."""
         enough = bool((condensed.effect >= _LEAST_EFFECT * self._fixed.effect).all())
         return condensed if enough else self._fixed
 
-    def solved(self, condensed: Condensed, drift: FloatArray, sample: ControlSample) -> QpResult:
+    def solved(
+        self, condensed: CondensedProblem, drift: FloatArray, sample: ControlSample
+    ) -> QpResult:
         """The quadratic program of this sample; z are the inputs relative to the target's."""
         target = self.target
         assert target is not None
@@ -495,7 +497,7 @@ class LinearMpcState:
         self.age = 0
         return self.plan[:, 0].copy()
 
-    def prediction(self, condensed: Condensed, v: FloatArray) -> Prediction:
+    def prediction(self, condensed: CondensedProblem, v: FloatArray) -> Prediction:
         """The plan and the trajectory that the linear model expects of it."""
         assert self.target is not None
         n_x = self.model.n_x

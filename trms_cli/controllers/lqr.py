@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
-from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
@@ -154,7 +154,7 @@ class Lqr:
         reference = sample.reference[0]
         w = estimate.disturbance
         if not are_finite(estimate.x, w, reference):
-            return held(previous, NOT_FINITE)
+            return hold_command(previous, NOT_FINITE)
         message = self._aim(state, reference, w)
         x, x_s, target = estimate.x, state.target.x, state.target
         if state.advance_memory is not None:

@@ -40,7 +40,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
-from trms_cli.controllers.fallback import NOT_FINITE, held
+from trms_cli.controllers.fallback import NOT_FINITE, hold_command
 from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
 from trms_cli.controllers.pid_tuning import AxisDesign, AxisMargins, Gains, PidDesign
 from trms_cli.core.errors import ConfigurationError
@@ -191,7 +191,7 @@ class Pid:
         reference = sample.reference[0].tolist()
         u = sample.previous_command.copy()
         if not math.isfinite(sum(x) + sum(reference)):
-            return held(u, NOT_FINITE)
+            return hold_command(u, NOT_FINITE)
         weight = self.setpoint_weight
         for axis in state.axes:
             angle, gains = x[axis.state], axis.gains

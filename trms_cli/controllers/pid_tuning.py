@@ -45,7 +45,7 @@ from trms_cli.controllers.pid_feed_forward import (
 )
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.process_cache import cached_result, kept
+from trms_cli.core.process_cache import cached_result, call_memoised
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
@@ -108,7 +108,7 @@ class PidDesign:
 
         Raises ConfigurationError by the key of an operating point or of gains that will not do.
         """
-        return dict(kept(PidDesign._of, self, model, step))
+        return dict(call_memoised(PidDesign._of, self, model, step))
 
     def _of(self, model: Model, step: float) -> dict[str, AxisDesign]:
         """See :meth:`of`."""
@@ -179,7 +179,7 @@ class PidDesign:
         given = self.given[name]
         if isinstance(given, Gains):
             return given
-        return tuned(
+        return tune_gains(
             plants,
             filters,
             self.max_sensitivity,
@@ -383,7 +383,7 @@ def _along(X: FloatArray, start: FloatArray) -> FloatArray:
     return np.asarray((X @ start) @ start)
 
 
-def tuned(
+def tune_gains(
     plants: Sequence[AxisPlant], filters: Filters, peak: float, smoothness: float, where: str
 ) -> Gains:
     """The gains of least cost whose sensitivity stays below a peak.

@@ -23,7 +23,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
 from trms_cli.controllers.robust.polytope import StateBox, box
 from trms_cli.controllers.robust.regulation import (
@@ -126,7 +126,7 @@ class RobustMpc(RegulationDesign):
         x, w = sample.estimate.x, sample.estimate.disturbance
         last = regulation.limited(sample.previous_command)
         if not are_finite(x, w, sample.reference):
-            return held(last, NOT_FINITE)
+            return hold_command(last, NOT_FINITE)
         if not self.disturbance_compensation:
             w = np.zeros_like(w)
         aim = regulation.aim(sample, state.aim, w)
@@ -156,7 +156,7 @@ class RobustMpc(RegulationDesign):
             command.iterations = solution.iterations
         command.linearise_time, command.qp_time = made - began, perf_counter() - made
         if not np.isfinite(command.u).all():
-            instead = held(last, LAW_NOT_FINITE)
+            instead = hold_command(last, LAW_NOT_FINITE)
             command.u, command.status = instead.u, instead.status
             command.fallback, command.message = instead.fallback, instead.message
         return command

@@ -30,7 +30,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.fallback import NOT_FINITE, are_finite, held
+from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.controllers.robust import lmi, polytope
 from trms_cli.controllers.robust import regulation as regulation_
 from trms_cli.controllers.robust.lmi import Certificate, Inequalities, LmiSolution, Task, certify
@@ -271,7 +271,7 @@ class RobustMpcOffline(RegulationDesign):
         regulation, family = state.regulation, state.family
         x, w = sample.estimate.x, sample.estimate.disturbance
         if not are_finite(x, w, sample.reference):
-            return held(regulation.limited(sample.previous_command), NOT_FINITE)
+            return hold_command(regulation.limited(sample.previous_command), NOT_FINITE)
         if not self.disturbance_compensation:
             w = np.zeros_like(w)
         aim = regulation.aim(sample, state.aim, w)
@@ -281,7 +281,7 @@ class RobustMpcOffline(RegulationDesign):
         K, ring, level = family.gain(z / state.share)
         u = regulation.command(x, aim, z, K @ z)
         if not np.isfinite(u).all():  # an estimate beyond all bounds
-            return held(regulation.limited(sample.previous_command), LAW_NOT_FINITE)
+            return hold_command(regulation.limited(sample.previous_command), LAW_NOT_FINITE)
         message, status = aim.message, Status.OK
         if ring < 0:
             status = Status.RELAXED

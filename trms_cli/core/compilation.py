@@ -70,7 +70,7 @@ def compiler() -> str | None:
     return None
 
 
-def compiled(function: ca.Function) -> ca.Function:
+def compile_function(function: ca.Function) -> ca.Function:
     """The function as machine code where there is a compiler, else as it is.
 
     ``function``: its name must be a valid C identifier. Outputs are made dense.
@@ -85,7 +85,7 @@ def compiled(function: ca.Function) -> ca.Function:
 
 @functools.lru_cache(maxsize=_MOST_LOADED)
 def _loaded(function: ca.Function, program: str, folder: Path) -> ca.Function:
-    """See :func:`compiled`. A function never changes: asked for again, it is found at once."""
+    """See :func:`compile_function`. A function never changes: the second call has it at once."""
     library = _library([function], "", program)
     return function if library is None else ca.external(function.name(), str(library))
 
@@ -168,8 +168,8 @@ class BufferedFunction:
     NumPy arrays. Write into :attr:`inputs`, call, read :attr:`outputs`; the arrays stay the same
     objects for life and are overwritten by the next call.
 
-    ``function``: compiled here (see :func:`compiled`) unless ``compile`` is false. ``inputs``:
-    input arrays of another buffered function with the same arguments, to share them.
+    ``function``: compiled here (see :func:`compile_function`) unless ``compile`` is false.
+    ``inputs``: input arrays of another buffered function with the same arguments, to share them.
     """
 
     __slots__ = ("_buffer", "_evaluate", "function", "inputs", "outputs")
@@ -182,7 +182,7 @@ class BufferedFunction:
         inputs: Sequence[FloatArray] | None = None,
     ) -> None:
         function = _dense(function)
-        self.function = compiled(function) if compile else function
+        self.function = compile_function(function) if compile else function
         self._buffer, self._evaluate = self.function.buffer()
         self.inputs: tuple[FloatArray, ...] = tuple(
             inputs or (_array(function.size_in(i)) for i in range(function.n_in()))

@@ -12,13 +12,13 @@ EXIT_INTERRUPTED = 130  #: Ctrl-C, as the shell has it
 EXIT_TERMINATED = 143  #: SIGTERM, as the shell has it
 
 
-class Terminated(KeyboardInterrupt):
+class Termination(KeyboardInterrupt):
     """SIGTERM: what a scheduler sends ends a run as Ctrl-C does, its log closed and marked."""
 
 
 def interrupted_code(error: KeyboardInterrupt) -> int:
     """The exit code of a program that was interrupted."""
-    return EXIT_TERMINATED if isinstance(error, Terminated) else EXIT_INTERRUPTED
+    return EXIT_TERMINATED if isinstance(error, Termination) else EXIT_INTERRUPTED
 
 
 def first_line(error: object, otherwise: str = "no reason given") -> str:

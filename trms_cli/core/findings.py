@@ -186,7 +186,7 @@ def plain(cell: Cell) -> Value:
     return cell.value if isinstance(cell, Datum) else cell
 
 
-def rounded(value: float | None, digits: int = 4) -> float | None:
+def round_significant(value: float | None, digits: int = 4) -> float | None:
     """A number to some significant digits, for a cell; None for what is not finite."""
     if value is None or not math.isfinite(value):
         return None

@@ -81,7 +81,7 @@ def locate(target: str, where: str) -> Any:
         )
     trust.check_allowed(target, key)
     try:
-        module = trust.imported(module_name)
+        module = trust.import_trusted(module_name)
     except ModuleNotFoundError as error:
         raise ConfigurationError(
             f"cannot import {module_name!r}: {error}", where=key, remedy=_how_to_find(error)

@@ -49,7 +49,7 @@ _kept: OrderedDict[bytes, _Kept] = OrderedDict()
 _lock = Lock()
 
 
-def kept(compute: Callable[P, T], *inputs: P.args, **options: P.kwargs) -> T:
+def call_memoised(compute: Callable[P, T], *inputs: P.args, **options: P.kwargs) -> T:
     """``compute(*inputs, **options)``, or what it gave for equal inputs before.
 
     ``compute``: a function of a module, pure: its result follows from its arguments alone. What it

@@ -236,7 +236,7 @@ def check_own(found: Any, target: str, where: str) -> None:
         raise _refused(target, where)
 
 
-def imported(module: str) -> ModuleType:
+def import_trusted(module: str) -> ModuleType:
     """A module that :func:`check_allowed` has let pass.
 
     Raises ImportError: And whatever the module raises.

@@ -94,7 +94,7 @@ def quantity(value: float | int | None, unit_text: str, digits: int = 3) -> str:
     return f"{number(value, digits)} {unit(unit_text)}".rstrip()
 
 
-def titled(label: str, unit_text: str = "") -> str:
+def with_unit(label: str, unit_text: str = "") -> str:
     """The head of a column or an axis: ``RMSE [rad]``."""
     shown = unit(unit_text)
     return f"{label} [{shown}]" if shown else label

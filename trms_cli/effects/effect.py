@@ -18,7 +18,7 @@ from typing import get_type_hints
 import casadi as ca
 
 from trms_cli.core.errors import ModelError
-from trms_cli.models.dry_friction import SPEEDS, axis_of, moment_index, resisted
+from trms_cli.models.dry_friction import SPEEDS, apply_dry_friction, axis_of, moment_index
 from trms_cli.models.model import Model, RigAxis, Signal, index_of, names
 from trms_cli.models.parameters import Parameter
 
@@ -296,7 +296,7 @@ def resisting_impulse(
     ``torque``: N m, not negative; a function of the rate (rad/s); None removes the whole rate.
     ``duration``: s.
     """
-    return resisted(at.model, (at.x, at.u, at.p, at.w), part, torque, duration)
+    return apply_dry_friction(at.model, (at.x, at.u, at.p, at.w), part, torque, duration)
 
 
 # The functions below are built once for a model and inlined wherever they are called: an effect is

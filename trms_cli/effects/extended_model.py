@@ -173,7 +173,7 @@ def _require_outside(base: Model, name: str, effect: Effect) -> None:
         )
 
 
-def extended(model: Model, effects: Mapping[str, Effect]) -> Model:
+def extend_model(model: Model, effects: Mapping[str, Effect]) -> Model:
     """A model with effects added; a command passes their input paths in the order given.
 
     Effects with impulses (dry friction, stops) are added after all others, so that the order in

@@ -26,7 +26,7 @@ from trms_cli.core.errors import ModelError, TrmsError
 from trms_cli.core.plugins import TARGET, build, nearest, require_known
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.model import Model
 from trms_cli.models.narx_file import is_network_file, narx_of, read_narx_file
 from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
@@ -69,7 +69,7 @@ def load_model(
         name: _effect(name, sizes, f"{path}: effects.{name}") for name, sizes in described.items()
     }
     try:
-        model = extended(model, effects)
+        model = extend_model(model, effects)
     except TrmsError as error:
         raise _of_file(error, f"{path}: effects") from error
     if parameters:

@@ -17,6 +17,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
+from trms_cli.gap.competing_model import FittedModel, Metric, Refit, nominal_parameters, refit
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
@@ -33,7 +34,6 @@ from trms_cli.gap.diagnosis import (
     SizeEstimate,
     Traces,
 )
-from trms_cli.gap.fitting import FittedModel, Metric, Refit, nominal_parameters, refit
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.free_runs import (
@@ -49,7 +49,7 @@ from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_
 from trms_cli.gap.race import EFFORTS, Checkpoint, EffectTraces, Race, effect_traces, run_race
 from trms_cli.gap.residuals import Location, innovation_tests, locate, smoothed_forces
 from trms_cli.identification.free_runs import simulated_windows
-from trms_cli.identification.problem import Progress, Unwatched
+from trms_cli.identification.problem import Progress, SilentProgress
 from trms_cli.models.model import names
 
 #: Where on the way each stage begins, as a share of the whole.
@@ -100,7 +100,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     Raises ConfigurationError for recordings that are too short, and KeyboardInterrupt if the
     progress asks to stop; what is finished has been saved with it.
     """
-    watch = _Watch(progress or Unwatched())
+    watch = _Watch(progress or SilentProgress())
     watch.enter("refit")
     parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
     free = nominal_parameters(problem.model)

@@ -587,7 +587,7 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
             unit, scale = wording.small_unit(gap.unit)
             mark: Judgement = "bad" if gap.corrected > 1.02 * gap.refit else ""
             yield {
-                "output": wording.titled(wording.signal(channel), unit),
+                "output": wording.with_unit(wording.signal(channel), unit),
                 _LENGTH: f"{float(horizon):g}",
                 "as it was": scale * gap.raw,
                 "refitted": scale * gap.refit,
@@ -639,7 +639,7 @@ def gap_chart(diagnosis: DiagnosisResult) -> Chart | None:
         marks.append(
             Curve(horizons, [scale * row.floor for _, row in rows], "floor", "ink", "dotted")
         )
-        title = wording.titled(wording.signal(channel), unit)
+        title = wording.with_unit(wording.signal(channel), unit)
         panels.append(
             Panel(Axis("free run", "s", log=True, ticks=horizons), Axis("", log=True), marks, title)
         )
@@ -725,7 +725,7 @@ def _parameters(diagnosis: DiagnosisResult) -> Section | None:
         return Datum(f"{by:+.1f} sd".replace("-", "−"), mark)
 
     columns = [
-        Column("parameter", lambda item: wording.titled(item[0], item[1].unit)),
+        Column("parameter", lambda item: wording.with_unit(item[0], item[1].unit)),
         Column("before", lambda item: item[1].prior),
         Column("fitted", lambda item: Datum(item[1].fitted, sd=item[1].sd)),
         Column("±", lambda item: item[1].sd),

@@ -16,13 +16,13 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing
+from trms_cli.gap.competing_model import CandidateFit, FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
-from trms_cli.gap.fitting import CandidateFit, FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.problem import CandidateEffect
-from trms_cli.gap.race import Signatures, effect_traces, projected
+from trms_cli.gap.race import Signatures, effect_traces, project_traces
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.excitation.design import band_of, lead_in, linearised
+from trms_cli.identification.excitation.design import band_of, lead_in, linearise_model
 from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import MultisineExcitation
@@ -215,7 +215,7 @@ def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Op
             True: (np.zeros(model.n_u), rest),
         }
         bands = {
-            reverses: band_of(linearised(model, x, u), sample_time, DURATION)
+            reverses: band_of(linearise_model(model, x, u), sample_time, DURATION)
             for reverses, (u, x) in points.items()
         }
     except TrmsError:  # no equations, no rest there: what needs neither is left
@@ -574,7 +574,7 @@ _NOTHING = 1.0
 
 def signatures(recording: FittedModel, candidates: Sequence[CandidateEffect]) -> Signatures:
     """Projected traces of some effects at their variants, in a recording made or predicted."""
-    return projected(recording, effect_traces(recording, candidates))
+    return project_traces(recording, effect_traces(recording, candidates))
 
 
 def with_rows(candidate: CandidateEffect, values: Mapping[str, float]) -> CandidateEffect:

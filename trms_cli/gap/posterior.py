@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.discrepancy import log_likelihood
-from trms_cli.gap.fitting import FittedModel
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of

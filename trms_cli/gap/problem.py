@@ -16,7 +16,7 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import ExtendedModel, effect_names, extended
+from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.quantisation import Quantisation
 from trms_cli.identification.data import noise_estimate
 from trms_cli.identification.dataset import Dataset
@@ -89,7 +89,7 @@ def divide(
     compared, for no model of free motion follows there. Raises ConfigurationError if hardly
     anything would be left.
     """
-    whole = tuple(thinned(with_noise(dataset)) for dataset in datasets)
+    whole = tuple(thin_dataset(with_noise(dataset)) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)
     if len(whole) >= _SEVERAL:
         count = max(1, round(share * len(whole)))
@@ -159,7 +159,7 @@ def quantum_of(values: FloatArray) -> float:
     return quantum if whole.mean() > 0.9 else 0.0
 
 
-def thinned(dataset: Dataset) -> Dataset:
+def thin_dataset(dataset: Dataset) -> Dataset:
     """Every few samples of a fast recording; commands are averaged over the new step.
 
     Not every effect stands a coarse step: a delay does, for the commands' average moves with it.
@@ -234,7 +234,7 @@ def applicable_candidates(
 
 def joint(model: Model, chosen: Sequence[CandidateEffect]) -> Model:
     """The model with several effects."""
-    return extended(model, {candidate.name: candidate.effect for candidate in chosen})
+    return extend_model(model, {candidate.name: candidate.effect for candidate in chosen})
 
 
 def locations(effect: Effect, model: ExtendedModel) -> tuple[str, ...]:

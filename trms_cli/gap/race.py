@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.discrepancy import FLOOR, FilterGains, LinearSystem, whiten
-from trms_cli.gap.fitting import FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.problem import CandidateEffect
 
 #: Windows whose columns are whitened at a time.
@@ -131,7 +131,7 @@ def effect_traces(
     return EffectTraces(tuple(names), tuple(sizes), np.array(changes).reshape(-1, *base.shape))
 
 
-def projected(fitted: FittedModel, traces: EffectTraces) -> Signatures:
+def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
     """Traces, freed of what the starts and parameters of a fitted model could do as well.
 
     ``fitted``: the nominal model, or one with an effect: then its sizes are among the parameters.
@@ -281,9 +281,9 @@ def run_race(
     """
     checkpoint = checkpoint or Checkpoint()
     shares = np.maximum(FLOOR, refit.metric.shares / _TIGHTER)
-    wide_signs = projected(refit, traces)
+    wide_signs = project_traces(refit, traces)
     tight = replace(refit.metric, shares=shares)
-    tight_signs = projected(replace(refit, metric=tight), traces)
+    tight_signs = project_traces(replace(refit, metric=tight), traces)
     listed = short_list((tight_signs, wide_signs), candidates, effort.listed)
     worth = [n for n in listed if max(s.best(n)[0] for s in (tight_signs, wide_signs)) > _HOPELESS]
     listed = worth or listed[:1]
@@ -333,7 +333,7 @@ def run_race(
     best = finals[0] if finals else None
     while best is not None and len(best.names) < effort.deepest:
         # effects whose traces point at what the best leaves over
-        signs = projected(best, traces)
+        signs = project_traces(best, traces)
         others = {n: s for n, s in candidates.items() if n not in best.names}
         listed = short_list((signs,), others, effort.pairs)
         partners = [name for name in listed if signs.best(name)[0] > _ENTRANCE]

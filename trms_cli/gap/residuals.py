@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from trms_cli.gap.competing_model import FittedModel, InnovationObjective, Metric, ModelStructure
 from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.discrepancy import (
     Discrepancy,
@@ -32,7 +33,6 @@ from trms_cli.gap.discrepancy import (
     sensor_channels,
     usual_channels,
 )
-from trms_cli.gap.fitting import FittedModel, InnovationObjective, Metric, ModelStructure
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import quantum_of
 from trms_cli.identification.validation.residual_tests import holm

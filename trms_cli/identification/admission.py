@@ -20,7 +20,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import RecordingError
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.recorded_motion import RecordedMotion, RecordedMotions, smoothed
+from trms_cli.identification.recorded_motion import RecordedMotion, RecordedMotions, smooth_motion
 from trms_cli.models.model import Model, names
 from trms_cli.models.vector_field import VectorField
 
@@ -578,7 +578,7 @@ def _imbalance(dataset: Dataset, motion: RecordedMotion, name: str) -> FloatArra
     rows = np.isfinite(measured)
     if np.count_nonzero(rows) < _LEAST_SAMPLES or not np.isfinite(modelled).all():
         return None
-    return np.asarray(measured - smoothed(modelled, dataset.sample_time))[rows]
+    return np.asarray(measured - smooth_motion(modelled, dataset.sample_time))[rows]
 
 
 def _turned_round(dataset: Dataset, motions: RecordedMotions, name: str, thrust: _Thrust) -> bool:
@@ -668,7 +668,7 @@ def _thrusts(dataset: Dataset, motion: RecordedMotion) -> dict[str, _Thrust]:
         modelled = (motion.passive[name], motion.thrust[name])
         if not np.isfinite(modelled).all():  # the model's rotors ran away
             continue
-        passive, thrust = (smoothed(values, step)[rows] for values in modelled)
+        passive, thrust = (smooth_motion(values, step)[rows] for values in modelled)
         if np.std(thrust) == 0:
             continue
         y = acceleration[rows]

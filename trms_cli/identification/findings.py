@@ -149,7 +149,10 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
 
 def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> Section:
     columns = [
-        Column("output", lambda error: wording.titled(wording.signal(error.output), error.unit)),
+        Column(
+            "output",
+            lambda error: wording.with_unit(wording.signal(error.output), error.unit),
+        ),
         Column("recording", lambda error: PARTS[error.part]),
         Column("RMSE before", "before"),
         Column("RMSE fitted", lambda error: Datum(error.rmse, error.change)),
@@ -249,7 +252,7 @@ def near(
 
 def _parameters(document: Mapping[str, Any]) -> Section:
     columns = [
-        Column("parameter", lambda item: wording.titled(item[0], item[1]["unit"])),
+        Column("parameter", lambda item: wording.with_unit(item[0], item[1]["unit"])),
         Column("fitted", lambda item: Datum(item[1]["value"], sd=item[1]["sd"])),
         Column("±", lambda item: item[1]["sd"]),
         Column("before", lambda item: item[1]["prior_mean"]),

@@ -408,7 +408,7 @@ class Progress(Protocol):
         """What was kept by an interrupted fit of the same problem; None: begin."""
 
 
-class Unwatched:
+class SilentProgress:
     """A progress that shows nothing, never stops and resumes nothing."""
 
     def update(self, fraction: float, cost: float, message: str) -> bool:

@@ -205,7 +205,7 @@ def _derivatives(values: FloatArray, step: float) -> tuple[FloatArray, FloatArra
     return smooth, first, np.where(unsure, np.nan, second)
 
 
-def smoothed(values: FloatArray, step: float) -> FloatArray:
+def smooth_motion(values: FloatArray, step: float) -> FloatArray:
     """Seen through the window through which the measured accelerations are seen, shape (n,)."""
     from scipy.signal import savgol_filter
 

@@ -32,13 +32,13 @@ def turn(words: str, objects: Sequence[Any] = ()) -> Iterator[None]:
 
     `words`: what the records of what is written say of the call.
     """
-    from trms_cli.composition.given_object import given
+    from trms_cli.composition.given_object import place_objects
     from trms_cli.core.invocation import called_as
 
     with _TURN:
         path = list(sys.path)
         try:
-            with called_as(words), given(objects):
+            with called_as(words), place_objects(objects):
                 yield
         finally:
             sys.path[:] = path

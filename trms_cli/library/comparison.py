@@ -153,7 +153,7 @@ def compare(
     from trms_cli.scoring.comparison.findings import document
 
     ranking = command.ranking_of(gathered, keys, metric, paths)
-    return Comparison(document(ranking, gathered, command.ordered(ranking, sort)))
+    return Comparison(document(ranking, gathered, command.sort_standings(ranking, sort)))
 
 
 def runs(

@@ -104,7 +104,7 @@ def plot(
     """
     from trms_cli.recordings.log_reader import read_log
     from trms_cli.reporting.plot import plot as drawn
-    from trms_cli.reporting.style import shown
+    from trms_cli.reporting.style import figure_for_notebook
     from trms_cli.runs.run_folder import log_of
 
     if "scene" in ([what] if isinstance(what, str) else what):
@@ -115,7 +115,7 @@ def plot(
         )
     logs = [read_log(log_of(path)) for path in run_paths(runs)]
     variant: Any = style
-    return shown(
+    return figure_for_notebook(
         drawn(logs, what, width=width, style=variant, start=start, end=end, title=title,
               names=names)
     )  # fmt: skip

@@ -28,7 +28,7 @@ import numpy as np
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.model import FloatArray, Model, Signal
 
 #: A first-order lag settles to the last bit within 40 time constants; none is that slow.
@@ -38,7 +38,7 @@ Method = Literal["auto", "rk4", "rodas3"]
 Derivative = Callable[[ca.SX], ca.SX]
 
 
-def factorised(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
+def factorise_matrix(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
     """Factorise once, solve many times: a function ``b → matrix⁻¹ b``.
 
     ``matrix``: square. There is no pivoting: every leading block must be regular, as it is for the
@@ -198,7 +198,7 @@ def discretise(
             remedy="the step is positive and there is at least one substep",
         )
     # The equations are shared between equal models; the model is the caller's own.
-    discrete = kept(_discretised, model, step_length, substeps, method, sensors)
+    discrete = call_memoised(_discretised, model, step_length, substeps, method, sensors)
     return replace(discrete, model=model)
 
 
@@ -346,7 +346,7 @@ def _rodas3(f: Derivative, x: ca.SX, h: float) -> ca.SX:
     at = ca.SX.sym("at", x.shape[0])
     slope = ca.jacobian(f(at), at)
     slope = ca.substitute(slope, at, x)
-    solve = factorised(ca.SX(ca.DM.eye(x.shape[0])) / (gamma * h) - slope)
+    solve = factorise_matrix(ca.SX(ca.DM.eye(x.shape[0])) / (gamma * h) - slope)
     now = f(x)
     stage_1 = solve(now)
     stage_2 = solve(now + 4.0 / h * stage_1)
@@ -360,7 +360,7 @@ def noise_of_states(model: Model, parameters: FloatArray, step: float) -> FloatA
 
     ``parameters``: (n_p,) array; values of the model's parameters, SI. ``step``: s.
     """
-    added = BufferedFunction(kept(_noise_function, model, step), compile=False)
+    added = BufferedFunction(call_memoised(_noise_function, model, step), compile=False)
     return added.evaluate(parameters)[0].copy()
 
 

@@ -49,7 +49,7 @@ def _turning(model: Model, part: str, x: ca.SX, f: ca.SX) -> tuple[ca.SX, int]:
     return f[model.state_index(axis_of(model, part).angle)], moment_index(model, part)
 
 
-def resisted(
+def apply_dry_friction(
     model: Model,
     at: tuple[ca.SX, ca.SX, ca.SX, ca.SX],
     part: str,

@@ -30,7 +30,7 @@ import numpy as np
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.beam_rig import INPUTS, BeamRig
-from trms_cli.models.dry_friction import resisted
+from trms_cli.models.dry_friction import apply_dry_friction
 from trms_cli.models.model import FloatArray, Signal
 from trms_cli.models.parameters import parameter_file
 
@@ -93,7 +93,7 @@ class FeedbackManual(BeamRig):
             return x
         c = self.named(p)
         for axis, torque in (("pitch", c["B_2psi"]), ("yaw", c["B_2phi"])):
-            x = resisted(self, (x, u, p, w), axis, torque, duration)
+            x = apply_dry_friction(self, (x, u, p, w), axis, torque, duration)
         return x
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:

@@ -1,7 +1,7 @@
 """Where a model rests, asked for by its angles or by its commands, and how that changes.
 
-:func:`operating_point` finds one from nowhere; :func:`refined` and :class:`TrimSolver` go on from
-one nearby, without bounds on commands. Where an angle may be out of reach,
+:func:`operating_point` finds one from nowhere; :func:`refine_operating_point` and :class:`TrimSolver`
+go on from one nearby, without bounds on commands. Where an angle may be out of reach,
 :class:`trms_cli.models.steady_state.SteadyState` finds the closest that can be held.
 """
 
@@ -157,7 +157,7 @@ def _without_rounding(model: Model, point: OperatingPoint) -> OperatingPoint:
     the square root of its tolerance.
     """
     u = np.where(np.abs(point.u) < _NEAR_ZERO * model.input_bounds()[1], 0.0, point.u)
-    x = refined(VectorField(model), point.x, u)
+    x = refine_operating_point(VectorField(model), point.x, u)
     if x is None or np.abs(x - point.x)[[model.state_index(n) for n in model.controlled]].max() > (
         _SAME_ANGLE
     ):
@@ -171,7 +171,7 @@ def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint
     Raises ConfigurationError if it ends before the command is reached: it tells where.
     """
     field = VectorField(model)
-    x = refined(field, model.rest(), np.zeros(model.n_u))
+    x = refine_operating_point(field, model.rest(), np.zeros(model.n_u))
     if x is None:
         raise ModelError(
             f"model {model.name!r} finds no rest without command",
@@ -186,7 +186,7 @@ def at_command(model: Model, u: FloatArray, where: str = "at") -> OperatingPoint
         _, a, b = field.with_slopes(last[1], last[0] * u)
         # Along the tangent, which the branch leaves only slowly; another branch lies far from it.
         ahead = last[1] - (goal - last[0]) * np.linalg.lstsq(a, b @ u, rcond=1e-12)[0]
-        following = refined(field, ahead, goal * u)
+        following = refine_operating_point(field, ahead, goal * u)
         if following is None or not _as_foretold(following, ahead, last[1]):
             return None, step / 4.0
         return (goal, following), min(2.0 * step, 1.0 / _STEPS)
@@ -213,7 +213,7 @@ def _as_foretold(solution: FloatArray, ahead: FloatArray, x: FloatArray) -> bool
     return bool(np.all(np.abs(solution - ahead) <= room))
 
 
-def refined(field: VectorField, x: FloatArray, u: FloatArray) -> FloatArray | None:
+def refine_operating_point(field: VectorField, x: FloatArray, u: FloatArray) -> FloatArray | None:
     """Newton's method on f(x, u) = 0 from a guess; None where it does not converge.
 
     A direction in which nothing changes (a yaw that nothing pulls back) is left where it is.

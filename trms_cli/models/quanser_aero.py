@@ -27,7 +27,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from trms_cli.models.beam_rig import INPUTS, BeamRig
-from trms_cli.models.dry_friction import resisted
+from trms_cli.models.dry_friction import apply_dry_friction
 from trms_cli.models.model import Signal
 from trms_cli.models.parameters import parameter_file
 
@@ -87,7 +87,7 @@ class QuanserAero(BeamRig):
             # An axis below v_s keeps 1/(1 + r) of the rate that it would have without friction.
             rigid = inertia[f"inertia_{axis}"] * c["v_s"] / duration
             r = size / rigid
-            held = resisted(self, (x, u, p, w), axis, rigid + size, duration)
+            held = apply_dry_friction(self, (x, u, p, w), axis, rigid + size, duration)
             x = x + r / (1 + r) * (held - x)
         return x
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.model import FloatArray, Model
 from trms_cli.models.state_kinds import kinds_of_states
@@ -43,7 +43,7 @@ class RestEquations:
 
 def rest_equations(model: Model) -> RestEquations:
     """The equations for the states of a model at rest, without the memory of its input path."""
-    return kept(_rest_equations, model)
+    return call_memoised(_rest_equations, model)
 
 
 def _rest_equations(model: Model) -> RestEquations:
@@ -69,7 +69,7 @@ def _rest_equations(model: Model) -> RestEquations:
     )
 
 
-def arriving(model: Model, u: ca.SX, p: ca.SX) -> ca.SX:
+def static_motor_command(model: Model, u: ca.SX, p: ca.SX) -> ca.SX:
     """What reaches the motors when ``u`` has been held for long, (n_u, 1): dead zones and limits.
 
     The memory of the input path is at the fixed point of its update; one Newton step from zero
@@ -110,7 +110,7 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     rows = list(equations.unknowns)
     unknown = [k for k, i in enumerate(rows) if model.state_names[i] not in known]
     if unknown:
-        linear = BufferedFunction(kept(_linear_rates, model), compile=False)
+        linear = BufferedFunction(call_memoised(_linear_rates, model), compile=False)
         weights = equation_weights(model, rows, known.keys())
         constant = (command, model.parameters.values, np.zeros(model.n_w))
         _solve(x, rows, unknown, weights, lambda at: linear.evaluate(at, *constant))

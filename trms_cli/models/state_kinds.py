@@ -6,7 +6,7 @@ from typing import Literal
 
 import casadi as ca
 
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.discrete import copied_states
 from trms_cli.models.model import Model, names
 
@@ -24,7 +24,7 @@ def kinds_of_states(model: Model) -> tuple[Kind, ...]:
     speeds in place of rotors, and states that a step only copies: the past of another or of an
     input.
     """
-    return kept(_kinds_of_states, model)
+    return call_memoised(_kinds_of_states, model)
 
 
 def _kinds_of_states(model: Model) -> tuple[Kind, ...]:

@@ -37,9 +37,9 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.model import Model
-from trms_cli.models.rest import RestEquations, arriving, rest_equations
+from trms_cli.models.rest import RestEquations, rest_equations, static_motor_command
 
 #: Largest residual of the dynamics (in the states' units per s) and of the reference (rad).
 TOLERANCE = 1e-8
@@ -105,7 +105,7 @@ class SteadyState:
             )
         self._stops = [model.stops.get(name, np.inf) for name in model.controlled]
         self._upper = model.input_bounds()[1].tolist()
-        self.function = kept(newton_step, model, equations)
+        self.function = call_memoised(newton_step, model, equations)
         self._newton = BufferedFunction(self.function)
         (self._z, self._r, self._w, p, q, self._active, self._bound, reach, self._curved) = (
             self._newton.inputs
@@ -324,7 +324,7 @@ def newton_step(model: Model, equations: RestEquations) -> ca.Function:
     active, bound = ca.SX.sym("active", n_u), ca.SX.sym("bound", n_u)
     reach = ca.SX.sym("reach", n_u)
 
-    reached = arriving(model, u, p)
+    reached = static_motor_command(model, u, p)
     f = equations.residual(s, reached, p, w)
     slopes = ca.jacobian(f, z[:n])
     f_s, f_u = slopes[:, :n_s], slopes[:, n_s:]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import exact_measurement, exact_transition, kalman_step
 from trms_cli.observers.observer import ObserverSetup
@@ -27,7 +27,7 @@ class Ekf(RecursiveFilter):
     def compose(
         self, setup: ObserverSetup, augmented: Augmentation
     ) -> tuple[ca.Function, FloatArray]:
-        return kept(_step, augmented.alone()), augmented.model.parameters.values
+        return call_memoised(_step, augmented.alone()), augmented.model.parameters.values
 
 
 def _step(augmented: AugmentedModel) -> ca.Function:

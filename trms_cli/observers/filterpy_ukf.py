@@ -19,7 +19,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.core.ranges import NotNegative
 from trms_cli.observers.augmentation import Augmentation
 from trms_cli.observers.observer import ObserverSetup
@@ -58,8 +58,8 @@ class _FilterpyStep:
         self.inputs: tuple[FloatArray, ...] = tuple(np.zeros(size) for size in sizes)
         sizes = [n, (n, n), n_m, 1, n, n_w, n_w, n_y, n_y, n_y, n_y]
         self.outputs: tuple[FloatArray, ...] = tuple(np.zeros(size) for size in sizes)
-        self._advance = BufferedFunction(kept(dynamics_stage, augmented.alone()))
-        self._measure = BufferedFunction(kept(measurement_stage, augmented.alone()))
+        self._advance = BufferedFunction(call_memoised(dynamics_stage, augmented.alone()))
+        self._measure = BufferedFunction(call_memoised(measurement_stage, augmented.alone()))
         self._points = MerweScaledSigmaPoints(n, points.alpha, points.beta, points.kappa)
         self._filter = UnscentedKalmanFilter(
             n, n_y, sample_time, self._measured, self._moved, self._points

@@ -42,7 +42,7 @@ def joseph(left: ca.MX, gain: ca.MX, variances: ca.MX, floor: ca.MX) -> ca.MX:
     return (P + P.T) / 2
 
 
-def gated(mask: ca.MX, innovation: ca.MX, variance: ca.MX, gate: ca.MX) -> ca.MX:
+def gate_channels(mask: ca.MX, innovation: ca.MX, variance: ca.MX, gate: ca.MX) -> ca.MX:
     """1 for each channel that is there and within its gate, else 0, (n_y, 1).
 
     ``mask``: (n_y, 1); 1 where there is a sample. ``innovation``, ``variance``: (n_y, 1); and what
@@ -97,7 +97,7 @@ def kalman_step(
     S_all = H @ cross
     variance = ca.diag(S_all) + r
     innovation = mask * (y - predicted)
-    believed = gated(mask, innovation, variance, gate)
+    believed = gate_channels(mask, innovation, variance, gate)
     # A channel that is not there has no slope and a variance of one: it changes nothing.
     H = H * ca.repmat(believed, 1, n)
     S = S_all * (believed @ believed.T) + diagonal(believed * r + (1 - believed))

@@ -74,8 +74,8 @@ def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
 
     Inputs: trajectory to linearise along (n, length + 1), mean and covariance at its beginning,
     and for each sample the memory before it, command and known torques during it, measurement and
-    mask at its end. Outputs: the smoothed trajectory; for :func:`bounded` F(z_k) (n, length) and
-    its slopes side by side (n, n·length), h(z_k) (n_y, length) and its slopes (n_y, n·length).
+    mask at its end. Outputs: the smoothed trajectory; for :func:`solve_bounded` F(z_k) (n, length)
+    and its slopes side by side (n, n·length), h(z_k) (n_y, length) and its slopes (n_y, n·length).
     """
     model, n, n_y = augmented.model, augmented.n, len(augmented.channels)
     Z, arrival = ca.MX.sym("trajectory", n, length + 1), ca.MX.sym("arrival", n)
@@ -136,7 +136,7 @@ def _forward(n: int, n_y: int) -> ca.Function:
     )
 
 
-def bounded(
+def solve_bounded(
     inputs: dict[str, FloatArray],
     outputs: dict[str, FloatArray],
     rows: npt.NDArray[np.intp],
@@ -363,7 +363,9 @@ def _remember(state: MheState, memory: FloatArray) -> None:
 
 def _within_bounds(state: MheState) -> FloatArray | None:
     """The trajectory of the present linearisation within the bounds; None if there is none."""
-    qp, centre, slopes = bounded(state.inputs, state.outputs, state.rows, state.lower, state.upper)
+    qp, centre, slopes = solve_bounded(
+        state.inputs, state.outputs, state.rows, state.lower, state.upper
+    )
     result = Daqp().solve(state.workspace, qp)
     if not result.solved:
         return None

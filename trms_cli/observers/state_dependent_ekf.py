@@ -53,8 +53,8 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray, gauss_legendre
 from trms_cli.core.errors import ModelError
 from trms_cli.core.plugins import require_known
-from trms_cli.core.process_cache import kept
-from trms_cli.models.discretisation import factorised
+from trms_cli.core.process_cache import call_memoised
+from trms_cli.models.discretisation import factorise_matrix
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import exact_measurement, kalman_step
@@ -175,7 +175,7 @@ def _phi_1(z: ca.SX, stiff: bool) -> ca.SX:
     if stiff:
         denominator = unit - z + z @ z / 2.0
         right = ca.densify(unit - z / 2.0)
-        solve = factorised(denominator)
+        solve = factorise_matrix(denominator)
         return ca.horzcat(*(solve(right[:, i]) for i in range(z.shape[0])))
     # Horner: 1 + z/2 (1 + z/3 (1 + z/4))
     return unit + z / 2.0 @ (unit + z / 3.0 @ (unit + z / 4.0))
@@ -212,7 +212,7 @@ class StateDependentEkf(RecursiveFilter):
         model = augmented.model
         x_0 = _vector(self.origin, model.states, "origin")
         u_0 = _vector(self.origin_command, model.inputs, "origin_command")
-        return kept(_step, augmented.alone(), x_0, u_0), model.parameters.values
+        return call_memoised(_step, augmented.alone(), x_0, u_0), model.parameters.values
 
 
 def _step(augmented: AugmentedModel, x_0: FloatArray, u_0: FloatArray) -> ca.Function:

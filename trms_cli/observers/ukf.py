@@ -32,14 +32,14 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.core.ranges import NotNegative
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.kalman_step import (
     diagonal,
     disturbances,
     gain_stage,
-    gated,
+    gate_channels,
     joseph,
     step_inputs,
 )
@@ -177,7 +177,7 @@ def _update_stage(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function
     off_y = seen - ca.repmat(predicted, 1, count)
     variance = ca.diag(_weighted(off_y, points) @ off_y.T) + r
     innovation = mask * (y - predicted)
-    believed = gated(mask, innovation, variance, gate)
+    believed = gate_channels(mask, innovation, variance, gate)
     off_y = off_y * ca.repmat(believed, 1, count)
     off_x = drawn - ca.repmat(m, 1, count)
     S = _weighted(off_y, points) @ off_y.T + diagonal(believed * r + (1 - believed))
@@ -219,5 +219,5 @@ class Ukf(RecursiveFilter):
         self, setup: ObserverSetup, augmented: Augmentation
     ) -> tuple[ca.Function, FloatArray]:
         points = SigmaPoints(augmented.n, self.alpha, self.beta, self.kappa)
-        step = kept(filter_step, augmented.alone(), points)
+        step = call_memoised(filter_step, augmented.alone(), points)
         return step, augmented.model.parameters.values

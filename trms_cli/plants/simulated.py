@@ -23,13 +23,13 @@ from msgspec import Meta
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import require_known
-from trms_cli.core.process_cache import kept
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, resisting_impulse
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import discretise, noise_of_states
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import FloatArray, Model, Signal, names
 from trms_cli.models.parameters import Parameter, ParameterSet
 from trms_cli.models.rest import rest_equations
@@ -139,7 +139,7 @@ class SimulatedRig:
             model = StoppedSteps(model)
         elif self.mechanical_stops:
             effects |= with_stops(model)
-        return extended(model, effects)
+        return extend_model(model, effects)
 
     def true_parameters(self, model: Model) -> ParameterSet:
         """The rig's parameter values, effects' sizes among them."""
@@ -189,7 +189,7 @@ class SimulatedRun:
         # The buffers' arrays are fixed for life; the step writes beside its input and is copied
         # back, the measurement reads what the step does.
         self._step = BufferedFunction(discrete.step)
-        sense = kept(_selected, discrete.measurement, channels, available)
+        sense = call_memoised(_selected, discrete.measurement, channels, available)
         self._sense = BufferedFunction(sense, inputs=self._step.inputs[:3])
         self._full = self._step.inputs[0]
         self._full[:] = discrete.initial(start, self.first_command)

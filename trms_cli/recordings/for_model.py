@@ -21,7 +21,7 @@ from trms_cli.recordings.channels import CHANNELS, REFERENCE_OF_AXIS
 from trms_cli.recordings.mcap_recording import sha256_of
 from trms_cli.recordings.preparation import Preparation
 from trms_cli.recordings.read import read_recording
-from trms_cli.recordings.recording import GriddedRecording, Recording, held, on_grid
+from trms_cli.recordings.recording import GriddedRecording, Recording, hold_last, on_grid
 
 #: A channel with more runs of missing samples than this gets one event instead of one each.
 _MOST_EVENTS = 20
@@ -241,7 +241,7 @@ def _held(commands: FloatArray, inputs: Sequence[str], gridded: GriddedRecording
                 if present.any()
                 else f"{name} is empty throughout; choose a model without this input",
             )
-        column[:] = held(column)
+        column[:] = hold_last(column)
     return commands
 
 

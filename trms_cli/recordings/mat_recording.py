@@ -52,7 +52,7 @@ _MOST_DIMENSIONS = 32
 _MOST_EMPTY = 1_000_000  # elements of an array that takes no bytes
 
 
-class Malformed(ValueError):
+class MalformedFile(ValueError):
     """The file is not of the format, or claims more than it holds."""
 
 
@@ -105,7 +105,7 @@ def plain_variables(data: bytes) -> list[str]:
             room -= len(body)
             element = _full_tag(body, 0, len(body), order)
         if element.kind != _MATRIX:
-            raise Malformed(f"a part of the type {element.kind} where a variable belongs")
+            raise MalformedFile(f"a part of the type {element.kind} where a variable belongs")
         walk = _Walk(body, order)
         header = walk.header(element)
         try:
@@ -121,18 +121,18 @@ def _unpacked(data: bytes, room: int) -> bytes:
     try:
         content = unpacker.decompress(data, room + 1)
     except zlib.error as error:
-        raise Malformed(f"a compressed variable is damaged ({error})") from error
+        raise MalformedFile(f"a compressed variable is damaged ({error})") from error
     if len(content) > room:
-        raise Malformed(f"it unpacks to more than {largest(USUAL_MOST) / MEBIBYTE:,.0f} MiB")
+        raise MalformedFile(f"it unpacks to more than {largest(USUAL_MOST) / MEBIBYTE:,.0f} MiB")
     return content
 
 
 def _full_tag(data: bytes, at: int, end: int, order: str) -> _Element:
     if end - at < 8:
-        raise Malformed("it ends in the middle of a variable")
+        raise MalformedFile("it ends in the middle of a variable")
     kind, size = struct.unpack_from(f"{order}II", data, at)
     if size > end - at - 8:
-        raise Malformed("a variable is longer than the file")
+        raise MalformedFile("a variable is longer than the file")
     return _Element(kind, at + 8, at + 8 + size)
 
 
@@ -146,11 +146,11 @@ class _Walk:
     def element(self, at: int, end: int) -> tuple[_Element, int]:
         """A part, which may be of the short form, and where the next one begins."""
         if end - at < 8:
-            raise Malformed("a part is cut off")
+            raise MalformedFile("a part is cut off")
         word, size = struct.unpack_from(f"{self.order}II", self.data, at)
         if word >> 16:  # up to four bytes inside of the tag
             if word >> 16 > 4:
-                raise Malformed("a short part of more than four bytes")
+                raise MalformedFile("a short part of more than four bytes")
             return _Element(word & 0xFFFF, at + 4, at + 4 + (word >> 16)), at + 8
         found = _full_tag(self.data, at, end, self.order)
         padded = size if found.kind == _MATRIX else -(-size // 8) * 8
@@ -159,7 +159,7 @@ class _Walk:
     def header(self, matrix: _Element) -> _Header:
         flags, at = self.element(matrix.begin, matrix.end)
         if flags.kind != _UINT32 or flags.end - flags.begin != 8:
-            raise Malformed("a variable without its kind")
+            raise MalformedFile("a variable without its kind")
         (word,) = struct.unpack_from(f"{self.order}I", self.data, flags.begin)
         kind = word & 0xFF
         if kind == 17:  # opaque: names of classes follow, no dimensions
@@ -168,15 +168,15 @@ class _Walk:
         dimensions, at = self.element(at, matrix.end)
         sizes = self._integers(dimensions)
         if not 2 <= len(sizes) <= _MOST_DIMENSIONS or min(sizes) < 0:
-            raise Malformed(f"a variable of the dimensions {sizes[:_MOST_DIMENSIONS]}")
+            raise MalformedFile(f"a variable of the dimensions {sizes[:_MOST_DIMENSIONS]}")
         name, at = self.element(at, matrix.end)
         if name.kind not in (_INT8, _UTF8):
-            raise Malformed("a variable without a name")
+            raise MalformedFile("a variable without a name")
         return _Header(kind, bool(word & _COMPLEX), math.prod(sizes), self._text(name), at)
 
     def values(self, header: _Header, matrix: _Element, depth: int) -> None:
         if depth > _DEEPEST:
-            raise Malformed(f"cells or structs nest deeper than {_DEEPEST} levels")
+            raise MalformedFile(f"cells or structs nest deeper than {_DEEPEST} levels")
         at, end = header.end, matrix.end
         if header.kind in _NUMERIC:
             for _ in range(1 + header.is_complex):
@@ -192,35 +192,35 @@ class _Walk:
             lengths = self._integers(length)
             names, at = self.element(at, end)
             if len(lengths) != 1 or not 0 < lengths[0] <= 256 or names.kind != _INT8:
-                raise Malformed("a struct without names")
+                raise MalformedFile("a struct without names")
             fields = (names.end - names.begin) // lengths[0]
             if not fields and header.count > _MOST_EMPTY:
-                raise Malformed(f"an empty struct of {header.count} elements")
+                raise MalformedFile(f"an empty struct of {header.count} elements")
             self._matrices(header.count * fields, at, end, depth)
         else:
             raise _NotPlain
 
     def _matrices(self, count: int, at: int, end: int, depth: int) -> None:
         if count * 8 > end - at:
-            raise Malformed(f"{count} elements in {end - at} bytes")
+            raise MalformedFile(f"{count} elements in {end - at} bytes")
         for _ in range(count):
             inner, at = self.element(at, end)
             if inner.kind != _MATRIX:
-                raise Malformed(f"a part of the type {inner.kind} where a matrix belongs")
+                raise MalformedFile(f"a part of the type {inner.kind} where a matrix belongs")
             if inner.end > inner.begin:  # an empty one is a tag alone
                 self.values(self.header(inner), inner, depth + 1)
 
     def _require(self, part: _Element, kinds: frozenset[int], count: int) -> None:
         size = part.end - part.begin
         if part.kind not in kinds:
-            raise Malformed(f"values of the type {part.kind}")
+            raise MalformedFile(f"values of the type {part.kind}")
         if count > (size or _MOST_EMPTY):
-            raise Malformed(f"{count} elements in {size} bytes")
+            raise MalformedFile(f"{count} elements in {size} bytes")
 
     def _integers(self, part: _Element) -> tuple[int, ...]:
         size = part.end - part.begin
         if part.kind not in (_INT32, _UINT32) or size % 4 or size > 4 * _MOST_DIMENSIONS:
-            raise Malformed("a list of sizes that is none")
+            raise MalformedFile("a list of sizes that is none")
         return struct.unpack_from(f"{self.order}{size // 4}i", self.data, part.begin)
 
     def _text(self, part: _Element) -> str:

@@ -272,7 +272,7 @@ def on_grid(recording: Recording, tolerance: float) -> GriddedRecording:
     )
 
 
-def held(values: np.ndarray) -> np.ndarray:
+def hold_last(values: np.ndarray) -> np.ndarray:
     """Values with the last one held where one is missing; the first stays where it is."""
     latest = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
     return values[latest]

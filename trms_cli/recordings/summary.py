@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.recording import Recording, held, on_grid, quantum, runs
+from trms_cli.recordings.recording import Recording, hold_last, on_grid, quantum, runs
 
 #: Half width of the running median, samples; more than half of it wrong is no outlier.
 _HALF_WIDTH = 3
@@ -351,7 +351,7 @@ def _delay(
 
     driver, driven = channels[cause], channels[effect]
     if of_rotor:
-        driver = held(driver)
+        driver = hold_last(driver)
         target = smooth(driven, 1)
         others = [driven, driven * np.abs(driven)]
         causes = [driver, driver * np.abs(driver)]

@@ -35,7 +35,7 @@ from trms_cli.reporting.style import (
     legend_above,
     line_scale,
     new_figure,
-    thinned,
+    thin_every,
 )
 
 #: Letters of a legend that fit into an inch, its handle counted as some.
@@ -404,7 +404,7 @@ def _curve(axes: Any, mark: charts.Curve) -> Handle:
     if mark.z is not None:
         axes.plot(mark.x, mark.y, mark.z, **look)
     else:
-        x, y = thinned(mark.x, mark.y)
+        x, y = thin_every(mark.x, mark.y)
         axes.plot(x, y, drawstyle="steps-post" if mark.held else "default", **look)
         if mark.filled:
             axes.fill_between(x, y, step="post" if mark.held else None, alpha=mark.opacity,

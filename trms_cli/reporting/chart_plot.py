@@ -238,7 +238,7 @@ class _Drawing:
             "type": "scatter",
             "mode": "lines",
             "x": packed_time(x),
-            "y": packed(y),
+            "y": pack_array(y),
             "line": {"color": f"@{mark.colour}", "width": width + 0.2, "dash": dash},
             "hovertemplate": self.hover,
         } | self._legend(mark)
@@ -249,7 +249,7 @@ class _Drawing:
             sizes[list(arrows)] = _ARROW
             trace["mode"] = "lines+markers"
             trace["marker"] = {
-                "symbol": "arrow", "angleref": "previous", "size": packed(sizes),
+                "symbol": "arrow", "angleref": "previous", "size": pack_array(sizes),
                 "color": f"@{mark.colour}", "line": {"width": 0},
             }  # fmt: skip
         self.traces.append(trace)
@@ -258,7 +258,7 @@ class _Drawing:
     def _points(self, mark: charts.Points) -> None:
         x, y = np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float)
         if self.panel.x.linked and not mark.told:
-            x, y = thinned(x, y, _MOST_DOTS)
+            x, y = thin_samples(x, y, _MOST_DOTS)
         marker: dict[str, Any] = {
             "color": f"@{mark.colour}",
             "size": 1.4 * mark.size,
@@ -269,7 +269,7 @@ class _Drawing:
             "type": "scatter",
             "mode": "markers",
             "x": packed_time(x),
-            "y": packed(y),
+            "y": pack_array(y),
             "marker": marker,
             "hovertemplate": self.hover,
         } | self._legend(mark)
@@ -314,7 +314,7 @@ class _Drawing:
         self.traces.append(
             {
                 "type": "scatter", "mode": "markers", "x": packed_time(mark.times),
-                "y": packed(np.full(len(mark.times), 0.97)), "yaxis": "y2",
+                "y": pack_array(np.full(len(mark.times), 0.97)), "yaxis": "y2",
                 "marker": {"color": f"@{mark.colour}", "size": 9, "symbol": "triangle-down"},
                 "text": [plot_text(text) for text in mark.told],
                 "hovertemplate": "%{text}" if mark.told else "%{x:.4g}",
@@ -330,7 +330,7 @@ class _Drawing:
         )  # fmt: skip
         name = plot_text(f"chosen {mark.label.removesuffix('s')}")
         line = every["line"] | {"color": "@vermilion", "width": 3.0}
-        nothing = packed(np.zeros(0))
+        nothing = pack_array(np.zeros(0))
         chosen = {"name": name, "legendgroup": name, "x": nothing, "y": nothing, "line": line}
         every["hoverinfo"] = "skip"
         del every["hovertemplate"]
@@ -345,7 +345,7 @@ class _Drawing:
         self.more["yaxis"] = _axis(self.panel.y) | _places(mark.names)
         self.traces.append(
             {
-                "type": "bar", "orientation": "h", "x": packed(mark.values),
+                "type": "bar", "orientation": "h", "x": pack_array(mark.values),
                 "y": list(range(len(mark.names))), "hovertemplate": "%{x:.4g}<extra></extra>",
                 "marker": {"color": [f"@{name}" for name in mark.colours] or "@blue"},
                 "text": [plot_text(note) for note in mark.notes],
@@ -390,8 +390,8 @@ class _Drawing:
         self.traces.append(
             {
                 "type": "contour",
-                "x": packed(mark.x),
-                "y": packed(mark.y),
+                "x": pack_array(mark.x),
+                "y": pack_array(mark.y),
                 "z": np.asarray(mark.inside, dtype=int).tolist(),
                 "contours": {"type": "constraint", "operation": "<", "value": 0.5},
                 "fillcolor": f"@{mark.colour}",
@@ -418,7 +418,7 @@ class _Drawing:
 
 
 def _axis(axis: charts.Axis) -> dict[str, Any]:
-    told: dict[str, Any] = {"title": {"text": plot_text(wording.titled(axis.label, axis.unit))}}
+    told: dict[str, Any] = {"title": {"text": plot_text(wording.with_unit(axis.label, axis.unit))}}
     told |= _places(axis.categories) if axis.categories else {}
     if axis.ticks:  # figures as they are (0.1, 1, 10) instead of powers
         told |= {"tickvals": list(axis.ticks)}
@@ -448,7 +448,7 @@ def _kept(x: Any, y: Any) -> tuple[FloatArray, FloatArray]:
     if len(x) > MOST_POINTS and np.any(np.diff(x) < 0):
         step = math.ceil(len(x) / _MOST_OF_A_PORTRAIT)
         return x[::step], y[::step]
-    return thinned(x, y)
+    return thin_samples(x, y)
 
 
 def _band(mark: charts.Band) -> dict[str, Any]:
@@ -463,7 +463,7 @@ def _band(mark: charts.Band) -> dict[str, Any]:
         "type": "scatter",
         "mode": "lines",
         "x": packed_time(x),
-        "y": packed(np.concatenate([[], *closed])),
+        "y": pack_array(np.concatenate([[], *closed])),
         "line": {"width": 0},
         "fill": "toself",
         "fillcolor": f"@{mark.colour}",
@@ -523,7 +523,7 @@ def _level_lines(contour: charts.Contour, level: float) -> tuple[FloatArray, Flo
     return points[:, 0], points[:, 1]
 
 
-def thinned(time: Any, values: Any, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+def thin_samples(time: Any, values: Any, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
     """At most about `most` samples; of each piece the least and the largest, in their order.
 
     Gaps (values that are not finite) stay: a piece that has one keeps it.
@@ -550,7 +550,7 @@ def thinned(time: Any, values: Any, most: int = MOST_POINTS) -> tuple[FloatArray
     return time[chosen], values[chosen]
 
 
-def packed(values: Any) -> dict[str, str]:
+def pack_array(values: Any) -> dict[str, str]:
     """An array as plotly reads it: single precision, base64."""
     with np.errstate(over="ignore"):
         single = np.asarray(values, dtype="<f4")
@@ -562,7 +562,7 @@ def packed_time(values: Any) -> dict[str, str]:
     times = np.asarray(values, dtype=float)
     finite = times[np.isfinite(times)]
     if not finite.size or np.abs(finite).max() <= _LARGEST_SINGLE_TIME:
-        return packed(times)
+        return pack_array(times)
     return {"dtype": "f8", "bdata": base64.b64encode(times.astype("<f8").tobytes()).decode("ascii")}
 
 

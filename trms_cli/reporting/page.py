@@ -230,7 +230,7 @@ def _chart(chart: Chart | RigDiagram, pictures: Path | None, interactive: bool) 
             save_png(figure, pictures / f"{chart.name}.png", colours=256)
         if plots is not None:
             return {"kind": "plots", "plots": shown}
-        kind, content = embedded(figure)
+        kind, content = embed_figure(figure)
     source = f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
     return {"kind": "figure", "source": source, "caption": chart.caption}
 
@@ -286,7 +286,7 @@ def _is_number(cell: Cell) -> bool:
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
-def embedded(figure: Figure) -> tuple[str, bytes]:
+def embed_figure(figure: Figure) -> tuple[str, bytes]:
     """Media type and bytes of a drawing; equal figures give equal bytes."""
     import numpy as np
 

@@ -33,10 +33,10 @@ from trms_cli.reporting.run_panels import (
     Look,
     Pick,
     Runs,
+    axis_range,
     channel_panel,
     curves_of,
     fan_panels,
-    framed,
     in_small_unit,
     iteration_panels,
     label_of,
@@ -73,7 +73,7 @@ def tracking(runs: Runs, look: Look = curve_look) -> list[Panel]:
     for name in found:
         marks, seen, unit = curves_of(runs, RunSignals.truth, name, look)
         references = _references(runs, name, look)
-        limits, lines = with_limits(runs, [name], framed([*seen, *(c.y for c in references)]))
+        limits, lines = with_limits(runs, [name], axis_range([*seen, *(c.y for c in references)]))
         axis = Axis(label_of(name), unit or "rad", limits)
         panels.append(Panel(time_axis(*runs), axis, [*references, *marks, *lines], label_of(name)))
     return panels
@@ -107,7 +107,7 @@ def inputs(runs: Runs, look: Look = curve_look) -> list[Panel]:
     panels = []
     for name in names:
         marks, seen, unit = curves_of(runs, _command, name, look, held=True)
-        limits, lines = with_limits(runs, [name], framed(seen), of_commands=True)
+        limits, lines = with_limits(runs, [name], axis_range(seen), of_commands=True)
         label = f"{label_of(name)}\ncommand" if label_of(name) != name else name
         axis = Axis(label, unit or "V", limits)
         panels.append(Panel(time_axis(*runs), axis, [*marks, *lines], symbol_label(name),
@@ -396,7 +396,7 @@ def _over_time(
     """A panel into which each run draws one curve; a log alone is named by what its curve is."""
     marks, seen, unit = curves_of(runs, pick, name, look)
     zero = [Line(y=0.0, colour="sky", style="solid")] if "error" in label else []
-    axis = Axis(label, unit, framed(seen))
+    axis = Axis(label, unit, axis_range(seen))
     return Panel(time_axis(*runs), axis, [*zero, *marks], title, row_height=height)
 
 

@@ -13,7 +13,7 @@ from time import perf_counter
 from types import FrameType, MappingProxyType
 from typing import Any, Self
 
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, ConfigurationError, Terminated
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, ConfigurationError, Termination
 from trms_cli.core.invocation import note
 
 #: In the fit's folder: what its method has kept to go on from.
@@ -30,7 +30,7 @@ def termination() -> Iterator[None]:
         return
 
     def terminate(*_: Any) -> None:
-        raise Terminated
+        raise Termination
 
     before = signal.signal(signal.SIGTERM, terminate)
     try:
@@ -221,7 +221,7 @@ class FitProgress:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         terminated = number == signal.SIGTERM
         if self.exit_code is not None:
-            raise Terminated if terminated else KeyboardInterrupt
+            raise Termination if terminated else KeyboardInterrupt
         self.exit_code = EXIT_TERMINATED if terminated else EXIT_INTERRUPTED
         if not self._bar.say(self._STOPPING):
             # Not sys.stderr: a signal may come while it is being written to.

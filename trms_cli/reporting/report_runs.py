@@ -69,24 +69,24 @@ def findings_of_run(run: RunReport, *, title: str = "") -> Findings:
         first[0] = replace(first[0], marks=[*first[0].marks, *marks])
     torques = [replace(panel, half=True) for panel in run_panels.torque_panels(run)]
     sections = [
-        plotted("Angles and commands", first, HOW_TO_TURN),
+        plot_section("Angles and commands", first, HOW_TO_TURN),
         Section("Score", [f"{words}." for words in warnings_of(run.score)], tables_of(run.score)),
-        plotted("Speeds, rates and torques", [*run_panels.state_panels(run), *torques]),
-        plotted(
+        plot_section("Speeds, rates and torques", [*run_panels.state_panels(run), *torques]),
+        plot_section(
             "Innovations",
             run_panels.innovation_panels(run),
             "Measured minus foretold by the observer. Those of a consistent observer stay within "
             "the band for 95 % of the samples, without a pattern.",
             folded=True,
         ),
-        plotted("Phase plots", phases_of([run], channels), folded=True),
-        plotted(
+        plot_section("Phase plots", phases_of([run], channels), folded=True),
+        plot_section(
             "Predictions",
             run_panels.fan_panels(run),
             "What the controller expected, each from the moment it was made. The slider chooses "
             "the bold one.",
         ),
-        plotted("Solver", run_panels.solver_panels(run)),
+        plot_section("Solver", run_panels.solver_panels(run)),
         _events(run),
     ]
     sections = [section for section in sections if section.blocks]
@@ -101,7 +101,7 @@ def findings_of_run(run: RunReport, *, title: str = "") -> Findings:
     )  # fmt: skip
 
 
-def plotted(
+def plot_section(
     heading: str, panels: Sequence[Panel], text: str = "", *, folded: bool = False
 ) -> Section:
     """A section with panels under one another; without a block where there are none."""
@@ -133,7 +133,7 @@ def title_of(run: RunReport) -> str:
     return f"{', '.join(parts)}: {run.name}" if parts else run.name
 
 
-def ended(run: RunReport) -> str:
+def run_ending(run: RunReport) -> str:
     """How it ended, in a word or two."""
     return {"completed": "completed", "died": "did not end"}.get(run.outcome, f"was {run.outcome}")
 
@@ -153,7 +153,7 @@ def _lead(run: RunReport) -> list[str]:
 def _problems(run: RunReport) -> list[str]:
     told = list(run.problems)
     if run.outcome != "completed" and not told:
-        told = [f"the run {ended(run)}"]
+        told = [f"the run {run_ending(run)}"]
     if not told:
         return []
     return [f"**Incomplete**: {'; '.join(told)}. What follows goes as far as the log does."]
@@ -162,7 +162,7 @@ def _problems(run: RunReport) -> list[str]:
 def _facts(run: RunReport) -> dict[str, str]:
     facts = {words: run.choices[group] for group, words in _PARTS.items() if run.choices.get(group)}
     facts |= {"rig": plant} if (plant := wording.plant_name(run.choices)) else {}
-    facts |= {"outcome": ended(run), "duration": f"{run.duration:g} s"}
+    facts |= {"outcome": run_ending(run), "duration": f"{run.duration:g} s"}
     facts |= dict(run.facts)
     if run.repeat:
         facts["the same again"] = f"`{run.repeat.replace('`', chr(39))}`"
@@ -224,12 +224,12 @@ def findings_of_comparison(
     missing = Table(["file", "why"], [list(each) for each in left_out])
     sections = [
         Section("How they differ", blocks=[given] if given.rows else []),
-        plotted("Tracking", _tracking(runs), HOW_TO_TURN),
-        plotted("Commands", _where_there(plot_kinds.inputs, runs)),
+        plot_section("Tracking", _tracking(runs), HOW_TO_TURN),
+        plot_section("Commands", _where_there(plot_kinds.inputs, runs)),
         Section("Score", blocks=[scores] if scores.rows else []),
-        plotted("Solver", [boxes, *solver] if boxes is not None else solver),
-        plotted("Phase plots", phases_of(runs, runs[0].channels()), folded=True),
-        ranked(ranking),
+        plot_section("Solver", [boxes, *solver] if boxes is not None else solver),
+        plot_section("Phase plots", phases_of(runs, runs[0].channels()), folded=True),
+        ranking_section(ranking),
         Section("Not read", blocks=[missing] if missing.rows else []),
     ]
     return Findings(
@@ -240,11 +240,11 @@ def findings_of_comparison(
     )
 
 
-def ranked(ranking: Ranking | None) -> Section:
+def ranking_section(ranking: Ranking | None) -> Section:
     """A ranking: its ratios with their intervals, and its tables; without a block for none."""
     if ranking is None:
         return Section("Ranking")
-    section = plotted("Ranking", _ratios(ranking.standings))
+    section = plot_section("Ranking", _ratios(ranking.standings))
     return Section("Ranking", blocks=[*section.blocks, *ranking_tables(ranking, ranking.standings)])
 
 
@@ -318,7 +318,7 @@ def _facts_of_all(runs: Sequence[RunReport]) -> dict[str, str]:
     for number, run in enumerate(runs):
         parts = [run.choices.get(key, "") for key in ("controller", "observer", "ref", "model")]
         seed = run.facts.get("seed")
-        parts += [f"seed {seed}" if seed else "", f"{run.duration:g} s", ended(run)]
+        parts += [f"seed {seed}" if seed else "", f"{run.duration:g} s", run_ending(run)]
         facts[run.name or str(number)] = ", ".join(part for part in parts if part)
     return facts
 

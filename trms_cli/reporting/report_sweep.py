@@ -20,7 +20,7 @@ import numpy as np
 from trms_cli.core.chart import Axis, Boxes, Colour, Curve, Heat, Mark, Panel, Points, page_look
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, table
 from trms_cli.reporting.page import MOST_ROWS
-from trms_cli.reporting.report_runs import plotted, ranked
+from trms_cli.reporting.report_runs import plot_section, ranking_section
 from trms_cli.reporting.run_panels import histogram
 from trms_cli.reporting.signals import FloatArray
 from trms_cli.reporting.sweep_report import (
@@ -346,10 +346,12 @@ def findings_of_sweep(
     varied = f"Each dot is a run; pointing at it tells which.{chosen_words(sweep)}"
     sections = [
         _objectives(sweep),
-        ranked(ranking if several else None),
+        ranking_section(ranking if several else None),
         *(_draws(sweep.draws) if sweep.draws else ()),
-        plotted("How figures spread", spread_panels(sweep, figures), "Of the runs that ended."),
-        plotted("What they depend on", key_panels(sweep, figures), varied),
+        plot_section(
+            "How figures spread", spread_panels(sweep, figures), "Of the runs that ended."
+        ),
+        plot_section("What they depend on", key_panels(sweep, figures), varied),
         _failures(sweep),
         _all_runs(sweep),
     ]
@@ -441,7 +443,7 @@ def _objectives(sweep: SweepReport) -> Section:
     front = sweep.front()
     names = [objective.figure for objective in sweep.objectives]
     words = f"Sought: {', '.join(map(_sought, sweep.objectives))}."
-    section = plotted("Objectives", pareto_panels(sweep), words)
+    section = plot_section("Objectives", pareto_panels(sweep), words)
     front.sort(key=lambda run: run.figures.get(names[0], math.inf))
     keys = [key for key in sweep.keys if any(run.values.get(key) is not None for run in front)]
     kind = _kind(sweep)

@@ -74,7 +74,7 @@ def time_axis(*runs: RunSignals) -> Axis:
     return Axis("time", "s", (begin, max(end, begin + 1e-3)), linked="time")
 
 
-def framed(seen: Iterable[Any], margin: float = 0.08) -> tuple[float, float] | None:
+def axis_range(seen: Iterable[Any], margin: float = 0.08) -> tuple[float, float] | None:
     """Range of an axis by what happened; None without a finite value.
 
     The bands of an uncertain start are not among what is seen: they would flatten the rest.
@@ -116,7 +116,7 @@ def channel_panel(run: RunSignals, name: str, *, detail: bool = False) -> Panel:
         marks.append(Curve(truth.time, truth.values, "estimate", "vermilion"))
     told = truth if truth is not None and (truth.source != "estimate" or guess is None) else None
     seen = [each.values for each in (told, wanted, measured) if each is not None]
-    limits, lines = with_limits([run], [name], framed(seen))
+    limits, lines = with_limits([run], [name], axis_range(seen))
     unit = next((each.unit for each in (truth, wanted) if each is not None and each.unit), "")
     axis = Axis(label_of(name), unit, limits)
     return Panel(time_axis(run), axis, [*marks, *lines], label_of(name))
@@ -136,7 +136,7 @@ def command_panel(run: RunSignals) -> Panel | None:
         time = run.time("/command")
         marks.append(Curve(time, values, symbol_label(name), colour, width=1.0, held=True))
         seen.append(values)
-    limits, lines = with_limits([run], names, framed(seen), of_commands=True)
+    limits, lines = with_limits([run], names, axis_range(seen), of_commands=True)
     axis = Axis("command", run.unit("/command", names[0]), limits)
     caption = (
         "As applied to the rig, after limits. Dotted: limits; shaded: an input asked for more."
@@ -169,7 +169,7 @@ def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> Panel:
         )  # fmt: skip
         begin = len(deviation) // 20  # an observer that finds its feet
         reach.append(_reach(torque.values[begin:], deviation[begin:]))
-    limits = framed(reach)
+    limits = axis_range(reach)
     title = f"estimated {'pushes' if place == 'pushes' else f'torques on the {place}'}"
     return Panel(time_axis(run), Axis(f"torque on\n{place}" if place != "pushes" else "push", unit,
                                       limits), marks, title)  # fmt: skip
@@ -217,7 +217,7 @@ def state_panels(run: RunSignals) -> list[Panel]:
         caption = "S is the rate less what the other rotor's momentum gives the axis."
         if marks:
             panels.append(
-                Panel(time_axis(run), Axis(words, unit, framed(seen)), marks, words, half=True,
+                Panel(time_axis(run), Axis(words, unit, axis_range(seen)), marks, words, half=True,
                       caption=caption if any(name.startswith("S_") for name in members) else "")
             )  # fmt: skip
     return panels
@@ -409,7 +409,9 @@ def _fan_panel(run: RunSignals, name: str, step: int) -> Panel | None:
     marks.append(Fans(times, np.concatenate(xs), np.concatenate(ys), held=is_input))
     seen = [each.values for each in (happened, wanted) if each is not None]
     label = symbol_label(name) if is_input else label_of(name)
-    axis = Axis(label, happened.unit if happened is not None else "", framed(seen) or framed(ys))
+    axis = Axis(
+        label, happened.unit if happened is not None else "", axis_range(seen) or axis_range(ys)
+    )
     return Panel(time_axis(run), axis, marks, f"predictions of {label}")
 
 

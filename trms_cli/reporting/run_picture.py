@@ -208,12 +208,14 @@ def _sheet(
 ) -> NotebookFigure:
     from trms_cli.core.chart import Axis, Chart
     from trms_cli.reporting.chart_picture import sheet_of
-    from trms_cli.reporting.style import house_style, shown
+    from trms_cli.reporting.style import figure_for_notebook, house_style
 
     time = Axis("time", "s", span)
     panels = [replace(panel, x=time, title="") for panel in panels]
     with house_style():
-        return shown(sheet_of(Chart("run", panels, columns=columns, width=width), title))
+        return figure_for_notebook(
+            sheet_of(Chart("run", panels, columns=columns, width=width), title)
+        )
 
 
 def _serve() -> None:

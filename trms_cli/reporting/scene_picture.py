@@ -118,7 +118,7 @@ def draw_scene(
     return figure
 
 
-def animated(
+def animate_scene(
     bodies: Mapping[str, Any],
     shots: Sequence[Shot],
     *,

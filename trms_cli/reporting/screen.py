@@ -191,7 +191,7 @@ def measures_table(measures: Sequence[Measure]) -> Table:
 def show_table(out: Terminal, table: Table, rows: int = _MOST_ROWS) -> None:
     """Print a table, folded and parted to the width of the console."""
     shown = [[_text(cell) for cell in row] for row in table.rows[:rows]]
-    for number, part in enumerate(parted(table.columns, shown, table.heads, out.width)):
+    for number, part in enumerate(split_columns(table.columns, shown, table.heads, out.width)):
         if number:
             _say(out)
         for line in _lines(table, shown, part):
@@ -204,7 +204,7 @@ def show_table(out: Terminal, table: Table, rows: int = _MOST_ROWS) -> None:
     _say(out)
 
 
-def parted(
+def split_columns(
     columns: Sequence[str], rows: Sequence[Sequence[str]], heads: int, width: int
 ) -> list[dict[int, int]]:
     """Which columns stand in which part of a table, with the width of each.

@@ -161,7 +161,7 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def thinned(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
+def thin_every(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
     """Every k-th sample, so that no more than :data:`MOST_POINTS` (twice) are drawn."""
     step = max(1, len(time) // MOST_POINTS)
     return np.asarray(time, dtype=float)[::step], np.asarray(values, dtype=float)[::step]
@@ -187,7 +187,7 @@ def save_png(figure: Figure, path: Path, colours: int = _COLOURS_OF_A_PNG) -> No
     """Write a PNG of a limited palette, whole or not at all; equal figures give equal bytes."""
     from PIL import Image
 
-    drawn = io.BytesIO(saved(figure, dpi=DPI, format="png"))
+    drawn = io.BytesIO(save_figure(figure, dpi=DPI, format="png"))
     # A third of the bytes at no loss that an eye sees: figures of this program have few colours.
     picture = Image.open(drawn).convert("RGB").quantize(colours)
     content = io.BytesIO()
@@ -211,10 +211,10 @@ def figure_bytes(figure: Figure, format: FigureFormat, dpi: float = 300.0) -> by
         "svg": {"Date": None, "Creator": None},
         "pdf": {"CreationDate": None, "ModDate": None, "Creator": None, "Producer": None},
     }
-    return saved(figure, format=format, dpi=dpi, metadata=metadata[format])
+    return save_figure(figure, format=format, dpi=dpi, metadata=metadata[format])
 
 
-def saved(figure: Figure, **how: Any) -> bytes:
+def save_figure(figure: Figure, **how: Any) -> bytes:
     """What ``Figure.savefig`` writes; what matplotlib warns of a size is told in our words."""
     content = io.BytesIO()
     with warnings.catch_warnings(record=True) as caught:
@@ -250,7 +250,7 @@ class NotebookFigure(Figure):
         return small_png(content.getvalue())
 
 
-def shown(figure: Figure) -> NotebookFigure:
+def figure_for_notebook(figure: Figure) -> NotebookFigure:
     """A figure of another function as one that a notebook shows."""
     figure.__class__ = NotebookFigure
     return cast(NotebookFigure, figure)

@@ -157,7 +157,7 @@ class SweepReport:
             return []
         names = [objective.figure for objective in self.objectives]
         costs = np.array([[run.figures[name] for name in names] for run in known]) * signs
-        return [run for run, kept in zip(known, undominated(costs), strict=True) if kept]
+        return [run for run, kept in zip(known, pareto_optimal(costs), strict=True) if kept]
 
     def _is_numeric(self, key: str) -> bool:
         present = [run.values[key] for run in self.runs if run.values.get(key) is not None]
@@ -167,7 +167,7 @@ class SweepReport:
         )
 
 
-def undominated(costs: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+def pareto_optimal(costs: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
     """Which rows no other row dominates: as small in all columns, smaller in one.
 
     Parameters

@@ -94,7 +94,7 @@ def _entry(head: LogHead) -> IndexEntry:
         "choices": json.dumps(choices, ensure_ascii=False),
     }
     more = {k: float(v) for k, v in figures.items() if k not in COLUMNS and v is not None}
-    return IndexEntry(str(path), cells(values), typed(overrides), more)
+    return IndexEntry(str(path), cells(values), typed_overrides(overrides), more)
 
 
 def choices_of_run(choices: Mapping[str, Any]) -> dict[str, str | None]:
@@ -156,7 +156,7 @@ def _sample_time(config: str) -> float | None:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-def typed(overrides: list[str]) -> dict[str, Any]:
+def typed_overrides(overrides: list[str]) -> dict[str, Any]:
     """What was typed, by its key; a sweep's own settings are none of the run's."""
     found = {}
     for word in overrides:
@@ -249,7 +249,7 @@ def read_status(path: Path) -> IndexEntry | None:
     if document is None:
         return None
     overrides = _strings(document.get("overrides"))
-    keys = typed(overrides)
+    keys = typed_overrides(overrides)
     choices = document.get("choices")
     if not isinstance(choices, Mapping):
         choices = {key: value for key, value in keys.items() if "." not in key}

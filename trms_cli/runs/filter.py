@@ -68,7 +68,7 @@ _HINTS = {
 _GENERAL = "compare columns with values: controller == 'newton_mpc' and rmse_yaw < 0.05"
 
 
-def parsed(text: str) -> ast.expr:
+def parse_filter(text: str) -> ast.expr:
     """The syntax tree of a filter; positions (``col_offset``) are bytes of its UTF-8.
 
     Raises FilterError if it is no expression, or too long.
@@ -167,7 +167,7 @@ class _Value:
     node: ast.expr
 
 
-def translated(text: str, extra: Collection[str] | None = ()) -> Sql:
+def translate_filter(text: str, extra: Collection[str] | None = ()) -> Sql:
     """A filter (empty: all runs) as an SQL condition that is 1 or 0 for each run.
 
     `extra`: figures that some runs have beside the columns (:meth:`RunIndex.more_names`); None: not
@@ -176,7 +176,7 @@ def translated(text: str, extra: Collection[str] | None = ()) -> Sql:
     """
     if not text.strip():
         return Sql("1")
-    tree = parsed(text)
+    tree = parse_filter(text)
     nodes = sum(1 for _ in ast.walk(tree))
     if nodes > _MOST_NODES:
         raise FilterError(f"it has {nodes} parts, and {_MOST_NODES} are read", text, 0)
@@ -349,7 +349,7 @@ class _Translation:
         self._refuse(f"{self._said(node)} is no value of a column", node)
 
     def _column(self, node: ast.Name | ast.Attribute, beside: ast.expr | None) -> _Value:
-        name = dotted(node)
+        name = dotted_name(node)
         if name is None:
             self._refuse(f"{self._said(node)} is no column", node)
         if name.lower() in _CONSTANTS:
@@ -364,7 +364,7 @@ class _Translation:
         return _Value(sql, column.kind, node)
 
     def _is_text(self, node: ast.expr) -> bool:
-        name = dotted(node)
+        name = dotted_name(node)
         found = None if name is None else column_sql(name, self._extra)
         return found is not None and found[0].kind == "text"
 
@@ -406,7 +406,7 @@ def _broad(kind: Kind | None) -> str:
     return "number" if kind in ("number", "whole") else str(kind)
 
 
-def dotted(node: ast.expr) -> str | None:
+def dotted_name(node: ast.expr) -> str | None:
     """``plant.prior_seed`` of a chain of attributes."""
     parts: list[str] = []
     while isinstance(node, ast.Attribute):
@@ -432,10 +432,10 @@ def names_in(text: str) -> list[str]:
     if not text.strip():
         return []
     found: dict[str, None] = {}
-    waiting: list[ast.AST] = [parsed(text)]
+    waiting: list[ast.AST] = [parse_filter(text)]
     while waiting:
         node = waiting.pop(0)
-        name = dotted(node) if isinstance(node, ast.expr) else None
+        name = dotted_name(node) if isinstance(node, ast.expr) else None
         if name is None:
             waiting.extend(ast.iter_child_nodes(node))
         elif column_sql(name, None) is not None:

@@ -109,7 +109,7 @@ class Moment:
     event_count: int  #: All of them until now
 
 
-class Growing:
+class GrowingArray:
     """A float array that is appended to; doubling makes an append cheap however long it is."""
 
     def __init__(self) -> None:
@@ -139,7 +139,7 @@ class RunningSum:
     """Sums from the beginning to each sample, NaN left out, with the number of what was summed."""
 
     def __init__(self) -> None:
-        self._sums, self._counts = Growing(), Growing()
+        self._sums, self._counts = GrowingArray(), GrowingArray()
 
     def append(self, values: FloatArray) -> None:
         """Add samples at the end."""
@@ -168,8 +168,8 @@ class TopicSamples:
 
     def __init__(self, units: dict[str, str]) -> None:
         self.units = units
-        self.time = Growing()
-        self.numbers: dict[str, Growing] = {}
+        self.time = GrowingArray()
+        self.numbers: dict[str, GrowingArray] = {}
         self.texts: dict[str, list[str]] = {}
 
     def append(self, time: FloatArray, columns: dict[str, np.ndarray]) -> None:
@@ -181,7 +181,7 @@ class TopicSamples:
                     v if isinstance(v, str) else "" for v in column
                 )
             else:
-                self.numbers.setdefault(name, Growing()).append(column)
+                self.numbers.setdefault(name, GrowingArray()).append(column)
 
     def count_until(self, time: float) -> int:
         """The number of samples until a time (s), it included."""

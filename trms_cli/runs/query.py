@@ -20,7 +20,7 @@ from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.recordings.log_head import read_log_head
 from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql, column_sql, nearest
 from trms_cli.runs.entry import LOG_NAME, STATUS_NAME, read_entry, read_status
-from trms_cli.runs.filter import translated
+from trms_cli.runs.filter import translate_filter
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex, is_damage, remove, scope_sql
 from trms_cli.runs.place import index_file, new_runs
 
@@ -88,7 +88,7 @@ def find(question: Query, tell: Tell = lambda done, of: None) -> QueryResult:
 
 def _find(question: Query, tell: Tell) -> QueryResult:
     # What is misspelt is told before logs are read.
-    translated(question.filter, None)
+    translate_filter(question.filter, None)
     for name in (*question.columns, question.sort):
         _column(name, None, "--sort" if name == question.sort else "--columns")
     roots = None if question.everywhere else [_folder(folder) for folder in question.folders]
@@ -104,7 +104,7 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         refresh(index, roots, walk, tell)
         scope = scope_sql(roots)
         more = index.more_names()
-        condition = translated(question.filter, more)
+        condition = translate_filter(question.filter, more)
         within = Sql(f"({condition.text}) AND {scope.text}", condition.values + scope.values)
         columns = {
             name: _column(name, more, "--columns") for name in question.columns or tuple(COLUMNS)

@@ -94,7 +94,7 @@ def compare(score: Mapping[str, Any], baseline: Baseline) -> list[BaselineRow]:
     return rows
 
 
-def regressed(rows: list[BaselineRow]) -> bool:
+def has_regressed(rows: list[BaselineRow]) -> bool:
     """Whether any judged figure got worse."""
     return any(row.regressed for row in rows)
 
@@ -200,7 +200,7 @@ def document_of(
         if rows is not None:
             document["comparison"] = {
                 "baseline": str(baseline),
-                "worse": regressed(rows),
+                "worse": has_regressed(rows),
                 "figures": [asdict(row) for row in rows],
             }
         documents.append(document)

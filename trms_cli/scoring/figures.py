@@ -59,8 +59,8 @@ class Figure:
     total: Literal["sum", "largest", ""] = ""
     #: What computes it, of the module :mod:`~trms_cli.scoring.metrics` (which is handed over:
     #: reading this registry loads no NumPy) and the signals of a channel or an input
-    #: (:class:`~trms_cli.scoring.score.Tracked`, :class:`~trms_cli.scoring.score.Applied`), or of
-    #: the whole score for a figure of the ``run``; None: the score has it by other means
+    #: (:class:`~trms_cli.scoring.score.TrackedChannel`,
+    #: :class:`~trms_cli.scoring.score.AppliedInput`), or of the whole score for a figure of the ``run``; None: the score has it by other means
     of: Callable[..., float | None] | None = None
 
     @property
@@ -76,7 +76,7 @@ class Figure:
     def title(self, unit: str = "", *, short: bool = False) -> str:
         """Its label with its unit, given that of its channel: ``RMSE [rad]``."""
         label = self.label.partition(",")[0] if short else self.label
-        return wording.titled(label, self.unit_of(unit))
+        return wording.with_unit(label, self.unit_of(unit))
 
     def unit_of(self, unit: str) -> str:
         """Its unit, given that of its channel."""
@@ -208,11 +208,11 @@ def column_title(name: str, unit: str = "") -> str:
     """A column of ``trms runs`` on an axis: ``rmse_alpha_h`` is *yaw RMSE [rad]*."""
     for figure in FIGURES:
         if name == figure.column_name:
-            return wording.titled(figure.label, unit)
+            return wording.with_unit(figure.label, unit)
         channel = name.removeprefix(f"{figure.column_name}_")
         if channel in wording.SIGNALS and figure.group in ("channels", "inputs", "states"):
-            return wording.titled(f"{wording.signal(channel)} {figure.label}", unit)
-    return wording.titled({"merit": "figure of merit"}.get(name, name.replace("_", " ")), unit)
+            return wording.with_unit(f"{wording.signal(channel)} {figure.label}", unit)
+    return wording.with_unit({"merit": "figure of merit"}.get(name, name.replace("_", " ")), unit)
 
 
 def metrics() -> dict[str, str]:

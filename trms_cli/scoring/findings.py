@@ -12,7 +12,7 @@ from typing import Any
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Column, Datum, Judgement, Measure, Table, table
 from trms_cli.scoring import figures
-from trms_cli.scoring.baseline import BaselineRow, regressed
+from trms_cli.scoring.baseline import BaselineRow, has_regressed
 from trms_cli.scoring.figures import Figure, finite, part
 
 #: What is more than sensors do: an encoder's steps alone, under a model that is exactly right,
@@ -163,7 +163,7 @@ def comparison_table(rows: Sequence[BaselineRow], name: str, *, everything: bool
 
     shown = [row for row in rows if everything or row.verdict != "same"]
     columns = [
-        Column(f"against {name}", lambda r: wording.titled(_key_in_words(r.key), r.unit)),
+        Column(f"against {name}", lambda r: wording.with_unit(_key_in_words(r.key), r.unit)),
         Column("baseline", lambda r: Datum(r.baseline, sd=r.tolerance or None)),
         Column("now", lambda r: Datum(r.now, judgement(r), sd=r.tolerance or None)),
         Column("tolerance", lambda r: f"±{wording.number(r.tolerance)}"),
@@ -178,7 +178,7 @@ def comparison_sentence(rows: Sequence[BaselineRow], name: str) -> str:
     same = sum(row.verdict == "same" for row in rows)
     better = sum(row.judged and row.verdict == "better" for row in rows)
     worse = wording.count(sum(row.regressed for row in rows), "figure")
-    verdict = "Worse" if regressed(list(rows)) else "Not worse"
+    verdict = "Worse" if has_regressed(list(rows)) else "Not worse"
     return f"{verdict} than the baseline {name}: {worse} worse, {better} better, {same} the same"
 
 
@@ -196,17 +196,17 @@ def comparison_rows(scores: Sequence[Mapping[str, Any]]) -> list[list[Cell]]:
         least, largest = min(known), max(known)
         apart = len(known) > 1 and largest - least > 1e-3 * max(abs(largest), abs(least))
         best = least if apart and entry.figure.better == "less" else None
-        title = wording.titled(entry.figure.label, entry.unit)
+        title = wording.with_unit(entry.figure.label, entry.unit)
         rows.append(
             [
-                f"{named(entry.of)}: {title}" if entry.of else title,
+                f"{channel_in_words(entry.of)}: {title}" if entry.of else title,
                 *(Datum(v, "best" if v is not None and v == best else "") for v in values),
             ]
         )
     return rows
 
 
-def named(name: str) -> str:
+def channel_in_words(name: str) -> str:
     """A channel in words, an input with its symbol too: ``pitch``, ``main rotor u_v``."""
     words = wording.signal(name)
     return f"{words} {name}" if name.startswith("u_") and words != name else words
@@ -265,7 +265,7 @@ def _by_name(
     caption = (
         f"{late} had not settled when the next one came or the run ended." if late and short else ""
     )
-    return Table([title, *map(named, members)], rows if members else [], caption)
+    return Table([title, *map(channel_in_words, members)], rows if members else [], caption)
 
 
 def _title(figure: Figure, unit: str, steps: float) -> str:
@@ -274,7 +274,7 @@ def _title(figure: Figure, unit: str, steps: float) -> str:
     if figure.of_steps == "worst":
         label = label.partition(",")[0]
         label += f", worst of {steps:g} steps" if steps > 1 else ""
-    return wording.titled(label, figure.unit_of(unit))
+    return wording.with_unit(label, figure.unit_of(unit))
 
 
 def _estimate(score: Mapping[str, Any]) -> Table:
@@ -287,7 +287,7 @@ def _estimate(score: Mapping[str, Any]) -> Table:
     for name in dict.fromkeys(name for figure in columns for name in part(estimate, figure.key)):
         values = [finite(part(estimate, figure.key).get(name)) for figure in columns]
         if any(value is not None for value in values):
-            rows.append([wording.titled(_state(name), str(units.get(name, ""))), *values])
+            rows.append([wording.with_unit(_state(name), str(units.get(name, ""))), *values])
     caption = "; ".join(filter(None, [consistency(estimate), *innovation_sentences(estimate)]))
     return Table(["estimate", *(figure.label for figure in columns)], rows,
                  f"{caption[0].upper()}{caption[1:]}." if caption else "")  # fmt: skip
@@ -315,7 +315,7 @@ def _exceeded(score: Mapping[str, Any]) -> Table:
     columns = figures.of_group("constraint_violations")
     rows: list[list[Cell]] = [
         [
-            wording.titled(named(name), str(part({name: own}, name).get("unit", ""))),
+            wording.with_unit(channel_in_words(name), str(part({name: own}, name).get("unit", ""))),
             *(Datum(f.value(own), "bad" if f.whole else "") for f in columns),
         ]
         for name, own in part(score, "constraint_violations").items()

@@ -146,7 +146,7 @@ class Series:
     units: Mapping[str, str] = field(default_factory=dict)
 
 
-def held(table: Columns, name: str, time: Array) -> Array:
+def hold_at(table: Columns, name: str, time: Array) -> Array:
     """A signal at other times: its last sample until then, NaN before the first one."""
     values = floats(table, name)
     if np.array_equal(table.time, time):

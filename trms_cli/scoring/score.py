@@ -26,7 +26,7 @@ import numpy as np
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.findings import json_data
 from trms_cli.scoring import figures, metrics
-from trms_cli.scoring.metrics import Array, Columns, floats, held, unit
+from trms_cli.scoring.metrics import Array, Columns, floats, hold_at, unit
 from trms_cli.scoring.metrics import Series as Series
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def score_tables(
 
 
 @dataclass(frozen=True)
-class Tracked:
+class TrackedChannel:
     """A channel that was to follow a reference, as the figures of channels take it."""
 
     time: Array  #: (n,) s
@@ -123,7 +123,7 @@ class Tracked:
 
 
 @dataclass(frozen=True)
-class Applied:
+class AppliedInput:
     """An input as it was applied, as the figures of inputs take it."""
 
     time: Array  #: (n,) s
@@ -141,7 +141,7 @@ def _channels(tables: Mapping[str, Columns]) -> dict[str, Any]:
         if source is None:
             continue
         table, time = tables[source], reference.time
-        signals = Tracked(time, floats(reference, name), held(table, name, time))
+        signals = TrackedChannel(time, floats(reference, name), hold_at(table, name, time))
         if np.all(np.isnan(signals.wanted)) or np.all(np.isnan(signals.response)):
             continue
         scored[name] = _computed("channels", signals) | {
@@ -157,12 +157,12 @@ def _inputs(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
         return {}
     scored = {}
     for name in command.columns:
-        signals = Applied(command.time, floats(command, name), limits.get(name))
+        signals = AppliedInput(command.time, floats(command, name), limits.get(name))
         scored[name] = _computed("inputs", signals) | {"unit": unit(command, name)}
     return scored
 
 
-def _computed(group: figures.Group, signals: Tracked | Applied) -> dict[str, Any]:
+def _computed(group: figures.Group, signals: TrackedChannel | AppliedInput) -> dict[str, Any]:
     """The figures of a channel or an input, by their keys."""
     return {
         figure.key: figure.of(metrics, signals)
@@ -323,7 +323,7 @@ def _errors(estimate: Columns, truth: Columns | None) -> dict[str, Array]:
     if truth is None or len(truth.time) == 0:
         return {}
     return {
-        name: floats(estimate, name) - held(truth, name, estimate.time)
+        name: floats(estimate, name) - hold_at(truth, name, estimate.time)
         for name in truth.columns
         if name in estimate.columns
     }

@@ -39,7 +39,7 @@ LONGEST_STEP = 0.02
 _WORTH_A_THREAD = 2000
 
 
-class Simulated(NamedTuple):
+class SimulatedWindows(NamedTuple):
     """Outputs of windows, one after another."""
 
     y: FloatArray  #: (N, n_y) array; at every sample of every window, N the sum of their lengths
@@ -49,8 +49,8 @@ class Simulated(NamedTuple):
 class Sensitive(NamedTuple):
     """Outputs of windows with their slopes."""
 
-    y: FloatArray  #: As of :class:`Simulated`
-    ends: FloatArray  #: As of :class:`Simulated`
+    y: FloatArray  #: As of :class:`SimulatedWindows`
+    ends: FloatArray  #: As of :class:`SimulatedWindows`
     #: (N, n_y, n_x + n_f) array; in the window's own start first, in the free parameters then
     dy: FloatArray
     dends: FloatArray  #: (m, n_x, n_x + n_f) array
@@ -121,7 +121,7 @@ class Rollout:
         count: npt.ArrayLike,
         starts: FloatArray,
         p: FloatArray | None = None,
-    ) -> Simulated:
+    ) -> SimulatedWindows:
         """Simulate windows.
 
         ``commands``: (n, n_u); of the whole recording. ``first``, ``count``: (m,)s of int; first
@@ -132,7 +132,7 @@ class Rollout:
         y = np.empty((call.rows, self.model.n_y))
         ends = np.empty((len(call.count), self.n_x))
         self._share(call, self._outputs_of, (y, ends))
-        return Simulated(y, ends)
+        return SimulatedWindows(y, ends)
 
     def sensitivities(
         self,

@@ -9,7 +9,7 @@ from typing import Any
 from trms_cli.controllers.controller import Controller
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import ExtendedModel, extended
+from trms_cli.effects.extended_model import ExtendedModel, extend_model
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 
@@ -143,7 +143,7 @@ def _without_paths(model: Model) -> Model:
     kept = {name: e for name, e in effects if _overrides(e, (*_INSIDE, *_IMPULSES))}
     if len(kept) == len(effects):
         return model
-    moving = extended(model.without_effects(), kept)
+    moving = extend_model(model.without_effects(), kept)
     values = {p.name: p.value for p in model.parameters if p.name in moving.parameters}
     moving.parameters = moving.parameters.replaced(values)
     return moving

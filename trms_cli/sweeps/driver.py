@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.sweeps.plugins import Attempt, Ended, Launcher, Proposals, Work, Workers
+from trms_cli.sweeps.plugins import Attempt, EndedAttempt, Launcher, Proposals, Work, Workers
 from trms_cli.sweeps.record import SILENT_AFTER, Claim, Record, RunFolder, is_alive, lost, now
 from trms_cli.sweeps.space import RunResult, SweepPoint
 
@@ -166,7 +166,7 @@ class Driver:
             self._record.append(points)
             self._waiting.extend(Attempt(point) for point in points)
 
-    def _settle(self, ended: Ended) -> None:
+    def _settle(self, ended: EndedAttempt) -> None:
         """Take a result, or find out what became of a run without one."""
         attempt = self._handed.pop(ended.attempt.point.number, None)
         if attempt is None:

@@ -210,7 +210,7 @@ def _trials(
     columns = ["trial"]
     for objective in objectives:
         sign = "↑" if objective["direction"] == "maximise" else "↓"
-        columns.append(f"{wording.titled(_spaced(objective['name']), objective['unit'])} {sign}")
+        columns.append(f"{wording.with_unit(_spaced(objective['name']), objective['unit'])} {sign}")
         columns += ["again"] * confirmed
     columns += [_spaced(names[key]) for key in keys]
 
@@ -332,7 +332,7 @@ def _distributions(summary: Mapping[str, Any]) -> Table:
             figures = group["figures"].get(name)
             if figures is None:
                 continue
-            cells: list[Cell] = [wording.titled(name, about["unit"]), choices_of(group)]
+            cells: list[Cell] = [wording.with_unit(name, about["unit"]), choices_of(group)]
             cells += [figures[key] for key in ("median", "q05", "q95", "max")]
             rows.append(cells + [wording.percent(figures.get("best_share"))] * several)
     return Table(columns, rows, heads=2)

@@ -87,7 +87,7 @@ Work = Callable[[Attempt], RunResult | None]
 
 
 @dataclass(frozen=True)
-class Ended:
+class EndedAttempt:
     """An attempt whose worker has come back, or has died."""
 
     attempt: Attempt
@@ -107,7 +107,7 @@ class Workers(Protocol):
     def submit(self, attempts: Sequence[Attempt]) -> None:
         """Have runs made; returns at once."""
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[EndedAttempt]:
         """Those that have ended since the last call; waits up to `timeout_s` for the first.
 
         When a worker dies its attempts are among them, and the crew goes on with new workers (or

@@ -383,7 +383,7 @@ class Record:
                 stream.flush()
                 os.fsync(stream.fileno())
         except OSError as error:
-            raise explained(error, file) from error
+            raise explain_disk_error(error, file) from error
 
     def points(self, *, mend: bool = False) -> list[SweepPoint]:
         """The points that were proposed, in their order.
@@ -427,11 +427,11 @@ class Record:
         try:
             replace_whole(file, text.encode())
         except OSError as error:
-            raise explained(error, file) from error
+            raise explain_disk_error(error, file) from error
 
 
 @contextlib.contextmanager
-def driving(folder: Path) -> Iterator[None]:
+def drive_sweep(folder: Path) -> Iterator[None]:
     """Be the one process that drives a sweep; the system frees it when the process dies.
 
     Raises ConfigurationError if another process drives it.
@@ -440,7 +440,7 @@ def driving(folder: Path) -> Iterator[None]:
     try:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise explained(error, file) from error
+        raise explain_disk_error(error, file) from error
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -460,7 +460,7 @@ def driving(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def explained(error: OSError, file: Path) -> RecordingError:
+def explain_disk_error(error: OSError, file: Path) -> RecordingError:
     """A disk that does not take what is written, in words."""
     return RecordingError(
         f"cannot write {str(file)!r}: {error.strerror or error}",

@@ -19,8 +19,8 @@ from experiments.chapter7.observers.innovations import replay_all
 from experiments.chapter7.observers.page import recordings_table, tables_of
 from experiments.chapter7.observers.records import Outcome, run_job
 from experiments.chapter7.observers.study import HERE, STUDY, Job, Study, jobs_of, read_study
-from experiments.command_line import ended
-from experiments.recorded import json_text, rounded
+from experiments.command_line import exit_code_of
+from experiments.expected_figures import json_text, rounded
 from trms_cli.core.errors import EXIT_OK
 
 SCHEMA = "trms.observers/1"
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--update", action="store_true", help="write docs/chapter7.md and results.json"
     )
     given = parser.parse_args(argv)
-    return ended(lambda: _run(given))
+    return exit_code_of(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:

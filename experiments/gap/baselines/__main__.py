@@ -70,14 +70,14 @@ def _words(argv: Sequence[str], keys: Sequence[str]) -> dict[str, str]:
 
 def _train(given: dict[str, str]) -> int:
     """Train for the bench's model at 50 Hz, four channels or the angles alone."""
-    from experiments.gap.baselines.classifier import RIGS, trained
+    from experiments.gap.baselines.classifier import RIGS, train_classifier
     from experiments.gap.baselines.run import bench_effects
     from trms_cli.models.model import names
     from trms_cli.models.newtonian import Newtonian
 
     model = Newtonian()
     outputs = names(model.outputs)[: int(given.get("outputs", 4))]
-    found = trained(
+    found = train_classifier(
         model,
         bench_effects(),
         outputs,

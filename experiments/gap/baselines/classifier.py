@@ -36,7 +36,7 @@ from experiments.gap.baselines.white_noise import compete
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult
 from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import GapProblem, applicable_candidates
@@ -76,7 +76,7 @@ class Request:
 def rigs(request: Request) -> FloatArray:
     """Marks of the rigs of a class, (up to count, n); a rig that ran away is left out."""
     model = request.model
-    rig = model if request.effect is None else extended(model, {request.name: request.effect})
+    rig = model if request.effect is None else extend_model(model, {request.name: request.effect})
     rollout = Rollout(rig, request.sample_time)
     random = np.random.default_rng(np.random.SeedSequence([0xC1A5, request.seed]))
     rows = []
@@ -245,7 +245,7 @@ _TOLD = 1e-3
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedClassifier:
     """A trained classifier."""
 
     classes: tuple[str, ...]
@@ -269,7 +269,7 @@ class Classifier:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
         begun = time.perf_counter()
         parts = parts_of(problem)
-        model = trained(
+        model = train_classifier(
             problem.model,
             problem.candidates,
             names(problem.datasets[0].outputs),
@@ -309,7 +309,7 @@ class Classifier:
         )
 
 
-def trained(
+def train_classifier(
     model: Model,
     candidates: Mapping[str, Effect],
     outputs: Sequence[str],
@@ -318,7 +318,7 @@ def trained(
     rigs_each: int = RIGS,
     jobs: int = 2,
     tell: Callable[[str], None] = lambda line: None,
-) -> Trained:
+) -> TrainedClassifier:
     """The classifier for such recordings, from the cache folder if it was trained before.
 
     Parameters
@@ -339,7 +339,7 @@ def trained(
     file = _file(model, kept, outputs, sample_time, rigs_each)
     if file.is_file():
         with np.load(file) as saved:
-            return Trained(
+            return TrainedClassifier(
                 tuple(saved["classes"].tolist()),
                 saved["mean"],
                 saved["sd"],
@@ -395,7 +395,7 @@ def _file(
     return cache_folder().parent / "baselines" / f"classifier-{digest}.npz"
 
 
-def _fitted(labels: Sequence[str], values: FloatArray) -> Trained:
+def _fitted(labels: Sequence[str], values: FloatArray) -> TrainedClassifier:
     """Ridge by rigs held out, then all."""
     classes = tuple(sorted(set(labels)))
     target = np.array([classes.index(label) for label in labels])
@@ -409,7 +409,7 @@ def _fitted(labels: Sequence[str], values: FloatArray) -> Trained:
         scores[ridge] = float(np.mean(told == target[held]))
     best = max(scores, key=lambda ridge: scores[ridge])
     weights = _logistic(design, target, len(classes), best)
-    return Trained(classes, mean, sd, weights, scores[best])
+    return TrainedClassifier(classes, mean, sd, weights, scores[best])
 
 
 def _design(z: FloatArray) -> FloatArray:

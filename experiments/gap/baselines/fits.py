@@ -15,7 +15,7 @@ from trms_cli.identification.problem import (
     PRIORS,
     FitProblem,
     FreeParameter,
-    Unwatched,
+    SilentProgress,
     free_parameters,
     with_values,
 )
@@ -107,7 +107,7 @@ def map_fit(asked: FitProblem, starts: int = 2) -> Fit:
     """Maximum a posteriori by multiple shooting from several starts."""
     if not asked.free:
         return Fit(asked.model, (), np.zeros(0), np.zeros(0))
-    found = MultipleShooting(starts=starts).fit(asked, Unwatched())
+    found = MultipleShooting(starts=starts).fit(asked, SilentProgress())
     n = len(asked.free)
     covariance = np.full((n, n), np.nan) if found.covariance is None else found.covariance
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))

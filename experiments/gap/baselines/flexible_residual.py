@@ -22,7 +22,7 @@ from experiments.gap.baselines.fits import parts_of, refit
 from experiments.gap.baselines.restoring_force import Motion, motion
 from trms_cli.core.arrays import FloatArray
 from trms_cli.effects.effect import Effect, EffectContext
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
 from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import GapProblem
@@ -104,7 +104,7 @@ class FlexibleResidual:
         fit = refit(problem, parts)
         moved = motion(fit.model, parts.fitted, (), parts.block)
         force, foretold = learnt(fit.model, moved, problem.seed)
-        model = extended(fit.model, {"learnt_force": force}) if foretold else fit.model
+        model = extend_model(fit.model, {"learnt_force": force}) if foretold else fit.model
         total = sum(foretold.values())
         return diagnosis(
             problem,

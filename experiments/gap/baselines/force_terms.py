@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments.gap.baselines.restoring_force import Motion
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.compilation import compiled
+from trms_cli.core.compilation import compile_function
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, Signal, names
@@ -180,8 +180,10 @@ def _functions(model: Model, step: float) -> tuple[tuple[Term, ...], ca.Function
     after = memory.after(at, step)
     return (
         tuple(terms),
-        compiled(ca.Function("library", [own, x, u, p, w], [ca.densify(ca.vertcat(*values))])),
-        compiled(ca.Function("memory", [own, x, u, p, w], [ca.densify(after)])),
+        compile_function(
+            ca.Function("library", [own, x, u, p, w], [ca.densify(ca.vertcat(*values))])
+        ),
+        compile_function(ca.Function("memory", [own, x, u, p, w], [ca.densify(after)])),
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.core.compilation import compiled
+from trms_cli.core.compilation import compile_function
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.windows import estimated_starts
 from trms_cli.models.model import Model
@@ -139,13 +139,13 @@ class _Equations:
         columns = [model.parameters.names.index(name) for name in free]
         pushes = ca.densify(ca.jacobian(f, w))
         of_p = ca.densify(ca.jacobian(f, p)[:, columns]) if columns else ca.SX(model.n_x, 0)
-        self._f = compiled(ca.Function("f", [x, u, p, w], [ca.densify(f), pushes, of_p]))
+        self._f = compile_function(ca.Function("f", [x, u, p, w], [ca.densify(f), pushes, of_p]))
         kinds = kinds_of_states(model)
         self._angles = [i for i, kind in enumerate(kinds) if kind == "angle"]
         self._momenta = [i for i, kind in enumerate(kinds) if kind == "momentum"]
         rate = f[self._angles]
         slope = ca.densify(ca.jacobian(rate, x)[:, self._momenta])
-        self._rate = compiled(ca.Function("rate", [x, u, p, w], [ca.densify(rate), slope]))
+        self._rate = compile_function(ca.Function("rate", [x, u, p, w], [ca.densify(rate), slope]))
 
     def shown(self, dataset: Dataset) -> bool:
         """Whether all states but the momenta are measured, and the angles that give those."""

@@ -23,7 +23,7 @@ from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import build, nearest
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import NO_EFFECT, DiagnosisResult, document_of
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
@@ -62,7 +62,7 @@ def _write(
 ) -> None:
     chosen = {name: problem.candidates[name] for name in effects}
     nominal = [name for name in values if name in problem.model.parameters]
-    model: Model = extended(problem.model, chosen)
+    model: Model = extend_model(problem.model, chosen)
     document = model_document(
         problem.datasets[0].name,
         model,

@@ -23,7 +23,7 @@ from experiments.gap.baselines.fits import Fit, parts_of, refit
 from experiments.gap.baselines.force_terms import AddedForces, Term, columns
 from experiments.gap.baselines.restoring_force import Motion, motion
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
 from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates
@@ -138,7 +138,7 @@ def with_terms(fit: Fit, moved: Motion, chosen: tuple[Term, ...]) -> Model:
     parameters = dict(zip((p.name for p in fit.free), theta.tolist(), strict=True))
     coefficients = dict(zip(chosen, solved[n_f:].tolist(), strict=True))
     added = AddedForces(coefficients=coefficients)
-    return extended(with_values(fit.model, parameters), {"regressed_force": added})
+    return extend_model(with_values(fit.model, parameters), {"regressed_force": added})
 
 
 class _Projector:

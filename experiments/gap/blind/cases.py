@@ -220,7 +220,9 @@ class _Draw:
         while True:
             for number in self._random.permutation(len(GROUPS)):
                 group = GROUPS[number]
-                common = [lv for lv in _MATCHED if all(lv in severity.reached(e) for e in group)]
+                common = [
+                    lv for lv in _MATCHED if all(lv in severity.levels_reached(e) for e in group)
+                ]
                 if not common:
                     continue
                 twin += 1
@@ -241,7 +243,7 @@ class _Draw:
         turn = int(self._random.integers(len(_LEVELS)))
         while True:
             for i in self._random.permutation(len(names)):
-                levels = [lv for lv in severity.reached(names[i]) if weak or lv != "weak"]
+                levels = [lv for lv in severity.levels_reached(names[i]) if weak or lv != "weak"]
                 turn += 1
                 wanted = _LEVELS[turn % len(_LEVELS)]
                 if wanted in levels:

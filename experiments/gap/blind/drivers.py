@@ -95,7 +95,7 @@ def _levels(random: np.random.Generator, samples: int, sample_time: float) -> Fl
     return values
 
 
-class Mixed:
+class MixedDrivers:
     """Each rig by a driver of its own, so that all run at once.
 
     Parameters

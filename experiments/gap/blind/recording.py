@@ -11,7 +11,7 @@ import numpy.typing as npt
 from experiments.gap.blind.cases import Case
 from experiments.gap.blind.drivers import (
     CascadedPid,
-    Mixed,
+    MixedDrivers,
     OpenLoop,
     poor_excitation,
     rich_excitation,
@@ -125,7 +125,7 @@ def _driver(cases: Sequence[Case], timing: Timing, fresh: bool) -> Driver:
         parts.append((np.array(table_of), OpenLoop(np.array(tables))))
     if following:
         parts.append((np.array(following), CascadedPid(np.array(references), step)))
-    return Mixed(parts)
+    return MixedDrivers(parts)
 
 
 def _at_stops(run: RigRecordings) -> npt.NDArray[np.bool_]:

@@ -87,7 +87,7 @@ def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Pat
     from rich.console import Console
     from rich.table import Table as Printed
 
-    from experiments.gap.blind.verdicts import reach, shown
+    from experiments.gap.blind.verdicts import figure_text, reach
 
     console = Console()
     console.print(
@@ -104,9 +104,14 @@ def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Pat
             printed.add_column(column, justify="right", no_wrap=True)
         for row in table.rows:
             e, style = row.estimate, {True: "green", False: "bold red", None: ""}[row.reached]
-            interval = "" if e.low is None else f"{shown(e.low, row.unit)} … "
-            interval += "" if e.high is None else shown(e.high, row.unit)
-            cells = (shown(e.value, row.unit), interval, str(e.count), reach(row.target, row.unit))
+            interval = "" if e.low is None else f"{figure_text(e.low, row.unit)} … "
+            interval += "" if e.high is None else figure_text(e.high, row.unit)
+            cells = (
+                figure_text(e.value, row.unit),
+                interval,
+                str(e.count),
+                reach(row.target, row.unit),
+            )
             printed.add_row(row.measure, *cells, style=style if e.count else "dim")
         console.print(printed)
         if method["diagnosed"] < document["cases"]:

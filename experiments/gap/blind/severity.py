@@ -50,7 +50,7 @@ def table() -> Mapping[str, Any]:
     return found
 
 
-def reached(effect: str) -> tuple[str, ...]:
+def levels_reached(effect: str) -> tuple[str, ...]:
     """The levels that an effect reaches without growing beyond reason."""
     levels = table()[effect]
     return tuple(
@@ -70,7 +70,7 @@ def factor_of(effect: str, level: str) -> float:
     return float(table()[effect][level]["factor"])
 
 
-def interpolated(factors: FloatArray, ratios: FloatArray) -> dict[str, dict[str, float]]:
+def interpolate_levels(factors: FloatArray, ratios: FloatArray) -> dict[str, dict[str, float]]:
     """Factor and ratio by level from what was measured.
 
     ``factors``, ``ratios``: (k,) arrays; multiples of the reference size, and the gap over the
@@ -129,7 +129,7 @@ def measure(effects: Sequence[str], known: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _levels(points: Sequence[tuple[float, float]]) -> dict[str, dict[str, float]]:
-    return interpolated(np.array([f for f, _ in points]), np.array([r for _, r in points]))
+    return interpolate_levels(np.array([f for f, _ in points]), np.array([r for _, r in points]))
 
 
 def _begin(effect: str) -> list[float]:

@@ -135,7 +135,7 @@ def markdown(document: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def shown(value: float | None, unit: str) -> str:
+def figure_text(value: float | None, unit: str) -> str:
     """A figure of the table."""
     if value is None:
         return "–"
@@ -201,9 +201,9 @@ def _facts(j: JudgedCase) -> dict[str, Any]:
 def _cell(row: Mapping[str, Any]) -> str:
     if row["value"] is None:
         return "n/a"
-    text = shown(row["value"], row["unit"])
+    text = figure_text(row["value"], row["unit"])
     if row["low"] is not None:
-        low, high = shown(row["low"], row["unit"]), shown(row["high"], row["unit"])
+        low, high = figure_text(row["low"], row["unit"]), figure_text(row["high"], row["unit"])
         text += f" [{low.removesuffix(' %')}, {high.removesuffix(' %')}]"
     mark = {True: " ✓", False: " ✗", None: ""}[row["reached"]]
     return f"{text} ({row['count']}){mark}"

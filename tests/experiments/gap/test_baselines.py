@@ -26,7 +26,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.actuator_lag import ActuatorLag
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.dead_zone import DeadZone
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.model_file import load_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.gap.diagnosis import DiagnosisResult, document_of
@@ -58,7 +58,7 @@ def few_free() -> Model:
 
 
 def problem_with(*effects: str, seed: int = 0) -> GapProblem:
-    rig = extended(Newtonian(), {name: CANDIDATES[name] for name in effects})
+    rig = extend_model(Newtonian(), {name: CANDIDATES[name] for name in effects})
     dataset: Dataset = recording(rig, seconds=50.0, ranges=RANGES, seed=seed, substeps=1)[0]
     return GapProblem(
         model=few_free(),

@@ -102,20 +102,25 @@ def test_more_severe_is_larger_and_never_beyond_reason() -> None:
     for effect in TRUTHS:
         factors = [severity.factor_of(effect, level) for level in severity.LEVELS]
         assert 0 < factors[0] <= factors[1] <= factors[2] <= severity.LARGEST
-        assert severity.reached(effect) == tuple(severity.LEVELS)[: len(severity.reached(effect))]
+        assert (
+            severity.levels_reached(effect)
+            == tuple(severity.LEVELS)[: len(severity.levels_reached(effect))]
+        )
 
 
 def test_the_file_says_what_its_measured_points_say() -> None:
     for effect, entry in severity.table().items():
         factors, ratios = np.array(entry["measured"]).T
-        for level, found in severity.interpolated(factors, ratios).items():
+        for level, found in severity.interpolate_levels(factors, ratios).items():
             assert {key: entry[level][key] for key in found} == found
             assert entry[level]["sizes"] == TRUTHS[effect].sized(found["factor"])
 
 
 def test_sizes_between_measured_ones() -> None:
     factors = np.array([0.5, 1.0, 2.0])
-    levels = severity.interpolated(factors, np.sqrt(1 + factors**2))  # a gap as large as the size
+    levels = severity.interpolate_levels(
+        factors, np.sqrt(1 + factors**2)
+    )  # a gap as large as the size
     for level, ratio in severity.LEVELS.items():
         right = min(np.sqrt(ratio**2 - 1), severity.LARGEST)
         assert levels[level]["factor"] == pytest.approx(right, rel=1e-3)
@@ -123,7 +128,7 @@ def test_sizes_between_measured_ones() -> None:
 
 
 def test_severity_that_cannot_be_reached_is_not_claimed() -> None:
-    levels = severity.interpolated(np.array([1.0, 3.0]), np.array([1.01, 1.1]))
+    levels = severity.interpolate_levels(np.array([1.0, 3.0]), np.array([1.01, 1.1]))
     assert levels["strong"]["factor"] == severity.LARGEST
     assert levels["strong"]["ratio"] < 1.2
 

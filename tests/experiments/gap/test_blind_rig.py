@@ -24,7 +24,7 @@ from experiments.gap.blind.rig import Nuisances, RigRecordings, Rigs
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
 
@@ -85,7 +85,7 @@ def recorded() -> tuple[np.ndarray, dict[str | None, np.ndarray]]:
 
 
 def simulated(name: str | None, commands: np.ndarray) -> np.ndarray:
-    model = Newtonian() if name is None else extended(Newtonian(), {name: effect(name)})
+    model = Newtonian() if name is None else extend_model(Newtonian(), {name: effect(name)})
     discrete = discretise(model, SAMPLE, 4, sensors=True)
     # forty models, a few hundred steps each: not worth forty compilations
     step, measure = (

@@ -17,7 +17,7 @@ from experiments.gap.blind.nominal import nominal
 from experiments.gap.blind.recording import csv_of
 from experiments.gap.blind.statistics import quantile, reliability, share
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout
 
@@ -243,7 +243,7 @@ def _model_file(path: Path, effects: str) -> None:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten seconds of a rig with friction of yaw, from the library's own code."""
-    model = extended(Newtonian(), {FRICTION: CoulombFriction(axis="yaw", torque=0.003)})
+    model = extend_model(Newtonian(), {FRICTION: CoulombFriction(axis="yaw", torque=0.003)})
     n, step = 500, 0.02
     commands = rich_excitation([3], n, step, amplitude=0.6)[0]
     rollout = Rollout(model, step)

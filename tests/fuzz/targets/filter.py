@@ -20,10 +20,10 @@ def read(data: bytes, folder: Path) -> None:
     """How many runs of an index with one in it the filter holds for."""
     from trms_cli.runs.columns import COLUMNS
     from trms_cli.runs.entry import IndexEntry
-    from trms_cli.runs.filter import translated
+    from trms_cli.runs.filter import translate_filter
     from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 
-    condition = translated(data.decode("utf-8", "replace"), ())
+    condition = translate_filter(data.decode("utf-8", "replace"), ())
     values = dict.fromkeys(COLUMNS) | {"path": "a", "log": "a/run.mcap", "controller": "pid"}
     with RunIndex(None) as index:
         entry = IndexEntry("a/run.mcap", values, {"seed": 1})

@@ -15,20 +15,20 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.identification.blackbox.prediction_error import (
     free_run,
-    predicted,
+    predict_samples,
     rms,
-    sampled,
-    simulated,
+    sample_signals,
+    simulate_network,
 )
 from trms_cli.identification.blackbox.radial_fit import (
     Radial,
-    clustered,
+    cluster_centres,
     dyadic,
-    selected,
+    select_columns,
     with_linear_weights,
 )
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.problem import FitOutcome, FitProblem, Method, Unwatched
+from trms_cli.identification.problem import FitOutcome, FitProblem, Method, SilentProgress
 from trms_cli.models.narx_file import read_narx_file, write_narx_file
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.newtonian import Newtonian
@@ -72,7 +72,7 @@ def problem() -> FitProblem:
 def fitted(request, problem):
     chosen = method(request.param)
     assert isinstance(chosen, Method)
-    return chosen.fit(problem, Unwatched())
+    return chosen.fit(problem, SilentProgress())
 
 
 def network_of(result) -> tuple[NarxStructure, Network]:
@@ -82,10 +82,10 @@ def network_of(result) -> tuple[NarxStructure, Network]:
 
 def test_the_network_is_near_the_noise_one_step_ahead_and_stays_near_in_free_run(fitted):
     structure, network = network_of(fitted)
-    test = sampled(dataset(2), structure)
+    test = sample_signals(dataset(2), structure)
     first = structure.longest_lag
-    ahead = (predicted(structure, network, test) - test.outputs)[first:]
-    free = (simulated(structure, network, test) - test.outputs)[first:]
+    ahead = (predict_samples(structure, network, test) - test.outputs)[first:]
+    free = (simulate_network(structure, network, test) - test.outputs)[first:]
     assert np.all(rms(ahead) < 3 * NOISE)
     # far better than the mean, though one-step training promises nothing over many steps
     assert np.all(rms(free) < 0.5 * test.outputs.std(axis=0))
@@ -104,7 +104,7 @@ def test_the_file_is_a_model_that_steps_as_the_network_runs(fitted, tmp_path):
     assert model.input_limits == pytest.approx({"u_h": MODEL.input_limits["u_h"]})
     x, u, p, w = model.symbols()
     step = ca.Function("step", [x, u, p, w], [model.transition(x, u, p, w)])
-    test = sampled(dataset(3), structure)
+    test = sample_signals(dataset(3), structure)
     first = structure.longest_lag
     past = test.outputs[:first]
     state = np.concatenate(
@@ -119,13 +119,13 @@ def test_the_file_is_a_model_that_steps_as_the_network_runs(fitted, tmp_path):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_the_same_seed_gives_the_same_network(name, problem):
-    once, again = (method(name).fit(problem, Unwatched()).model_document for _ in range(2))
+    once, again = (method(name).fit(problem, SilentProgress()).model_document for _ in range(2))
     assert once["network"] == again["network"]
 
 
 def test_simulation_training_runs_freely_better_than_one_step_training(problem):
     def error(name: str) -> float:
-        details = method(name, stopping={"epochs": 40}).fit(problem, Unwatched()).details
+        details = method(name, stopping={"epochs": 40}).fit(problem, SilentProgress()).details
         return details["normalised_rms"]["validation_free_run"]
 
     assert error("nnoe") <= 1.02 * error("narx")
@@ -134,11 +134,11 @@ def test_simulation_training_runs_freely_better_than_one_step_training(problem):
 def test_a_slower_network_takes_means_of_the_commands():
     fast = dataset(0, step=2)
     result = method("narx", regressors={"sample_time": 0.1}).fit(
-        FitProblem(model=MODEL, datasets=(fast,)), Unwatched()
+        FitProblem(model=MODEL, datasets=(fast,)), SilentProgress()
     )
     structure, _ = network_of(result)
     assert structure.sample_time == 0.1
-    slow = sampled(fast, structure)
+    slow = sample_signals(fast, structure)
     assert slow.inputs == pytest.approx(dataset(0).commands)
     assert slow.outputs == pytest.approx(dataset(0).measurements)
 
@@ -152,11 +152,11 @@ def test_an_interrupted_fit_keeps_the_best_so_far(problem):
 
 def test_of_several_starts_the_best_by_validation_is_kept(problem):
     alone = [
-        method("narx").fit(FitProblem(**{**vars(problem), "seed": seed}), Unwatched())
+        method("narx").fit(FitProblem(**{**vars(problem), "seed": seed}), SilentProgress())
         for seed in range(3)
     ]
     best = min(result.details["stages"][0]["validation_loss"] for result in alone)
-    together = method("narx", starts=3).fit(problem, Unwatched())
+    together = method("narx", starts=3).fit(problem, SilentProgress())
     assert together.details["stages"][0]["validation_loss"] == best
 
 
@@ -165,20 +165,20 @@ class TestWhatCannotBeFitted:
 
     def test_a_sample_time_without_a_whole_ratio(self, problem):
         with pytest.raises(RecordingError, match=r"method\.sample_time|regressors\.sample_time"):
-            method("narx", regressors={"sample_time": 0.15}).fit(problem, Unwatched())
+            method("narx", regressors={"sample_time": 0.15}).fit(problem, SilentProgress())
 
     def test_a_channel_that_is_missing_throughout(self, problem):
         lost = replace(dataset(0), measurements=dataset(0).measurements * [1.0, np.nan])
         with pytest.raises(RecordingError, match="omega_h"):
-            method("narx").fit(FitProblem(model=MODEL, datasets=(lost,)), Unwatched())
+            method("narx").fit(FitProblem(model=MODEL, datasets=(lost,)), SilentProgress())
 
     def test_lags_that_do_not_rise(self, problem):
         with pytest.raises(ConfigurationError, match=r"method\.regressors\.output_lags"):
-            method("narx", regressors={"output_lags": [2, 1]}).fit(problem, Unwatched())
+            method("narx", regressors={"output_lags": [2, 1]}).fit(problem, SilentProgress())
 
     def test_a_training_that_is_none(self, problem):
         with pytest.raises(ConfigurationError, match="trms list training"):
-            replace(method("narx"), training=3).fit(problem, Unwatched())
+            replace(method("narx"), training=3).fit(problem, SilentProgress())
 
 
 @pytest.fixture
@@ -190,7 +190,7 @@ def test_orthogonal_least_squares_finds_the_columns_that_made_the_targets(genera
     candidates = generator.standard_normal((200, 30))
     fixed = np.ones((200, 1))
     targets = candidates[:, [4, 17]] @ np.array([[3.0, 0.1], [0.5, 2.0]]) + 5.0
-    assert set(selected(candidates, targets, fixed, 2)) == {4, 17}
+    assert set(select_columns(candidates, targets, fixed, 2)) == {4, 17}
 
 
 def test_each_choice_is_the_one_that_leaves_the_least(generator):
@@ -202,7 +202,7 @@ def test_each_choice_is_the_one_that_leaves_the_least(generator):
         basis = np.hstack([fixed, candidates[:, columns]])
         return float(((targets - basis @ np.linalg.lstsq(basis, targets)[0]) ** 2).sum())
 
-    chosen = selected(candidates, targets, fixed, 4)
+    chosen = select_columns(candidates, targets, fixed, 4)
     for count in range(4):
         rest = [c for c in range(8) if c not in chosen[:count]]
         assert chosen[count] == min(rest, key=lambda c: left([*chosen[:count], c]))
@@ -211,7 +211,7 @@ def test_each_choice_is_the_one_that_leaves_the_least(generator):
 def test_a_column_that_says_nothing_new_is_not_chosen(generator):
     one = generator.standard_normal((50, 1))
     candidates = np.hstack([one, 2.0 * one])
-    assert len(selected(candidates, one, np.ones((50, 1)), 2)) == 1
+    assert len(select_columns(candidates, one, np.ones((50, 1)), 2)) == 1
 
 
 def test_dyadic_grids_halve_their_spacing_and_stay_where_data_are(generator):
@@ -227,7 +227,7 @@ def test_dyadic_grids_halve_their_spacing_and_stay_where_data_are(generator):
 def test_clusters_lie_among_their_data(generator):
     spots = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]])
     z = np.repeat(spots, 50, axis=0) + 0.1 * generator.standard_normal((150, 2))
-    centres, widths = clustered(z, 3, 1.0, generator)
+    centres, widths = cluster_centres(z, 3, 1.0, generator)
     distance = np.sqrt(((centres[:, None] - spots[None]) ** 2).sum(axis=2)).min(axis=0)
     assert distance.max() < 0.1
     assert np.all((widths > 4) & (widths < 8))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.identification.greybox.objective import Joint, Quadratic, reduced, triangles
+from trms_cli.identification.greybox.objective import Joint, Quadratic, eliminate_starts, triangles
 
 M, N, F, ROWS = 5, 3, 4, 40
 
@@ -64,7 +64,7 @@ def dense(made: Quadratic, a_b: np.ndarray, r: np.ndarray, damping: float) -> np
 @pytest.mark.parametrize("damping", [0.0, 3.0])
 def test_equals_the_whole_problem(joined: bool, damping: float) -> None:
     made, a_b, r = quadratic(3, joined)
-    left = reduced(made, damping)
+    left = eliminate_starts(made, damping)
     rows = np.vstack([left.factor, np.diag(made.prior_root), np.sqrt(damping) * np.eye(F)])
     wanted = -np.concatenate([left.residual, made.prior_gap, np.zeros(F)])
     theta = np.linalg.lstsq(rows, wanted, rcond=None)[0]
@@ -75,7 +75,7 @@ def test_equals_the_whole_problem(joined: bool, damping: float) -> None:
 @pytest.mark.parametrize("joined", [False, True])
 def test_the_minimum_is_lower_than_its_surroundings(joined: bool) -> None:
     made, _, _ = quadratic(5, joined)
-    left = reduced(made, 0.0)
+    left = eliminate_starts(made, 0.0)
     rows = np.vstack([left.factor, np.diag(made.prior_root)])
     theta = np.linalg.lstsq(rows, -np.concatenate([left.residual, made.prior_gap]), rcond=None)[0]
     best = made.cost(left.starts(theta), theta)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.identification.greybox.rigs import recording
 from trms_cli.effects.actuator_lag import ActuatorLag
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.identification.dataset import Dataset
@@ -34,7 +34,7 @@ def remembering() -> Model:
         "main_actuator_lag": ActuatorLag(rotor="main", time_constant=0.05),
         "main_supply_derating": SupplyDerating(rotor="main", depth=0.1, time_constant=20.0),
     }
-    return extended(Newtonian(freedom="vertical"), effects)
+    return extend_model(Newtonian(freedom="vertical"), effects)
 
 
 def objective(

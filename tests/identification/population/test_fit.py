@@ -12,7 +12,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.cma_es import CmaEs
 from trms_cli.identification.genetic import Genetic
 from trms_cli.identification.population import Box, SimulationCost
-from trms_cli.identification.problem import FitOutcome, Unwatched
+from trms_cli.identification.problem import FitOutcome, SilentProgress
 
 SMALL = Genetic(individuals=12, generations=8)
 
@@ -84,7 +84,7 @@ class TestBox:
 
 class TestFit:
     def test_cma_finds_the_parameters(self, rig):
-        result = CmaEs(evaluations=600).fit(rig.problem(), Unwatched())
+        result = CmaEs(evaluations=600).fit(rig.problem(), SilentProgress())
         assert result.outcome is FitOutcome.CONVERGED
         for name, true in rig.true.items():
             assert result.values[name] == pytest.approx(true, rel=0.02)
@@ -104,13 +104,13 @@ class TestFit:
 
     def test_threads_change_nothing(self, rig):
         small = replace(SMALL, generations=3)
-        one = small.fit(rig.problem(jobs=1), Unwatched())
-        two = small.fit(rig.problem(jobs=2), Unwatched())
+        one = small.fit(rig.problem(jobs=1), SilentProgress())
+        two = small.fit(rig.problem(jobs=2), SilentProgress())
         assert one.values == two.values and one.cost == two.cost
 
     @pytest.mark.parametrize("method", [SMALL, CmaEs(evaluations=96)])
     def test_goes_on_bit_for_bit(self, rig, method):
-        whole = method.fit(rig.problem(), Unwatched())
+        whole = method.fit(rig.problem(), SilentProgress())
         stopped = Watched(3)
         first = method.fit(rig.problem(), stopped)
         assert first.outcome is FitOutcome.INTERRUPTED and first.evaluations < whole.evaluations

@@ -26,7 +26,11 @@ from trms_cli.identification.validation.metrics import (
     spectrum,
     vaf_percent,
 )
-from trms_cli.identification.validation.residual_tests import benjamini_hochberg, holm, whitened
+from trms_cli.identification.validation.residual_tests import (
+    benjamini_hochberg,
+    holm,
+    whiten_residual,
+)
 
 p_values = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12)
 
@@ -57,19 +61,21 @@ class TestWhitening:
     def test_takes_an_autoregression_out(self):
         rng = np.random.default_rng(0)
         e = rng.standard_normal(4000)
-        white, order = whitened(signal.lfilter([1.0], [1.0, -0.8, 0.3], e), 20)
+        white, order = whiten_residual(signal.lfilter([1.0], [1.0, -0.8, 0.3], e), 20)
         assert order == 2
         assert white[100:] == pytest.approx(e[100:], abs=0.15)
 
     def test_leaves_white_as_it_is(self):
-        orders = [whitened(np.random.default_rng(s).standard_normal(800))[1] for s in range(40)]
+        orders = [
+            whiten_residual(np.random.default_rng(s).standard_normal(800))[1] for s in range(40)
+        ]
         assert sum(order == 0 for order in orders) >= 36
 
     def test_missing_samples_spread_no_further_than_the_order(self):
         rng = np.random.default_rng(1)
         e = signal.lfilter([1.0], [1.0, -0.8], rng.standard_normal(3000))
         e[1000] = np.nan
-        white, order = whitened(e, 5)
+        white, order = whiten_residual(e, 5)
         assert np.isnan(white[1000 : 1001 + order]).all()
         assert not np.isnan(white[1001 + order :]).any()
 

@@ -25,13 +25,13 @@ from trms_cli.identification.validation.validate import (
     TestOptions,
     ValidationOptions,
     WindowOptions,
-    calibrated,
+    calibrate_tests,
     matched_tail,
     measured_states,
     validate_all,
 )
 from trms_cli.models.discrete import SteppedModel
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.models.parameters import ParameterSet
 
@@ -182,7 +182,7 @@ class TestResidualTests:
 
     def test_p_values_from_simulation_agree_with_the_limit_where_that_holds(self, rig, data):
         options = ValidationOptions(tests=TestOptions(simulations=12, calibration="simulated"))
-        found = calibrated(validated(rig, data.part(0, 1000), options=options), QUANTUM)
+        found = calibrate_tests(validated(rig, data.part(0, 1000), options=options), QUANTUM)
         assert not found.failures()
         assert len(found.tests) == 64
 
@@ -192,7 +192,7 @@ class TestResidualTests:
         alarms = 0
         for seed in range(20):
             made = recording(rig, seed=100 + seed)
-            found = calibrated(validated(rig, made, options=options), QUANTUM)
+            found = calibrate_tests(validated(rig, made, options=options), QUANTUM)
             alarms += bool(found.failures())
         assert alarms <= 4  # of a binomial of 20 and 0.05, more has a probability of 0.003
 
@@ -206,7 +206,7 @@ class TestResidualTests:
 
     def test_a_model_that_runs_away_cannot_be_simulated_along(self, data):
         small = replace(data, measurements=1e-3 * data.measurements, noise_sd=1e-3 * data.noise_sd)
-        assert calibrated(validated(model(), small), QUANTUM) is None
+        assert calibrate_tests(validated(model(), small), QUANTUM) is None
 
 
 class TestWords:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.samplers.objectives import Aims, Tried, front, hypervolumes
+from trms_cli.sweeps.samplers.objectives import Aims, TrialOutcome, front, hypervolumes
 from trms_cli.sweeps.samplers.optimise import Optimise
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space
 
@@ -324,5 +324,5 @@ class TestBadInput:
 def test_a_failed_trial_has_no_figures():
     aims = Aims(("effort",))
     results = [RunResult(0, "done", {"effort": 1.0}), RunResult(1, "lost", problem="gone")]
-    assert aims.tried(results) == Tried(problem="gone")
+    assert aims.tried(results) == TrialOutcome(problem="gone")
     assert aims.tried(results).failed

@@ -126,9 +126,9 @@ _SET_BY_SWEEPS = ("picture", "sim.scene_every")
 
 def _settings(found: QueryResult, names: Sequence[str]) -> list[str]:
     """Keys that were typed, and in which the runs differ: else the runs of a sweep look alike."""
-    from trms_cli.runs.entry import typed
+    from trms_cli.runs.entry import typed_overrides
 
-    given = [typed(json.loads(run.get(OVERRIDES) or "[]")) for run in found.runs]
+    given = [typed_overrides(json.loads(run.get(OVERRIDES) or "[]")) for run in found.runs]
     settings = []
     for key in dict.fromkeys(key for keys in given for key in keys):
         own = ALIASES.get(key, key)
@@ -171,7 +171,7 @@ def _print_table(found: QueryResult, names: Sequence[str]) -> None:
         ended = run.get("outcome", "completed") == "completed"
         cells = [_cell(run[name], found.columns[name]) for name in names]
         rows.append([Datum(cell, "" if ended else "doubtful") for cell in cells])
-    heads = [wording.titled(_HEADINGS.get(n, n), found.columns[n].unit) for n in names]
+    heads = [wording.with_unit(_HEADINGS.get(n, n), found.columns[n].unit) for n in names]
     show_table(terminal(), Table(heads, rows), len(rows))
 
 

@@ -231,7 +231,7 @@ def run_frame(view: View, width: int, height: int, *, plain: bool = False) -> li
             lines += _strip(axis, view, width, charts, plain)
         lines.append(_time_axis(view, width))
     lines += [*body, *(events[len(events) - room :] if room else []), *foot]
-    return [fitted(line, width, plain) for line in lines[:height]]
+    return [fit_line(line, width, plain) for line in lines[:height]]
 
 
 def plain_line(view: View) -> str:
@@ -421,7 +421,7 @@ def between(left: Text, right: Text, width: int) -> Text:
     return Text.assemble(left, " ", right)
 
 
-def fitted(line: Text, width: int, plain: bool) -> Text:
+def fit_line(line: Text, width: int, plain: bool) -> Text:
     """No wider than the terminal, on one line, and without signs that steer it."""
     line = line.copy()
     text = "".join(sign if sign.isprintable() else " " for sign in line.plain)

@@ -18,7 +18,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from trms_cli.core.errors import Terminated
+from trms_cli.core.errors import Termination
 
 #: s between two pictures: ten a second are a motion, more are only work.
 _FRAME = 0.1
@@ -238,4 +238,4 @@ def is_plain() -> bool:
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
+    raise Termination

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from trms_cli.commands.watch.frame import between, fitted, tail_of
+from trms_cli.commands.watch.frame import between, fit_line, tail_of
 from trms_cli.core.invocation import program
 from trms_cli.sweeps.outcome import Job, SweepFollower, SweepState
 
@@ -34,7 +34,7 @@ def sweep_frame(sweep: SweepState, width: int, height: int, *, plain: bool = Fal
     lines += _running(sweep, room)
     lines += _best(sweep, room)
     lines += _failures(sweep, room)
-    return [fitted(line, width, plain) for line in lines[:height]]
+    return [fit_line(line, width, plain) for line in lines[:height]]
 
 
 def sweep_line(sweep: SweepState) -> str:

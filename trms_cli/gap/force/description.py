@@ -112,7 +112,7 @@ def all_conditions(record: ForceRecord) -> tuple[Condition, ...]:
     return tuple(unique.values())
 
 
-def rounded(value: float) -> float:
+def nearest_round_number(value: float) -> float:
     """To the nearest of 1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8 times a power of ten."""
     if value == 0 or not np.isfinite(value):
         return 0.0
@@ -125,7 +125,9 @@ def _limits(
     text: str, about: str, values: FloatArray, quantiles: tuple[float, ...]
 ) -> Iterator[Condition]:
     """Values above, or with a ``<`` in the text below, rounded quantiles of themselves."""
-    for at in (rounded(float(quantile)) for quantile in np.quantile(values, quantiles)):
+    for at in (
+        nearest_round_number(float(quantile)) for quantile in np.quantile(values, quantiles)
+    ):
         holds = values < at if "<" in text else values > at
         yield Condition(text=text.format(f"{at:g}"), about=about, holds=holds)
 
@@ -150,7 +152,7 @@ def _about_a_rate(axis: str, values: FloatArray) -> Iterator[Condition]:
 def _about_a_rotor(rotor: str, values: FloatArray) -> Iterator[Condition]:
     name, size = f"{rotor} rotor", np.abs(values)
     about = f"{name} speed"
-    still = rounded(_STANDSTILL * float(size.max(initial=0.0)))
+    still = nearest_round_number(_STANDSTILL * float(size.max(initial=0.0)))
     text = f"{name} near standstill (|speed| < {still:g} rad/s)"
     yield Condition(text=text, about=about, holds=size < still)
     yield Condition(text=f"{name} turning backwards", about=about, holds=values < -0.3 * still)
@@ -161,7 +163,7 @@ def _about_a_rotor(rotor: str, values: FloatArray) -> Iterator[Condition]:
 
 def _about_a_command(rotor: str, values: FloatArray, record: ForceRecord) -> Iterator[Condition]:
     about, size = f"{rotor} command", np.abs(values)
-    zero = rounded(_STANDSTILL * float(size.max(initial=0.0)))
+    zero = nearest_round_number(_STANDSTILL * float(size.max(initial=0.0)))
     yield Condition(text=f"{about} near zero (|u| < {zero:g} V)", about=about, holds=size < zero)
     yield from _limits(f"{about} |u| > {{}} V", about, size, _HIGH)
     # A step's effect on a slow force shows for about half a second.

@@ -18,9 +18,9 @@ from trms_cli.identification.blackbox.network_fit import (
     Regressors,
     Stage,
     fit_result,
-    interrupted,
-    prepared,
+    prepare_fit,
     training_watcher,
+    was_interrupted,
 )
 from trms_cli.identification.blackbox.trainable import Mlp
 from trms_cli.identification.blackbox.training.levenberg_marquardt import LevenbergMarquardt
@@ -58,7 +58,7 @@ class NarxFit:
 
         Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
-        data = prepared(self.regressors, problem, self.training)
+        data = prepare_fit(self.regressors, problem, self.training)
         structure = data.structure
         network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
         kept: Training | None = None
@@ -70,7 +70,7 @@ class NarxFit:
             found = data.train_one_step(network, self.training, theta, self.stopping, watcher)
             if kept is None or _merit(found) < _merit(kept):
                 kept = found
-            if interrupted([Stage(name, found)]):
+            if was_interrupted([Stage(name, found)]):
                 kept = replace(kept, outcome=found.outcome)
                 break
         assert kept is not None
@@ -108,7 +108,7 @@ class NnoeFit:
             raise ConfigurationError(
                 "no horizon is given", where="method.horizons", remedy="for instance [0.5, 2.0]"
             )
-        data = prepared(self.regressors, problem, self.training)
+        data = prepare_fit(self.regressors, problem, self.training)
         structure = data.structure
         network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
         share = 1.0 / (1 + len(self.horizons))
@@ -120,7 +120,7 @@ class NnoeFit:
         )
         stages = [Stage("one step", found)]
         for number, horizon in enumerate(self.horizons, start=1):
-            if interrupted(stages):
+            if was_interrupted(stages):
                 break
             steps = max(1, round(horizon / structure.sample_time))
             samples = sum(len(recording) for recording in data.fitted)

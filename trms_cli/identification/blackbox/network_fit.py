@@ -17,11 +17,11 @@ from trms_cli.identification.blackbox.prediction_error import (
     Samples,
     Scaling,
     normalised_rms,
-    predicted,
+    predict_samples,
     rows,
-    sampled,
+    sample_signals,
     scaling,
-    simulated,
+    simulate_network,
 )
 from trms_cli.identification.blackbox.trainable import TrainableNetwork
 from trms_cli.identification.blackbox.training.training import (
@@ -169,7 +169,7 @@ class NetworkData:
         )
 
 
-def prepared(
+def prepare_fit(
     regressors: Regressors, problem: FitProblem, training: TrainingAlgorithm
 ) -> NetworkData:
     """Bring recordings to the form that networks are fitted to.
@@ -189,7 +189,7 @@ def prepared(
     structure = regressors.structure(first.outputs, first.inputs, first.sample_time)
 
     def taken(datasets: Sequence[Dataset], smoothing: float) -> list[Samples]:
-        return [sampled(dataset, structure, smoothing) for dataset in datasets]
+        return [sample_signals(dataset, structure, smoothing) for dataset in datasets]
 
     raw, raw_validation = taken(fitted, 0.0), taken(validation, 0.0)
     smooth, smooth_validation = raw, raw_validation
@@ -244,7 +244,7 @@ def training_watcher(
     return watch
 
 
-def interrupted(stages: Sequence[Stage]) -> bool:
+def was_interrupted(stages: Sequence[Stage]) -> bool:
     """Whether the last training was ended from outside."""
     return bool(stages) and stages[-1].training.outcome is Ending.INTERRUPTED
 
@@ -307,7 +307,7 @@ def errors_of(data: NetworkData, network: Network) -> dict[str, float | None]:
     return {
         f"{part}_{kind}": error_over(data, network, getattr(data, part), play)
         for part in ("fitted", "validation")
-        for kind, play in (("one_step", predicted), ("free_run", simulated))
+        for kind, play in (("one_step", predict_samples), ("free_run", simulate_network))
     }
 
 

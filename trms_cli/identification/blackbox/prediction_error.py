@@ -50,7 +50,7 @@ class Scaling:
     level_sd: FloatArray  #: (n_y,) array; of the outputs themselves: the scale of simulation errors
 
 
-def sampled(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) -> Samples:
+def sample_signals(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) -> Samples:
     """The signals of a structure from a recording, at the structure's sample time.
 
     Of the outputs every d-th sample is taken; a command is the mean over the d samples.
@@ -72,7 +72,7 @@ def sampled(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) 
     outputs = _columns(dataset, structure.outputs, dataset.measurements, names(dataset.outputs))
     inputs = _columns(dataset, structure.inputs, dataset.commands, names(dataset.inputs))
     if smoothing > 0:
-        outputs = smoothed(outputs, round(smoothing / dataset.sample_time))
+        outputs = smooth_outputs(outputs, round(smoothing / dataset.sample_time))
     n = len(outputs) // step
     means = inputs[: n * step].reshape(n, step, -1).mean(axis=1) if step > 1 else inputs[:n]
     return Samples(outputs[: n * step : step], means, dataset.name)
@@ -97,7 +97,7 @@ def _columns(
     return result
 
 
-def smoothed(outputs: FloatArray, window: int) -> FloatArray:
+def smooth_outputs(outputs: FloatArray, window: int) -> FloatArray:
     """Each column through a cubic Savitzky–Golay filter of (about) so many samples.
 
     A column with missing samples is smoothed between them as if they lay on a straight line, and
@@ -178,7 +178,7 @@ def _spread(values: FloatArray) -> FloatArray:
     return np.asarray(np.where(spread > 0, spread, 1.0))
 
 
-def predicted(structure: NarxStructure, network: Network, samples: Samples) -> FloatArray:
+def predict_samples(structure: NarxStructure, network: Network, samples: Samples) -> FloatArray:
     """Each sample from the measured ones before it, (n, n_y); NaN where one is missing."""
     regressors, _, place = rows(structure, samples)
     result = np.full_like(samples.outputs, np.nan)
@@ -211,7 +211,7 @@ def free_run(
     return levels[first:]
 
 
-def simulated(
+def simulate_network(
     structure: NarxStructure, network: Network, samples: Samples, start: Samples | None = None
 ) -> FloatArray:
     """One free run over a whole recording, (n, n_y); the first samples are the measured ones.

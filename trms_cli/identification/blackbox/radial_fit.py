@@ -40,7 +40,7 @@ from trms_cli.identification.blackbox.network_fit import (
     Regressors,
     Stage,
     fit_result,
-    prepared,
+    prepare_fit,
     training_watcher,
 )
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
@@ -161,7 +161,7 @@ _NEIGHBOURS = 3
 _MOST_CORNERS = 4
 
 
-def clustered(
+def cluster_centres(
     z: FloatArray, units: int, width: float, generator: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Centres (n_c, m) of k-means clusters and their widths (n_c,), ``width`` times the spacing."""
@@ -194,7 +194,7 @@ def dyadic(z: FloatArray, levels: int) -> tuple[FloatArray, FloatArray]:
     return np.vstack(centres), np.concatenate(widths)
 
 
-def selected(
+def select_columns(
     candidates: FloatArray, targets: FloatArray, fixed: FloatArray, units: int
 ) -> list[int]:
     """Columns chosen by orthogonal least squares, in the order of what they explain.
@@ -282,7 +282,7 @@ class RadialFit:
 
         Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
         """
-        data = prepared(self.regressors, problem, self.training)
+        data = prepare_fit(self.regressors, problem, self.training)
         begin = process_time()
         network, theta = self.placed(data, problem.seed)
         placing = process_time() - begin
@@ -300,7 +300,7 @@ class RadialFit:
         z, targets = data.normalised(data.fitted_smooth)
         n_out = targets.shape[1]
         if self.placement == "kmeans":
-            centres, widths = clustered(z, min(self.units, len(z)), self.width, generator)
+            centres, widths = cluster_centres(z, min(self.units, len(z)), self.width, generator)
         else:
             few = _drawn(len(z), _MOST_SAMPLES, generator)
             if self.placement == "ols":
@@ -313,7 +313,7 @@ class RadialFit:
             family = Radial(self.kind, z.shape[1], n_out, len(centres))
             outputs = family.units(centres, widths, z[few])
             fixed = np.hstack([z[few], np.ones((len(few), 1))])
-            chosen = selected(outputs, targets[few], fixed, self.units)
+            chosen = select_columns(outputs, targets[few], fixed, self.units)
             centres, widths = centres[chosen], widths[chosen]
         network = Radial(self.kind, z.shape[1], n_out, len(centres))
         return network, with_linear_weights(network, centres, widths, z, targets, self.ridge)

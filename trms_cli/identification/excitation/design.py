@@ -57,7 +57,7 @@ class StateSpace:
         )
 
 
-def linearised(model: Model, x: FloatArray, u: FloatArray) -> StateSpace:
+def linearise_model(model: Model, x: FloatArray, u: FloatArray) -> StateSpace:
     """A model with a derivative, linearised at a point.
 
     Raises ConfigurationError for a model that only steps.
@@ -323,7 +323,7 @@ def design(
     bounds = _bounds(model, request)
     upper = model.input_bounds()[1]
     centre, point = _operating_point(model, request, bounds)
-    rough = linearised(model, point, centre)
+    rough = linearise_model(model, point, centre)
     lowest, highest = band_of(
         rough, request.sample_time, request.duration, request.lowest, request.highest
     )
@@ -380,7 +380,7 @@ def design(
         drawn,
         request.rigs,
         lost,
-        linearised(model, _at_working_speed(model, point, states[first:]), centre),
+        linearise_model(model, _at_working_speed(model, point, states[first:]), centre),
         pole_range(rough),
     )
 

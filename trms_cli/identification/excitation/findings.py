@@ -168,7 +168,7 @@ def _inputs(document: Mapping[str, Any]) -> Any:
         return 0.0 if small else float(item[1]["centre"])
 
     columns = [
-        Column("input", lambda item: wording.titled(item[0], item[1]["unit"])),
+        Column("input", lambda item: wording.with_unit(item[0], item[1]["unit"])),
         Column("centre", centre),
         Column("amplitude", lambda item: item[1]["amplitude"]),
         Column("limit", lambda item: item[1]["limit"]),
@@ -184,7 +184,7 @@ def _inputs(document: Mapping[str, Any]) -> Any:
 
 def _predicted(document: Mapping[str, Any]) -> Section:
     columns = [
-        Column("output", lambda item: wording.titled(wording.signal(item[0]), item[1]["unit"])),
+        Column("output", lambda item: wording.with_unit(wording.signal(item[0]), item[1]["unit"])),
         Column("range", lambda item: _range(item[1]["range"])),
         Column("of drawn rigs", lambda item: _range(item[1]["range_of_drawn_rigs"])),
         Column("over the noise up to [Hz]", lambda item: item[1]["seen_up_to_hz"]),

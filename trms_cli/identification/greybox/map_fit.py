@@ -48,7 +48,7 @@ from trms_cli.identification.greybox.objective import (
     PosteriorObjective,
     Quadratic,
     ResidualWeights,
-    reduced,
+    eliminate_starts,
     sizes,
 )
 from trms_cli.identification.greybox.windows import Windows
@@ -182,7 +182,7 @@ def information(objective: MapObjective, theta: FloatArray, starts: FloatArray) 
     windows, weights = objective.windows, objective.weights
     n = windows.n_x
     slopes = objective.scaled(residuals.j)
-    to_starts = reduced(quadratic, 0.0).to_starts
+    to_starts = eliminate_starts(quadratic, 0.0).to_starts
     projected = slopes[..., n:] + np.einsum("mtyn,mnf->mtyf", slopes[..., :n], to_starts)
     z = weights.whitened(residuals.r)
     score = z
@@ -401,7 +401,7 @@ def step(
     scales: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """The damped parabola's minimum within bounds: changes of starts and parameters, scaled."""
-    left = reduced(quadratic, damping)
+    left = eliminate_starts(quadratic, damping)
     n_f = len(theta)
     rows = np.vstack([left.factor, np.diag(quadratic.prior_root), np.sqrt(damping) * np.eye(n_f)])
     wanted = -np.concatenate([left.residual, quadratic.prior_gap, np.zeros(n_f)])
@@ -492,7 +492,7 @@ def fit_from(
     point = with_fitted_starts(objective, theta, centres)
     if not np.isfinite(point.cost):
         return MapFit(point, FitOutcome.FAILED, objective, None, 0)
-    objective.weights = weighed(objective, point, None)
+    objective.weights = fit_weights(objective, point, None)
     known, done, outcome = None, 0, FitOutcome.CONVERGED
     for round_ in range(_ROUNDS):
         objective.joined = joints[min(round_, len(joints) - 1)]
@@ -509,7 +509,7 @@ def fit_from(
             outcome = search.outcome
             break
         known = information(objective, point.theta, point.starts)
-        weights = weighed(objective, point, known)
+        weights = fit_weights(objective, point, known)
         before, objective.weights = objective.weights, weights
         scale = before.sd / weights.sd * np.sqrt(before.samples / weights.samples)
         if np.max(np.abs(np.log(scale))) < _SETTLED and round_ + 1 >= len(joints):
@@ -557,7 +557,9 @@ def with_fitted_starts(objective: MapObjective, theta: FloatArray, starts: Float
     return best
 
 
-def weighed(objective: MapObjective, point: Point, known: Information | None) -> ResidualWeights:
+def fit_weights(
+    objective: MapObjective, point: Point, known: Information | None
+) -> ResidualWeights:
     """Weights that fit the residuals at a point; see :class:`ResidualWeights`."""
     windows, problem = objective.windows, objective.windows.problem
     if problem.discrepancy == "none" and known is not None:

@@ -146,7 +146,7 @@ class Quadratic(NamedTuple):
         return 0.5 * float(total)
 
 
-class Reduced(NamedTuple):
+class ReducedQuadratic(NamedTuple):
     """What is left when the starts are gone, and how they come back."""
 
     #: (k, n_f) array; of the data, the starts' priors and the damping of the starts; ``factorᵀ
@@ -180,7 +180,7 @@ def triangles(a_b: FloatArray, r: FloatArray) -> FloatArray:
     return _triangle(rows)
 
 
-def reduced(quadratic: Quadratic, damping: float) -> Reduced:
+def eliminate_starts(quadratic: Quadratic, damping: float) -> ReducedQuadratic:
     """Eliminate the starts.
 
     ``damping``: λ of Levenberg and Marquardt, in the scaled units; it acts on the starts here, and
@@ -202,10 +202,10 @@ def reduced(quadratic: Quadratic, damping: float) -> Reduced:
     whole = _triangle(stacked)
     left = whole[:, n:, n:].reshape(-1, columns - n)
     back = _solved(whole[:, :n, :n], whole[:, :n, n:])
-    return Reduced(*_compact(left), back[..., :-1], back[..., -1])
+    return ReducedQuadratic(*_compact(left), back[..., :-1], back[..., -1])
 
 
-def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> Reduced:
+def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> ReducedQuadratic:
     m, _, columns = stacked.shape
     n_f = columns - n - 1
     left, carried = [], np.zeros((0, columns))
@@ -239,7 +239,7 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> Reduced:
         if j + 1 < m and joint.follows[j + 1]:
             to_starts[j] += in_next @ to_starts[j + 1]
             at_zero[j] += in_next @ at_zero[j + 1]
-    return Reduced(*_compact(np.vstack(left)), to_starts, at_zero)
+    return ReducedQuadratic(*_compact(np.vstack(left)), to_starts, at_zero)
 
 
 def _triangle(rows: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from trms_cli.identification.validation.metrics import (
     spectrum,
 )
 from trms_cli.identification.validation.residual_tests import ResidualTest, p_words
-from trms_cli.identification.validation.validate import ModelValidation, gap_samples, joined
+from trms_cli.identification.validation.validate import ModelValidation, gap_samples, join_parts
 from trms_cli.models.model import names
 
 _WIDTH = 9.2
@@ -190,11 +190,11 @@ def region_chart(validations: Sequence[ModelValidation]) -> Chart | None:
             at = "command " if variable.startswith("u_") else ""
             first = variable == variables[0]
             y_axis = Axis(
-                wording.titled(wording.signal(channel), units.get(channel, "")) if first else "",
+                wording.with_unit(wording.signal(channel), units.get(channel, "")) if first else "",
                 limits=(0.0, 1.05 * highest[channel] or None),
             )
             last = channel == channels[-1]
-            label = wording.titled(f"{at}{wording.signal(variable)}", units.get(variable, ""))
+            label = wording.with_unit(f"{at}{wording.signal(variable)}", units.get(variable, ""))
             panels.append(Panel(Axis(label if last else ""), y_axis, marks))
     return Chart(
         "regions",
@@ -333,7 +333,7 @@ def _coherences(
     validation: ModelValidation, channel: str, of_error: Any, length: int
 ) -> dict[str, Any]:
     """Of the error with each input that moves."""
-    inputs = joined(
+    inputs = join_parts(
         [
             d.commands[run.first :]
             for d, run in zip(validation.datasets, validation.runs, strict=True)
@@ -361,7 +361,7 @@ def signal_chart(signals: Sequence[Characteristics], sample_time: float) -> Char
             scale = np.diff(signal.edges) / (signal.sd * np.sqrt(2 * np.pi))
             marks.append(Curve(centre, normal * scale, "", "grey", "dashed", 0.9))
         of = "command " if signal.name.startswith("u_") else ""
-        title = wording.titled(f"{of}{wording.signal(signal.name)}", signal.unit)
+        title = wording.with_unit(f"{of}{wording.signal(signal.name)}", signal.unit)
         above.append(Panel(Axis(""), Axis("" if i else "share"), marks, title))
         lags = np.arange(len(signal.autocorrelation)) * sample_time
         marks = [Curve(lags, signal.autocorrelation, width=1.0), Line(y=0.0)]

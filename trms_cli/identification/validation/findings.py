@@ -229,7 +229,7 @@ def _in_short(name: str, of: Document) -> Table:
 
         fit = by_horizon[horizons[-1]]["fit_percent"]
         tested = Datum(f"{failed}/{len(tests)}", "bad" if failed else "")
-        label = wording.titled(word(channel), unit)
+        label = wording.with_unit(word(channel), unit)
         rows.append([label, *figures("rms"), None if fit is None else round(fit), tested])
         rows.append(["  no change", *figures("unchanged_rms"), None, ""])
     heads = [name, "1 step", *(f"{float(h):g} s" for h in horizons), "fit [%]", "tests"]
@@ -256,7 +256,7 @@ def _error_rows(of: Document) -> Iterator[dict[str, Any]]:
     """Figures of a channel one step ahead, at each horizon, and to the end of the recording."""
     for channel, horizons in of["by_horizon"].items():
         step = {"free for": "one step", "interval": "", **of["one_step"][channel]}
-        label = wording.titled(word(channel), of["units"][channel])
+        label = wording.with_unit(word(channel), of["units"][channel])
         yield {"channel": label, "at_end": step["rms"], **step}
         for horizon, row in horizons.items():
             better = row["rms"] is not None and row["rms"] < (row["unchanged_rms"] or 0)
@@ -351,7 +351,7 @@ def _signals(validations: Sequence[ModelValidation]) -> list[Section]:
     if not validations:
         return []
     columns = [
-        Column("signal", lambda c: wording.titled(c.name, c.unit)),
+        Column("signal", lambda c: wording.with_unit(c.name, c.unit)),
         *(Column(n, n) for n in ("mean", "sd", "least", "largest", "skewness", "kurtosis")),
         Column("correlation time [s]", "correlation_time"),
         Column("peak [Hz]", "peak_frequency"),

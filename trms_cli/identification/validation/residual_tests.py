@@ -215,7 +215,7 @@ def _adjusted(
 _RIDGE = 1e-13
 
 
-def whitened(residual: FloatArray, highest_order: int = 20) -> tuple[FloatArray, int]:
+def whiten_residual(residual: FloatArray, highest_order: int = 20) -> tuple[FloatArray, int]:
     """The innovations of an autoregression fitted to a residual (n,), and its order, by BIC.
 
     The residual is NaN where missing; its mean stays in the result, scaled by the sum of the
@@ -347,7 +347,7 @@ def residual_tests(
     ``level``: family-wise.
     """
     far = geometric_lags(longest_lag or lags)
-    white = {name: whitened(residual, lags) for name, residual in residuals.items()}
+    white = {name: whiten_residual(residual, lags) for name, residual in residuals.items()}
     moving = {name: u for name, u in inputs.items() if _moves(u)}
     tests: list[ResidualTest] = []
     for name, residual in residuals.items():
@@ -371,8 +371,8 @@ def _of_channel(
 ) -> list[ResidualTest]:
     near = range(1, lags + 1)
     centred = residual - np.nanmean(residual) if np.any(~np.isnan(residual)) else residual
-    square, _ = whitened(centred**2, lags)
-    with_output, _ = whitened(_centred(output) * residual, lags)
+    square, _ = whiten_residual(centred**2, lags)
+    with_output, _ = whiten_residual(_centred(output) * residual, lags)
 
     def test(kind: str, formula: str, result: MomentTest, *names: str) -> ResidualTest:
         return ResidualTest(channel, kind, names, formula, result)

@@ -505,7 +505,7 @@ class ModelValidation:
             real = dataset.measurements[run.first :, column]
             measured.append(real)
             errors.append(real - run.whole[:, column])
-        return joined(errors, gap), joined(measured, gap)
+        return join_parts(errors, gap), join_parts(measured, gap)
 
     @cached_property
     def region_horizon(self) -> float:
@@ -551,7 +551,7 @@ def gap_samples(options: ValidationOptions, sample_time: float) -> int:
     return max(options.tests.lags, samples_of(options.tests.longest, sample_time)) + 1
 
 
-def joined(parts: Sequence[FloatArray], gap: int) -> FloatArray:
+def join_parts(parts: Sequence[FloatArray], gap: int) -> FloatArray:
     """Arrays one after another, with missing samples between them."""
     between = np.full((gap, *parts[0].shape[1:]), np.nan)
     pieces = [piece for part in parts for piece in (part, between)]
@@ -611,11 +611,11 @@ def tests_of(
         for name in channels
         if any(np.nanmax(y) > np.nanmin(y) for y in (d.output(name) for d in datasets))
     ]
-    commands = joined([d.commands for d in datasets], gap)
-    outputs = joined(
+    commands = join_parts([d.commands for d in datasets], gap)
+    outputs = join_parts(
         [d.measurements[:, [names(d.outputs).index(c) for c in channels]] for d in datasets], gap
     )
-    errors = joined([s.errors[:, [s.channels.index(c) for c in channels]] for s in steps], gap)
+    errors = join_parts([s.errors[:, [s.channels.index(c) for c in channels]] for s in steps], gap)
     return residual_tests(
         dict(zip(channels, errors.T, strict=True)),
         dict(zip(names(datasets[0].inputs), commands.T, strict=True)),
@@ -641,7 +641,7 @@ def _check_sample_times(datasets: Sequence[Dataset]) -> None:
 _WIDEST = 3.0
 
 
-def calibrated(
+def calibrate_tests(
     validation: ModelValidation,
     quanta: Mapping[str, float],
     progress: Callable[[int], None] | None = None,

@@ -128,10 +128,10 @@ def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> SweepReport
     from trms_cli.reporting.sweep_report import SweepReport, SweepRun
     from trms_cli.runs.columns import ALIASES, COLUMNS, figures_of
     from trms_cli.scoring.comparison.ranking import controller_name, usual_entrants
-    from trms_cli.scoring.comparison.runs import differing
+    from trms_cli.scoring.comparison.runs import differing_coordinates
 
     told = list(gathered.runs)
-    keys = differing(told)[:_MOST_KEYS]
+    keys = differing_coordinates(told)[:_MOST_KEYS]
     by = usual_entrants(keys)
     units = {name: COLUMNS[ALIASES.get(name, name)].unit for name in _page_figures()}
     root = folders[0].resolve() if len(folders) == 1 else Path.cwd()
@@ -290,13 +290,13 @@ def value_of(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> Valu
 
 def typed_of(row: Mapping[str, Any]) -> dict[str, Any]:
     """Values that were typed for a run, by their dotted keys."""
-    from trms_cli.runs.entry import typed
+    from trms_cli.runs.entry import typed_overrides
 
     try:
         words = json.loads(row.get("overrides") or "[]")
     except (ValueError, RecursionError):
         return {}
-    return typed([str(word) for word in words]) if isinstance(words, list) else {}
+    return typed_overrides([str(word) for word in words]) if isinstance(words, list) else {}
 
 
 def _facts(

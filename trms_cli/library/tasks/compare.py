@@ -22,12 +22,12 @@ def runs_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> RunC
 
     Raises RecordingError if there is nothing to compare.
     """
-    from trms_cli.scoring.comparison.ranking import matching
+    from trms_cli.scoring.comparison.ranking import matching_runs
     from trms_cli.scoring.comparison.runs import RunCollection, gather
 
     gathered = gather(paths)
     if where:
-        gathered = RunCollection(tuple(matching(gathered.runs, where)), gathered.left_out)
+        gathered = RunCollection(tuple(matching_runs(gathered.runs, where)), gathered.left_out)
     if len(gathered.runs) == 1 and gathered.runs[0].state.ranked:
         raise RecordingError(
             "there is one run only, and nothing to compare it with",
@@ -56,7 +56,7 @@ def ranking_of(
     return ranking
 
 
-def ordered(ranking: Ranking, sort: str) -> list[Standing]:
+def sort_standings(ranking: Ranking, sort: str) -> list[Standing]:
     """The standings in the order of a column; those without a rank stay last."""
     from trms_cli.scoring.comparison.ranking import figures_of
 

@@ -22,7 +22,7 @@ from trms_cli.core.invocation import command_line, program
 from trms_cli.core.plugins import TARGET, build, nearest
 from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import ExtendedModel, effect_names, extended
+from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult
 from trms_cli.gap.findings import likeliest
 from trms_cli.gap.problem import GapProblem
@@ -366,7 +366,7 @@ def _write(
     free = free_parameters(model.parameters, known) if known else ()
     if cause is not None:
         candidates = request.candidates
-        model = extended(model, {name: candidates.effects[name] for name in cause.effects})
+        model = extend_model(model, {name: candidates.effects[name] for name in cause.effects})
         for name in cause.effects:
             effects[name] = effect_arguments(name, candidates.nodes[name])
         values = dict(values) | {name: size.value for name, size in cause.parameters.items()}

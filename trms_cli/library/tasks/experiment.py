@@ -158,7 +158,9 @@ def tables_of(history: History) -> dict[str, Series]:
     }
 
 
-def interrupted(error: KeyboardInterrupt, time: float, log: Path, then: str = "") -> Interrupted:
+def interruption_of(
+    error: KeyboardInterrupt, time: float, log: Path, then: str = ""
+) -> Interrupted:
     """What is raised for a run that was stopped at a `time` (s), with what to do `then`."""
     words = f"\ninterrupted at {time:.2f} s; the log up to there is complete and readable\n"
     words += f"  log  {log}\n{then}"

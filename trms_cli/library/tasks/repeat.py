@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.composer import Composition, compose
-from trms_cli.composition.given_object import refuse_given
+from trms_cli.composition.given_object import refuse_objects
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.invocation import note, program
@@ -34,7 +34,7 @@ def repetition(log: Path, argv: Sequence[str], primary: str) -> list[str] | Comp
     then = _words(run, "overrides")
     folders = [Path(folder) for folder in _words(run, "config_dirs")]
     logged = _config(run)
-    refuse_given(logged, "", str(log))
+    refuse_objects(logged, "", str(log))
     typed = [word for word in then if not _is_own(word)]
     places = [f"--config-dir={folder}" for folder in folders]
     _tell_what_differs(run)

@@ -85,7 +85,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
             replay.run(lambda time, off: line.tell(f"{time:.0f} / {whole:g} s, off {off:.4f} rad"))
     except KeyboardInterrupt as error:
         log.close("interrupted", _score(replay, log.path, complete=False))
-        raise assembly.interrupted(error, replay.done * rig.sample_time, log.path) from None
+        raise assembly.interruption_of(error, replay.done * rig.sample_time, log.path) from None
     except BaseException as error:
         log.close("failed")
         reached = replay.done * rig.sample_time
@@ -212,7 +212,8 @@ def _table_of(channels: Mapping[str, Any]) -> Table:
     """One step ahead: a row a channel."""
     columns = [
         Column(
-            "one step ahead", lambda each: wording.titled(wording.signal(each[0]), each[1]["unit"])
+            "one step ahead",
+            lambda each: wording.with_unit(wording.signal(each[0]), each[1]["unit"]),
         ),
         Column("RMSE of the prediction", lambda each: each[1]["prediction_rmse"]),
         Column("RMSE if nothing changed", lambda each: each[1]["unchanged_rmse"]),

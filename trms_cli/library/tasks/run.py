@@ -97,7 +97,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
             write_document(score, log.path.with_name(SCORE_NAME))
             then = f"  try  {program()} score {shlex.quote(str(log.path))}\n"
             reached = loop.done * experiment.sample_time
-            raise assembly.interrupted(error, reached, log.path, then) from None
+            raise assembly.interruption_of(error, reached, log.path, then) from None
         except BaseException as error:
             log.close("failed")
             if isinstance(error, Exception):

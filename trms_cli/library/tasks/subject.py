@@ -7,9 +7,9 @@ from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import TARGET, build
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.identification.dataset import Dataset
-from trms_cli.models.driven import DrivenModel
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import Model
 
 
@@ -43,7 +43,7 @@ def model_of(config: Mapping[str, Any]) -> Model:
     effects = {
         name: build(node, f"effect.{name}") for name, node in (config.get("effect") or {}).items()
     }
-    return extended(model, effects)
+    return extend_model(model, effects)
 
 
 def driven_model(model: Model, driven: Sequence[str]) -> Model:

@@ -85,11 +85,11 @@ def make_sweep(
     are not to be had or a full disk, after that; KeyboardInterrupt when it was interrupted: what
     ran has ended, and `go_on` goes on.
     """
-    from trms_cli.composition.sweep_space import divided, sampler_and_launcher
+    from trms_cli.composition.sweep_space import divide_overrides, sampler_and_launcher
     from trms_cli.runs.run_folder import new_folder
-    from trms_cli.sweeps.record import Record, driving
+    from trms_cli.sweeps.record import Record, drive_sweep
 
-    mine = divided(overrides, primary, config_dirs)
+    mine = divide_overrides(overrides, primary, config_dirs)
     settings = settings_of(mine.settings, config_dirs)
     sampler, launcher = sampler_and_launcher(settings)
     space, _ = _checked(mine.runs, primary, tuple(config_dirs))
@@ -97,7 +97,7 @@ def make_sweep(
     check_choices(space, primary, tuple(config_dirs))
     folder = new_folder(mine.out, f"{primary}-sweep").resolve()
     record = Record(folder)
-    with driving(folder):
+    with drive_sweep(folder):
         try:
             plan = _plan(mine, settings, space, primary, task, config_dirs)
             record.begin(plan)
@@ -126,12 +126,12 @@ def go_on(
     go on.
     """
     from trms_cli.composition.sweep_space import sampler_and_launcher
-    from trms_cli.sweeps.record import Record, driving
+    from trms_cli.sweeps.record import Record, drive_sweep
 
     folder = folder.resolve()
     record = Record(folder)
     record.document()
-    with driving(folder):
+    with drive_sweep(folder):
         plan = record.plan()
         known = record.points(mend=True)
         with place_of(plan):
@@ -146,9 +146,9 @@ def go_on(
 
 def first_job(request: ComposeRequest, primary: str) -> Composition:
     """The configuration of a sweep's first run, for ``-m --cfg job``."""
-    from trms_cli.composition.sweep_space import divided
+    from trms_cli.composition.sweep_space import divide_overrides
 
-    mine = divided(request.overrides, primary, request.config_dirs)
+    mine = divide_overrides(request.overrides, primary, request.config_dirs)
     return _checked(mine.runs, primary, request.config_dirs)[1]
 
 

@@ -20,7 +20,7 @@ from time import monotonic
 from typing import Any
 
 from trms_cli.composition.composer import Outcome, Task, composer_of
-from trms_cli.core.errors import EXIT_OK, Terminated, TrmsError
+from trms_cli.core.errors import EXIT_OK, Termination, TrmsError
 from trms_cli.core.invocation import called_as
 from trms_cli.core.trust import allow_for_now
 from trms_cli.library.tasks.git_revision import known_revision
@@ -207,7 +207,7 @@ class _Watch(threading.Thread):
         with self._lock:
             if not self._ended:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(
-                    ctypes.c_ulong(self._runner), ctypes.py_object(Terminated)
+                    ctypes.c_ulong(self._runner), ctypes.py_object(Termination)
                 )
 
 

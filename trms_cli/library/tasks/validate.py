@@ -100,7 +100,7 @@ def _check_noise(datasets: Sequence[Dataset]) -> None:
                 )
 
 
-def calibrated(
+def calibrate_validations(
     validations: Sequence[ModelValidation],
     request: ValidationRequest,
     progress: Callable[[str], None],
@@ -108,7 +108,7 @@ def calibrated(
     """p-values from simulation, where they are asked for; and what to say of it."""
     if request.options.tests.calibration != "simulated":
         return list(validations), []
-    from trms_cli.identification.validation.validate import calibrated as simulated_p_values
+    from trms_cli.identification.validation.validate import calibrate_tests as simulated_p_values
 
     done, notes = [], []
     wanted = request.options.tests.simulations
@@ -189,7 +189,7 @@ def perform(
     listener.begin(", ".join(request.models), dict(_facts(request)))
     with listener.progress() as line:
         validations = validate_all(request.models, request.datasets, request.options, line.tell)
-        validations, notes = calibrated(validations, request, line.tell)
+        validations, notes = calibrate_validations(validations, request, line.tell)
         line.tell("figures")
         document = document_of(validations)
         document["notes"] = [*notes_on(request), *notes]

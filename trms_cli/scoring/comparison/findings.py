@@ -255,7 +255,7 @@ def ranking_tables(ranking: Ranking, shown: Sequence[Standing]) -> list[Table]:
     ]
     tracking = [
         Column("runs", lambda each: each[1].runs),
-        Column(wording.titled(error, unit), lambda each: each[1].error_mean),
+        Column(wording.with_unit(error, unit), lambda each: each[1].error_mean),
         Column("over best", _best),
         Column("95 %", lambda each: _between(each[0].interval)),
         Column("over first", lambda each: _after_first(each[0], _ratio(each[0].against_first))),
@@ -356,7 +356,7 @@ def pair_findings(pair: Pair) -> Findings:
     compared = table(
         pair.rows,
         [
-            Column("figure", lambda row: wording.titled(row.label, row.unit)),
+            Column("figure", lambda row: wording.with_unit(row.label, row.unit)),
             Column("A", "one"),
             Column("B", "other"),
             Column("B − A", _difference),

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.comparison.runs import ComparisonRun, State, differing
+from trms_cli.scoring.comparison.runs import ComparisonRun, State, differing_coordinates
 
 #: Coordinates of who ran; the others are of what was run in.
 OF_ENTRANTS = ("controller", "observer", "model", "supervisor", "qp_solver")
@@ -109,7 +109,7 @@ def group(runs: Sequence[ComparisonRun], by: Sequence[str] = ()) -> ComparisonGr
     it names a coordinate that there is not.
     """
     counted = [run for run in runs if run.state.ranked]
-    differ = differing(counted)
+    differ = differing_coordinates(counted)
     for key in by:
         _require_coordinate(key, counted, "--by")
     known = {key for run in counted for key in run.coordinates}
@@ -163,7 +163,7 @@ def controller_name(run: ComparisonRun, by: Sequence[str], given: Sequence[str] 
     return " + ".join(parts) or "all runs"
 
 
-def matching(
+def matching_runs(
     runs: Sequence[ComparisonRun], where: Mapping[str, Sequence[str]]
 ) -> list[ComparisonRun]:
     """The runs whose coordinates match patterns, as a shell matches file names.

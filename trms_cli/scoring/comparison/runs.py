@@ -164,7 +164,7 @@ def _is_implied(key: str, runs: Sequence[ComparisonRun]) -> bool:
     return all(len(found) == 1 for found in values.values())
 
 
-def differing(runs: Sequence[ComparisonRun]) -> list[str]:
+def differing_coordinates(runs: Sequence[ComparisonRun]) -> list[str]:
     """Coordinates with more than one value, in the order in which runs have them."""
     keys = dict.fromkeys(key for run in runs for key in run.coordinates)
     return [key for key in keys if len({run.coordinates.get(key) for run in runs}) > 1]

@@ -100,7 +100,9 @@ def from_lyapunov_equation(system: ReducedSystem) -> FloatArray:
     return np.asarray(0.5 * (P + P.T) / np.outer(d, d))
 
 
-def proved(system: ReducedSystem, shape: Ellipsoid, slabs: FloatArray | None = None) -> bool:
+def is_proved_attracted(
+    system: ReducedSystem, shape: Ellipsoid, slabs: FloatArray | None = None
+) -> bool:
     """Whether the ellipsoid is proved to be attracted, by the inclusion over its bounding box.
 
     The equations hold where \\|row · y\\| < 1 for every row of ``slabs`` (k, n) only.
@@ -124,7 +126,7 @@ def largest_level(
         reach = 1.0 / max(float(row @ np.linalg.solve(P, row)) for row in slabs)
 
     def holds(level: float) -> bool:
-        return level < reach and proved(system, Ellipsoid(P, level), slabs)
+        return level < reach and is_proved_attracted(system, Ellipsoid(P, level), slabs)
 
     level = _largest(holds, min(start, 0.5 * reach))
     return None if level is None else Ellipsoid(P, level)
@@ -139,8 +141,8 @@ def optimise_ellipsoid(
 ) -> Ellipsoid | None:
     """The largest ellipsoid that the inclusion proves, over P and over the box; None if none is.
 
-    ``slabs`` as in :func:`proved`. The search for the box begins at ``first`` and tries ``most``
-    boxes; default 60 for a few states, fewer for many, whose problems are larger.
+    ``slabs`` as in :func:`is_proved_attracted`. The search for the box begins at ``first``
+    and tries ``most`` boxes; default 60 for a few states, fewer for many, whose problems are larger.
     """
     search = _Search(system, slabs)
     most = max(12, min(60, 100 - 11 * system.n)) if most is None else most
@@ -166,7 +168,7 @@ def optimise_ellipsoid(
     # The solver keeps its constraints to its own accuracy only.
     for share in (1.0 - 1e-6, 0.999, 0.99, 0.95, 0.8, 0.5):
         shape = Ellipsoid(best.P, best.level * share)
-        if proved(system, shape, slabs):
+        if is_proved_attracted(system, shape, slabs):
             return shape
     return None
 

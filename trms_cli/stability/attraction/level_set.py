@@ -55,7 +55,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.stability.attraction.system import ReducedSystem, operations
-from trms_cli.stability.intervals.branch_and_bound import BoxSearch, branch_and_bound, halved
+from trms_cli.stability.intervals.branch_and_bound import BoxSearch, branch_and_bound, halve_boxes
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval, corners, positive_definite
 
@@ -453,7 +453,7 @@ def proved_level(
         nonlocal stuck, count
         # Only what lies below the lowest box that cannot be closed is worth the trouble.
         boxes = boxes[keys < min(target, stuck)]
-        halves = halved(boxes, np.argmax(boxes.width, axis=1))
+        halves = halve_boxes(boxes, np.argmax(boxes.width, axis=1))
         value, falls = search.bounds(halves)
         edge = np.any((halves.lower <= -1.0) | (halves.upper >= 1.0), axis=1)
         core = np.all((halves.lower >= -inner) & (halves.upper <= inner), axis=1)

@@ -21,7 +21,7 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.operating_point import refined
+from trms_cli.models.operating_point import refine_operating_point
 from trms_cli.models.vector_field import LONGEST_STEP, VectorField, without_impulses
 from trms_cli.stability.attraction.estimates import (
     LABELS,
@@ -202,7 +202,7 @@ def other_rests(system: ReducedSystem, limits: FloatArray, seed: int = 0) -> lis
     for draw in random.uniform(-1.0, 1.0, (60, system.n)) * limits:
         start = system.point.x.copy()
         start[kept] += draw
-        x = refined(field, start, system.point.u)
+        x = refine_operating_point(field, start, system.point.u)
         if x is None:
             continue
         y = x[kept] - system.point.x[kept]

@@ -201,7 +201,7 @@ def require_attractive(system: ReducedSystem) -> None:
     worst = float(values.real.max(initial=-np.inf))
     if worst < -_MARGINAL * scale:
         return
-    told = ", ".join(written(value) for value in sorted(values, key=lambda v: -v.real)[:4])
+    told = ", ".join(complex_text(value) for value in sorted(values, key=lambda v: -v.real)[:4])
     place = system.point.words(system.model)
     if worst > _MARGINAL * scale:
         raise ModelError(
@@ -225,7 +225,7 @@ def operations(function: ca.Function) -> set[int]:
     return {function.instruction_id(k) for k in range(function.n_instructions())}
 
 
-def written(value: complex) -> str:
+def complex_text(value: complex) -> str:
     """``-0.0467 + 1.61j``; an eigenvalue in a sentence."""
     if abs(value.imag) < 1e-9 * (1.0 + abs(value)):
         return f"{value.real:.3g}"

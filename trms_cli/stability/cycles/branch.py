@@ -25,9 +25,9 @@ import numpy.typing as npt
 from trms_cli.core.arrays import FloatArray
 from trms_cli.models.continuation import follow
 from trms_cli.models.model import Model
-from trms_cli.models.operating_point import OperatingPoint, refined
+from trms_cli.models.operating_point import OperatingPoint, refine_operating_point
 from trms_cli.models.vector_field import VectorField
-from trms_cli.stability.cycles.orbits import MARGIN, BranchCondition, Orbit, Shooting, packed
+from trms_cli.stability.cycles.orbits import MARGIN, BranchCondition, Orbit, Shooting, pack_unknowns
 from trms_cli.stability.local.linear import Linear
 
 #: Growth below this is rounding, 1/s.
@@ -87,7 +87,7 @@ def _one_way(
         at, here, slope = place
         goal = float(np.clip(at + direction * ahead, low, high))
         moved = abs(goal - at)
-        following = refined(field, here + slope * moved, _with(u, channel, goal))
+        following = refine_operating_point(field, here + slope * moved, _with(u, channel, goal))
         bound = 0.2 + 20.0 * moved * (1.0 + float(np.abs(here).max()))
         if following is None or np.abs(following - here).max() > bound:
             return None, ahead / 2.0
@@ -113,7 +113,7 @@ def hopf_points(model: Model, curve: EquilibriumBranch, u: FloatArray, channel: 
         x, sign = curve.x[i], curve.growth[i] < 0
         for _ in range(40):
             middle = 0.5 * (low + high)
-            trial = refined(field, x, _with(u, channel, middle))
+            trial = refine_operating_point(field, x, _with(u, channel, middle))
             if trial is None:
                 break
             if (_growth(linear, trial, _with(u, channel, middle)) < 0) == sign:
@@ -261,7 +261,7 @@ def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch
     turn = np.exp(2j * np.pi * np.arange(m) / m)
     away = np.real(turn[:, None] * hopf.mode[None, :])
     period = 2.0 * math.pi / hopf.omega
-    place = packed(np.tile(hopf.x, (m, 1)), period, hopf.u, channel)
+    place = pack_unknowns(np.tile(hopf.x, (m, 1)), period, hopf.u, channel)
     direction = np.concatenate([away.ravel(), [0.0, 0.0]])
     weights = direction / float(direction @ direction)
     first = None
@@ -296,7 +296,7 @@ def follow_branch(
     low, high = (float(bound[channel]) for bound in model.input_bounds())
     scale = _scale(first)
     orbits = [first]
-    z = packed(first.nodes, first.period, first.u, channel)
+    z = pack_unknowns(first.nodes, first.period, first.u, channel)
     if before is None:
         u = first.u.copy()
         u[channel] += towards * 0.005
@@ -304,7 +304,7 @@ def follow_branch(
         if second is None:
             return Branch(orbits, "the next orbit was not found")
         orbits.append(second)
-        before, z = z, packed(second.nodes, second.period, second.u, channel)
+        before, z = z, pack_unknowns(second.nodes, second.period, second.u, channel)
 
     def attempt(
         place: tuple[Orbit, FloatArray, FloatArray], step: float
@@ -329,7 +329,7 @@ def follow_branch(
         if trial is None or trial.swing.max() < 1e-4 or moved > 0.3 + 4.0 * step * last.swing.max():
             # None, the equilibrium, or an orbit of another branch.
             return None, step / 2.0
-        at = packed(trial.nodes, trial.period, trial.u, channel)
+        at = pack_unknowns(trial.nodes, trial.period, trial.u, channel)
         return (trial, at, z), min(1.4 * step, _MOST_STEP)
 
     ended = "Newton's method found no next orbit"

@@ -170,7 +170,7 @@ class Shooting:
             return None
         direction = direction / size
         widest = float(np.ptp(nodes, axis=0).max())
-        z = packed(nodes, period, u, None if row is None else row.channel)
+        z = pack_unknowns(nodes, period, u, None if row is None else row.channel)
         linearised = self._equations(z, u, anchor, direction, row)
         for _ in range(_ITERATIONS):
             if linearised is None:
@@ -207,7 +207,7 @@ class Shooting:
     ) -> tuple[FloatArray, FloatArray, Pieces] | None:
         """Residuals, their slopes and the pieces; None where a motion leaves all bounds."""
         m, n = self.pieces, self.model.n_x
-        nodes, period, command = unpacked(z, m, n, u, row)
+        nodes, period, command = unpack_unknowns(z, m, n, u, row)
         if not (period > 0 and np.all(np.isfinite(z))):
             return None
         pieces = self.shoot(nodes, period, command)
@@ -239,7 +239,7 @@ class Shooting:
         pieces: Pieces,
     ) -> Orbit:
         m, n = self.pieces, self.model.n_x
-        nodes, period, command = unpacked(z, m, n, u, row)
+        nodes, period, command = unpack_unknowns(z, m, n, u, row)
         monodromy = np.eye(n)
         for i in range(m):
             monodromy = pieces.by_state[i] @ monodromy
@@ -266,13 +266,13 @@ class BranchCondition:
     length: float
 
 
-def packed(nodes: FloatArray, period: float, u: FloatArray, free: int | None) -> FloatArray:
+def pack_unknowns(nodes: FloatArray, period: float, u: FloatArray, free: int | None) -> FloatArray:
     """The unknowns as one vector, with the free command where there is one."""
     tail = [period] if free is None else [period, u[free]]
     return np.concatenate([nodes.ravel(), tail])
 
 
-def unpacked(
+def unpack_unknowns(
     z: FloatArray, m: int, n: int, u: FloatArray, row: BranchCondition | None
 ) -> tuple[FloatArray, float, FloatArray]:
     """Nodes, period and command of a vector of unknowns."""

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.stability.equilibria.rest_system import EquationBlock, RestSystem
-from trms_cli.stability.intervals.branch_and_bound import halved, joined
+from trms_cli.stability.intervals.branch_and_bound import halve_boxes, join_boxes
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 
@@ -107,7 +107,7 @@ def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
         for j in read:
             if not np.all(np.isfinite(boxes.width[:, j])):
                 return False
-            boxes = halved(boxes, j)
+            boxes = halve_boxes(boxes, j)
     return False
 
 
@@ -230,7 +230,7 @@ class _Search:
         stalled = np.all(contracted.width > 0.7 * before.width, axis=1)[~small]
         contracted, owner, slopes = contracted[~small], owner[~small], slopes[~small]
         halves = self._cut(contracted[stalled], slopes[stalled])
-        queue = joined(contracted[~stalled], halves)
+        queue = join_boxes(contracted[~stalled], halves)
         owner = np.concatenate([owner[~stalled], owner[stalled], owner[stalled]])
         # Problems that have too many boxes are given up.
         over = (np.bincount(owner) > self.most)[owner]
@@ -246,12 +246,12 @@ class _Search:
             change /= np.maximum(change.max(axis=2, keepdims=True), 1e-300)
         weight = np.where(np.isfinite(change), change, 1.0).sum(axis=1) + 1e-3
         side = np.argmax(np.where(box.width > self.tolerance, weight, -1.0), axis=1)
-        return halved(box, side, centre_of(box))
+        return halve_boxes(box, side, centre_of(box))
 
     def roots(self, box: Interval) -> tuple[IntArray, Interval, BoolArray, BoolArray]:
         """What was found within a box: as the first fields of :class:`Roots`."""
         owner, domain = _together(self.proved)
-        tight = refined(self.equations, domain, self.given[owner])
+        tight = refine_boxes(self.equations, domain, self.given[owner])
         owner, domain, tight, certain = _distinct(owner, domain, tight)
         small_owner, small = _together(self.undecided)
         outside = ~_inside(small, small_owner, domain, owner)
@@ -268,7 +268,7 @@ class _Search:
             small = small[keep].intersection(step.image[keep])
             ends = _end_signs(self.equations, tested[keep], self.given[small_owner])
             exists = proved | (ends < 0)
-        everything = joined(tight, small)
+        everything = join_boxes(tight, small)
         owner = np.concatenate([owner, small_owner])
         unique, exists = np.concatenate([certain, proved]), np.concatenate([certain, exists])
         # What lies outside is not asked for; what lies on the edge cannot be told.
@@ -280,7 +280,7 @@ class _Search:
 
 
 def _together(parts: list[tuple[IntArray, Interval]]) -> tuple[IntArray, Interval]:
-    return np.concatenate([owner for owner, _ in parts]), joined(*(box for _, box in parts))
+    return np.concatenate([owner for owner, _ in parts]), join_boxes(*(box for _, box in parts))
 
 
 def _inside(boxes: Interval, owner: IntArray, domains: Interval, owners: IntArray) -> BoolArray:
@@ -417,7 +417,7 @@ def _deviation(inverse: FloatArray, slopes: Interval) -> Interval:
     return total
 
 
-def refined(equations: BlockEquations, box: Interval, given: Interval) -> Interval:
+def refine_boxes(equations: BlockEquations, box: Interval, given: Interval) -> Interval:
     """Boxes (m, n) with one proved root each, made as tight as they get."""
     active = np.arange(len(box.lower))
     lower, upper = box.lower.copy(), box.upper.copy()

@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, Signal, index_of, names
-from trms_cli.models.rest import arriving, rest_equations
+from trms_cli.models.rest import rest_equations, static_motor_command
 from trms_cli.stability.local.linear import Linear
 
 
@@ -92,7 +92,7 @@ def rest_system(
     equations = rest_equations(model)
     s = ca.SX.sym("s", len(equations.unknowns))
     own = [model.states[i] for i in equations.unknowns]
-    residual = equations.residual(s, arriving(model, u, p), p, w)
+    residual = equations.residual(s, static_motor_command(model, u, p), p, w)
     for name, value in held.items():
         residual = ca.substitute(residual, s[names(own).index(name)], ca.SX(value))
     # What an effect remembers (a cable's z) stays too: it is free, not the angle that it acts on.
@@ -135,7 +135,7 @@ def rest_system(
     everything = ca.cse(ca.substitute(ca.vertcat(rows, reduced.state, u, *nonzero), old, new))
     ends = np.cumsum([0, len(chosen), len(own), model.n_u, len(nonzero)]).tolist()
     g, state, commands, factors = ca.vertsplit(everything, ends)
-    reached = arriving(model, commands, p)
+    reached = static_motor_command(model, commands, p)
     whole = equations.state(state, reached)
     return RestSystem(
         model=model,

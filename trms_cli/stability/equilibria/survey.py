@@ -34,8 +34,8 @@ from trms_cli.core.errors import ConfigurationError, ModelError, TrmsError
 from trms_cli.core.plugins import require_known
 from trms_cli.models.continuation import ImplicitCurve, SolutionCurve
 from trms_cli.models.model import Model, names
-from trms_cli.models.operating_point import OperatingPoint, operating_point, refined
-from trms_cli.models.rest import arriving
+from trms_cli.models.operating_point import OperatingPoint, operating_point, refine_operating_point
+from trms_cli.models.rest import static_motor_command
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.equilibria.proof import Proof, Prover, RangePiece, over_range
 from trms_cli.stability.equilibria.rest_system import RestSystem, rest_system
@@ -655,7 +655,7 @@ def named_points(
 
 def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
     u, p = ca.SX.sym("u", model.n_u), ca.SX.sym("p", len(model.parameters))
-    path = ca.Function("path", [u, p], [arriving(model, u, p)])
+    path = ca.Function("path", [u, p], [static_motor_command(model, u, p)])
     field = VectorField(model)
 
     def arrives(commands: FloatArray) -> FloatArray:
@@ -665,7 +665,7 @@ def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
     # commands that pass a dead zone on their way too.
     u = np.where(np.abs(point.u) < _NEAR_ZERO, 0.0, point.u)
     if not np.array_equal(u, point.u):
-        settled = refined(field, point.x, arrives(u))
+        settled = refine_operating_point(field, point.x, arrives(u))
         rows = [model.state_index(name) for name in model.controlled]
         if settled is not None and np.abs(settled - point.x)[rows].max() <= _SAME_ANGLE:
             point = OperatingPoint(settled, u)

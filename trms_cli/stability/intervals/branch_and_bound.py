@@ -66,7 +66,7 @@ def branch_and_bound(
         order = np.argpartition(keys, size - 1)
         now, later = order[:size], order[size:]
         halves, theirs, spent = visit(boxes[now], keys[now])
-        boxes, keys = joined(boxes[later], halves), np.concatenate([keys[later], theirs])
+        boxes, keys = join_boxes(boxes[later], halves), np.concatenate([keys[later], theirs])
         examined += spent
     return BoxSearch(boxes, keys, examined)
 
@@ -124,8 +124,8 @@ def prove_negative(
             if values[worst] >= 0.0:
                 failure.append((float(values[worst]), middles[worst]))
         narrow = (boxes.width <= _NARROWEST * size).all(axis=1)
-        halves = halved(boxes[~narrow], (boxes.width / size)[~narrow].argmax(axis=1))
-        left = joined(halves, boxes[narrow])
+        halves = halve_boxes(boxes[~narrow], (boxes.width / size)[~narrow].argmax(axis=1))
+        left = join_boxes(halves, boxes[narrow])
         # The widest come first; what is too narrow to be halved comes last, and ends the search.
         width = (halves.width / size).max(axis=1, initial=0.0)
         return left, np.concatenate([-width, np.zeros(int(narrow.sum()))]), count
@@ -142,7 +142,7 @@ def prove_negative(
     return NegativityProof(status, None, None, search.examined, search.boxes)
 
 
-def halved(
+def halve_boxes(
     boxes: Interval, along: npt.NDArray[np.intp] | int, at: FloatArray | None = None
 ) -> Interval:
     """Boxes (m, n), each cut in two in one direction, at the middle or a point: (2m, n)."""
@@ -150,10 +150,10 @@ def halved(
     place = (boxes.middle if at is None else at)[rows, along]
     first_upper, second_lower = boxes.upper.copy(), boxes.lower.copy()
     first_upper[rows, along] = second_lower[rows, along] = place
-    return joined(Interval(boxes.lower, first_upper), Interval(second_lower, boxes.upper))
+    return join_boxes(Interval(boxes.lower, first_upper), Interval(second_lower, boxes.upper))
 
 
-def joined(*parts: Interval) -> Interval:
+def join_boxes(*parts: Interval) -> Interval:
     """Lists of boxes (m, n) after each other."""
     return Interval(
         np.concatenate([part.lower for part in parts]),

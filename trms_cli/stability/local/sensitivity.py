@@ -25,7 +25,7 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Panel
-from trms_cli.core.findings import Column, Table, rounded, table
+from trms_cli.core.findings import Column, Table, round_significant, table
 from trms_cli.core.wording import listing
 from trms_cli.models.model import Model
 from trms_cli.stability.local.linear import parts_of, rate_of
@@ -294,9 +294,9 @@ def share_table(path: OperatingPath, why: ModeSensitivity) -> Table:
         [
             Column("entry", lambda s: entry_words(path.model, s.row, s.column)),
             Column("symbol", symbol),
-            Column(f"change per {unit}", lambda s: rounded(s.change)),
-            Column(f"of d Re λ [1/s per {unit}]", lambda s: rounded(s.part.real)),
-            Column(f"of d Im λ [rad/s per {unit}]", lambda s: rounded(s.part.imag)),
+            Column(f"change per {unit}", lambda s: round_significant(s.change)),
+            Column(f"of d Re λ [1/s per {unit}]", lambda s: round_significant(s.part.real)),
+            Column(f"of d Im λ [rad/s per {unit}]", lambda s: round_significant(s.part.imag)),
             Column("share", share),
         ],
         f"What moves the {why.mode} at {amount_words(path.model, path.over, why.value, 4)}: "

@@ -226,7 +226,7 @@ class OperatingPath:
     @property
     def head(self) -> str:
         """Of a column: ``u_v [V]``."""
-        return wording.titled(self.over, self.unit)
+        return wording.with_unit(self.over, self.unit)
 
     def held(self, value: float) -> TrimCondition:
         """What is held at a value."""

@@ -33,7 +33,7 @@ from trms_cli.core.findings import (
     Judgement,
     Section,
     Table,
-    rounded,
+    round_significant,
     table,
 )
 from trms_cli.models.model import Model
@@ -240,7 +240,7 @@ def exchange_words(locus: Locus) -> list[str]:
 
 
 def _sig(value: float | None) -> float | None:
-    return 0.0 if value is not None and abs(value) < 1e-9 else rounded(value)
+    return 0.0 if value is not None and abs(value) < 1e-9 else round_significant(value)
 
 
 _OF_PART: dict[str, Colour] = {

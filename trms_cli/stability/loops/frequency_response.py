@@ -421,7 +421,7 @@ def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
     return OperatingPoint(target.x, target.u)
 
 
-def measured(
+def measure_response(
     analyser: Analyser, subject: Subject, loop: LoopParts, point: OperatingPoint, tell: Tell
 ) -> FrequencyResponse | NoResponse:
     """The response; that of the rig without its dry friction where that holds it at the point.
@@ -628,7 +628,7 @@ class MarginResult:
     @cached_property
     def S(self) -> ComplexArray:
         """Sensitivity at :attr:`omega`, (n, n_u, n_u)."""
-        return interpolated(self.response.omega, self.response.S, self.omega)
+        return interpolate_response(self.response.omega, self.response.S, self.omega)
 
     @cached_property
     def T(self) -> ComplexArray:
@@ -690,11 +690,13 @@ class MarginResult:
         """
         omega, S = self.response.omega, self.response.S
         kept = np.union1d(np.arange(0, omega.size, 2), [omega.size - 1])
-        guess = interpolated(omega[kept], S[kept], omega)
+        guess = interpolate_response(omega[kept], S[kept], omega)
         return float(largest_singular_value(guess - S).max())
 
 
-def interpolated(omega: FloatArray, values: ComplexArray, wanted: FloatArray) -> ComplexArray:
+def interpolate_response(
+    omega: FloatArray, values: ComplexArray, wanted: FloatArray
+) -> ComplexArray:
     """Cubic splines over the logarithm of the frequency, along the first axis."""
     from scipy.interpolate import CubicSpline
 

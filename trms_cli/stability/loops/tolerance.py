@@ -23,7 +23,7 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.closed_loop import LoopRun, Path, run_loop
@@ -83,14 +83,14 @@ class Impairment:
         if self.kind != "friction":
             return model
         friction = CoulombFriction(axis=self.of, torque=size)  # type: ignore[arg-type]
-        return extended(model, {f"added_{self.key}": friction})
+        return extend_model(model, {f"added_{self.key}": friction})
 
     def path(
         self, model: Model, point: OperatingPoint, sample_time: float, size: float
     ) -> Path | None:
         """What its commands pass; None where they pass as they are."""
         if self.kind == "delay":
-            return Delayed(size / sample_time, point.u)
+            return CommandDelay(size / sample_time, point.u)
         if self.kind == "friction":
             return None
         factor = np.ones(model.n_u)
@@ -109,7 +109,7 @@ def impairments_of(model: Model) -> tuple[Impairment, ...]:
 
 
 @dataclass
-class Delayed:
+class CommandDelay:
     """Commands as they were a time ago.
 
     Between two samples the delayed command has its mean over the sample: the mixture of two

@@ -45,7 +45,7 @@ from trms_cli.stability.intervals.branch_and_bound import (
     BoxSearch,
     NegativityProof,
     branch_and_bound,
-    halved,
+    halve_boxes,
     prove_negative,
 )
 from trms_cli.stability.intervals.enclosure import Enclosure
@@ -570,7 +570,7 @@ def decay_level(
         open_ = boxes[~done]
         if not len(open_.lower) or (not patient and fails < most):
             return open_[:0], np.zeros(0), len(done)
-        halves = halved(open_, _directions(matrices, open_, size))
+        halves = halve_boxes(open_, _directions(matrices, open_, size))
         deep = values(halves).lower
         # Boxes above the lowest failure say nothing more about c*.
         keep = deep < min(fails, most)

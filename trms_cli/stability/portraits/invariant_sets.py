@@ -34,7 +34,7 @@ from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.wording import symbol
 from trms_cli.models.dry_friction import SPEEDS
-from trms_cli.models.operating_point import refined
+from trms_cli.models.operating_point import refine_operating_point
 from trms_cli.models.vector_field import has_impulses
 from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection, rate_names
 
@@ -132,7 +132,7 @@ def search(section: StateSection, window: FloatArray) -> tuple[RestPoint, ...]:
     unseen = [i for i in coordinates.others if coordinates.model.states[i].unit == "rad"]
     found: list[FloatArray] = []
     for start in (point.x, *starts[np.isfinite(starts).all(axis=1)]):
-        x = refined(coordinates.field, start, point.u)
+        x = refine_operating_point(coordinates.field, start, point.u)
         if x is None or len(found) >= _MOST:
             continue
         c = coordinates.values(x, point.u)

@@ -21,7 +21,7 @@ import numpy as np
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
-from trms_cli.models.operating_point import refined
+from trms_cli.models.operating_point import refine_operating_point
 from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.portraits.invariant_sets import RestPoint, StickingSet, rest_point, search
 from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection
@@ -444,7 +444,7 @@ def ends_of(
             if np.all(np.abs(tail - rest.c) <= near):
                 return "rest", place, _arrival(path, rest.c, near)
         if still and search_beyond:
-            x = refined(section.coordinates.field, path.x[-1], section.point.u)
+            x = refine_operating_point(section.coordinates.field, path.x[-1], section.point.u)
             beyond = None if x is None else rest_point(section, x)
             if beyond is not None and np.all(np.abs(tail - beyond.c) <= near):
                 known.append(beyond)

@@ -21,7 +21,7 @@ from trms_cli.core.findings import (
     Section,
     Table,
     json_data,
-    rounded,
+    round_significant,
 )
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, Signal, by_name, names
@@ -358,7 +358,7 @@ def _inputs(result: ControllabilityResult) -> Section:
         value, limit = float(result.volts[i, j]), float(result.scales.u[j])
         if value > _ABSURD * limit:
             return Datum("never", "bad")
-        return Datum(rounded(value, 3), "" if value <= limit else "doubtful")
+        return Datum(round_significant(value, 3), "" if value <= limit else "doubtful")
 
     moves = Table(
         ("to move", *(f"{signal.name} [{signal.unit} rms]" for signal in model.inputs)),

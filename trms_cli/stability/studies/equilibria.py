@@ -15,7 +15,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.findings import Column, Datum, Findings, Section, Table, Value, json_data, table
 from trms_cli.core.plugins import require_known
-from trms_cli.core.wording import symbol, titled
+from trms_cli.core.wording import symbol, with_unit
 from trms_cli.core.wording import unit as written_unit
 from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
@@ -329,7 +329,9 @@ def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
     def cell(name: str) -> Callable[[OperatingPoint], Value]:
         return lambda point: _rounded(point.value(model, name))
 
-    return [Column(titled(symbol(name), _signal(model, name).unit), cell(name)) for name in shown]
+    return [
+        Column(with_unit(symbol(name), _signal(model, name).unit), cell(name)) for name in shown
+    ]
 
 
 def _outcomes(model: Model) -> list[str]:
@@ -483,7 +485,7 @@ def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
         for point, cells in zip(check.points, values, strict=True):
             rightmost = _rounded(float(point.eigenvalues[0].real))
             rows.append([at, *cells, _stability(point), rightmost, proof])
-    heads = [titled(symbol(over), _signal(model, over).unit), *(c.head for c in columns)]
+    heads = [with_unit(symbol(over), _signal(model, over).unit), *(c.head for c in columns)]
     return Table(
         [*heads, "stability", "rightmost [1/s]", "number"],
         rows,
@@ -532,7 +534,7 @@ def _landmark_table(result: EquilibriaResult) -> Table | None:
     ]
     if not rows:
         return None
-    heads = [titled(symbol(name), _signal(model, name).unit) for name in model.controlled]
+    heads = [with_unit(symbol(name), _signal(model, name).unit) for name in model.controlled]
     return Table(["", "where", *heads, "frequency [Hz]"], rows, "Special points of the curves.")
 
 

@@ -14,7 +14,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points, Style
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.core.plugins import require_known
-from trms_cli.core.wording import symbol, titled
+from trms_cli.core.wording import symbol, with_unit
 from trms_cli.models.model import Model, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.vector_field import has_impulses
@@ -381,7 +381,7 @@ def _orbit_table(result: LimitCycleResult) -> Table:
         Column("cycle", kind),
         Column("period [s]", lambda orbit: f"{orbit.period:.4f}"),
         *(
-            Column(titled(symbol(model.states[i].name), model.states[i].unit), span(i))
+            Column(with_unit(symbol(model.states[i].name), model.states[i].unit), span(i))
             for i in angles
         ),
         Column("largest multiplier", lambda orbit: _written(orbit.largest)),

@@ -20,7 +20,7 @@ from trms_cli.core.findings import (
     Section,
     Table,
     json_data,
-    rounded,
+    round_significant,
     table,
 )
 from trms_cli.models.operating_point import OperatingPoint, operating_point
@@ -362,9 +362,12 @@ def rising_table(certificate: LyapunovCertificate, rising: RisingState) -> Table
     """The counterexample."""
     names = certificate.search.candidate.energy.names()
     rows = [
-        *((_head(name), rounded(value, 6)) for name, value in zip(names, rising.y, strict=True)),
-        ("V [J]", rounded(rising.value)),
-        ("V̇ [W]", rounded(rising.derivative)),
+        *(
+            (_head(name), round_significant(value, 6))
+            for name, value in zip(names, rising.y, strict=True)
+        ),
+        ("V [J]", round_significant(rising.value)),
+        ("V̇ [W]", round_significant(rising.derivative)),
     ]
     return Table(("at the state", ""), rows, "Where V rises, confirmed with outward rounding")
 

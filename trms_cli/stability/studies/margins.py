@@ -36,7 +36,7 @@ from trms_cli.stability.loops.frequency_response import (
     StabilityLimit,
     diagonal_mu,
     largest_singular_value,
-    measured,
+    measure_response,
     point_of,
 )
 from trms_cli.stability.study import Tell
@@ -69,7 +69,7 @@ class Margins:
         loop = subject.require_loop("study=margins")
         point = point_of(subject, self.at)
         analyser = Analyser(self.lowest, self.ratio, self.amplitude, self.periods)
-        response = measured(analyser, subject, loop, point, tell)
+        response = measure_response(analyser, subject, loop, point, tell)
         if isinstance(response, NoResponse):
             return no_response_findings(response, subject, loop, point)
         tell("margins")

@@ -301,7 +301,7 @@ def legend(section: StateSection, end: TrajectoryEnd, rests: Sequence[RestPoint]
     return label(section, end)
 
 
-def merged(ends: Sequence[TrajectoryEnd]) -> tuple[TrajectoryEnd, ...]:
+def merge_outside(ends: Sequence[TrajectoryEnd]) -> tuple[TrajectoryEnd, ...]:
     """The ends with all rest points outside the window as one."""
     outside = [end for end in ends if end.what == "rest outside"]
     if len(outside) < 2:
@@ -398,7 +398,7 @@ def _angles(section: StateSection, rest: RestPoint) -> str:
 
 
 def _ends(result: PortraitResult) -> str:
-    ends, total = merged(result.ends), len(result.trajectories)
+    ends, total = merge_outside(result.ends), len(result.trajectories)
     parts = []
     for end in ends:
         count = len(end.members)
@@ -666,7 +666,7 @@ def _slowest(rest: RestPoint) -> str | None:
 
 def chart(result: PortraitResult) -> Chart:
     """The figure with its caption and legend."""
-    ends = merged(result.ends)
+    ends = merge_outside(result.ends)
     labels = [legend(result.section, end, result.rests) for end in ends]
     return portrait(result, caption(result), ends, labels)
 
@@ -674,7 +674,7 @@ def chart(result: PortraitResult) -> Chart:
 def ends_section(result: PortraitResult) -> Section:
     """Where trajectories end, how many, how soon."""
     section, total = result.section, len(result.trajectories)
-    ends = result.ends if result.loop else merged(result.ends)
+    ends = result.ends if result.loop else merge_outside(result.ends)
 
     def words(end: TrajectoryEnd) -> str:
         at = end.what == "rest outside" and end.rest is not None

@@ -30,7 +30,7 @@ from trms_cli.core.findings import (
     Section,
     Table,
     json_data,
-    rounded,
+    round_significant,
     table,
 )
 from trms_cli.models.model import Model, names
@@ -46,7 +46,7 @@ from trms_cli.stability.attraction.region import (
     plane_axes,
     plane_starts,
 )
-from trms_cli.stability.attraction.system import around, require_attractive, written
+from trms_cli.stability.attraction.system import around, complex_text, require_attractive
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -209,7 +209,7 @@ def estimate_table(region: AttractionRegion) -> Table:
             Column("V", lambda v: v.estimate.label),
             Column("is", lambda v: _PROVED[v.estimate.proved]),
             Column(f"{labels[shown]} from, to [{unit}]", lambda v: from_to(v.estimate, shown)),
-            Column("volume", lambda v: rounded(math.exp(v.estimate.log_volume), 3)),
+            Column("volume", lambda v: round_significant(math.exp(v.estimate.log_volume), 3)),
             Column(
                 "of the true region",
                 lambda v: percent(v.share) if v.share else "too small to count",
@@ -323,7 +323,7 @@ def _warnings(region: AttractionRegion) -> list[str]:
     if slow < 0.05 * frequency:
         worst = max(system.eigenvalues, key=lambda v: v.real)
         said.append(
-            f"The slowest mode ({written(worst)} 1/s) is lightly damped: quadratic functions "
+            f"The slowest mode ({complex_text(worst)} 1/s) is lightly damped: quadratic functions "
             "cover little there, whatever the method."
         )
     return said

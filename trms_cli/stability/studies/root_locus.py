@@ -22,10 +22,10 @@ from trms_cli.core.findings import (
     Findings,
     Section,
     json_data,
-    rounded,
+    round_significant,
     table,
 )
-from trms_cli.core.wording import titled
+from trms_cli.core.wording import with_unit
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.linear import STILL, Side, rate_of
@@ -219,10 +219,10 @@ def map_section(path: OperatingPath, mapped: StabilityMap) -> Section:
     ends = table(
         (c | {"over": end["over"]} for end in mapped.along_against for c in end["crossings"]),
         [
-            Column(path.head, lambda c: rounded(c["over"], 5)),
+            Column(path.head, lambda c: round_significant(c["over"], 5)),
             Column("mode", "mode"),
-            Column(titled(against, unit_2), lambda c: rounded(c["value"], 5)),
-            Column("ω [rad/s]", lambda c: rounded(c["frequency_rad_s"])),
+            Column(with_unit(against, unit_2), lambda c: round_significant(c["value"], 5)),
+            Column("ω [rad/s]", lambda c: round_significant(c["frequency_rad_s"])),
             Column("unstable", lambda c: "above" if c["unstable_above"] else "below"),
         ],
         f"Where stability ends along {against}.",
@@ -357,9 +357,9 @@ def _locus_section(locus: Locus) -> Section:
         locus.crossings,
         [
             Column("mode", locus.name),
-            Column(path.head, lambda c: rounded(c.value, 6)),
-            Column("ω [rad/s]", lambda c: rounded(c.frequency)),
-            Column("f [Hz]", lambda c: rounded(c.frequency / (2 * math.pi))),
+            Column(path.head, lambda c: round_significant(c.value, 6)),
+            Column("ω [rad/s]", lambda c: round_significant(c.frequency)),
+            Column("f [Hz]", lambda c: round_significant(c.frequency / (2 * math.pi))),
             Column("kind", lambda c: "jump at a switch" if c.jumps else _KINDS[c.frequency > 0]),
             Column("unstable", lambda c: Datum(c.side, "bad")),
         ],

@@ -18,7 +18,7 @@ from trms_cli.stability.loops.frequency_response import (
     Analyser,
     MarginResult,
     NoResponse,
-    measured,
+    measure_response,
     point_of,
 )
 from trms_cli.stability.loops.tolerance import (
@@ -87,7 +87,7 @@ class Tolerance:
                 where="delays",
                 remedy="give some of study.delays, study.gains, study.frictions",
             )
-        response = measured(Analyser(), subject, loop, point, tell)
+        response = measure_response(Analyser(), subject, loop, point, tell)
         if isinstance(response, NoResponse):
             return no_response_findings(response, subject, loop, point)
         tell("nothing wrong")

@@ -22,8 +22,8 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError, first_line
-from trms_cli.sweeps.launchers.local import ONE_THREAD, arrived
-from trms_cli.sweeps.plugins import Attempt, Ended, Work, Workers
+from trms_cli.sweeps.launchers.local import ONE_THREAD, collect_arrivals
+from trms_cli.sweeps.plugins import Attempt, EndedAttempt, Work, Workers
 
 INSTALL = "pip install 'trms-cli[cluster]'"
 _EVERY = 2.0  # s between two counts of the workers
@@ -59,7 +59,7 @@ class DaskLauncher:
                 from joblib import cpu_count
 
                 target = stack.enter_context(cluster(self.workers or max(1, cpu_count())))
-            client = stack.enter_context(connected(dask, target, self.patience))
+            client = stack.enter_context(connect_client(dask, target, self.patience))
             if self.address is None:
                 client.register_plugin(worker_plugin())
             wait_for_workers(client, self.patience, str(self.address or "this machine"))
@@ -116,7 +116,7 @@ def cluster(workers: int, **more: Any) -> Iterator[Any]:
 
 
 @contextmanager
-def connected(distributed: Any, target: Any, patience: float, **more: Any) -> Iterator[Any]:
+def connect_client(distributed: Any, target: Any, patience: float, **more: Any) -> Iterator[Any]:
     """A client of a scheduler; raises ConfigurationError if it does not answer."""
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
@@ -182,9 +182,11 @@ class DaskWorkers:
             self._given[key] = (future, attempt)
             future.add_done_callback(lambda done: self._came.put(done.key))
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[EndedAttempt]:
         """Those that have ended since the last call."""
-        found = [each for key in arrived(self._came, timeout_s) for each in self._taken(key)]
+        found = [
+            each for key in collect_arrivals(self._came, timeout_s) for each in self._taken(key)
+        ]
         if not found and self._client.status not in ("running", "newly-created"):
             raise self._gone(None)
         return found
@@ -195,22 +197,22 @@ class DaskWorkers:
         with contextlib.suppress(Exception):
             self._client.cancel(futures, force=True)
 
-    def _taken(self, key: str) -> list[Ended]:
+    def _taken(self, key: str) -> list[EndedAttempt]:
         future, attempt = self._given.pop(key, (None, None))
         if attempt is None or future is None:
             return []
         if future.status == "finished":
             result = future.result(timeout=30)
             reason = "" if result is not None else "another worker had begun it"
-            return [Ended(attempt, result, reason)]
+            return [EndedAttempt(attempt, result, reason)]
         if future.status == "error":
             error = future.exception(timeout=30)
             if type(error).__name__ in ("KilledWorker", "CancelledError", "WorkerClosedError"):
-                return [Ended(attempt, None, "the process that ran it died")]
-            return [Ended(attempt, None, first_line(error, type(error).__name__))]
+                return [EndedAttempt(attempt, None, "the process that ran it died")]
+            return [EndedAttempt(attempt, None, first_line(error, type(error).__name__))]
         if self._client.status != "running":  # taken back, since the connection is lost
             raise self._gone(None)
-        return [Ended(attempt, None, f"Dask has {future.status} it")]
+        return [EndedAttempt(attempt, None, f"Dask has {future.status} it")]
 
     def _gone(self, error: Exception | None) -> TrmsError:
         reason = f" ({first_line(error, type(error).__name__)})" if error is not None else ""

@@ -22,7 +22,7 @@ from typing import Annotated, Any, TypeVar
 from msgspec import Meta
 
 from trms_cli.core.errors import TrmsError, first_line
-from trms_cli.sweeps.plugins import Attempt, Ended, Work, Workers
+from trms_cli.sweeps.plugins import Attempt, EndedAttempt, Work, Workers
 
 #: Matrices are small here: threads of linear algebra only wait for one another.
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
@@ -72,12 +72,12 @@ class InProcess:
         """Note what is to be done."""
         self._waiting += attempts
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[EndedAttempt]:
         """Make one run."""
         if not self._waiting:
             return []
         attempt = self._waiting.pop(0)
-        return [Ended(attempt, self.work(attempt))]
+        return [EndedAttempt(attempt, self.work(attempt))]
 
 
 @dataclass
@@ -112,22 +112,24 @@ class _LokyCrew:
             worker.given[future] = attempt
             future.add_done_callback(lambda done, worker=worker: self._came.put((worker, done)))
 
-    def ended(self, timeout_s: float) -> list[Ended]:
-        return [each for came in arrived(self._came, timeout_s) for each in self._taken(*came)]
+    def ended(self, timeout_s: float) -> list[EndedAttempt]:
+        return [
+            each for came in collect_arrivals(self._came, timeout_s) for each in self._taken(*came)
+        ]
 
     def end(self) -> None:
         """End the processes, whatever they are at."""
         for worker in self._team:
             _kill(worker.pool)
 
-    def _taken(self, worker: _Worker, future: Future[Any]) -> list[Ended]:
+    def _taken(self, worker: _Worker, future: Future[Any]) -> list[EndedAttempt]:
         attempt = worker.given.pop(future, None)
         if attempt is None:
             return []
         error = future.exception() if not future.cancelled() else None
         if error is None and not future.cancelled():
             self._deaths = 0
-            return [Ended(attempt, future.result())]
+            return [EndedAttempt(attempt, future.result())]
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
         if error is not None and not isinstance(error, BrokenProcessPool):
@@ -141,7 +143,7 @@ class _LokyCrew:
             )
         if worker.pool._flags.broken is not None:
             self._replace(worker)
-        return [Ended(attempt, None, first_line(error))]
+        return [EndedAttempt(attempt, None, first_line(error))]
 
     def _replace(self, worker: _Worker) -> None:
         _kill(worker.pool)
@@ -176,7 +178,7 @@ def _end_with_parent(parent: int) -> None:
     os._exit(1)
 
 
-def arrived(came: queue.SimpleQueue[_T], timeout_s: float) -> list[_T]:
+def collect_arrivals(came: queue.SimpleQueue[_T], timeout_s: float) -> list[_T]:
     """What a queue holds, after waiting up to a time for the first."""
     found: list[_T] = []
     with contextlib.suppress(queue.Empty):

@@ -29,12 +29,12 @@ from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.sweeps.launchers.dask import (
     DaskWorkers,
     cluster,
-    connected,
+    connect_client,
     require_package,
     wait_for_workers,
 )
 from trms_cli.sweeps.launchers.local import ONE_THREAD, InProcess
-from trms_cli.sweeps.plugins import Ended, Work, Workers
+from trms_cli.sweeps.plugins import EndedAttempt, Work, Workers
 
 #: s between two looks at jobs that have ended.
 _LOOK = 10.0
@@ -79,7 +79,7 @@ class SlurmLauncher:
         host = self.host or ("127.0.0.1" if self.cluster == "local" else _own_address())
         with contextlib.ExitStack() as stack:
             started = stack.enter_context(cluster(0, host=host))
-            client = stack.enter_context(connected(distributed, started, 30.0))
+            client = stack.enter_context(connect_client(distributed, started, 30.0))
             jobs = _Jobs(
                 executor, started.scheduler_address, self.workers, played=self.cluster == "local"
             )
@@ -235,7 +235,7 @@ class _SlurmCrew(DaskWorkers):
         super().__init__(client, work, "this process")
         self._jobs = jobs
 
-    def ended(self, timeout_s: float) -> list[Ended]:
+    def ended(self, timeout_s: float) -> list[EndedAttempt]:
         found = super().ended(timeout_s)
         if any(each.result is not None for each in found):
             self._jobs.finished_one()

@@ -245,7 +245,7 @@ def quantiles(varied: Range | PriorOfKey, shares: FloatArray) -> FloatArray:
         values = np.round(_uniform(varied, low, high, shares))
     else:
         values = _uniform(varied, varied.low, varied.high, shares)
-    return np.array([rounded(varied, float(value)) for value in values])
+    return np.array([round_within(varied, float(value)) for value in values])
 
 
 def _uniform(varied: Range, low: float, high: float, shares: FloatArray) -> FloatArray:
@@ -256,7 +256,7 @@ def _uniform(varied: Range, low: float, high: float, shares: FloatArray) -> Floa
     return np.asarray(stats.uniform.ppf(shares, low, high - low))
 
 
-def rounded(varied: Range | PriorOfKey, value: float) -> float:
+def round_within(varied: Range | PriorOfKey, value: float) -> float:
     """A value with few digits, within the bounds: at a bound of more digits, just inside of it."""
     if isinstance(varied, Range) and varied.whole:
         return min(max(value, varied.low), varied.high)
@@ -324,7 +324,7 @@ def choice_parts(choices: Sequence[Choice]) -> Iterator[Part]:
 
 
 @dataclass
-class Planned:
+class PlannedPoints:
     """The points of a sweep whose samples are all drawn at its beginning.
 
     Every combination of choices sees every sample, and those of one sample follow each other: a
@@ -376,12 +376,12 @@ def another_point(known: SweepPoint, keys: str) -> ConfigurationError:
     )
 
 
-def planned(
+def plan_points(
     space: Space,
     shares: FloatArray,
     known: Sequence[SweepPoint],
     robustness: Robustness | None = None,
-) -> Planned:
+) -> PlannedPoints:
     """Points of samples at given shares of the distributions, those that are known left out.
 
     ``shares``: (n, d) array; points of the unit cube, a column for each range and prior. Raises
@@ -391,7 +391,7 @@ def planned(
     samples = shares.copy()
     for column, varied in enumerate(space.continuous):
         samples[:, column] = quantiles(varied, shares[:, column])
-    proposals = Planned(space, samples, robustness=robustness)
+    proposals = PlannedPoints(space, samples, robustness=robustness)
     for point in known:
         if point.number >= proposals.total or proposals.point(point.number) != point:
             raise another_point(point, "the samples and the seed")
@@ -413,7 +413,7 @@ class DrawingSampler:
         """The samples as points of the unit cube, (samples, columns)."""
         raise NotImplementedError
 
-    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
+    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> PlannedPoints:
         """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`.
 
         Raises ConfigurationError for a space in which there is nothing to draw.
@@ -427,4 +427,4 @@ class DrawingSampler:
                 "KEY=interval(LOW,HIGH); choices alone are tried one by one by sampler=grid",
             )
         told = Robustness(self.figures, self.limits).checked()
-        return planned(space, self.shares(len(space.continuous)), known, told)
+        return plan_points(space, self.shares(len(space.continuous)), known, told)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.samplers.drawing import Planned, planned
+from trms_cli.sweeps.samplers.drawing import PlannedPoints, plan_points
 from trms_cli.sweeps.space import PriorOfKey, Space, SweepPoint
 
 
@@ -16,7 +16,7 @@ from trms_cli.sweeps.space import PriorOfKey, Space, SweepPoint
 class Grid:
     """Nested loops over the choices, the last typed running fastest."""
 
-    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Planned:
+    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> PlannedPoints:
         """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`."""
         if space.continuous:
             first = space.continuous[0]
@@ -28,4 +28,4 @@ class Grid:
                 remedy="draw from it: add sampler=latin_hypercube sampler.samples=100; search in "
                 f"it: sampler=optimise; or list values: {listed}",
             )
-        return planned(space, np.zeros((1, 0)), known)
+        return plan_points(space, np.zeros((1, 0)), known)

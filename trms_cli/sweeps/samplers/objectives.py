@@ -20,7 +20,7 @@ _UNSETTLED = ", which exists where there are steps and every one settles"
 
 
 @dataclass(frozen=True)
-class Tried:
+class TrialOutcome:
     """What came of a trial."""
 
     #: Objectives and limited figures over its conditions; empty for a trial that failed
@@ -44,7 +44,7 @@ class Aims:
     worst: bool = False  #: An objective is that of the worst condition, not the mean
     typed: tuple[str, ...] = ()  #: Objectives and limited figures as they were typed, for messages
 
-    def tried(self, results: Sequence[RunResult]) -> Tried:
+    def tried(self, results: Sequence[RunResult]) -> TrialOutcome:
         """A trial by the results of its conditions.
 
         One that failed makes the trial fail, and so does one without a figure to judge it by (the
@@ -52,37 +52,37 @@ class Aims:
         """
         for result in results:
             if result.state != "done":
-                return Tried(problem=result.problem or result.state)
+                return TrialOutcome(problem=result.problem or result.state)
         figures: dict[str, float] = {}
         for name in dict.fromkeys((*self.objectives, *self.limits)):
             values = [figure_of(result, name) for result in results]
             present = [value for value in values if value is not None]
             if len(present) < len(values):
-                return Tried(problem=f"a run has no {objective_name(name, self.typed)}")
+                return TrialOutcome(problem=f"a run has no {objective_name(name, self.typed)}")
             if name in self.objectives:
                 figures[name] = self._over_conditions(name, present)
             if name in self.limits:
                 figures[_limited(name)] = max(present)
-        return Tried(figures)
+        return TrialOutcome(figures)
 
     def _over_conditions(self, name: str, values: Sequence[float]) -> float:
         if self.worst:
             return min(values) if name in self.maximised else max(values)
         return float(np.mean(values))
 
-    def losses(self, tried: Tried) -> list[float]:
+    def losses(self, tried: TrialOutcome) -> list[float]:
         """Objectives of a trial that did not fail, as what is to be small."""
         signs = (-1.0 if name in self.maximised else 1.0 for name in self.objectives)
         return [sign * tried.figures[n] for sign, n in zip(signs, self.objectives, strict=True)]
 
-    def excess(self, tried: Tried) -> list[float]:
+    def excess(self, tried: TrialOutcome) -> list[float]:
         """By how much limits are exceeded, relative to them; not positive where they are held."""
         return [
             (tried.figures[_limited(name)] - bound) / (abs(bound) or 1.0)
             for name, bound in self.limits.items()
         ]
 
-    def allowed(self, tried: Tried) -> bool:
+    def allowed(self, tried: TrialOutcome) -> bool:
         """Whether a trial did not fail and holds all limits."""
         return not tried.failed and all(excess <= 0 for excess in self.excess(tried))
 

@@ -26,7 +26,7 @@ from trms_cli.sweeps.samplers.drawing import (
     sample_part,
 )
 from trms_cli.sweeps.samplers.latin_hypercube import hypercube
-from trms_cli.sweeps.samplers.objectives import Aims, Tried, front, hypervolumes
+from trms_cli.sweeps.samplers.objectives import Aims, TrialOutcome, front, hypervolumes
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space, SweepPoint
 
 if TYPE_CHECKING:
@@ -274,7 +274,7 @@ class Trials:
         self._search.tell([(asked, each) for asked, each in pairs if asked is not None and each])
         self._told += 1
 
-    def _tried(self, results: Mapping[int, RunResult]) -> list[Tried | None]:
+    def _tried(self, results: Mapping[int, RunResult]) -> list[TrialOutcome | None]:
         """What came of each trial, None of those whose runs have not all ended."""
         ended = [self._ended(results, number) for number in range(len(self.parts))]
         return [self.aims.tried(own) if own else None for own in ended]
@@ -323,7 +323,7 @@ class Trials:
                 }
 
 
-def best_trials(aims: Aims, tried: Sequence[Tried | None]) -> list[int]:
+def best_trials(aims: Aims, tried: Sequence[TrialOutcome | None]) -> list[int]:
     """Numbers of the trials that no other allowed trial dominates; of one objective the best."""
     allowed = [i for i, each in enumerate(tried) if each is not None and aims.allowed(each)]
     if not allowed:
@@ -338,7 +338,7 @@ def best_trials(aims: Aims, tried: Sequence[Tried | None]) -> list[int]:
 def outcome(
     aims: Aims,
     parts: Sequence[Part],
-    tried: Sequence[Tried | None],
+    tried: Sequence[TrialOutcome | None],
     conditions: int,
     fixed: Sequence[str],
 ) -> dict[str, Any]:
@@ -373,7 +373,9 @@ def outcome(
     }
 
 
-def _record(aims: Aims, number: int, part: Part, tried: Tried, conditions: int) -> dict[str, Any]:
+def _record(
+    aims: Aims, number: int, part: Part, tried: TrialOutcome, conditions: int
+) -> dict[str, Any]:
     record: dict[str, Any] = {
         "trial": number,
         "points": list(range(number * conditions, (number + 1) * conditions)),
@@ -385,7 +387,7 @@ def _record(aims: Aims, number: int, part: Part, tried: Tried, conditions: int) 
     return record | ({"problem": tried.problem} if tried.failed else {})
 
 
-def _history(aims: Aims, tried: Sequence[Tried]) -> list[float | None]:
+def _history(aims: Aims, tried: Sequence[TrialOutcome]) -> list[float | None]:
     """After each trial: the best so far, or the hypervolume of the front so far."""
     allowed = [i for i, each in enumerate(tried) if aims.allowed(each)]
     steps: dict[int, float] = {}

@@ -16,8 +16,8 @@ import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 
-from trms_cli.sweeps.samplers.drawing import as_data, rounded
-from trms_cli.sweeps.samplers.objectives import Aims, Tried
+from trms_cli.sweeps.samplers.drawing import as_data, round_within
+from trms_cli.sweeps.samplers.objectives import Aims, TrialOutcome
 from trms_cli.sweeps.space import Range
 
 Method = Literal["tpe", "nsga2", "random"]
@@ -61,7 +61,7 @@ class OptimisationSearch:
             self._study.sampler = _Choosing(self._sampler(number), self._ranges, given or {})
             return self._study.ask(self._distributions)
 
-    def tell(self, batch: Sequence[tuple[optuna.Trial, Tried]]) -> None:
+    def tell(self, batch: Sequence[tuple[optuna.Trial, TrialOutcome]]) -> None:
         """What came of a batch.
 
         A trial that failed is told as worse in every objective than all that did not; as long as
@@ -162,7 +162,7 @@ class _Choosing(optuna.samplers.BaseSampler):
 
     def _rounded(self, key: str, value: Any) -> float | int:
         varied = self._ranges[key]
-        return as_data(varied, rounded(varied, float(value)))
+        return as_data(varied, round_within(varied, float(value)))
 
 
 def _distribution(varied: Range) -> BaseDistribution:

@@ -15,11 +15,11 @@ import numpy as np
 
 from experiments.chapter4.cases import Case
 from trms_cli.identification.free_runs import error_figures, window_runs
-from trms_cli.identification.problem import FitResult, Unwatched, with_values
+from trms_cli.identification.problem import FitResult, SilentProgress, with_values
 
 
 @dataclass
-class Fitted:
+class GreyboxFit:
     """One fit."""
 
     method: str
@@ -44,7 +44,7 @@ class CaseOutcome:
     free: int = 0  #: Number of free parameters
     #: Errors of the model with its own values, by output
     white: Mapping[str, Any] = field(default_factory=dict)
-    fits: list[Fitted] = field(default_factory=list)
+    fits: list[GreyboxFit] = field(default_factory=list)
     #: dict of str to (n,) array; the held-out recording, and ``time`` (s)
     measured: dict[str, Any] = field(default_factory=dict)
     white_trace: dict[str, Any] = field(default_factory=dict)  #: dict of str to (n,) array
@@ -56,15 +56,15 @@ def run_case(
     """Make the recordings of a case, fit it by every method and seed, judge on what is held out."""
     outcome = CaseOutcome(case)
     with tempfile.TemporaryDirectory(prefix="trms-chapter4-") as scratch:
-        fit = recorded(case.fit, Path(scratch, "fit"))
-        held_out = recorded(case.held_out, Path(scratch, "held_out"))
+        fit = record_run(case.fit, Path(scratch, "fit"))
+        held_out = record_run(case.held_out, Path(scratch, "held_out"))
         for method, words in methods.items():
             for seed in seeds:
                 _fit(outcome, method, [*words, f"seed={seed}"], fit, held_out)
     return outcome
 
 
-def recorded(words: Sequence[str], folder: Path) -> Path:
+def record_run(words: Sequence[str], folder: Path) -> Path:
     """The folder of a run."""
     from trms_cli.commands import run
     from trms_cli.composition.composer import compose
@@ -95,11 +95,11 @@ def _fit(
         }
         outcome.white_trace = _trace(white)
     begin = process_time()
-    result: FitResult = asked.method.fit(problem, Unwatched())
+    result: FitResult = asked.method.fit(problem, SilentProgress())
     seconds = process_time() - begin
     runs = window_runs(with_values(problem.model, result.values), problem.validation, length)
     outcome.fits.append(
-        Fitted(
+        GreyboxFit(
             method,
             error_figures(runs),
             SimulationCost(problem)(result.theta),

@@ -36,7 +36,7 @@ class Ours(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     limits: dict[str, float] = {}
 
 
-class Published(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class PublishedResult(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """What somebody published."""
 
     author: str
@@ -50,26 +50,28 @@ class Published(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Beside:
     """A published figure and ours."""
 
-    published: Published
+    published: PublishedResult
     #: Our figures with their units, by words; None for what did not happen
     found: dict[str, tuple[float | None, str]]
     problem: str = ""  #: Why our run failed; "" if it did not
 
 
-def read_published(path: Path = PUBLISHED) -> list[Published]:
+def read_published(path: Path = PUBLISHED) -> list[PublishedResult]:
     """Read the list.
 
     Raises ConfigurationError if the file is none.
     """
     try:
-        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), list[Published])
+        return msgspec.convert(
+            yaml.safe_load(path.read_text(encoding="utf-8")), list[PublishedResult]
+        )
     except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
         raise ConfigurationError(
             f"this is no list of published figures: {str(error).splitlines()[0]}", where=str(path)
         ) from error
 
 
-def put_beside(published: Published, folder: Path) -> Beside:
+def put_beside(published: PublishedResult, folder: Path) -> Beside:
     """Run what can be repeated; never raises for a run that fails.
 
     ``folder``: for a parameter set with other limits.
@@ -77,7 +79,7 @@ def put_beside(published: Published, folder: Path) -> Beside:
     ours = published.ours
     if ours is None:
         return Beside(published=published, found={})
-    from experiments.tournament.running import score_in_memory
+    from experiments.tournament.runs import score_in_memory
 
     run = Run(
         controller="newton_mpc",
