@@ -13,7 +13,7 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
-from trms_cli.effects.extended_model import extended
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -72,7 +72,7 @@ def library_effect(name: str, sizes: dict[str, float] | None = None) -> Effect:
 def simulate(scene: Scene, effects: dict[str, Effect]) -> Run:
     """Run a scene, and tell on the way what the effects did."""
     base = Newtonian()
-    model = extended(base, effects)
+    model = extend_model(base, effects)
     time: FloatArray = STEP * np.arange(round(scene.duration / STEP) + 1, dtype=np.float64)
     command = scene.command(time[:-1])
     # Each substep is a step of its own here, so that torque and arriving command can be seen.

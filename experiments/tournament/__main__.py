@@ -82,7 +82,7 @@ def _tournament(given: argparse.Namespace) -> int:
 
 def _run(runs: Sequence[Run], given: argparse.Namespace, plan: Plan) -> float:
     """Run what has not been run; returns the seconds that all of it took, resumed or not."""
-    from experiments.tournament.runs import is_done, run_all
+    from experiments.tournament.worker_runs import is_done, run_all
 
     given.out.mkdir(parents=True, exist_ok=True)
     if any(given.out.iterdir()) and not given.resume:

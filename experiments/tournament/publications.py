@@ -79,7 +79,7 @@ def put_beside(published: PublishedResult, folder: Path) -> Beside:
     ours = published.ours
     if ours is None:
         return Beside(published=published, found={})
-    from experiments.tournament.runs import score_in_memory
+    from experiments.tournament.worker_runs import score_in_memory
 
     run = Run(
         controller="newton_mpc",

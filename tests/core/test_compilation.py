@@ -54,9 +54,9 @@ def test_cache_is_by_content(cache: Path) -> None:
 def test_cache_key_is_the_same_in_another_process(cache: Path) -> None:
     compile_function(function())
     code = (
-        "import casadi as ca; from trms_cli.core.compilation import compiled\n"
+        "import casadi as ca; from trms_cli.core.compilation import compile_function\n"
         "x, y = ca.SX.sym('x', 3), ca.SX.sym('y', 2, 2)\n"
-        "compiled(ca.Function('sample', [x, y],"
+        "compile_function(ca.Function('sample', [x, y],"
         " [2.0 * ca.sin(x), ca.mtimes(y, y), ca.jacobian(x**2, x)]))"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ.copy())

@@ -40,14 +40,14 @@ def test_all_figures_draw(tmp_path):
 def test_the_scene_simulates_what_the_step_simulates():
     """Torques and arriving commands are read between substeps; the motion may not change by it."""
     from trms_cli.core.compilation import BufferedFunction
-    from trms_cli.effects.extended_model import extended
+    from trms_cli.effects.extended_model import extend_model
     from trms_cli.models.discretisation import discretise
     from trms_cli.models.newtonian import Newtonian
 
     scene = FIGURES["input_delay"].scene
     effects = {scene.effect: library_effect(scene.effect, scene.sizes)}
     run = simulate(scene, effects)
-    model = extended(Newtonian(), effects)
+    model = extend_model(Newtonian(), effects)
     discrete = discretise(model, 0.02, SUBSTEPS)
     step = BufferedFunction(discrete.step)
     x = np.zeros(discrete.n_x)

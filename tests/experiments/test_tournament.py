@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from experiments.tournament import __main__ as program
-from experiments.tournament import figures, page, runs
+from experiments.tournament import figures, page, worker_runs
 from experiments.tournament.publications import put_beside, read_published
 from experiments.tournament.schedule import (
     BLOCKS,
@@ -106,11 +106,11 @@ class TestConfigurations:
     )
     def test_joined_parts_are_what_is_composed_at_once(self, pick):
         run = runs_of(PLAN, pattern=pick)[0]
-        assert runs.config_of(run) == compose([*run.words, "picture=false"]).config
+        assert worker_runs.config_of(run) == compose([*run.words, "picture=false"]).config
 
     def test_parts_that_change_one_key_are_composed_together(self):
         run = a_run(words=("plant.prior_seed=3",))
-        config = runs.config_of(run)
+        config = worker_runs.config_of(run)
         assert config == compose([*run.words, "picture=false"]).config
         assert config["plant"]["prior_seed"] == 3
         assert config["plant"]["sensors"]["noise_sd"]["omega_v"] == 0.0
@@ -118,11 +118,11 @@ class TestConfigurations:
 
 class TestRunning:
     def finish(self, runs, out, logs=False, jobs=1):
-        return list(runs.run_all(runs, out, jobs=jobs, time_limit=60.0, logs=logs))
+        return list(worker_runs.run_all(runs, out, jobs=jobs, time_limit=60.0, logs=logs))
 
     def test_a_run_without_a_log_scores_as_one_with_it(self, tmp_path):
-        runs.perform(a_run(), tmp_path / "a", 60.0, logs=False)
-        runs.perform(a_run(), tmp_path / "b", 60.0, logs=True)
+        worker_runs.perform(a_run(), tmp_path / "a", 60.0, logs=False)
+        worker_runs.perform(a_run(), tmp_path / "b", 60.0, logs=True)
         one, other = (gather([tmp_path / name]).runs[0] for name in "ab")
         assert (tmp_path / "b" / MAIN / "pid+full_state/square/nominal_0/run.mcap").is_file()
         assert one.score["channels"] == other.score["channels"]
@@ -131,23 +131,23 @@ class TestRunning:
 
     def test_is_filed_in_every_block_and_not_run_twice(self, tmp_path):
         run = a_run(blocks=(MAIN, FAULTS))
-        runs.perform(run, tmp_path, 60.0, logs=False)
+        worker_runs.perform(run, tmp_path, 60.0, logs=False)
         for block in run.blocks:
-            assert (runs.folder_of(run, tmp_path, block) / "score.json").is_file()
-        assert runs.is_done(run, tmp_path)
-        assert not runs.is_done(replace(run, ref_words=("ref=sine",)), tmp_path)
+            assert (worker_runs.folder_of(run, tmp_path, block) / "score.json").is_file()
+        assert worker_runs.is_done(run, tmp_path)
+        assert not worker_runs.is_done(replace(run, ref_words=("ref=sine",)), tmp_path)
 
     def test_a_failure_is_filed_with_its_sentence(self, tmp_path):
         run = a_run(words=("controller.sample_time=0.03",))
-        runs.perform(run, tmp_path, 60.0, logs=False)
+        worker_runs.perform(run, tmp_path, 60.0, logs=False)
         found = gather([tmp_path]).runs[0]
         assert found.state is State.FAILED
         assert "0.03" in found.message
-        assert runs.is_done(run, tmp_path)  # it would fail again
+        assert worker_runs.is_done(run, tmp_path)  # it would fail again
 
     def test_what_takes_too_long_fails(self, tmp_path):
         run = a_run(every=("sim.duration=2000.0", "sim.prediction_every=0"))
-        runs.perform(run, tmp_path, 1.0, logs=False)
+        worker_runs.perform(run, tmp_path, 1.0, logs=False)
         assert "longer than 1 s" in gather([tmp_path]).runs[0].message
 
     @pytest.mark.slow
@@ -176,7 +176,7 @@ class TestRunning:
         assert found["deadly"].state is State.FAILED
         assert "died" in found["deadly"].message
         assert found["pid"].state is State.DONE
-        assert not runs.is_done(deadly, tmp_path / "out")
+        assert not worker_runs.is_done(deadly, tmp_path / "out")
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def finished(tmp_path_factory):
                 "run": {"coordinates": run.coordinates, "non_finite": 0, "fingerprint": ""},
             }
             for block in run.blocks:
-                folder = runs.folder_of(run, out, block)
+                folder = worker_runs.folder_of(run, out, block)
                 folder.mkdir(parents=True)
                 (folder / "score.json").write_text(json.dumps(score))
     return out

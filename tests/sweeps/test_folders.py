@@ -125,8 +125,8 @@ def test_a_record_of_a_stranger(tmp_path, text):
 
 def test_one_process_drives_a_sweep_and_a_dead_one_holds_nothing(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from trms_cli.sweeps.record import driving\n"
-        "with driving(Path(sys.argv[1])): print('in', flush=True); input()"
+        "import sys; from pathlib import Path; from trms_cli.sweeps.record import drive_sweep\n"
+        "with drive_sweep(Path(sys.argv[1])): print('in', flush=True); input()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path)],

@@ -1,8 +1,8 @@
 """Where a model rests, asked for by its angles or by its commands, and how that changes.
 
-:func:`operating_point` finds one from nowhere; :func:`refine_operating_point` and :class:`TrimSolver`
-go on from one nearby, without bounds on commands. Where an angle may be out of reach,
-:class:`trms_cli.models.steady_state.SteadyState` finds the closest that can be held.
+:func:`operating_point` finds one from nowhere; :func:`refine_operating_point` and
+:class:`TrimSolver` go on from one nearby, without bounds on commands. Where an angle may be out of
+reach, :class:`trms_cli.models.steady_state.SteadyState` finds the closest that can be held.
 """
 
 from __future__ import annotations

@@ -60,7 +60,8 @@ class Figure:
     #: What computes it, of the module :mod:`~trms_cli.scoring.metrics` (which is handed over:
     #: reading this registry loads no NumPy) and the signals of a channel or an input
     #: (:class:`~trms_cli.scoring.score.TrackedChannel`,
-    #: :class:`~trms_cli.scoring.score.AppliedInput`), or of the whole score for a figure of the ``run``; None: the score has it by other means
+    #: :class:`~trms_cli.scoring.score.AppliedInput`), or of the whole score for a
+    #: figure of the ``run``; None: the score has it by other means
     of: Callable[..., float | None] | None = None
 
     @property

@@ -142,7 +142,8 @@ def optimise_ellipsoid(
     """The largest ellipsoid that the inclusion proves, over P and over the box; None if none is.
 
     ``slabs`` as in :func:`is_proved_attracted`. The search for the box begins at ``first``
-    and tries ``most`` boxes; default 60 for a few states, fewer for many, whose problems are larger.
+    and tries ``most`` boxes; default 60 for a few states, fewer for many, whose problems are
+    larger.
     """
     search = _Search(system, slabs)
     most = max(12, min(60, 100 - 11 * system.n)) if most is None else most
