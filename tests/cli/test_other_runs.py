@@ -202,7 +202,7 @@ class TestRun:
     def test_with_a_network_file_says_what_model_and_rig_are(self, program, network, tmp_path):
         options = ("sim.duration=2", "out=run", "picture=false")
         done = program("run", "model=net.yaml", *options, TRMS_COMPILE="0")
-        assert "model net" in done.stdout and "(narx)" in done.stdout
+        assert "model net · plant simulated (net)" in " ".join(done.stdout.split())
         score = json.loads((tmp_path / "run" / "score.json").read_text())
         assert score["solver"]["failures"] == 0
 

@@ -183,7 +183,7 @@ def test_the_advised_experiment_is_played_to_the_rig(tmp_path, monkeypatch) -> N
         (out / "diagnosis.json").write_text(json.dumps(content))
         return out
 
-    monkeypatch.setattr(separation, "diagnosed", diagnosed)
+    monkeypatch.setattr(separation, "diagnose_recordings", diagnosed)
     (tmp_path / "separation-1").mkdir()
     (tmp_path / "separation-1" / "recording.csv").touch()
     study = read_study()

@@ -160,7 +160,7 @@ class TestNothingContradicts:
 
     def test_what_has_no_probability_is_not_confusable(self) -> None:
         case = diagnosis(confusable=((FRICTION, "yaw_stribeck_friction", "yaw_tangling_cable"),))
-        (first, *_) = rows(findings(case), "not distinguishable from")
+        (first, *_) = rows(findings(case), "confusable with")
         assert first[-1] == "yaw Stribeck friction"
 
     def test_a_cause_is_not_called_untestable(self) -> None:

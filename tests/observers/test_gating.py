@@ -154,12 +154,12 @@ def test_without_a_gate_the_steps_are_the_same_bit_for_bit() -> None:
 
 
 def test_outliers_are_told_in_the_log_and_counted() -> None:
-    closed = pytest.importorskip("experiments.chapter7.runs").closed
+    close_loop = pytest.importorskip("experiments.chapter7.runs").close_loop
 
     from trms_cli.scoring.score import score_tables
 
     fault = ["fault=[yaw_outliers]", "controller=lqr", "sim.duration=15", "supervisor=none"]
-    tables, limits, duration = closed(fault)
+    tables, limits, duration = close_loop(fault)
     events = tables["/event"]
     told = events.columns["source"][np.asarray(events.columns["kind"] == "outlier", dtype=bool)]
     assert set(told) == {"alpha_h"}

@@ -289,7 +289,7 @@ def _causes(diagnosis: DiagnosisResult) -> Section | None:
     if any(_alike(cause, diagnosis) for cause in kept):
         columns.append(
             Column(
-                "not distinguishable from",
+                "confusable with",
                 lambda cause: ", ".join(cause_name(c.effects) for c in _alike(cause, diagnosis)),
             )
         )
