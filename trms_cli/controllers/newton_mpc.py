@@ -555,8 +555,11 @@ class NewtonMpcState:
 
     def _target_for(self, reference: FloatArray) -> Target:
         """The steady state of a reference (n_r,) under the present disturbance."""
-        memory = self._full[self._memory]
-        given = (*reference.tolist(), *self._disturbance.tolist(), *memory.tolist())
+        given = (*reference.tolist(), *self._disturbance.tolist())
+        memory = None
+        if self._memory:  # an index that picks nothing would cost a microsecond a sample
+            memory = self._full[self._memory]
+            given += tuple(memory.tolist())
         if self.target is not None and given == self._solved_for:
             return self.target
         target = self.steady_state.solve(reference, self._disturbance, self.target, memory)
