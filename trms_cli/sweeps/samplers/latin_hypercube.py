@@ -45,10 +45,15 @@ def hypercube(
     """
     from scipy.stats import qmc
 
-    drawn = qmc.LatinHypercube(columns, seed=np.random.default_rng(seed)).random(samples)
+    sampler = qmc.LatinHypercube(columns, seed=np.random.default_rng(seed))
+    drawn = np.asarray(sampler.random(samples))
     if not decorrelated or columns < 2 or samples <= columns + 1:
-        return np.asarray(drawn)
-    return _decorrelated(drawn)
+        return drawn
+    while True:
+        try:
+            return _decorrelated(drawn)
+        except np.linalg.LinAlgError:  # few samples, and the order of one column is another's
+            drawn = np.asarray(sampler.random(samples))
 
 
 def _decorrelated(drawn: FloatArray) -> FloatArray:
