@@ -108,12 +108,9 @@ class Controller(Protocol):
 
     def preview(self, setup: ControlSetup) -> int:
         """How many future reference samples, one control period apart, :meth:`step` wants."""
-        ...
 
     def init(self, setup: ControlSetup) -> Any:
         """A fresh state; two of them never share anything."""
-        ...
 
     def step(self, state: Any, sample: ControlSample, *, want_prediction: bool) -> Command:
         """The command from now to the next control period; ``state`` is updated in place."""
-        ...

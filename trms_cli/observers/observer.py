@@ -50,7 +50,6 @@ class Observer(Protocol):
 
     def init(self, setup: ObserverSetup) -> Any:
         """A fresh state; two of them never share anything."""
-        ...
 
     def step(
         self,
@@ -76,4 +75,3 @@ class Observer(Protocol):
             Measured torques on the model's equations since the last sample, N m; given only in
             runs that have any. They are part of the estimate's disturbance.
         """
-        ...

@@ -28,45 +28,36 @@ class PlantRun(Protocol):
     @property
     def outputs(self) -> tuple[Signal, ...]:
         """Measured channels, the order of :meth:`measure`."""
-        ...
 
     @property
     def states(self) -> tuple[Signal, ...]:
         """True states, the order of :attr:`state`."""
-        ...
 
     @property
     def noise_sd(self) -> Mapping[str, float]:
         """Standard deviation of each channel's noise, quantum included, in its unit."""
-        ...
 
     @property
     def first_command(self) -> FloatArray:
         """The command in force before time zero, shape (n_u,)."""
-        ...
 
     @property
     def input_limits(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the command, each (n_u,)."""
-        ...
 
     @property
     def known_disturbances(self) -> Mapping[str, FloatArray]:
         """Measured torques over the run by equation, each (samples,), N m; empty for none."""
-        ...
 
     @property
     def state(self) -> FloatArray:
         """The true state now, shape (n_x,)."""
-        ...
 
     def measure(self) -> FloatArray:
         """The measurement now, shape (n_y,); NaN where a sample is missing."""
-        ...
 
     def advance(self, command: FloatArray) -> None:
         """Hold a command (n_u,) for one sample."""
-        ...
 
 
 class Plant(Protocol):
@@ -74,4 +65,3 @@ class Plant(Protocol):
 
     def init(self, setup: PlantSetup) -> Any:
         """The rig at time zero; a :class:`PlantRun`."""
-        ...

@@ -47,7 +47,6 @@ class ReferenceSignal(Protocol):
         -------
         (n,) rad
         """
-        ...
 
 
 def require_signal(value: object, where: str) -> None:

@@ -99,23 +99,18 @@ class SupervisorRun(Protocol):
 
     def screen(self, y: FloatArray) -> FloatArray:
         """The measurement (n_y,) as the observer is to see it."""
-        ...
 
     def judge(self, estimate: Estimate, tell: Tell) -> None:
         """Look at the estimate, choose the mode, and tell what begins or ends."""
-        ...
 
     def landed(self, u: FloatArray) -> FloatArray:
         """The command (n_u,) after ``u`` while landing, V."""
-        ...
 
     def heard(self, command: Command) -> None:
         """Take in the controller's own words."""
-        ...
 
     def reasons(self) -> str:
         """Why the mode is not normal, in words for the log; empty when it is."""
-        ...
 
 
 class SupervisorPlugin(Protocol):
@@ -123,7 +118,6 @@ class SupervisorPlugin(Protocol):
 
     def init(self, setup: SupervisorSetup) -> SupervisorRun:
         """A fresh state; two of them never share anything."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)

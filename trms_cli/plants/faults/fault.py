@@ -72,7 +72,6 @@ class Fault(Protocol):
 
     def init(self, setup: FaultSetup) -> FaultRun:
         """The fault at the beginning of a run."""
-        ...
 
 
 def _position(name: str, known: Sequence[str], words: str, where: str) -> int:
