@@ -279,7 +279,7 @@ def test_of_two_starts_the_better_end_is_kept() -> None:
         outcome = newton.solve(60, 1e-7, starts[1])
         assert outcome.merit == pytest.approx(min(ends), rel=1e-9)
         # What is handed out is what was chosen.
-        assert newton._merit(newton.plan) == pytest.approx(outcome.merit, rel=1e-9)
+        assert newton.merit(newton.plan) == pytest.approx(outcome.merit, rel=1e-9)
         different += abs(ends[0] - ends[1]) > 1e-6 * ends[0]
     assert different > 0
 

@@ -49,7 +49,7 @@ def test_the_objective_is_the_merit_of_newton_mpc(keys: dict[str, Any]) -> None:
     for _ in range(5):
         moves = rng.uniform(-0.4, 0.4, state.shared.newton.plan.shape)  # within the rate limit
         plan = np.clip(np.cumsum(moves, axis=1), -2.5, 2.5)
-        merit = state.evaluate(plan)
+        merit = state.shared.newton.merit(plan)
         unknowns = ocp.guess(horizon.evaluate.outputs[0], plan)
         np.testing.assert_array_equal(ocp.plan(unknowns), plan)
         f, g = functions(unknowns, ocp.parameters())
@@ -71,7 +71,8 @@ def test_it_finds_the_optimum_of_newton_mpc(solver: str, keys: Any, model: Model
     answer = law.step(ours, sample, want_prediction=True)
     other = newton.step(theirs, sample, want_prediction=True)
     assert answer.status in (Status.OK, Status.RELAXED)
-    merits = [ours.evaluate(ours.shared.newton.plan), ours.evaluate(theirs.newton.plan)]
+    newton = ours.shared.newton
+    merits = [newton.merit(newton.plan), newton.merit(theirs.newton.plan)]
     assert merits[0] == pytest.approx(merits[1], rel=5e-3)
     assert merits[0] <= merits[1] * (1 + 1e-6)
     np.testing.assert_allclose(answer.u, other.u, atol=0.02)
@@ -119,8 +120,8 @@ def test_a_cap_on_iterations_never_makes_a_plan_worse() -> None:
     assert answer.status in (Status.BUDGET, Status.RELAXED, Status.FAILED)
     fresh = law.init(setup_of(BOTH))
     fresh.shared.begin_sample(sample)
-    start = fresh.evaluate(fresh.shared.newton.plan)
-    assert state.evaluate(state.shared.newton.plan) <= start
+    start = fresh.shared.newton.merit(fresh.shared.newton.plan)
+    assert state.shared.newton.merit(state.shared.newton.plan) <= start
     assert answer.status is not Status.FAILED or answer.fallback == "shifted_plan"
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from trms_cli.code_generation.newton_source import (
     check_exportable,
     name_controller,
     newton_source,
+    template,
 )
 from trms_cli.code_generation.observer_source import ObserverSource, observer_source
 from trms_cli.controllers.controller import ControlSample, ControlSetup
@@ -32,8 +32,6 @@ from trms_cli.models.model import names
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import RecursiveFilter
 from trms_cli.references.trajectory import ReferenceTrajectory
-
-_TEMPLATES = Path(__file__).parent
 
 #: N m, of the torques that stand for a filter's: no two are equal, as in a real loop.
 _TORQUE_SD = 1e-4
@@ -120,7 +118,7 @@ class Export:
 
     def readme(self, command: str, measured: ExampleMeasurement | None) -> str:
         """Markdown: what it is, how to call it, signals, memory, times if they were measured."""
-        text = name_controller(_template("readme.md").replace("MPC_CALL", _call(self)), self.name)
+        text = name_controller(template("readme.md").replace("MPC_CALL", _call(self)), self.name)
         text = re.sub(r"\bmpc\b", self.name, text)
         for token, part in {
             "SIGNALS": _signals(self),
@@ -171,9 +169,9 @@ def export(
     title = f"Newton MPC of model {setup.model.name}, by trms {__version__}"
     source = newton_source(controller, setup, name, title, part)
     rows = example_rows(controller, setup, reference, samples)
-    example = _template("example.c")
+    example = template("example.c")
     for token, words in {
-        "MPC_OBSERVER_FUNCTION\n": "" if part is None else _template("example_observer.c"),
+        "MPC_OBSERVER_FUNCTION\n": "" if part is None else template("example_observer.c"),
         "MPC_OBSERVER_CALL\n": "" if part is None else "    time_observer();\n",
     }.items():
         example = example.replace(token, words)
@@ -181,22 +179,18 @@ def export(
         f"{name}.c": source.source,
         f"{name}.h": source.header,
         f"{name}_example.c": name_controller(example, name),
-        "Makefile": name_controller(_template("example.mk"), name).replace("mpc.", f"{name}."),
+        "Makefile": name_controller(template("example.mk"), name).replace("mpc.", f"{name}."),
         "example.csv": example_csv(rows, setup, controller.preview(setup)),
     }
     return Export(name, setup, controller, source, part, files)
 
 
-def _template(file: str) -> str:
-    return (_TEMPLATES / file).read_text(encoding="utf-8")
-
-
 def _call(export: Export) -> str:
     """How the functions are called, with the observer where there is one."""
     if export.observer is None:
-        return _template("readme_call.md").replace("MPC_SECONDS", f"{export.source.period:g}")
+        return template("readme_call.md").replace("MPC_SECONDS", f"{export.source.period:g}")
     period = export.observer.period
-    text = _template("readme_observer.md").replace("MPC_SECONDS", f"{period:g}")
+    text = template("readme_observer.md").replace("MPC_SECONDS", f"{period:g}")
     return text.replace("MPC_RATIO", str(round(export.source.period / period)))
 
 

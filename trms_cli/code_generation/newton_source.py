@@ -26,7 +26,6 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.qp import Daqp
 from trms_cli.models.model import names
 
-_TEMPLATES = Path(__file__).parent
 _FALLBACKS = {"shifted_plan": "SHIFTED_PLAN", "hold": "HOLD", "steady_input": "STEADY_INPUT"}
 #: Lines of generated C that a compiler takes in a minute or two.
 _MOST_CODE = 8_000_000
@@ -368,7 +367,7 @@ def newton_source(
             *([observer.tables] if observer is not None else []),
             "",
             code.source,
-            *map(_template, [*parts, *(["observer.c"] if observer is not None else [])]),
+            *map(template, [*parts, *(["observer.c"] if observer is not None else [])]),
         ]
     )
     return ControllerSource(
@@ -417,8 +416,9 @@ def name_controller(text: str, name: str) -> str:
     return text.replace('"mpc.h"', f'"{name}.h"')
 
 
-def _template(file: str) -> str:
-    return (_TEMPLATES / file).read_text(encoding="utf-8")
+def template(file: str) -> str:
+    """The text of a file of this folder that C or a README is made of."""
+    return (Path(__file__).parent / file).read_text(encoding="utf-8")
 
 
 def _header(
@@ -435,14 +435,14 @@ def _header(
     declarations = ""
     if observer is not None:
         definitions = _definitions(filter_sizes, "OBSERVER_PERIOD", observer.period)
-        declarations = _template("observer.h").replace("MPC_DEFINITIONS\n", definitions)
+        declarations = template("observer.h").replace("MPC_DEFINITIONS\n", definitions)
     parts = {
         "MPC_TITLE": title,
         "MPC_DEFINITIONS\n": _definitions(sizes, "PERIOD", period),
         "MPC_SETTINGS_FIELDS": fields,
         "MPC_OBSERVER_DECLARATIONS\n": declarations,
     }
-    text = _template("newton_mpc.h")
+    text = template("newton_mpc.h")
     for token, part in parts.items():
         text = text.replace(token, part)
     return text

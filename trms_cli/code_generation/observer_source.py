@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -31,11 +30,6 @@ class ObserverSource:
     channels: tuple[str, ...]  #: Measured, in the order of ``y``
     states: tuple[str, ...]  #: Of its mean: states, then torques
     period: float  #: s, between two samples
-
-
-def exportable(observer: Any) -> bool:
-    """Whether an observer has C."""
-    return isinstance(observer, RecursiveFilter)
 
 
 def observer_source(observer: RecursiveFilter, setup: ObserverSetup) -> ObserverSource:

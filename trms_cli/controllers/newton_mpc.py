@@ -170,7 +170,8 @@ class NewtonStep:
         step()
         return step.outputs[0]
 
-    def _merit(self, plan: FloatArray) -> float:
+    def merit(self, plan: FloatArray) -> float:
+        """φ of a plan; the outputs of ``horizon.evaluate`` are then those of it."""
         self.horizon.arguments["z"][:] = plan
         self.horizon.evaluate()
         return float(self.horizon.evaluate.outputs[3][0])
@@ -187,7 +188,7 @@ class NewtonStep:
         if other is None:
             return self._solve(max_iterations, tolerance)
         if max_iterations == 1:
-            if not self._merit(self.plan) <= self._merit(other):
+            if not self.merit(self.plan) <= self.merit(other):
                 self.plan[:] = other
             return self._solve(1, tolerance)
         first = self._solve(max_iterations, tolerance)

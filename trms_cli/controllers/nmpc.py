@@ -100,7 +100,7 @@ class Nmpc(HorizonSettings):
             return state.fall_back(message)
         newton, evaluate = shared.newton, shared.newton.horizon.evaluate
         newton.plan[:] = candidate.plan
-        state.evaluate(newton.plan)
+        newton.merit(newton.plan)
         trajectory, terminal, objective, _, violation = evaluate.outputs
         newton.trajectory[:] = trajectory
         missed = float(np.abs(terminal).max()) if newton.horizon.terminal is not None else 0.0
@@ -152,13 +152,6 @@ class NmpcState:
         self.iterations, self.seconds = 0, 0.0
         self._merit_before = np.inf
 
-    def evaluate(self, plan: FloatArray) -> float:
-        """The merit of a plan; the horizon's outputs are those of it."""
-        horizon = self.shared.newton.horizon
-        horizon.arguments["z"][:] = plan
-        horizon.evaluate()
-        return float(horizon.evaluate.outputs[3][0])
-
     def solved(self) -> tuple[_Candidate | None, str]:
         """The best plan that there is, or why there is none."""
         shared, second = self.shared, self.config.second_start
@@ -166,7 +159,7 @@ class NmpcState:
         multipliers, self._multipliers = self._multipliers, None
         new = shared.other_start is not None or multipliers is None
         self.iterations, self.seconds = 0, 0.0
-        self._merit_before = self.evaluate(shifted)
+        self._merit_before = shared.newton.merit(shifted)
         best, message = self._from(shifted, multipliers)
         asked = second == "always" or (second == "new_reference" and (new or best is None))
         if asked and shared.target is not None:
@@ -183,7 +176,7 @@ class NmpcState:
         self, start: FloatArray, multipliers: tuple[FloatArray, FloatArray] | None
     ) -> tuple[_Candidate | None, str]:
         """What the solver finds from a plan, or why that is of no use."""
-        if not self.evaluate(start) < np.inf:
+        if not self.shared.newton.merit(start) < np.inf:
             return None, "the predicted trajectory is not finite"
         trajectory = self.shared.newton.horizon.evaluate.outputs[0]
         solution = self.solver.solve(self.ocp.guess(trajectory, start), multipliers)
@@ -197,7 +190,7 @@ class NmpcState:
             return None
         lower, upper = self.shared.newton.lower, self.shared.newton.upper
         plan = np.clip(self.ocp.plan(solution.unknowns), lower[:, None], upper[:, None])
-        merit = self.evaluate(plan)
+        merit = self.shared.newton.merit(plan)
         if not merit < np.inf:
             return None
         if solution.converged:

@@ -21,10 +21,7 @@ as generated C where there is a compiler.
 
 from __future__ import annotations
 
-import hashlib
 import os
-import subprocess
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -36,7 +33,7 @@ import numpy as np
 from trms_cli.controllers.horizon import ARGUMENTS, Horizon
 from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.core.compilation import COMPILER_FLAGS, cache_folder, compiler
+from trms_cli.core.compilation import QUICKLY, build_library
 from trms_cli.core.errors import ConfigurationError
 
 Method = Literal["fatrop", "ipopt"]
@@ -44,8 +41,6 @@ Method = Literal["fatrop", "ipopt"]
 #: A barrier that starts low does not throw the last plan away.
 _FIRST_BARRIER = 1e-6
 _CLOSE = 1e-8
-#: Second derivatives are long: compiling takes a fraction of the time so, and they run as fast.
-_FLAGS = ("-O1", *COMPILER_FLAGS[2:])
 _IPOPT = {
     "print_level": 0,
     "sb": "yes",
@@ -155,39 +150,18 @@ def _library(ocp: Ocp, method: Method) -> Path | None:
 
     The key is the content of the problem: its structure, not its weights, which are parameters.
     """
-    program = compiler()
-    if program is None:
-        return None
-    problem = ca.Function("nlp", [ocp.nlp[k] for k in "xp"], [ocp.nlp[k] for k in "fg"])
-    content = [problem.serialize(), method, ca.__version__, program, *_FLAGS]
-    key = hashlib.sha256("\n".join(content).encode()).hexdigest()[:32]
-    library = cache_folder() / f"nmpc_{key}.so"
-    if library.exists():
-        return library
-    try:
-        library.parent.mkdir(parents=True, exist_ok=True)
-        _build(ca.nlpsol("nmpc", method, ocp.nlp, _options(ocp, method, 1, 1.0)), program, library)
-    except (OSError, subprocess.CalledProcessError):
-        # An unwritable cache or a broken compiler costs speed, never the run.
-        return None
-    return library
 
-
-def _build(solver: ca.Function, program: str, library: Path) -> None:
-    with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
+    def write(folder: Path) -> Path:
+        solver = ca.nlpsol("nmpc", method, ocp.nlp, _options(ocp, method, 1, 1.0))
         here = os.getcwd()
-        os.chdir(scratch)  # the generator writes beside itself
+        os.chdir(folder)  # the generator writes beside itself
         try:
-            source = Path(scratch) / solver.generate_dependencies("nmpc.c")
+            return folder / str(solver.generate_dependencies("nmpc.c"))
         finally:
             os.chdir(here)
-        built = Path(scratch) / library.name
-        subprocess.run(
-            [program, *_FLAGS, "-o", str(built), str(source), "-lm"],
-            check=True,
-            capture_output=True,
-        )
-        os.replace(built, library)
+
+    problem = ca.Function("nlp", [ocp.nlp[k] for k in "xp"], [ocp.nlp[k] for k in "fg"])
+    return build_library("nmpc", [problem.serialize(), method], QUICKLY, write)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,6 @@ class RobustMpcState:
 class RobustMpc(RegulationDesign):
     """Robust MPC, its inequalities solved at each sample."""
 
-    sample_time: Positive = 0.1  #: Control period, s
     #: Whether the coefficients are taken around the present state, or over a region about the
     #: target that does not change
     polytope: Literal["sub", "region"] = "sub"
@@ -78,14 +77,9 @@ class RobustMpc(RegulationDesign):
     solver: Literal["clarabel", "scs"] = "clarabel"
     #: Of the solver; beyond it the last law goes on
     max_iterations: Annotated[int, Meta(ge=5)] = 40
-    #: Whether the observer's constant disturbances enter the target (offset-free)
-    disturbance_compensation: bool = True
     #: What acts where no law is certified: the last certified one, cut to the limits (the steady
     #: input of the target if there was none), the steady input, or the last command
     fallback: Literal["last_law", "steady_input", "hold"] = "last_law"
-
-    def preview(self, setup: ControlSetup) -> int:
-        return 0
 
     def init(self, setup: ControlSetup) -> RobustMpcState:
         """The coordinates, compiled, and the inequalities, canonicalised."""

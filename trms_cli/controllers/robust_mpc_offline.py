@@ -234,7 +234,6 @@ class RobustMpcOfflineState:
 class RobustMpcOffline(RegulationDesign):
     """Robust MPC by lookup."""
 
-    sample_time: Positive = 0.1  #: Control period, s
     #: The farthest states that laws are made for: a deviation of each controlled angle, rad
     widest: Mapping[str, Positive] = field(default_factory=dict)
     #: Half-width of the references that the family serves, rad; beyond, its certificate does not
@@ -243,11 +242,6 @@ class RobustMpcOffline(RegulationDesign):
     rings: Annotated[int, Meta(ge=1)] = 12  #: Ellipsoids
     #: States that the innermost is made for, as a share of the farthest
     smallest: Annotated[float, Meta(gt=0, lt=1)] = 0.02
-    #: Whether the observer's constant disturbances enter the target (offset-free)
-    disturbance_compensation: bool = True
-
-    def preview(self, setup: ControlSetup) -> int:
-        return 0
 
     def init(self, setup: ControlSetup) -> RobustMpcOfflineState:
         """The family, made or read from the user's cache."""

@@ -16,7 +16,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import casadi as ca
@@ -29,9 +29,10 @@ from trms_cli.core.arrays import FloatArray
 #: zero leaves all bits as they were. No ``-march=native``: a cache folder may be shared by the
 #: machines of a cluster.
 COMPILER_FLAGS = ("-O2", "-ftree-vectorize", "-fPIC", "-shared", "-ffp-contract=off")
-#: Code with a driver is large, and often new: a model with another effect for each of dozens of
-#: hypotheses. Compiling takes half the time so, and the code is as fast.
-_QUICKLY = ("-O1", *COMPILER_FLAGS[2:])
+#: For code that is large and often new: a driver with a model that has another effect for each of
+#: dozens of hypotheses, second derivatives. Compiling takes half the time so, and the code is as
+#: fast.
+QUICKLY = ("-O1", *COMPILER_FLAGS[2:])
 _ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
 #: Functions that a process keeps at hand; each may be that of many runs.
 _MOST_LOADED = 128
@@ -86,7 +87,7 @@ def compile_function(function: ca.Function) -> ca.Function:
 @functools.lru_cache(maxsize=_MOST_LOADED)
 def _loaded(function: ca.Function, program: str, folder: Path) -> ca.Function:
     """See :func:`compile_function`. A function never changes: the second call has it at once."""
-    library = _library([function], "", program)
+    library = _library([function], "")
     return function if library is None else ca.external(function.name(), str(library))
 
 
@@ -99,8 +100,7 @@ def compiled_library(functions: Sequence[ca.Function], driver: str) -> ctypes.CD
     ``functions``: with dense inputs and outputs. ``driver``: C source put after them. Each function
     is there as ``int NAME(const double** arg, double** res, long long* iw, double* w, int mem)``.
     """
-    program = compiler()
-    library = None if program is None else _library(functions, driver, program)
+    library = _library(functions, driver)
     return None if library is None else ctypes.CDLL(str(library))
 
 
@@ -110,55 +110,55 @@ def compiled_source(name: str, source: str) -> ctypes.CDLL | None:
 
     ``name``: a valid C identifier, for the file in the cache. ``source``: needs nothing but libm.
     """
-    program = compiler()
-    library = None if program is None else _library([], source, program, name)
+    library = _library([], source, name)
     return None if library is None else ctypes.CDLL(str(library))
 
 
-def _library(
-    functions: Sequence[ca.Function], driver: str, program: str, name: str = ""
-) -> Path | None:
-    """File of the compiled functions, built if need be; None where that cannot be done."""
+def _library(functions: Sequence[ca.Function], driver: str, name: str = "") -> Path | None:
+    """Functions with the C code beside them; see :func:`build_library`."""
     name = name or functions[0].name()
-    flags = _QUICKLY if functions and driver else COMPILER_FLAGS
-    content = [*(function.serialize() for function in functions), driver]
-    key = hashlib.sha256(
-        "\n".join([*content, ca.__version__, program, *flags]).encode()
-    ).hexdigest()[:32]
-    library = cache_folder() / f"{name}_{key}.so"
-    if not library.exists():
-        try:
-            library.parent.mkdir(parents=True, exist_ok=True)
-            _build(functions, driver, (program, *flags), library, name)
-        except (OSError, subprocess.CalledProcessError):
-            # An unwritable cache or a broken compiler costs speed, never the run.
-            return None
-    return library
 
-
-def _build(
-    functions: Sequence[ca.Function],
-    driver: str,
-    command: tuple[str, ...],
-    library: Path,
-    name: str,
-) -> None:
-    with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
-        source = Path(scratch) / f"{name}.c"
+    def write(folder: Path) -> Path:
+        source = folder / f"{name}.c"
         generator = ca.CodeGenerator(source.name)
         for function in functions:
             generator.add(function)
-        generator.generate(f"{scratch}{os.sep}")
+        generator.generate(f"{folder}{os.sep}")
         if driver:
             with source.open("a", encoding="utf-8") as stream:
                 stream.write(driver)
-        built = Path(scratch) / library.name
-        subprocess.run(
-            [*command, "-o", str(built), str(source), "-lm"],
-            check=True,
-            capture_output=True,
-        )
-        os.replace(built, library)
+        return source
+
+    content = [*(function.serialize() for function in functions), driver]
+    return build_library(name, content, QUICKLY if functions and driver else COMPILER_FLAGS, write)
+
+
+def build_library(
+    name: str, content: Iterable[str], flags: Sequence[str], write: Callable[[Path], Path]
+) -> Path | None:
+    """File of a compiled source in the cache, built if need be; None where that cannot be done.
+
+    ``name``: begins that of the file. ``content``: all that the source follows from. ``write``:
+    writes the source into a folder, and says where.
+    """
+    program = compiler()
+    if program is None:
+        return None
+    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *flags]).encode())
+    library = cache_folder() / f"{name}_{key.hexdigest()[:32]}.so"
+    if library.exists():
+        return library
+    try:
+        library.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
+            source, built = write(Path(scratch)), Path(scratch) / library.name
+            command = [program, *flags, "-o", str(built), str(source), "-lm"]
+            subprocess.run(command, check=True, capture_output=True)
+            os.replace(built, library)
+    except (OSError, subprocess.CalledProcessError):
+        # An unwritable cache or a broken compiler costs speed, never the run.
+        return None
+    return library
 
 
 class BufferedFunction:

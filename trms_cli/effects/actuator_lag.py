@@ -14,7 +14,7 @@ import casadi as ca
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.effects.first_order import first_order
-from trms_cli.models.model import Signal
+from trms_cli.models.model import Signal, Window
 from trms_cli.models.parameters import Parameter
 
 
@@ -31,9 +31,7 @@ class ActuatorLag(Effect):
     def memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("lagged", "V", "command after the lag"),)
 
-    def input_path(
-        self, at: EffectContext, window: tuple[float, float], step: float
-    ) -> tuple[ca.SX, ca.SX]:
+    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
         channel = rotor_input(at.model, self.rotor)
         duration = (window[1] - window[0]) * step
         u = ca.SX(at.u)

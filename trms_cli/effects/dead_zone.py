@@ -13,6 +13,7 @@ import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
+from trms_cli.models.model import Window
 from trms_cli.models.parameters import Parameter
 
 
@@ -26,9 +27,7 @@ class DeadZone(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("width", "V", (0.025, 0.15), "half width d"),)
 
-    def input_path(
-        self, at: EffectContext, window: tuple[float, float], step: float
-    ) -> tuple[ca.SX, ca.SX]:
+    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
         channel = rotor_input(at.model, self.rotor)
         width = at.sizes["width"]
         u = ca.SX(at.u)

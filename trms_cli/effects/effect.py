@@ -19,7 +19,7 @@ import casadi as ca
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.dry_friction import SPEEDS, apply_dry_friction, axis_of, moment_index
-from trms_cli.models.model import Model, RigAxis, Signal, index_of, names
+from trms_cli.models.model import Model, RigAxis, Signal, Window, index_of, names
 from trms_cli.models.parameters import Parameter
 
 __all__ = ["Effect", "EffectContext", "axis_of", "resisting_impulse", "rotor_input"]
@@ -72,13 +72,7 @@ class EffectContext:
 
         Raises ModelError if this model has no such quantity.
         """
-        known = self.model.quantities(self.x, self.u, self.p)
-        if name not in known:
-            raise ModelError(
-                f"model {self.model.name!r} does not name {name!r}",
-                remedy=f"it names: {', '.join(sorted(known)) or 'nothing'}",
-            )
-        return known[name]
+        return _named_quantity(self.model, name, self.model.quantities(self.x, self.u, self.p))
 
     def accelerations(self, *axes: str) -> tuple[ca.SX, ca.SX]:
         """Angular accelerations of some axes, and what torques on them add.
@@ -171,9 +165,7 @@ class Effect(ABC):
         """Discrete states of the input path for a step of this length (s)."""
         return ()
 
-    def input_path(
-        self, at: EffectContext, window: tuple[float, float], step: float
-    ) -> tuple[ca.SX, ca.SX]:
+    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
         """Inputs and memory after a part of the step; see :meth:`Model.input_path`."""
         return at.u, at.own
 
@@ -190,12 +182,7 @@ class Effect(ABC):
         return ()
 
     def sensor_path(
-        self,
-        at: EffectContext,
-        before: ca.SX,
-        after: ca.SX,
-        window: tuple[float, float],
-        step: float,
+        self, at: EffectContext, before: ca.SX, after: ca.SX, window: Window, step: float
     ) -> ca.SX:
         """Memory of the sensors after a part of the step; see :meth:`Model.sensor_path`.
 
@@ -213,6 +200,30 @@ class Effect(ABC):
     def noise_sd(self, at: EffectContext, step: float) -> ca.SX:
         """Standard deviation of what noise adds to each of :meth:`states` in a step (s)."""
         return ca.SX.zeros(len(self.states()))
+
+
+class SensorEffect(Effect):
+    """An effect on one measured channel: the angle of an ``axis``, or the speed of a ``rotor``."""
+
+    def row(self, model: Model) -> int:
+        """Position of the channel in ``y``.
+
+        Raises ModelError if the model does not measure it.
+        """
+        if hasattr(self, "axis"):
+            return output_row(model, axis_of(model, self.axis).angle)
+        assert hasattr(self, "rotor")
+        rotor_input(model, self.rotor)
+        return output_row(model, SPEEDS[self.rotor])
+
+    def check(self, model: Model) -> None:
+        self.row(model)
+
+    def added(self, at: EffectContext, y: ca.SX, value: ca.SX) -> ca.SX:
+        """The measured outputs with something added to the channel."""
+        y = ca.SX(y)
+        y[self.row(at.model)] += value
+        return y
 
 
 @lru_cache(maxsize=128)
@@ -281,11 +292,16 @@ def require_quantities(model: Model, *wanted: str) -> None:
     x, u, p, _ = model.symbols()
     known = model.quantities(x, u, p)
     for name in wanted:
-        if name not in known:
-            raise ModelError(
-                f"model {model.name!r} does not name {name!r}",
-                remedy=f"it names: {', '.join(sorted(known)) or 'nothing'}",
-            )
+        _named_quantity(model, name, known)
+
+
+def _named_quantity(model: Model, name: str, known: Mapping[str, ca.SX]) -> ca.SX:
+    if name not in known:
+        raise ModelError(
+            f"model {model.name!r} does not name {name!r}",
+            remedy=f"it names: {', '.join(sorted(known)) or 'nothing'}",
+        )
+    return known[name]
 
 
 def resisting_impulse(

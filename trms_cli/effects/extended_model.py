@@ -11,7 +11,7 @@ import numpy as np
 
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.effect import Effect, EffectContext
-from trms_cli.models.model import FloatArray, Model, Signal
+from trms_cli.models.model import FloatArray, Model, Signal, Window
 
 
 class ExtendedModel(Model):
@@ -86,7 +86,7 @@ class ExtendedModel(Model):
         return (*self.base.memory(step), *own)
 
     def input_path(
-        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
+        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: Window, step: float
     ) -> tuple[ca.SX, ca.SX]:
         n = len(self.base.memory(step))
         n_p = len(self.base.parameters)
@@ -119,7 +119,7 @@ class ExtendedModel(Model):
         after: ca.SX,
         u: ca.SX,
         p: ca.SX,
-        window: tuple[float, float],
+        window: Window,
         step: float,
     ) -> ca.SX:
         first, last = (self._context(x, u, p, ca.SX.zeros(self.n_w)) for x in (before, after))

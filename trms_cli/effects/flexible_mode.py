@@ -19,8 +19,8 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
-from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
-from trms_cli.models.model import Model, Signal
+from trms_cli.effects.effect import EffectContext, SensorEffect
+from trms_cli.models.model import Signal, Window
 from trms_cli.models.parameters import Parameter
 
 #: Hz: a slower mode is a motion of the rig; and at zero it would not exist.
@@ -28,7 +28,7 @@ _SLOWEST = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlexibleMode(Effect):
+class FlexibleMode(SensorEffect):
     """A flexible mode in one measured angle."""
 
     axis: Literal["pitch", "yaw"]
@@ -43,9 +43,6 @@ class FlexibleMode(Effect):
             self.size("damping", "1", (0.01, 0.05), "damping ratio ζ"),
         )
 
-    def check(self, model: Model) -> None:
-        output_row(model, axis_of(model, self.axis).angle)
-
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
         return (
             Signal("deflection", "rad", "deflection δ of the mode"),
@@ -53,14 +50,9 @@ class FlexibleMode(Effect):
         )
 
     def sensor_path(
-        self,
-        at: EffectContext,
-        before: ca.SX,
-        after: ca.SX,
-        window: tuple[float, float],
-        step: float,
+        self, at: EffectContext, before: ca.SX, after: ca.SX, window: Window, step: float
     ) -> ca.SX:
-        row = output_row(at.model, at.axis(self.axis).angle)
+        row = self.row(at.model)
         duration = (window[1] - window[0]) * step
         axis_rate = (after[row] - before[row]) / duration
         deflection, slope = at.shown[0], at.shown[1] - axis_rate
@@ -76,7 +68,4 @@ class FlexibleMode(Effect):
         )
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
-        row = output_row(at.model, at.axis(self.axis).angle)
-        y = ca.SX(y)
-        y[row] += at.sizes["share"] * at.shown[0]
-        return y
+        return self.added(at, y, at.sizes["share"] * at.shown[0])

@@ -13,9 +13,8 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext
-from trms_cli.effects.thrust import check_thrust, thrust_torque
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import EffectContext
+from trms_cli.effects.thrust import ThrustEffect
 from trms_cli.models.parameters import Parameter
 
 #: m: a thinner cushion would be a step for the integrator.
@@ -23,17 +22,15 @@ _THINNEST = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundEffect(Effect):
+class GroundEffect(ThrustEffect):
     """Cushion of air under the main rotor."""
+
+    rotor = "main"
 
     gain: NotNegative  #: g: share of the thrust that is added at the table itself
     scale: Annotated[float, Meta(ge=_THINNEST)]  #: h₀, m: height over which it falls to 1/e
     #: h_level, m: height of the rotor over the table with the beam level
     level_height: NotNegative
-
-    @property
-    def locations(self) -> tuple[str, ...]:
-        return ("main_thrust",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (
@@ -41,11 +38,8 @@ class GroundEffect(Effect):
             self.size("scale", "m", (0.03, 0.2), "height h₀ of the cushion"),
         )
 
-    def check(self, model: Model) -> None:
-        check_thrust(model, "main")
-
     def disturbance(self, at: EffectContext) -> ca.SX:
         height = self.level_height + at.quantity("arm_main") * ca.sin(at.angle("pitch"))
         thrust = ca.fmax(at.quantity("thrust_main"), 0)
         more = at.sizes["gain"] * ca.exp(-height / at.sizes["scale"])
-        return thrust_torque(at, "main", thrust * more)
+        return self.torque(at, thrust * more)

@@ -17,9 +17,8 @@ from typing import Literal
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext
-from trms_cli.effects.thrust import AXIS, check_thrust, thrust_torque
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import EffectContext
+from trms_cli.effects.thrust import AXIS, ThrustEffect
 from trms_cli.models.parameters import Parameter
 
 #: (rad/s)²: keeps F/ω, which is zero at rest, free of a division by zero.
@@ -27,25 +26,18 @@ _AT_REST = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inflow(Effect):
+class Inflow(ThrustEffect):
     """Loss of thrust by the rotor's own axial speed."""
 
     rotor: Literal["main", "tail"]
     #: k, rad/m: speed of the rotor over the axial speed that would take all its thrust
     coefficient: NotNegative
 
-    @property
-    def locations(self) -> tuple[str, ...]:
-        return (f"{self.rotor}_thrust",)
-
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("coefficient", "rad/m", (5.0, 60.0), "inflow k"),)
-
-    def check(self, model: Model) -> None:
-        check_thrust(model, self.rotor)
 
     def disturbance(self, at: EffectContext) -> ca.SX:
         omega = at.speed(self.rotor)
         per_speed = at.quantity(f"thrust_{self.rotor}") * omega / ca.fmax(omega**2, _AT_REST)
         axial = at.quantity(f"arm_{self.rotor}") * at.rate(AXIS[self.rotor])
-        return thrust_torque(at, self.rotor, -at.sizes["coefficient"] * axial * per_speed)
+        return self.torque(at, -at.sizes["coefficient"] * axial * per_speed)

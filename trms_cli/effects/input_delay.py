@@ -15,7 +15,7 @@ import casadi as ca
 
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
-from trms_cli.models.model import Signal
+from trms_cli.models.model import Signal, Window
 from trms_cli.models.parameters import Parameter
 
 
@@ -39,9 +39,7 @@ class InputDelay(Effect):
         kept = math.ceil(self._reach / step - 1e-9)
         return tuple(Signal(f"past_{k + 1}", "V", "earlier command") for k in range(kept))
 
-    def input_path(
-        self, at: EffectContext, window: tuple[float, float], step: float
-    ) -> tuple[ca.SX, ca.SX]:
+    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
         channel = rotor_input(at.model, self.rotor)
         begin, end = window
         commands = ca.vertcat(at.u[channel], at.own)

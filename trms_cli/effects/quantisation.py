@@ -13,8 +13,7 @@ from typing import Literal
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import EffectContext, SensorEffect
 from trms_cli.models.parameters import Parameter
 
 #: A grid finer than doubles are: rounding to it changes no bit, but has a derivative of zero.
@@ -22,7 +21,7 @@ _FINEST = 2.0**-100
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantisation(Effect):
+class Quantisation(SensorEffect):
     """Resolution of one angle."""
 
     axis: Literal["pitch", "yaw"]
@@ -31,11 +30,8 @@ class Quantisation(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("quantum", "rad", (0.001, 0.007), "quantum q"),)
 
-    def check(self, model: Model) -> None:
-        output_row(model, axis_of(model, self.axis).angle)
-
     def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
-        row = output_row(at.model, at.axis(self.axis).angle)
+        row = self.row(at.model)
         y = ca.SX(y)
         angle, quantum = y[row], _constant(at.sizes["quantum"])
         width = ca.fmax(quantum, _FINEST)

@@ -8,13 +8,12 @@ from typing import Annotated, Literal
 import casadi as ca
 from msgspec import Meta
 
-from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import EffectContext, SensorEffect
 from trms_cli.models.parameters import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorBias(Effect):
+class SensorBias(SensorEffect):
     """Constant error of one angle."""
 
     axis: Literal["pitch", "yaw"]
@@ -23,11 +22,5 @@ class SensorBias(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("bias", "rad", (-0.035, 0.035), "bias b"),)
 
-    def check(self, model: Model) -> None:
-        output_row(model, axis_of(model, self.axis).angle)
-
     def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
-        row = output_row(at.model, at.axis(self.axis).angle)
-        y = ca.SX(y)
-        y[row] += at.sizes["bias"]
-        return y
+        return self.added(at, y, at.sizes["bias"])

@@ -15,13 +15,13 @@ from typing import Literal
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative, Positive
-from trms_cli.effects.effect import Effect, EffectContext, axis_of, output_row
-from trms_cli.models.model import Model, Signal
+from trms_cli.effects.effect import EffectContext, SensorEffect
+from trms_cli.models.model import Signal, Window
 from trms_cli.models.parameters import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorDelay(Effect):
+class SensorDelay(SensorEffect):
     """Transport delay of one measured angle."""
 
     axis: Literal["pitch", "yaw"]
@@ -36,29 +36,21 @@ class SensorDelay(Effect):
     def _reach(self) -> float:
         return max(self.longest, self.delay)
 
-    def check(self, model: Model) -> None:
-        output_row(model, axis_of(model, self.axis).angle)
-
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
         # One more than the delay reaches: the slope of the last stretch needs a neighbour.
         kept = math.ceil(self._reach / step - 1e-9) + 1
         return tuple(Signal(f"past_{k + 1}", "rad", "earlier angle") for k in range(kept))
 
     def sensor_path(
-        self,
-        at: EffectContext,
-        before: ca.SX,
-        after: ca.SX,
-        window: tuple[float, float],
-        step: float,
+        self, at: EffectContext, before: ca.SX, after: ca.SX, window: Window, step: float
     ) -> ca.SX:
         if window[0] > 0:
             return at.shown
-        row = output_row(at.model, at.axis(self.axis).angle)
+        row = self.row(at.model)
         return ca.vertcat(before[row], at.shown[:-1, 0])
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
-        row = output_row(at.model, at.axis(self.axis).angle)
+        row = self.row(at.model)
         # Ages of the remembered angles in steps: now, the last sample, the one before …
         ages = [0.0, *(since + k for k in range(at.shown.shape[0]))]
         angles = [y[row], *ca.vertsplit(at.shown)]

@@ -20,7 +20,7 @@ from msgspec import Meta
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
 from trms_cli.effects.first_order import first_order
-from trms_cli.models.model import Signal, names
+from trms_cli.models.model import Signal, Window, names
 from trms_cli.models.parameters import Parameter
 
 
@@ -42,9 +42,7 @@ class SupplyDerating(Effect):
     def memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("warmth", "1", "0 cold, 1 after full load for ever"),)
 
-    def input_path(
-        self, at: EffectContext, window: tuple[float, float], step: float
-    ) -> tuple[ca.SX, ca.SX]:
+    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
         channel = rotor_input(at.model, self.rotor)
         limit = at.model.input_limits[names(at.model.inputs)[channel]]
         duration = (window[1] - window[0]) * step

@@ -12,14 +12,14 @@ from typing import Literal
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import SPEEDS, Effect, EffectContext, output_row, rotor_input
+from trms_cli.effects.effect import EffectContext, SensorEffect
 from trms_cli.effects.first_order import first_order_ramp
-from trms_cli.models.model import Model, Signal
+from trms_cli.models.model import Signal, Window
 from trms_cli.models.parameters import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class TachoLag(Effect):
+class TachoLag(SensorEffect):
     """Low-pass filter of one measured rotor speed."""
 
     rotor: Literal["main", "tail"]
@@ -28,29 +28,17 @@ class TachoLag(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("time_constant", "s", (0.005, 0.1), "time constant τ"),)
 
-    def check(self, model: Model) -> None:
-        rotor_input(model, self.rotor)
-        output_row(model, SPEEDS[self.rotor])
-
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("lag", "rad/s", "shown speed less the true one"),)
 
     def sensor_path(
-        self,
-        at: EffectContext,
-        before: ca.SX,
-        after: ca.SX,
-        window: tuple[float, float],
-        step: float,
+        self, at: EffectContext, before: ca.SX, after: ca.SX, window: Window, step: float
     ) -> ca.SX:
-        row = output_row(at.model, SPEEDS[self.rotor])
+        row = self.row(at.model)
         duration = (window[1] - window[0]) * step
         return first_order_ramp(
             at.shown, after[row] - before[row], at.sizes["time_constant"], duration
         )
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
-        row = output_row(at.model, SPEEDS[self.rotor])
-        y = ca.SX(y)
-        y[row] += at.shown[0]
-        return y
+        return self.added(at, y, at.shown[0])

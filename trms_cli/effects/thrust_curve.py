@@ -17,9 +17,8 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import Positive
-from trms_cli.effects.effect import Effect, EffectContext
-from trms_cli.effects.thrust import check_thrust, thrust_torque
-from trms_cli.models.model import Model
+from trms_cli.effects.effect import EffectContext
+from trms_cli.effects.thrust import ThrustEffect
 from trms_cli.models.parameters import Parameter
 
 #: rad/s: below it the power no longer changes, or its derivative at zero would be infinite.
@@ -27,7 +26,7 @@ _SLOWEST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThrustCurve(Effect):
+class ThrustCurve(ThrustEffect):
     """Another law of one rotor's thrust."""
 
     rotor: Literal["main", "tail"]
@@ -36,22 +35,15 @@ class ThrustCurve(Effect):
     reverse: Annotated[float, Meta(ge=-1, le=1)]
     reference: Positive  #: ω₀, rad/s
 
-    @property
-    def locations(self) -> tuple[str, ...]:
-        return (f"{self.rotor}_thrust",)
-
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             self.size("exponent", "1", (-0.3, 0.3), "e, beyond the model's exponent"),
             self.size("reverse", "1", (-0.3, 0.3), "r, share of the thrust in reverse"),
         )
 
-    def check(self, model: Model) -> None:
-        check_thrust(model, self.rotor)
-
     def disturbance(self, at: EffectContext) -> ca.SX:
         omega = at.speed(self.rotor)
         relative = ca.fmax(ca.fabs(omega), _SLOWEST) / self.reference
         direction = 1 + at.sizes["reverse"] * (omega < 0)
         factor = ca.exp(at.sizes["exponent"] * ca.log(relative)) * direction
-        return thrust_torque(at, self.rotor, at.quantity(f"thrust_{self.rotor}") * (factor - 1))
+        return self.torque(at, at.quantity(f"thrust_{self.rotor}") * (factor - 1))

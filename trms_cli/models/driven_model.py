@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.errors import ModelError
-from trms_cli.models.model import FloatArray, Model, Signal, index_of, names
+from trms_cli.models.model import FloatArray, Model, Signal, Window, index_of, names
 
 
 class DrivenModel(Model):
@@ -66,7 +66,7 @@ class DrivenModel(Model):
         return self.base.memory(step)
 
     def input_path(
-        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
+        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: Window, step: float
     ) -> tuple[ca.SX, ca.SX]:
         n = self.base.n_u
         arriving, memory = self.base.input_path(memory, u[:n, 0], p, window, step)
@@ -86,7 +86,7 @@ class DrivenModel(Model):
         after: ca.SX,
         u: ca.SX,
         p: ca.SX,
-        window: tuple[float, float],
+        window: Window,
         step: float,
     ) -> ca.SX:
         first, last = self._whole(before, u), self._whole(after, u)

@@ -49,6 +49,9 @@ class RigAxis:
 #: The former name, which models of users import.
 Axis = RigAxis
 
+#: A part of a step, as fractions of it; the last part ends at 1.
+Window = tuple[float, float]
+
 
 class Model(ABC):
     """A plant model with states. Immutable; its methods build expressions and keep nothing."""
@@ -107,7 +110,7 @@ class Model(ABC):
         return ()
 
     def input_path(
-        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
+        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: Window, step: float
     ) -> tuple[ca.SX, ca.SX]:
         """What reaches the motors in a part of the step, and the memory after it.
 
@@ -117,7 +120,7 @@ class Model(ABC):
         u : (n_u, 1)
             The command, constant over the step.
         window : (float, float)
-            The part as fractions of the step; the last part ends at 1.
+            The part, see :data:`Window`.
         step : float
             Length of the whole step, s.
         """
@@ -138,7 +141,7 @@ class Model(ABC):
         after: ca.SX,
         u: ca.SX,
         p: ca.SX,
-        window: tuple[float, float],
+        window: Window,
         step: float,
     ) -> ca.SX:
         """The sensors' memory after a part of the step.
@@ -149,7 +152,7 @@ class Model(ABC):
         before, after : (n_x, 1)
             States at the beginning and the end of the part.
         window : (float, float)
-            The part as fractions of the step; the last part ends at 1.
+            The part, see :data:`Window`.
         step : float
             Length of the whole step, s.
         """

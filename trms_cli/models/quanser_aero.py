@@ -28,7 +28,7 @@ import casadi as ca
 
 from trms_cli.models.beam_rig import INPUTS, BeamRig
 from trms_cli.models.dry_friction import apply_dry_friction
-from trms_cli.models.model import Signal
+from trms_cli.models.model import Signal, Window
 from trms_cli.models.parameters import parameter_file
 
 
@@ -92,7 +92,7 @@ class QuanserAero(BeamRig):
         return x
 
     def input_path(
-        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: tuple[float, float], step: float
+        self, memory: ca.SX, u: ca.SX, p: ca.SX, window: Window, step: float
     ) -> tuple[ca.SX, ca.SX]:
         """The amplifier's limit; a delay behind it passes on what it let through."""
         return self._within_limits(u), memory

@@ -5,7 +5,6 @@ What it holds for a model is read as everywhere: see :mod:`trms_cli.recordings.f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, NoReturn
 
@@ -19,17 +18,11 @@ from trms_cli.recordings.for_model import RecordedRun, Selection
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedRig:
-    """A recorded run of a rig."""
+class RecordedRig(Selection):
+    """A recorded run of a rig: a file, and what a model takes of it."""
 
     file: str  #: CSV, MAT or MCAP; a relative path is relative to the working directory
-    start: float | None = None  #: Part of the recording to take, s in its own time
-    end: float | None = None  #: None for all
-    #: By input: what a recorded 1 is in the model's unit, where the units differ
-    input_scale: Mapping[str, float] = field(default_factory=dict)
-    #: Samples from a row's time until its command acts
     command_delay: Annotated[int, Meta(ge=0)] = 0
-    #: Largest deviation of a step from whole sample times, as a share of one
     jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
     #: Channels to use and their declared noise; noise and quantum are those of the record
     sensors: Sensors = field(default_factory=Sensors)
@@ -41,7 +34,7 @@ class RecordedRig:
                 where="sensors.loss_probability",
                 remedy="a recording has lost what it has lost; leave this out",
             )
-        self.selection()
+        super().__post_init__()
 
     def init(self, setup: PlantSetup) -> NoReturn:
         """Refuse to be controlled.
@@ -60,15 +53,4 @@ class RecordedRig:
         Raises RecordingError if it cannot be read or is not evenly sampled. Raises
         ConfigurationError if its channels or units are not those of the model; it tells what to do.
         """
-        return self.selection().read(self.file, model)[0]
-
-    def selection(self) -> Selection:
-        """What of the file a model takes."""
-        return Selection(
-            sensors=self.sensors,
-            start=self.start,
-            end=self.end,
-            input_scale=self.input_scale,
-            command_delay=self.command_delay,
-            jitter=self.jitter,
-        )
+        return self.read(self.file, model)[0]

@@ -204,9 +204,9 @@ class SimulatedRun:
         self._all_rounded = bool(self._rounded.all())
         self.faults = _broken(rig.faults, setup, channels, names(model.inputs))
         self._driven, self._pushes = _noise_on_states(model, self.parameters, setup)
-        self._w = self._torques(rig, setup)
+        self.known_disturbances: Mapping[str, FloatArray]
+        self._w, self.known_disturbances = self._torques(rig, setup)
         self._pushed = bool(self._w.any())
-        self.known_disturbances: Mapping[str, FloatArray] = self._known(rig, setup)
         self._sample = 0
 
     @property
@@ -248,30 +248,27 @@ class SimulatedRun:
                 remedy="lower plant.integration_step, or look at the effects' sizes",
             )
 
-    def _torques(self, rig: SimulatedRig, setup: PlantSetup) -> FloatArray:
-        """Disturbances at each sample, shape (samples, n_w), held over the sample."""
+    def _torques(
+        self, rig: SimulatedRig, setup: PlantSetup
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Disturbances at each sample, shape (samples, n_w), held over the sample.
+
+        Beside them those that are measured, by equation, each (samples,).
+        """
         equations = names(self.model.disturbances)
         times = np.arange(setup.samples, dtype=np.float64) * setup.sample_time
         w = np.zeros((setup.samples, len(equations)))
+        measured: dict[str, FloatArray] = {}
         for name, disturbance in rig.disturbances.items():
-            require_known(
-                disturbance.equation,
-                equations,
-                f"the rig has no equation {disturbance.equation!r}",
-                f"disturbances.{name}.equation",
-            )
-            w[:, equations.index(disturbance.equation)] += disturbance.torque.sample(times)
-        return w
-
-    def _known(self, rig: SimulatedRig, setup: PlantSetup) -> dict[str, FloatArray]:
-        """Torques that are measured, by equation, each (samples,)."""
-        times = np.arange(setup.samples, dtype=np.float64) * setup.sample_time
-        known: dict[str, FloatArray] = {}
-        for disturbance in rig.disturbances.values():
+            equation = disturbance.equation
+            words = f"the rig has no equation {equation!r}"
+            require_known(equation, equations, words, f"disturbances.{name}.equation")
+            torque = disturbance.torque.sample(times)
+            w[:, equations.index(equation)] += torque
             if disturbance.known:
-                torque = known.setdefault(disturbance.equation, np.zeros(setup.samples))
-                torque += disturbance.torque.sample(times)
-        return known
+                measured.setdefault(equation, np.zeros(setup.samples))
+                measured[equation] += torque
+        return w, measured
 
 
 def _broken(

@@ -17,24 +17,10 @@ from collections.abc import Iterable
 from typing import Protocol
 
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import McapRecord
 from mcap.writer import MCAP0_MAGIC
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
@@ -77,7 +63,7 @@ class ChunkWriter:
         self._start: int | None = None
         self._end = 0
         stream.write(MCAP0_MAGIC)
-        self._put(Header(profile="", library=library))
+        self._put(records.Header(profile="", library=library))
 
     @property
     def message_count(self) -> int:
@@ -88,7 +74,7 @@ class ChunkWriter:
         """Add a channel of JSON messages with its schema; return the channel's id."""
         number = len(self._channels) + 1
         schema_id = self._schema_id(schema_name, json_schema)
-        channel = Channel(
+        channel = records.Channel(
             id=number, topic=topic, message_encoding="json", metadata={}, schema_id=schema_id
         )
         self._channels.append(channel)
@@ -99,26 +85,30 @@ class ChunkWriter:
     def _schema_id(self, name: str, data: bytes) -> int:
         """The id of a schema; topics of one schema share its record."""
         for schema in self._schemas:
-            if isinstance(schema, Schema) and (schema.name, schema.data) == (name, data):
+            if isinstance(schema, records.Schema) and (schema.name, schema.data) == (name, data):
                 return schema.id
-        schema = Schema(id=len(self._schemas) + 1, name=name, encoding="jsonschema", data=data)
+        schema = records.Schema(
+            id=len(self._schemas) + 1, name=name, encoding="jsonschema", data=data
+        )
         self._schemas.append(schema)
         self._put(schema)
         return schema.id
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a metadata record."""
-        offset, length = self._put(Metadata(name=name, metadata=values))
-        self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=name))
+        offset, length = self._put(records.Metadata(name=name, metadata=values))
+        self._metadata_indexes.append(
+            records.MetadataIndex(offset=offset, length=length, name=name)
+        )
 
     def add_attachment(self, name: str, media_type: str, data: bytes, create_time: int) -> None:
         """Add a file; ``create_time`` is the wall clock [ns]."""
-        attachment = Attachment(
+        attachment = records.Attachment(
             create_time=create_time, log_time=0, name=name, media_type=media_type, data=data
         )
         offset, length = self._put(attachment)
         self._attachment_indexes.append(
-            AttachmentIndex(
+            records.AttachmentIndex(
                 offset=offset,
                 length=length,
                 log_time=0,
@@ -158,7 +148,7 @@ class ChunkWriter:
 
     def finish(self) -> None:
         """Add the summary and the end of the file."""
-        self._put(DataEnd(0))
+        self._put(records.DataEnd(0))
         summary_start = self._stream.tell()
         summary = RecordBuilder()
         offsets = []
@@ -175,7 +165,7 @@ class ChunkWriter:
                 record.write(summary)
             if group:
                 offsets.append(
-                    SummaryOffset(
+                    records.SummaryOffset(
                         group_opcode=opcode,
                         group_start=summary_start + start,
                         group_length=summary.count - start,
@@ -189,7 +179,7 @@ class ChunkWriter:
         head = _FOOTER_HEAD.pack(Opcode.FOOTER, 8 + 8 + 4, summary_start, offset_start)
         self._stream.write(data)
         self._put(
-            Footer(
+            records.Footer(
                 summary_start=summary_start,
                 summary_offset_start=offset_start,
                 summary_crc=zlib.crc32(head, zlib.crc32(data)),
@@ -209,7 +199,7 @@ class ChunkWriter:
     def _put_chunk(self, data: bytes, start: int, end: int, indexes: dict[int, array[int]]) -> None:
         compressed = self._compressor.compress(data)
         offset, length = self._put(
-            Chunk(
+            records.Chunk(
                 compression="zstd",
                 data=compressed,
                 message_start_time=start,
@@ -228,7 +218,7 @@ class ChunkWriter:
             head = _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries))
             self._stream.write(head + entries)
         self._chunk_indexes.append(
-            ChunkIndex(
+            records.ChunkIndex(
                 chunk_start_offset=offset,
                 chunk_length=length,
                 compression="zstd",
@@ -244,7 +234,7 @@ class ChunkWriter:
         self._end = max(self._end, end)
 
     def _statistics(self) -> McapRecord:
-        return Statistics(
+        return records.Statistics(
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
             channel_message_counts={i: n for i, n in self._counts.items() if n},

@@ -8,7 +8,7 @@ has it act some samples later. The recording brings its sample time; what it lac
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -177,8 +177,7 @@ class Selection:
             )
         if chosen.all():
             return recording
-        channels = {name: values[chosen] for name, values in recording.channels.items()}
-        return replace(recording, time=recording.time[chosen], channels=channels)
+        return recording.select_rows(chosen)
 
     def _inputs(self, recording: Recording, model: Model) -> tuple[Signal, ...]:
         """The model's inputs, all recorded, all in the model's unit or scaled to it."""

@@ -54,14 +54,7 @@ def split_at_gaps(recording: Recording) -> list[Recording]:
         )
         if dropped:
             remark += f", {dropped} of fewer than {_LEAST_ROWS} rows left out"
-        parts.append(
-            replace(
-                recording,
-                time=recording.time[a:b],
-                channels={name: values[a:b] for name, values in recording.channels.items()},
-                remarks=(*recording.remarks, remark),
-            )
-        )
+        parts.append(recording.select_rows(slice(a, b), remark))
     return parts
 
 
@@ -75,7 +68,7 @@ def fill_gaps(recording: Recording, longest: float, jitter: float) -> Recording:
     the sampling may be, as a share of a sample: see :func:`on_grid`.
     """
     grid = on_grid(recording, jitter)
-    held = {*recording.names("input"), *recording.names("reference")}
+    held = recording.held_channels
     channels, filled = {}, {}
     for name, values in grid.channels.items():
         there = np.isfinite(values)
@@ -100,12 +93,8 @@ def fill_gaps(recording: Recording, longest: float, jitter: float) -> Recording:
     keep = grid.present | np.any([np.isfinite(v) for v in channels.values()], axis=0)
     words = ", ".join(f"{name} {count}" for name, count in filled.items()) or "nothing"
     remark = f"filled where missing for at most {longest:g} s: {words} (samples)"
-    return replace(
-        recording,
-        time=grid.time[keep],
-        channels={name: values[keep] for name, values in channels.items()},
-        remarks=(*recording.remarks, remark),
-    )
+    kept = {name: values[keep] for name, values in channels.items()}
+    return recording.with_remarks(remark, time=grid.time[keep], channels=kept)
 
 
 def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recording:
@@ -120,7 +109,7 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
     sample for a held channel.
     """
     step = recording.sample_time
-    held = {*recording.names("input"), *recording.names("reference")}
+    held = recording.held_channels
     first, last = recording.time[0], recording.time[-1]
     channels = dict(recording.channels)
     for name, delay in delays.items():
@@ -149,12 +138,7 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
             remedy=f"it lasts {recording.duration_s:g} s",
         )
     words = ", ".join(f"{name} by {delay:g} s" for name, delay in delays.items())
-    return replace(
-        recording,
-        time=recording.time[keep],
-        channels={name: values[keep] for name, values in channels.items()},
-        remarks=(*recording.remarks, f"moved earlier: {words}"),
-    )
+    return replace(recording, channels=channels).select_rows(keep, f"moved earlier: {words}")
 
 
 def _shifted(at: np.ndarray, values: np.ndarray, time: np.ndarray, step: float) -> np.ndarray:
@@ -194,10 +178,10 @@ def resample(recording: Recording, step: float) -> Recording:
     offsets = np.arange(count) * step
     even = np.max(np.abs(np.diff(recording.time) - step)) < _SAME * step
     if even:
-        return replace(recording, remarks=(*recording.remarks, f"already sampled every {step:g} s"))
+        return recording.with_remarks(f"already sampled every {step:g} s")
     time = recording.time[0] + offsets
     channels = {}
-    held = {*recording.names("input"), *recording.names("reference")}
+    held = recording.held_channels
     inputs = set(recording.names("input"))
     hole = max(GAP_FACTOR * old, step)
     for name, values in recording.channels.items():
@@ -218,7 +202,7 @@ def resample(recording: Recording, step: float) -> Recording:
         f"resampled from {old * 1e3:.6g} to {step * 1e3:.6g} ms: commands held"
         f"{' and averaged' if lowered else ''}, measurements {how}"
     )
-    return replace(recording, time=time, channels=channels, remarks=(*recording.remarks, remark))
+    return recording.with_remarks(remark, time=time, channels=channels)
 
 
 def _held(at: np.ndarray, values: np.ndarray, time: np.ndarray, hole: float) -> np.ndarray:
@@ -324,7 +308,7 @@ class Preparation:
         RecordingError if something asked for cannot be done.
         """
         found = remarks_on(recording, {} if self.outliers == "mark" else None)
-        recording = replace(recording, remarks=(*recording.remarks, *found))
+        recording = recording.with_remarks(*found)
         if self.outliers == "mark":
             recording = _without_outliers(recording)
         delays = {name: delay for name, delay in self.delays.items() if delay != 0}
@@ -345,8 +329,4 @@ def _without_outliers(recording: Recording) -> Recording:
     for name, mask in masks.items():
         channels[name] = np.where(mask, np.nan, channels[name])
     said = [f"{sentence}: made missing" for sentence in describe_outliers(recording, masks)]
-    return replace(
-        recording,
-        channels=channels,
-        remarks=(*recording.remarks, *(said or ["no outliers to make missing"])),
-    )
+    return recording.with_remarks(*(said or ["no outliers to make missing"]), channels=channels)

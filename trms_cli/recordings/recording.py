@@ -7,10 +7,11 @@ filter that took them for whole samples would misread every rate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,21 @@ class Recording:
 
     def names(self, role: str) -> list[str]:
         """Names of the channels of a role, as "input" or "output", in the file's order."""
-        return [n for n in self.channels if (c := find_channel(n)) is not None and c.role == role]
+        return names_of_role(self.channels, role)
+
+    @property
+    def held_channels(self) -> set[str]:
+        """Names of the channels that are held from row to row: commands and references."""
+        return {*self.names("input"), *self.names("reference")}
+
+    def select_rows(self, chosen: np.ndarray | slice, *remarks: str) -> Recording:
+        """The recording of some rows, with what there is to say of that."""
+        channels = {name: values[chosen] for name, values in self.channels.items()}
+        return self.with_remarks(*remarks, time=self.time[chosen], channels=channels)
+
+    def with_remarks(self, *remarks: str, **changed: Any) -> Recording:
+        """The recording with further remarks, and other fields where they have changed."""
+        return replace(self, remarks=(*self.remarks, *remarks), **changed)
 
     def notes(self) -> list[str]:
         """Tell in sentences what a user should know before trusting the numbers."""
@@ -155,6 +170,11 @@ def quantum(values: np.ndarray) -> float | None:
     return step if float(np.max(off_grid)) < 0.25 * step else None
 
 
+def names_of_role(names: Iterable[str], role: str) -> list[str]:
+    """Those of some channels that have a role."""
+    return [n for n in names if (c := find_channel(n)) is not None and c.role == role]
+
+
 def require_channels(names: Sequence[str], where: str) -> None:
     """Raise when a file lacks the time, an input or an output among its names."""
     roles = {channel.role for name in names if (channel := find_channel(name))}
@@ -174,7 +194,7 @@ def require_channels(names: Sequence[str], where: str) -> None:
 def require_values(channels: Mapping[str, np.ndarray], where: str) -> None:
     """Raise when no input, or no output, has a single value."""
     for role in ("input", "output"):
-        mine = [n for n in channels if (c := find_channel(n)) is not None and c.role == role]
+        mine = names_of_role(channels, role)
         if all(np.isnan(channels[name]).all() for name in mine):
             raise RecordingError(
                 f"no {role} has a single value: {', '.join(mine)} are empty throughout",

@@ -21,14 +21,6 @@ VIEWER_SCHEMAS = "foxglove."
 
 Kind = Literal["number", "integer", "text", "boolean", "array"]
 
-_JSON_TYPES = {
-    "number": "number",
-    "integer": "integer",
-    "text": "string",
-    "boolean": "boolean",
-    "array": "array",
-}
-
 
 @dataclass(frozen=True)
 class Field:
@@ -42,7 +34,7 @@ class Field:
     def json_schema(self) -> dict[str, Any]:
         """Return the property's JSON schema; the unit stands in its description."""
         text = self.description or self.name
-        schema: dict[str, Any] = {"type": _JSON_TYPES[self.kind]}
+        schema: dict[str, Any] = {"type": "string" if self.kind == "text" else self.kind}
         if self.kind in ("number", "integer"):
             schema["nullable"] = True
             text = f"{text} [{self.unit}]; null when not finite or missing"

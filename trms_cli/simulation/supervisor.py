@@ -167,14 +167,10 @@ class WatchingRun:
 
         self.mode = Mode.NORMAL
         self._outputs = setup.outputs
-        self._missing_after, self._frozen_after = (
-            samples(config.missing_after),
-            samples(config.frozen_after),
-        )
-        self._clear_after, self._land_after = (
-            samples(config.clear_after),
-            samples(config.land_after),
-        )
+        self._missing_after = samples(config.missing_after)
+        self._frozen_after = samples(config.frozen_after)
+        self._clear_after = samples(config.clear_after)
+        self._land_after = samples(config.land_after)
         self._forget = min(1.0, setup.sample_time / config.innovation_window)
         self._limit, self._frozen_limit = (config.innovation_limit**2, config.frozen_innovation**2)
         n = len(setup.outputs)

@@ -34,6 +34,7 @@ LAW_NOT_FINITE = "the law is not finite at this estimate"
 class RegulationDesign:
     """What is regulated, and how dear deviations are."""
 
+    sample_time: Positive = 0.1  #: Control period, s
     #: Commands whose rotors are regulated by their thrust
     thrust_inputs: tuple[str, ...] = ("u_h",)
     smallest_speed: Positive = 5.0  #: ε, rad/s: below it the thrust counts as linear in the speed
@@ -54,6 +55,11 @@ class RegulationDesign:
     #: Half-width of the region of operation in states that are neither angles nor rotor speeds,
     #: rad/s
     rate_range: Positive = 1.5
+    #: Whether the observer's constant disturbances enter the target (offset-free)
+    disturbance_compensation: bool = True
+
+    def preview(self, setup: ControlSetup) -> int:
+        return 0
 
 
 @dataclass
@@ -104,10 +110,6 @@ class Regulation:
             rotor = demand.rotor
             self.scale_z[rotor.coordinate] = 4 * demand.scale
             self.scale_v[rotor.input] = demand.scale / self.upper[rotor.input]
-        #: What counts as a volt of each input.
-        self._volt = np.ones(self.m)
-        for demand in self.demands:
-            self._volt[demand.rotor.input] = self.scale_v[demand.rotor.input]
         self.coefficients = Coefficients(
             self.coordinates,
             self.demands,
@@ -234,7 +236,7 @@ class Regulation:
             polytope.A,
             polytope.B,
             self.weights(polytope.centre[:, : self.n]),
-            self._r * (self.scale_v / self._volt) ** 2,
+            self._r,
             np.atleast_2d(deviation),
             self.input_bounds(aim),
             self.state_bounds(aim.target),

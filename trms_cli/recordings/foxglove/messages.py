@@ -31,22 +31,7 @@ from trms_cli.core.scene import (
     rotation_onto,
     yaw_rotation,
 )
-from trms_cli.recordings.foxglove.types import (
-    Color,
-    CylinderPrimitive,
-    KeyValuePair,
-    LinePrimitive,
-    LineType,
-    Log,
-    LogLevel,
-    Point3,
-    Pose,
-    SceneEntity,
-    SceneUpdate,
-    Timestamp,
-    Vector3,
-)
-from trms_cli.recordings.foxglove.types import Quaternion as Rotation
+from trms_cli.recordings.foxglove import types as foxglove
 
 #: Yaw and pitch of the rig ("") and of its ghosts, rad.
 Attitudes = Mapping[str, tuple[float, float]]
@@ -59,14 +44,14 @@ _HEAD, _SHAFT_WIDTH, _HEAD_WIDTH = 0.25, 0.06, 0.14
 _SECOND = 1_000_000_000  # ns
 #: Levels of a log line, by beginnings of an event's kind; what is not here is plain information.
 _LEVELS = {
-    "fault_removed": LogLevel.INFO,
-    "fault_end": LogLevel.INFO,
-    "fault": LogLevel.ERROR,
-    "solver": LogLevel.WARNING,
-    "landing_begin": LogLevel.ERROR,
-    "degraded_begin": LogLevel.WARNING,
-    "outlier": LogLevel.WARNING,
-    "gap": LogLevel.WARNING,
+    "fault_removed": foxglove.LogLevel.INFO,
+    "fault_end": foxglove.LogLevel.INFO,
+    "fault": foxglove.LogLevel.ERROR,
+    "solver": foxglove.LogLevel.WARNING,
+    "landing_begin": foxglove.LogLevel.ERROR,
+    "degraded_begin": foxglove.LogLevel.WARNING,
+    "outlier": foxglove.LogLevel.WARNING,
+    "gap": foxglove.LogLevel.WARNING,
 }
 
 
@@ -95,7 +80,8 @@ class SceneEncoder:
             for arrow in scene.arrows
         ]
         # one entity, with places for its time and, at its end, for its arrows
-        entity = _encoded(SceneUpdate([], [SceneEntity(Timestamp(0, 0), BEAM, "commands")]))
+        empty = foxglove.SceneEntity(foxglove.Timestamp(0, 0), BEAM, "commands")
+        entity = _encoded(foxglove.SceneUpdate([], [empty]))
         timed = entity.replace(_stamp_text(0), "%s", 1).replace('"arrows":[],', "")
         self._commands = timed.removesuffix("}]}") + ',"arrows":[%s]}]}'
 
@@ -110,7 +96,7 @@ class SceneEncoder:
             frame = f"{ghost}_{BEAM}"
             shape = [_pointer(parts)] if ghost == "estimate" else _inside(parts)
             entities.append(_entity(time_ns, frame, ghost, shape, "", ghost))
-        return _encoded(SceneUpdate([], entities)).encode()
+        return _encoded(foxglove.SceneUpdate([], entities)).encode()
 
     def transforms(self, time_ns: int, attitudes: Attitudes) -> bytes:
         """The frames at one time (foxglove.FrameTransforms).
@@ -147,9 +133,9 @@ class SceneEncoder:
 def log_line(time_ns: int, kind: str, source: str, message: str) -> bytes:
     """An event as a line of Foxglove's log panel (foxglove.Log)."""
     levels = (level for start, level in _LEVELS.items() if kind.startswith(start))
-    level = next(levels, LogLevel.INFO)
+    level = next(levels, foxglove.LogLevel.INFO)
     text = f"{kind}: {message}" if message else kind
-    return _encoded(Log(_stamp(time_ns), level, text, source)).encode()
+    return _encoded(foxglove.Log(_stamp(time_ns), level, text, source)).encode()
 
 
 def _transform(parent: str, child: str, where: str) -> str:
@@ -167,12 +153,12 @@ def _entity(
     parts: Sequence[Cylinder | Ring],
     about: str = "",
     ghost: str = "",
-) -> SceneEntity:
-    return SceneEntity(
+) -> foxglove.SceneEntity:
+    return foxglove.SceneEntity(
         _stamp(time_ns),
         frame,
         name,
-        metadata=[KeyValuePair("about", about)] if about else [],
+        metadata=[foxglove.KeyValuePair("about", about)] if about else [],
         cylinders=[_cylinder(part, ghost) for part in parts if isinstance(part, Cylinder)],
         lines=[_ring(part, ghost) for part in parts if isinstance(part, Ring)],
     )
@@ -200,25 +186,25 @@ def _pointer(parts: Sequence[Cylinder | Ring]) -> Cylinder:
     )  # fmt: skip
 
 
-def _cylinder(part: Cylinder, ghost: str) -> CylinderPrimitive:
-    return CylinderPrimitive(
+def _cylinder(part: Cylinder, ghost: str) -> foxglove.CylinderPrimitive:
+    return foxglove.CylinderPrimitive(
         _pose(part.centre, rotation_onto(part.axis)),
-        Vector3(2 * part.radius, 2 * part.radius, part.length),
+        foxglove.Vector3(2 * part.radius, 2 * part.radius, part.length),
         bottom_scale=1.0,
         top_scale=1.0,
         color=_colour(part.tone, part.opacity, ghost),
     )
 
 
-def _ring(part: Ring, ghost: str) -> LinePrimitive:
+def _ring(part: Ring, ghost: str) -> foxglove.LinePrimitive:
     turns = [2 * math.pi * i / _CORNERS for i in range(_CORNERS)]
     corners = [(part.radius * math.cos(t), part.radius * math.sin(t)) for t in turns]
-    return LinePrimitive(
-        LineType.LINE_LOOP,
+    return foxglove.LinePrimitive(
+        foxglove.LineType.LINE_LOOP,
         _pose(part.centre, rotation_onto(part.axis)),
         part.thickness,
         scale_invariant=False,
-        points=[Point3(round(x, 6), round(y, 6), 0.0) for x, y in corners],
+        points=[foxglove.Point3(round(x, 6), round(y, 6), 0.0) for x, y in corners],
         color=_colour(part.tone, part.opacity, ghost),
     )
 
@@ -245,19 +231,19 @@ def _x_onto(axis: Vector) -> Quaternion:
     return (0.0, -z / (2 * half), y / (2 * half), half)
 
 
-def _colour(tone: str, opacity: float, ghost: str = "") -> Color:
+def _colour(tone: str, opacity: float, ghost: str = "") -> foxglove.Color:
     if ghost:
         tone, opacity = ghost, opacity * _GHOST_OPACITY[ghost]
     red, green, blue = TONES[tone]
-    return Color(red, green, blue, opacity)
+    return foxglove.Color(red, green, blue, opacity)
 
 
-def _pose(at: Vector, turned: Quaternion) -> Pose:
-    return Pose(Vector3(*at), Rotation(*turned))
+def _pose(at: Vector, turned: Quaternion) -> foxglove.Pose:
+    return foxglove.Pose(foxglove.Vector3(*at), foxglove.Quaternion(*turned))
 
 
-def _stamp(time_ns: int) -> Timestamp:
-    return Timestamp(time_ns // _SECOND, time_ns % _SECOND)
+def _stamp(time_ns: int) -> foxglove.Timestamp:
+    return foxglove.Timestamp(time_ns // _SECOND, time_ns % _SECOND)
 
 
 def _stamp_text(time_ns: int) -> str:
