@@ -12,9 +12,11 @@ from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.lockstep import WARM_UP, quantiles
 from benchmarks.options import Options
 from benchmarks.setups import experiment, newton_horizon, newton_of
-from trms_cli.code_generation.export import example_rows, export, rounding_difference
+from trms_cli.code_generation.export import example_rows, export
 from trms_cli.code_generation.measure import FLAGS, PASSES, ExampleMeasurement, measure
 from trms_cli.controllers.controller import ControlSample, ControlSetup
+from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import compiler
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
@@ -213,3 +215,24 @@ class _Example:
             self.controller.step(state, sample, want_prediction=False)
             times.append(perf_counter() - begin)
         return 1e6 * quantiles(np.array(times[WARM_UP:]))[0]
+
+
+def rounding_difference(controller: NewtonMpc, setup: ControlSetup, rows: FloatArray) -> float:
+    """How far the Python controller is from itself when estimates change in their last bit, V.
+
+    No other implementation can be expected to be nearer.
+
+    ``rows``: (samples, n) array; from :func:`trms_cli.code_generation.export.example_rows`.
+    """
+    model, state = setup.model, controller.init(setup)
+    preview = controller.preview(setup)
+    sizes = [model.n_x, model.n_w, len(model.controlled) * (preview + 1), model.n_u]
+    draw, largest = np.random.default_rng(0), 0.0
+    for k, row in enumerate(rows):
+        x, w, r, u, chosen = np.split(row, np.cumsum(sizes))
+        x = np.nextafter(x, draw.choice([-np.inf, np.inf], len(x)))
+        seen = r.reshape(preview + 1, -1)
+        sample = ControlSample(k * setup.sample_time, seen, Estimate(x, 0 * x, w, 0 * w), u)
+        command = controller.step(state, sample, want_prediction=False)
+        largest = max(largest, float(np.abs(command.u - chosen).max()))
+    return largest

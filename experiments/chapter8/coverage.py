@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.chapter8.judgement import are_inside, independent_cube, remainder
 from experiments.chapter8.laws import Bench
 from experiments.chapter8.study import FloatArray, Study
 from trms_cli.controllers.robust.lmi import certify
-from trms_cli.controllers.robust.polytope import box, independent_cube
+from trms_cli.controllers.robust.polytope import box
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,8 @@ def study_coverage(study: Study) -> tuple[list[ContainmentCheck], dict[float, Fl
         clouds[size] = others[:1500]
         for components in s.components:
             polytope = box(samples, components, bench.controller.margin)
-            inside = polytope.inside(others)
-            left = polytope.remainder(others)
+            inside = are_inside(polytope, others)
+            left = remainder(polytope, others)
             found.append(
                 ContainmentCheck(
                     size,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.chapter8.judgement import decrease_on, independent_cube
 from experiments.chapter8.study import FloatArray, Study, online, setup_of, start_state
 from trms_cli.controllers.robust.lmi import (
     Certificate,
@@ -14,9 +15,8 @@ from trms_cli.controllers.robust.lmi import (
     Lyapunov,
     Task,
     certify,
-    decrease_on,
 )
-from trms_cli.controllers.robust.polytope import box, independent_cube
+from trms_cli.controllers.robust.polytope import box
 from trms_cli.controllers.robust.regulation import Aim, Regulation
 from trms_cli.models.newtonian import Newtonian
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.code_generation.export import example_rows, rounding_difference
+from benchmarks.subjects.exported import rounding_difference
+from trms_cli.code_generation.export import example_rows
 from trms_cli.code_generation.newton_source import newton_source
 from trms_cli.controllers.controller import Status
 from trms_cli.controllers.newton_mpc import NewtonMpc

@@ -11,13 +11,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
+from experiments.chapter8.judgement import decrease_on
 from trms_cli.controllers.robust.lmi import (
     Inequalities,
     LmiSolution,
     Lyapunov,
     Task,
     certify,
-    decrease_on,
 )
 
 N, M = 2, 1

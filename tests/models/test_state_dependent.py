@@ -15,7 +15,7 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.observers.state_dependent_ekf import state_dependent
+from trms_cli.observers.state_dependent_ekf import StateDependentForm, state_dependent
 
 from .simulate import rates
 
@@ -56,6 +56,13 @@ def ray_error(along: Callable[[float], np.ndarray], nodes: int) -> np.ndarray:
     return (1.0 + 1.0 / (k**2 - 1.0)) @ missed
 
 
+def residual(form: StateDependentForm, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """What the form leaves of the model's derivative at a point without torques, (n_x,)."""
+    A, B, _, f0 = (np.asarray(part) for part in form.coefficients(x, u, p))
+    of_form = f0[:, 0] + A @ (x - form.origin_x) + B @ (u - form.origin_u)
+    return rates(form.model, x, u) - of_form
+
+
 @pytest.mark.parametrize("name", MODELS)
 @settings(max_examples=30, deadline=None)
 @given(fractions=st.lists(st.floats(-1.0, 1.0), min_size=10, max_size=10))
@@ -68,11 +75,11 @@ def test_the_form_is_the_model_wherever_the_rotors_start_at_rest(
     x = scale(model) * fractions[: model.n_x]
     u = 2.5 * np.array(fractions[model.n_x : model.n_x + model.n_u])
     largest = 1.0 + np.abs(rates(model, x, u)).max()
-    assert np.abs(EXACT[name].residual(x, u, p)).max() <= 1e-10 * largest
+    assert np.abs(residual(EXACT[name], x, u, p)).max() <= 1e-10 * largest
     x_0, u_0 = form.origin_x, form.origin_u
     error = ray_error(lambda part: rates(model, x_0 + part * (x - x_0), u_0), 6)
     error += ray_error(lambda part: rates(model, x, u_0 + part * (u - u_0)), 6)
-    assert np.all(np.abs(form.residual(x, u, p)) <= error + 1e-12 * largest)
+    assert np.all(np.abs(residual(form, x, u, p)) <= error + 1e-12 * largest)
 
 
 def test_at_the_origin_it_is_the_jacobian() -> None:
@@ -96,7 +103,7 @@ def test_a_ray_through_a_kink_leaves_a_small_residual_that_is_told() -> None:
     beyond = x_0.copy()
     beyond[model.state_index("omega_h")] = -80.0
     p = model.parameters.values
-    left = form.residual(beyond, np.zeros(2), p)
+    left = residual(form, beyond, np.zeros(2), p)
     rows = [model.state_index(name) for name in ("omega_h", "S_h")]
     whole = rates(model, beyond)
     assert np.abs(left[rows]).max() > 0

@@ -69,27 +69,6 @@ def example_rows(
     return np.array(rows)
 
 
-def rounding_difference(controller: NewtonMpc, setup: ControlSetup, rows: FloatArray) -> float:
-    """How far the Python controller is from itself when estimates change in their last bit, V.
-
-    No other implementation can be expected to be nearer.
-
-    ``rows``: (samples, n) array; from :func:`example_rows`.
-    """
-    model, state = setup.model, controller.init(setup)
-    preview = controller.preview(setup)
-    sizes = [model.n_x, model.n_w, len(model.controlled) * (preview + 1), model.n_u]
-    draw, largest = np.random.default_rng(0), 0.0
-    for k, row in enumerate(rows):
-        x, w, r, u, chosen = np.split(row, np.cumsum(sizes))
-        x = np.nextafter(x, draw.choice([-np.inf, np.inf], len(x)))
-        seen = r.reshape(preview + 1, -1)
-        sample = ControlSample(k * setup.sample_time, seen, Estimate(x, 0 * x, w, 0 * w), u)
-        command = controller.step(state, sample, want_prediction=False)
-        largest = max(largest, float(np.abs(command.u - chosen).max()))
-    return largest
-
-
 def example_csv(rows: FloatArray, setup: ControlSetup, preview: int) -> str:
     """The rows with a heading; every number reads back to the same bits."""
     model = setup.model

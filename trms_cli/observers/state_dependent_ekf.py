@@ -31,7 +31,7 @@ G (sin Δα/Δα) Δα without a division by zero.
 The integrals are Gauss–Legendre sums: exact for polynomials up to degree 2·nodes, so for thrusts
 and drags. Of the inertia, which goes by sines and cosines of the pitch, six nodes leave up to 2e-6
 of the largest rate at the ends of the rig's travel, and twelve nothing but rounding. A ray that
-crosses ω = 0, where ω|ω| has a kink, leaves more. :meth:`StateDependentForm.residual` measures it.
+crosses ω = 0, where ω|ω| has a kink, leaves more.
 
 In time steps of length T the coefficients are frozen,
 
@@ -101,21 +101,6 @@ class StateDependentForm:
             ["x", "u", "p"],
             ["Phi", "Gamma_u", "Gamma_w", "c"],
         )
-
-    def residual(self, x: FloatArray, u: FloatArray, p: FloatArray) -> FloatArray:
-        """What the form leaves of the model at a point without torques, shape (n_x,).
-
-        In the states' units per s (per step for a model that only steps). It is what the sums leave
-        of the integrals, most where the ray from the origin crosses a kink.
-        """
-        at = self.model.symbols()
-        follow = _equations(self.model)(*at)
-        whole = ca.Function("whole", list(at), [follow])(x, u, p, np.zeros(self.model.n_w))
-        A, B, _, f0 = (np.asarray(part) for part in self.coefficients(x, u, p))
-        form = f0[:, 0] + A @ (x - self.origin_x) + B @ (u - self.origin_u)
-        if self.stepped:
-            form = form + self.origin_x
-        return np.asarray(whole)[:, 0] - form
 
 
 def state_dependent(

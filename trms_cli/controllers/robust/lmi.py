@@ -128,26 +128,6 @@ def certify(task: Task, solution: LmiSolution) -> Certificate:
     )
 
 
-def decrease_on(
-    coefficients: FloatArray, solution: LmiSolution, task: Task
-) -> tuple[FloatArray, FloatArray]:
-    """A common law's decrease on coefficients that need not be in the polytope.
-
-    ``coefficients``: (N, n, n + m). Returns the contraction, (N,), as in :class:`Certificate`, and
-    the slack, (N,): least eigenvalue of the scaled inequality, stage cost included.
-    """
-    n = task.A.shape[1]
-    Q = solution.Q[0]
-    root, inverse = _root(Q), np.linalg.inv(Q)
-    closed = (coefficients[:, :, :n] + coefficients[:, :, n:] @ solution.K) @ root
-    rest = np.eye(n) - np.einsum("kba,bc,kcd->kad", closed, inverse, closed)
-    stage = task.C.T @ task.C + solution.K.T * task.R @ solution.K
-    price = root @ stage @ root
-    contraction = 1.0 - np.linalg.eigvalsh(rest)[:, 0]
-    slack = np.linalg.eigvalsh(rest - price / solution.gamma)[:, 0]
-    return np.asarray(contraction), np.asarray(slack)
-
-
 def _root(matrix: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T)

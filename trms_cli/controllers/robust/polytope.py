@@ -10,8 +10,8 @@ box, a little widened, is the polytope:
 
     [A B] ∈ conv{ M₀ + Σ θ_k M_k :  θ_k ∈ {θ_k⁻, θ_k⁺} }        2^K vertices
 
-What the other components do is left out; :meth:`Polytope.remainder` says how much that is, and
-:func:`trms_cli.controllers.robust.lmi.decrease_on` whether a law minds.
+What the other components do is left out; ``experiments/chapter8`` says how much that is, and
+whether a law minds.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.controllers.robust.coordinates import Coordinates, ThrustDemand
-from trms_cli.core.arrays import BoolArray, FloatArray, gauss_legendre
+from trms_cli.core.arrays import FloatArray, gauss_legendre
 from trms_cli.core.compilation import BufferedFunction
 
 _BATCH = 128
@@ -75,21 +75,6 @@ class Polytope:
     @property
     def vertices(self) -> int:
         return len(self.A)
-
-    def remainder(self, coefficients: FloatArray) -> FloatArray:
-        """Distance of coefficients (N, n, n + m) to the polytope, spectral norm, shape (N,).
-
-        To the point that is nearest in the components: an upper bound.
-        """
-        flat = (coefficients - self.centre).reshape(len(coefficients), -1)
-        theta = np.clip(flat @ self.directions.T, self.lower, self.upper)
-        left = flat - theta @ self.directions
-        return np.asarray(np.linalg.norm(left.reshape(coefficients.shape), 2, axis=(1, 2)))
-
-    def inside(self, coefficients: FloatArray) -> BoolArray:
-        """Whether the components of coefficients (N, n, n + m) are within the box, shape (N,)."""
-        theta = (coefficients - self.centre).reshape(len(coefficients), -1) @ self.directions.T
-        return np.all((theta >= self.lower) & (theta <= self.upper), axis=1)
 
 
 def box(coefficients: FloatArray, components: int, margin: float) -> Polytope:
@@ -227,11 +212,6 @@ class Coefficients:
             )
         scale = np.concatenate([self._scale_z, self._scale_v])
         return np.asarray(coefficients * scale / self._scale_z[:, None])
-
-
-def independent_cube(points: int, dimensions: int, seed: int) -> FloatArray:
-    """Uniform random points of [−1, 1]^d, to judge a polytope by others than those it is from."""
-    return np.random.default_rng(seed).uniform(-1.0, 1.0, (points, dimensions))
 
 
 def _cube(points: int, dimensions: int) -> FloatArray:
