@@ -231,11 +231,7 @@ class GeneratedFunctions:
     #: Each function is there as ``static int NAME(const double** arg, double** res, long long* iw,
     #: double* w, int mem)``
     source: str
-    #: ``n_arg``, ``n_res``: Room that the lists of arguments and results need, by name
-    n_arg: Mapping[str, int]
-    n_res: Mapping[str, int]
-    n_iw: Mapping[str, int]  #: Scratch, in entries
-    n_w: Mapping[str, int]  #: Scratch, in entries
+    functions: Mapping[str, ca.Function]  #: As generated, by name: they tell the room they need
 
 
 def generate_source(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
@@ -254,13 +250,7 @@ def generate_source(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
         text = (Path(folder) / "functions.c").read_text(encoding="utf-8")
     entries = {function.name(): name for name, function in dense.items()}
     source = _LICENCE.replace("VERSION", ca.__version__) + _QUIET + _plain(text, entries) + _LOUD
-    return GeneratedFunctions(
-        source,
-        {name: function.sz_arg() for name, function in dense.items()},
-        {name: function.sz_res() for name, function in dense.items()},
-        {name: function.sz_iw() for name, function in dense.items()},
-        {name: function.sz_w() for name, function in dense.items()},
-    )
+    return GeneratedFunctions(source, dense)
 
 
 def densify_outputs(function: ca.Function, name: str | None = None) -> ca.Function:
@@ -459,10 +449,10 @@ def _definitions(sizes: Mapping[str, tuple[int, str]], name: str, period: float)
 def _scratch(
     code: GeneratedFunctions, names: Iterable[str], prefix: str
 ) -> dict[str, tuple[int, str]]:
-    chosen = list(names)
+    chosen = [code.functions[name] for name in names]
     return {
-        f"{prefix}SZ_W": (max(code.n_w[n] for n in chosen), "numbers of scratch"),
-        f"{prefix}SZ_IW": (max(code.n_iw[n] for n in chosen), "whole ones"),
+        f"{prefix}SZ_W": (max(f.sz_w() for f in chosen), "numbers of scratch"),
+        f"{prefix}SZ_IW": (max(f.sz_iw() for f in chosen), "whole ones"),
     }
 
 
@@ -480,11 +470,11 @@ def _room(code: GeneratedFunctions) -> list[str]:
         "reference_rates": "RATES",
     }
     lines = []
-    for function in code.n_arg:
-        word = function.removeprefix("mpc_")
+    for name, function in code.functions.items():
+        word = name.removeprefix("mpc_")
         word = short.get(word, word.removesuffix("_step").upper())
-        lines.append(f"#define MPC_{word}_ARG {code.n_arg[function]}")
-        lines.append(f"#define MPC_{word}_RES {code.n_res[function]}")
+        lines.append(f"#define MPC_{word}_ARG {function.sz_arg()}")
+        lines.append(f"#define MPC_{word}_RES {function.sz_res()}")
     return lines
 
 

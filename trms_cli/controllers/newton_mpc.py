@@ -90,8 +90,6 @@ class NewtonStep:
         self._constant_terms()
         self._program_rows(largest_moves)
 
-    # -- set-up -----------------------------------------------------------------------------
-
     def _constant_terms(self) -> None:
         """The part of the Hessian that does not depend on the trajectory: inputs and moves."""
         horizon = self.horizon
@@ -141,8 +139,6 @@ class NewtonStep:
         if terminal is not None:
             self._linear[:n_terminal] = terminal.linear
             self._quadratic[:n_terminal] = terminal.quadratic
-
-    # -- a sample ---------------------------------------------------------------------------
 
     def set_problem(
         self, full: FloatArray, u_previous: FloatArray, disturbance: FloatArray, target: Target

@@ -143,8 +143,6 @@ class RegionDesign:
             return None
         return TerminalRegion(gain, root, _SAFETY * radius**2, allowed)
 
-    # -- the local law ----------------------------------------------------------------------
-
     def _local_law(
         self, centre: FloatArray, disturbance: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
@@ -203,8 +201,6 @@ class RegionDesign:
             row(np.zeros(n_full), none, unit, weights.inputs.get(name, 0.0))
             row(np.zeros(n_full), -unit, unit, weights.moves.get(name, 0.0))
         return np.array(in_state), np.array(in_input)
-
-    # -- the level --------------------------------------------------------------------------
 
     def _level_within_limits(self, gain: FloatArray, root: FloatArray, centre: FloatArray) -> float:
         """α at which the first limit is touched: ``max |gᵀξ| = √α ‖L⁻ᵀ g‖`` on the ellipsoid."""

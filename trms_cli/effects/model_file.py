@@ -23,13 +23,18 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from trms_cli.core.errors import ModelError, TrmsError
-from trms_cli.core.plugins import TARGET, build, nearest, require_known
+from trms_cli.core.plugins import TARGET, build, nearest
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.model import Model
 from trms_cli.models.narx_file import is_network_file, narx_of, read_narx_file
-from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
+from trms_cli.models.parameters import (
+    ParameterFile,
+    ParameterSet,
+    check_limits,
+    parameter_file,
+)
 
 #: Of an option: what leads elsewhere names no file of ours.
 _PLAIN_NAME = re.compile(r"[\w+-]{1,100}")
@@ -63,7 +68,9 @@ def load_model(
         content = parameter_file(path, where="model.path")
         model = _nominal(content, path)
         _check_parameters(content, model, path)
-        _check_limits(content, model, path)
+        # A model with a locked axis keeps the limits of the whole rig in its file.
+        known = {*model.input_limits, *model.stops, "u_v", "u_h", "alpha_v", "alpha_h"}
+        check_limits(content.limits, known, f"{path}: limits")
         described = content.effects
     effects = {
         name: _effect(name, sizes, f"{path}: effects.{name}") for name, sizes in described.items()
@@ -101,17 +108,12 @@ def _nominal(content: ParameterFile, path: str) -> Model:
             remedy=nearest("", _parametric_models()),
         )
     node["parameter_set"] = path
-    model = _built(node, where, content.parameters)
-    if not isinstance(model, Model):
-        raise ModelError(f"{content.model!r} is not a model", where=where)
-    return model
+    return _built(node, where, content.parameters, content.model)
 
 
 def _plugin(content: ParameterFile, node: Mapping[str, Any], where: str) -> Model:
     """A model that is no option, with what the file says of its parameters."""
-    model = _built(node, where, content.parameters)
-    if not isinstance(model, Model):
-        raise ModelError(f"{node.get(TARGET)!r} is not a model", where=where)
+    model = _built(node, where, content.parameters, node.get(TARGET))
     given = {parameter.name: parameter for parameter in content.parameter_set()}
     for name in given:
         if name not in model.parameters:
@@ -126,9 +128,11 @@ def _plugin(content: ParameterFile, node: Mapping[str, Any], where: str) -> Mode
     return model
 
 
-def _built(node: Mapping[str, Any], where: str, parameters: Mapping[str, Any]) -> Any:
+def _built(
+    node: Mapping[str, Any], where: str, parameters: Mapping[str, Any], name: object
+) -> Model:
     try:
-        return build(node, where)
+        model = build(node, where)
     except KeyError as error:
         raise ModelError(
             f"parameter {error} is missing",
@@ -137,6 +141,9 @@ def _built(node: Mapping[str, Any], where: str, parameters: Mapping[str, Any]) -
         ) from None
     except TrmsError as error:
         raise _of_file(error, where) from error
+    if not isinstance(model, Model):
+        raise ModelError(f"{name!r} is not a model", where=where)
+    return model
 
 
 def _check_parameters(content: ParameterFile, model: Model, path: str) -> None:
@@ -173,23 +180,6 @@ def _check_ranges(model: Model, path: str) -> None:
                 f"{parameter.value!r} given",
                 where=f"{path}: parameters.{parameter.name}",
                 remedy=f"give a number from {parameter.lower:g} to {parameter.upper:g}",
-            )
-
-
-def _check_limits(content: ParameterFile, model: Model, path: str) -> None:
-    # A model with a locked axis keeps the limits of the whole rig in its file.
-    known = {*model.input_limits, *model.stops, "u_v", "u_h", "alpha_v", "alpha_h"}
-    for name, limit in content.limits.items():
-        require_known(
-            name,
-            known,
-            f"there is no input or angle {name!r}",
-            f"{path}: limits.{name}",
-            ModelError,
-        )
-        if not limit > 0:
-            raise ModelError(
-                f"{limit!r} given", where=f"{path}: limits.{name}", remedy="give a positive number"
             )
 
 

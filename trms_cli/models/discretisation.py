@@ -205,7 +205,6 @@ def discretise(
 def _discretised(
     model: Model, step_length: float, substeps: int, method: Method, sensors: bool
 ) -> DiscreteModel:
-    """See :func:`discretise`."""
     if model.sample_time is not None:
         return _repeated(model, step_length, sensors)
     if method == "auto":

@@ -46,11 +46,11 @@ import numpy as np
 
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ModelError, TrmsError
-from trms_cli.core.plugins import nearest, require_known
+from trms_cli.core.plugins import nearest
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
 from trms_cli.models.network import NarxStructure, Network
-from trms_cli.models.parameters import ParameterSet, read_named
+from trms_cli.models.parameters import ParameterSet, check_limits, read_named
 from trms_cli.models.rest import rest_equations
 
 #: Value of ``model`` in a network file.
@@ -103,7 +103,9 @@ class Narx(SteppedModel):
         self.parameters = ParameterSet([], name)
         angles = tuple(y.name for y in self.outputs if y.unit == _ANGLE)
         self.controlled = angles or structure.outputs
-        bounds = _checked_limits(limits or {}, structure)
+        bounds = limits or {}
+        # A network of one axis keeps the limits of the whole rig in its file.
+        check_limits(bounds, {*structure.inputs, *angles, *_AXES, *_ROTORS}, "limits")
         self.input_limits = {u.name: _limit(u, bounds) for u in self.inputs}
         self.stops = {angle: bounds.get(angle, np.inf) for angle in angles}
         self.axes = {_AXES.get(angle, angle): RigAxis(angle, f"{angle}_push") for angle in angles}
@@ -152,25 +154,6 @@ def _check_fit(structure: NarxStructure, network: Network) -> None:
                 where=f"network.{key}",
                 remedy="structure and network belong together: take both from one training",
             )
-
-
-def _checked_limits(limits: Mapping[str, float], structure: NarxStructure) -> Mapping[str, float]:
-    angles = [
-        name
-        for name, unit in zip(structure.outputs, structure.output_units, strict=True)
-        if unit == _ANGLE
-    ]
-    # A network of one axis keeps the limits of the whole rig in its file.
-    known = {*structure.inputs, *angles, *_AXES, *_ROTORS}
-    for name, limit in limits.items():
-        require_known(
-            name, known, f"there is no input or angle {name!r}", f"limits.{name}", ModelError
-        )
-        if not limit > 0:
-            raise ModelError(
-                f"{limit!r} given", where=f"limits.{name}", remedy="give a positive number"
-            )
-    return limits
 
 
 def _limit(command: Signal, bounds: Mapping[str, float]) -> float:

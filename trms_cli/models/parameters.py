@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,7 +15,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import nearest, require_known
 from trms_cli.core.resources import config_folder
 
 #: Draws from a prior stay within this many standard deviations, so that a mass or a resistance
@@ -179,6 +179,18 @@ class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
             ),
             self.name,
         )
+
+
+def check_limits(limits: Mapping[str, float], known: Collection[str], where: str) -> None:
+    """Refuse limits of no input or angle, and such as are not above zero.
+
+    Raises ModelError with the key, under ``where``.
+    """
+    for name, limit in limits.items():
+        key = f"{where}.{name}"
+        require_known(name, known, f"there is no input or angle {name!r}", key, ModelError)
+        if not limit > 0:
+            raise ModelError(f"{limit!r} given", where=key, remedy="give a positive number")
 
 
 def parameter_file(name_or_path: str, where: str = "model.parameter_set") -> ParameterFile:

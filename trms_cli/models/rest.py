@@ -47,7 +47,6 @@ def rest_equations(model: Model) -> RestEquations:
 
 
 def _rest_equations(model: Model) -> RestEquations:
-    """See :func:`rest_equations`."""
     x, u, p, w = model.symbols()
     if model.sample_time is None:
         f = model.dynamics(x, u, p, w)

@@ -28,7 +28,6 @@ def kinds_of_states(model: Model) -> tuple[Kind, ...]:
 
 
 def _kinds_of_states(model: Model) -> tuple[Kind, ...]:
-    """See :func:`kinds_of_states`."""
     x, u, p, w = model.symbols()
     follow = model.dynamics if model.sample_time is None else model.transition
     pushes = ca.jacobian(follow(x, u, p, w), w)

@@ -86,11 +86,8 @@ def _coefficients(smooth: Augmentation) -> ca.Function:
     after, A, remembered = exact_transition(smooth)(z, memory, u, p, known)
     y, C = exact_measurement(smooth)(z, u, p)
     by_memory, by_u, by_known = (ca.jacobian(after, v) for v in (memory, u, known))
-    kept, entered, D = (
-        ca.jacobian(remembered, memory),
-        ca.jacobian(remembered, u),
-        ca.jacobian(y, u),
-    )
+    kept, entered = (ca.jacobian(remembered, v) for v in (memory, u))
+    D = ca.jacobian(y, u)
     results = [
         *(after - A @ z - by_memory @ memory - by_u @ u, A, by_memory, by_u, by_known),
         *(remembered - kept @ memory - entered @ u, kept, entered),

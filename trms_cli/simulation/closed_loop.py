@@ -207,7 +207,8 @@ class Loop:
                 landing = True
                 u = self._gate.applied(Command(watch.landed(u)), u)
                 if k % ratio == 0:
-                    self._log_landing()
+                    overridden = Status.OVERRIDDEN  # the controller is not asked
+                    self._log_control(Command(u, overridden, message=overridden.meaning))
             elif k % ratio == 0:
                 if landing:
                     control = ControlSetup(e.model, period, u.copy())
@@ -257,8 +258,18 @@ class Loop:
         if self._gate.holds:  # whatever the controller says of it, it has failed
             command = replace(command, fallback="held")
         self._supervisor.heard(command)
+        self._log_control(command, spent, missed=spent > deadline)
+        if command.prediction is not None:
+            p = command.prediction
+            self._tell_prediction(now_ns, (p.time, *p.states.T, *p.inputs.T))
+        if command.status is Status.FAILED:
+            self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
+        return u
+
+    def _log_control(self, command: Command, spent: float = math.nan, missed: bool = False) -> None:
+        """The controller's row: its words, the time that it took, and the supervisor's mode."""
         self._tell_control(
-            now_ns,
+            self._now_ns,
             (
                 spent,
                 command.linearise_time,
@@ -269,29 +280,11 @@ class Loop:
                 command.slack,
                 command.kkt_residual,
                 bool(command.fallback),
-                spent > deadline,
+                missed,
                 command.message,
                 self._supervisor.mode.value,
                 self._supervisor.reasons(),
                 command.terminal_residual,
-            ),
-        )
-        if command.prediction is not None:
-            p = command.prediction
-            self._tell_prediction(now_ns, (p.time, *p.states.T, *p.inputs.T))
-        if command.status is Status.FAILED:
-            self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
-        return u
-
-    def _log_landing(self) -> None:
-        """The controller's row while it is not asked."""
-        status, watch = Status.OVERRIDDEN, self._supervisor
-        nothing = (math.nan,) * 3
-        self._tell_control(
-            self._now_ns,
-            (
-                *(*nothing, 0, status.label, *nothing, False, False, status.meaning),
-                *(watch.mode.value, watch.reasons(), math.nan),
             ),
         )
 
