@@ -94,6 +94,14 @@ class Command:
     terminal_residual: float = math.nan
 
 
+class PresentReference:
+    """A controller that looks at no future reference."""
+
+    def preview(self, setup: ControlSetup) -> int:
+        """None are wanted."""
+        return 0
+
+
 class Controller(Protocol):
     """An immutable configuration; everything that changes is in the state it hands out.
 

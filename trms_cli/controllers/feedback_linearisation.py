@@ -50,7 +50,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, PresentReference
 from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
 from trms_cli.controllers.reference_forecast import ReferenceForecast
@@ -325,7 +325,7 @@ class FeedbackLinearisationState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FeedbackLinearisation:
+class FeedbackLinearisation(PresentReference):
     """Feedback linearisation with rotor loops."""
 
     poles: Mapping[str, tuple[Positive, Positive, Positive, Positive]] = field(
@@ -352,9 +352,6 @@ class FeedbackLinearisation:
                     raise ConfigurationError(
                         f"nothing given for {name}", where=f"{key}.{name}", remedy="give both axes"
                     )
-
-    def preview(self, setup: ControlSetup) -> int:
-        return 0
 
     def init(self, setup: ControlSetup) -> FeedbackLinearisationState:
         parts = virtual_moments(setup.model)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, PresentReference
 from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
@@ -69,7 +69,7 @@ class LqrState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lqr:
+class Lqr(PresentReference):
     """Linear quadratic regulator with integral action."""
 
     #: Controlled angles at which the model is linearised, rad
@@ -84,9 +84,6 @@ class Lqr:
     use_disturbance: bool = True  #: Whether the steady state is that at the estimated disturbance
     tracking_time: Positive = 1.0  #: How fast the integral unwinds at a limit, s
     sample_time: Positive | None = None  #: Control period, s; None takes every sample
-
-    def preview(self, setup: ControlSetup) -> int:
-        return 0
 
     def init(self, setup: ControlSetup) -> LqrState:
         model = setup.model

@@ -15,7 +15,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, FloatArray
+from trms_cli.controllers.controller import (
+    Command,
+    ControlSample,
+    ControlSetup,
+    FloatArray,
+    PresentReference,
+)
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.models.model import names
@@ -55,7 +61,7 @@ class OpenLoopState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OpenLoop:
+class OpenLoop(PresentReference):
     """Signals as commands. All amplitudes and offsets of the signals are in the input's unit."""
 
     u_v: ReferenceSignal | None = None  #: What the main and the tail rotor are told, beyond u₀
@@ -71,10 +77,6 @@ class OpenLoop:
         for name in ("u_v", "u_h"):
             if getattr(self, name) is not None:
                 require_signal(getattr(self, name), name)
-
-    def preview(self, setup: ControlSetup) -> int:
-        """No reference is looked at."""
-        return 0
 
     def init(self, setup: ControlSetup) -> OpenLoopState:
         """A fresh state.

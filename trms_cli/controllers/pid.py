@@ -39,7 +39,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, PresentReference
 from trms_cli.controllers.fallback import NOT_FINITE, hold_command
 from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
 from trms_cli.controllers.pid_tuning import AxisDesign, AxisMargins, Gains, PidDesign
@@ -95,7 +95,7 @@ class PidState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pid:
+class Pid(PresentReference):
     """PID on each axis."""
 
     #: ``pitch``, ``yaw``: "auto" or Gains; kp, ki and kd in N m/rad, N m/(rad s) and N m s/rad; kd
@@ -136,9 +136,6 @@ class Pid:
             )
         for name in self.smoothness:
             require_known(name, ROTOR_OF_AXIS, f"{name!r} is not an axis", "smoothness")
-
-    def preview(self, setup: ControlSetup) -> int:
-        return 0
 
     def init(self, setup: ControlSetup) -> PidState:
         model, T = setup.model, setup.sample_time

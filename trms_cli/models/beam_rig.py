@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from trms_cli.models.model import Model, RigAxis, Signal, names
+from trms_cli.models.model import FloatArray, Model, RigAxis, Signal, names
 from trms_cli.models.parameters import ParameterFile
 
 STATES = {
@@ -55,6 +55,16 @@ class BeamRig(Model):
         moments = (axis.moment for axis in self.axes.values())
         motors = (f"{rotor}_motor" for rotor in self.rotors)
         self.disturbances = tuple(DISTURBANCES[name] for name in (*moments, *motors))
+
+    def pitch_at_rest(self) -> float:
+        """Angle at which free pitch rests without thrust, rad."""
+        return 0.0
+
+    def rest(self) -> FloatArray:
+        x = np.zeros(self.n_x)
+        if "alpha_v" in self.state_names:
+            x[self.state_index("alpha_v")] = self.pitch_at_rest()
+        return x
 
     @abstractmethod
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:

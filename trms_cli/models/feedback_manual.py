@@ -26,12 +26,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
-from trms_cli.core.errors import ModelError
 from trms_cli.models.beam_rig import INPUTS, BeamRig
 from trms_cli.models.dry_friction import apply_dry_friction
-from trms_cli.models.model import FloatArray, Signal
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import parameter_file
 
 
@@ -59,13 +57,7 @@ class FeedbackManual(BeamRig):
         parameters: Mapping[str, float] | None = None,
     ) -> None:
         content = parameter_file(parameter_set)
-        if "M_g" not in content.parameters:
-            raise ModelError(
-                f"the set {content.name!r} belongs to model {content.model!r}, whose equations "
-                "are others",
-                where="model.parameter_set",
-                remedy=f"choose feedback_manual, or model={content.model}",
-            )
+        content.require(["M_g"], "feedback_manual")
         self.dry_friction = dry_friction
         self.parameters = content.parameter_set().replaced(parameters or {})
         self.name = "feedback_manual"
@@ -83,10 +75,8 @@ class FeedbackManual(BeamRig):
         self._frame(content, input_limit=2.5)
         self.disturbances = self.disturbances[:2]  # its rotors take none
 
-    def rest(self) -> FloatArray:
-        x = np.zeros(self.n_x)
-        x[self.state_index("alpha_v")] = -self.parameters["psi_0"].value
-        return x
+    def pitch_at_rest(self) -> float:
+        return -self.parameters["psi_0"].value
 
     def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
         if not self.dry_friction:

@@ -37,22 +37,8 @@ class Lagrangian(TwinRotor):
     Raises ConfigurationError for an unknown set or parameter. Raises ModelError for a curve that
     cannot be used, or a set without the arm h.
 
-    Parameters
-    ----------
-    freedom : {"both", "vertical", "horizontal"}
-        Axes that move.
-    currents : {"quasi_static", "dynamic"}
-        Whether the armature currents are states (poles near −9300 1/s: stiff).
-    shields : {"rings", "as_printed"}
-        See :func:`trms_cli.models.rig_bodies.bodies`.
-    parameter_set : str
-        A built-in set (``bench``, ``rahideh``, ``tastemirov``) or the path of a parameter file.
-    parameters : mapping
-        Other values for some parameters, in SI.
-    main_interface, tail_interface : str or None
-        Path of the measured curve of a motor's interface (CSV ``u[V],v[V]``) in place of its gain.
-    main_voltage_limit, tail_voltage_limit : float or None
-        Where the interface saturates, V; None: nowhere (or where its curve does).
+    ``shields``: see :func:`trms_cli.models.rig_bodies.bodies`; the other arguments are explained in
+    :class:`trms_cli.models.newtonian.Newtonian`.
     """
 
     OPTION = "lagrangian"

@@ -162,6 +162,19 @@ class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
     effects: dict[str, dict[str, Any]] = {}
     source: str = ""
 
+    def require(self, names: Iterable[str], sets: str) -> None:
+        """Refuse a set that lacks one of a model's own parameters.
+
+        Raises ModelError; ``sets``: those that have them.
+        """
+        if not self.parameters.keys() >= set(names):
+            raise ModelError(
+                f"the set {self.name!r} belongs to model {self.model!r}, whose equations are "
+                "others",
+                where="model.parameter_set",
+                remedy=f"choose {sets}, or model={self.model}",
+            )
+
     def parameter_set(self) -> ParameterSet:
         return ParameterSet(
             (

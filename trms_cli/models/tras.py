@@ -37,7 +37,7 @@ import numpy as np
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.beam_rig import STATES, BeamRig
-from trms_cli.models.model import FloatArray, Signal
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import ParameterSet, parameter_file
 from trms_cli.models.static_curve import RisingSpline, read_static_curve, rising_spline
 
@@ -159,11 +159,9 @@ class Tras(BeamRig):
         self.outputs = tuple(STATES[name] for name in measured)
         self._frame(content, input_limit=1.0)
 
-    def rest(self) -> FloatArray:
-        x = np.zeros(self.n_x)
-        gravity = {name: self.parameters[name].value for name in ("gBA", "gC")}
-        x[self.state_index("alpha_v")] = -np.arctan2(gravity["gBA"], gravity["gC"])
-        return x
+    def pitch_at_rest(self) -> float:
+        gravity, swing = (self.parameters[name].value for name in ("gBA", "gC"))
+        return -float(np.arctan2(gravity, swing))
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
         c = self.named(p)

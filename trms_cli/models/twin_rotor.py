@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import casadi as ca
-import numpy as np
 
-from trms_cli.core.errors import ModelError
 from trms_cli.models.beam_rig import INPUTS, STATES, BeamRig
-from trms_cli.models.model import FloatArray, names
+from trms_cli.models.model import names
 from trms_cli.models.motor import Motor
 from trms_cli.models.parameters import ParameterFile, ParameterSet, parameter_file
 from trms_cli.models.static_curve import InterfaceCircuit, interface_of
@@ -107,16 +105,6 @@ class TwinRotor(BeamRig):
     def beam(self, at: BeamPoint) -> BeamMotion:
         """The equations of the beam."""
 
-    @abstractmethod
-    def pitch_at_rest(self) -> float:
-        """Angle at which free pitch rests without thrust, rad."""
-
-    def rest(self) -> FloatArray:
-        x = np.zeros(self.n_x)
-        if "alpha_v" in self.state_names:
-            x[self.state_index("alpha_v")] = self.pitch_at_rest()
-        return x
-
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
         c = self.named(p)
         state = {name: x[i] for i, name in enumerate(self.state_names)}
@@ -181,13 +169,7 @@ def _used(
     content: ParameterFile, circuits: Mapping[str, InterfaceCircuit], unused: tuple[str, ...]
 ) -> ParameterSet:
     """The parameters of a set that these equations have."""
+    content.require(["kphi", "m_cb"], "bench, rahideh or tastemirov")
     known = content.parameter_set()
     given = {f"k_u{axis}" for axis, circuit in circuits.items() if not circuit.parameter_names}
-    if "kphi" not in known or "m_cb" not in known:
-        raise ModelError(
-            f"the set {content.name!r} belongs to model {content.model!r}, whose equations are "
-            "others",
-            where="model.parameter_set",
-            remedy=f"choose bench, rahideh or tastemirov, or model={content.model}",
-        )
     return ParameterSet((p for p in known if p.name not in {*unused, *given}), known.name)

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import casadi as ca
@@ -47,7 +47,7 @@ OUTPUTS = (
 
 @dataclass
 class Gate:
-    """The gate of a filter that runs."""
+    """The gate of a filter that runs, over arrays of its step, which it fills and reads."""
 
     width: float  #: Standard deviations; infinite for a gate that is open for good
     #: Samples of unbroken rejection after which a channel is believed, and of unbroken agreement
@@ -56,32 +56,19 @@ class Gate:
     #: (n_y,) array; ``width²`` per channel, infinite where the gate is open: an input of the
     #: filter's step
     squared: FloatArray
-    #: (n_y,) int array; samples that a watched channel has been rejected, or a believed one has
-    #: agreed, in a row
-    run: IntArray
-    open: BoolArray  #: (n_y,) bool array; channels believed again
     #: (n_y,) array; 1 for what the last sample's gate held back; zeros for a gate that is always
     #: open
     rejected: FloatArray
+    #: (n_y,) int array; samples that a watched channel has been rejected, or a believed one has
+    #: agreed, in a row
+    run: IntArray = field(init=False)
+    open: BoolArray = field(init=False)  #: (n_y,) bool array; channels believed again
     counting: bool = False  #: Whether any channel has a run or is believed again
 
-    @classmethod
-    def start(
-        cls,
-        gate: float | None,
-        longest_rejection: float,
-        sample_time: float,
-        squared: FloatArray,
-        rejected: FloatArray,
-    ) -> Gate:
-        """A gate over the arrays of a filter's step, which it fills and reads."""
-        n_y = squared.size
-        width = np.inf if gate is None else gate
-        squared[:] = width**2
-        patience = max(1, round(longest_rejection / sample_time))
-        return cls(
-            width, patience, squared, np.zeros(n_y, int), np.zeros(n_y, dtype=bool), rejected
-        )
+    def __post_init__(self) -> None:
+        self.squared[:] = self.width**2
+        self.run = np.zeros(self.squared.size, int)
+        self.open = np.zeros(self.squared.size, dtype=bool)
 
     @property
     def active(self) -> bool:
@@ -177,13 +164,9 @@ class GatedFilter(FilterOptions, ABC):
             innovation_sd=results["innovation_sd"],
             rejected=results["rejected"],
         )
-        gate = Gate.start(
-            self.gate,
-            self.longest_rejection,
-            setup.sample_time,
-            arguments["gate"],
-            results["rejected"],
-        )
+        width = np.inf if self.gate is None else self.gate
+        patience = max(1, round(self.longest_rejection / setup.sample_time))
+        gate = Gate(width, patience, arguments["gate"], results["rejected"])
         present = np.zeros(len(augmented.channels), dtype=bool)
         return FilterState(
             function, estimate, augmented.mean, np.diag(augmented.sd**2), present, gate

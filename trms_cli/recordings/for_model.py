@@ -248,33 +248,24 @@ def _happenings(
     gridded: GriddedRecording, channels: Sequence[str], inputs: Sequence[str]
 ) -> list[RecordingEvent]:
     """Gaps and missing samples in order of time."""
-    step = gridded.sample_time
-    happenings = [
-        RecordingEvent(
-            index,
-            "gap",
-            "recording",
-            f"{count} samples are missing, the commands of the last one held (value in s)",
-            count * step,
-        )
-        for index, count in gridded.gaps
-    ]
+    happenings: list[RecordingEvent] = []
+
+    def add(index: int, count: int, kind: str, source: str, words: str) -> None:
+        message = f"{count} samples {words} (value in s)"
+        duration = count * gridded.sample_time
+        happenings.append(RecordingEvent(index, kind, source, message, duration))
+
+    for index, count in gridded.gaps:
+        words = "are missing, the commands of the last one held"
+        add(index, count, "gap", "recording", words)
     for name in (*channels, *inputs):
         meaning = ", the last one held" if name in inputs else ""
         missing = gridded.runs_without(gridded.channels[name])
         total = sum(count for _, count in missing)
         if len(missing) > _MOST_EVENTS:
             missing = [(missing[0][0], total)]
-        happenings += [
-            RecordingEvent(
-                index,
-                "missing",
-                name,
-                f"{count} samples of {name} are missing{meaning} (value in s)",
-                count * step,
-            )
-            for index, count in missing
-        ]
+        for index, count in missing:
+            add(index, count, "missing", name, f"of {name} are missing{meaning}")
     return sorted(happenings)
 
 

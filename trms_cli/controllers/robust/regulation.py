@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.controllers.controller import ControlSample, ControlSetup
+from trms_cli.controllers.controller import ControlSample, ControlSetup, PresentReference
 from trms_cli.controllers.lqr import in_order
 from trms_cli.controllers.robust.coordinates import Coordinates, thrust_demand
 from trms_cli.controllers.robust.lmi import Task
@@ -31,7 +31,7 @@ LAW_NOT_FINITE = "the law is not finite at this estimate"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegulationDesign:
+class RegulationDesign(PresentReference):
     """What is regulated, and how dear deviations are."""
 
     sample_time: Positive = 0.1  #: Control period, s
@@ -57,9 +57,6 @@ class RegulationDesign:
     rate_range: Positive = 1.5
     #: Whether the observer's constant disturbances enter the target (offset-free)
     disturbance_compensation: bool = True
-
-    def preview(self, setup: ControlSetup) -> int:
-        return 0
 
 
 @dataclass

@@ -67,6 +67,18 @@ class FaultRun:
         """Alter what reaches the rig from a sample on, in place. Called at every sample."""
 
 
+class ShiftedReading(FaultRun):
+    """A channel is off while the fault acts: at each sample of the run by so much."""
+
+    def __init__(self, active: range, words: str, column: int, off: FloatArray) -> None:
+        super().__init__(active, words)
+        self._column, self._off = column, off
+
+    def sensed(self, sample: int, y: FloatArray) -> None:
+        if sample in self.active:
+            y[self._column] += self._off[sample]
+
+
 class Fault(Protocol):
     """An immutable configuration of a fault."""
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trms_cli.core.arrays import FloatArray
 from trms_cli.core.ranges import NotNegative, Positive
-from trms_cli.plants.faults.fault import FaultRun, FaultSetup, Share
+from trms_cli.plants.faults.fault import FaultRun, FaultSetup, Share, ShiftedReading
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,19 +24,9 @@ class Outliers:
         generator = np.random.default_rng(setup.seed)
         hit = generator.random(setup.samples) < self.probability
         off = np.where(hit, self.size * generator.choice([-1.0, 1.0], setup.samples), 0.0)
-        return _Run(
+        return ShiftedReading(
             setup.window(self.start, self.duration),
             f"{100 * self.probability:g} % of {self.channel} are off by {self.size:g}",
             setup.output(self.channel),
             off,
         )
-
-
-class _Run(FaultRun):
-    def __init__(self, active: range, words: str, column: int, off: FloatArray) -> None:
-        super().__init__(active, words)
-        self._column, self._off = column, off
-
-    def sensed(self, sample: int, y: FloatArray) -> None:
-        if sample in self.active:
-            y[self._column] += self._off[sample]

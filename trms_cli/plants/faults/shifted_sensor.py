@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trms_cli.core.arrays import FloatArray
+import numpy as np
+
 from trms_cli.core.ranges import NotNegative, Positive
-from trms_cli.plants.faults.fault import FaultRun, FaultSetup
+from trms_cli.plants.faults.fault import FaultRun, FaultSetup, ShiftedReading
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,14 +22,5 @@ class ShiftedSensor:
     def init(self, setup: FaultSetup) -> FaultRun:
         active = setup.window(self.start, self.duration)
         words = f"{self.channel} is off by {self.shift:g}"
-        return _Run(active, words, setup.output(self.channel), self.shift)
-
-
-class _Run(FaultRun):
-    def __init__(self, active: range, words: str, column: int, shift: float) -> None:
-        super().__init__(active, words)
-        self._column, self._shift = column, shift
-
-    def sensed(self, sample: int, y: FloatArray) -> None:
-        if sample in self.active:
-            y[self._column] += self._shift
+        off = np.full(setup.samples, self.shift)
+        return ShiftedReading(active, words, setup.output(self.channel), off)
