@@ -115,7 +115,6 @@ def _run(command: list[str], folder: Path) -> str:
 
 
 def _knows(compiler: str, flag: str, folder: Path) -> bool:
-    """Whether a compiler takes a flag."""
     command = [compiler, flag, "-Werror", "-x", "c", "-c", os.devnull, "-o", "probe.o"]
     try:
         done = subprocess.run(command, cwd=folder, capture_output=True, timeout=60, check=False)

@@ -123,7 +123,7 @@ class NewtonStep:
         self._rate_limited = bool(self._rate_chosen.any())
         rate_bound = bound[self._rate_chosen]
         m = n_terminal + len(rate_bound)
-        self._n_terminal, self._rate_bound = n_terminal, rate_bound
+        self._n_terminal = n_terminal
         self._rows = np.zeros((m, n))
         self._rows[n_terminal:] = self._difference[self._rate_chosen]
         # Bounds of the unknowns (block by block, input by input), then of the rows. They are for

@@ -116,12 +116,8 @@ class OpenLoop(PresentReference):
         if self.operating_point is None:
             return np.zeros(model.n_u)
         for name, value in self.operating_point.items():
-            require_known(
-                name,
-                model.controlled,
-                f"{name!r} is no angle of model {model.name!r}",
-                f"operating_point.{name}",
-            )
+            problem = f"{name!r} is no angle of model {model.name!r}"
+            require_known(name, model.controlled, problem, f"operating_point.{name}")
             if not math.isfinite(value):
                 raise ConfigurationError(
                     f"{value!r} given", where=f"operating_point.{name}", remedy="an angle in rad"

@@ -111,7 +111,6 @@ class PidDesign:
         return dict(call_memoised(PidDesign._of, self, model, step))
 
     def _of(self, model: Model, step: float) -> dict[str, AxisDesign]:
-        """See :meth:`of`."""
         if not model.axes:
             raise ConfigurationError(
                 f"model {model.name!r} has no axis, and pid holds the angles of axes",

@@ -171,7 +171,6 @@ class RobustMpc(RegulationDesign):
     def _acting(
         self, state: RobustMpcState, x: FloatArray, aim: Aim, z: FloatArray, law: Law
     ) -> Command:
-        """The command of a certified law."""
         u = state.regulation.command(x, aim, z, law.solution.K @ z)
         words = [aim.message] if aim.message else []
         certain = law.certificate.constrained

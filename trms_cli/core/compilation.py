@@ -217,7 +217,6 @@ def _array(size: tuple[int, int]) -> FloatArray:
 
 @functools.lru_cache(maxsize=_MOST_LOADED)
 def _dense(function: ca.Function) -> ca.Function:
-    """The same function with dense inputs and outputs."""
     if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) and all(
         function.sparsity_in(i).is_dense() for i in range(function.n_in())
     ):

@@ -162,11 +162,7 @@ def _checked_arguments(target: Any, given: Mapping[str, Any], where: str) -> dic
             )
     for name, parameter in parameters.items():
         if parameter.default is parameter.empty and name not in given:
-            raise ConfigurationError(
-                f"{name!r} is required and not given",
-                where=_join(where, name),
-                remedy=f"set {_join(where, name)}=…",
-            )
+            raise _refused(Refusal("", None, "", unknown=name), _join(where, name))
     return {
         key: _converted(value, hints.get(key, Any), _join(where, key))
         for key, value in given.items()

@@ -16,6 +16,7 @@ import io
 import pickle
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -138,14 +139,7 @@ def cached_result(
         return msgspec.json.decode(file.read_bytes(), type=kind)
     except (OSError, msgspec.MsgspecError):
         result = compute()
-        _keep(file, msgspec.json.encode(result))
+        with suppress(OSError):  # a cache that cannot be written is no error
+            file.parent.mkdir(parents=True, exist_ok=True)
+            replace_whole(file, msgspec.json.encode(result))
         return result
-
-
-def _keep(file: Path, content: bytes) -> None:
-    """Write whole or not at all; a cache that cannot be written is no error."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        replace_whole(file, content)
-    except OSError:
-        return

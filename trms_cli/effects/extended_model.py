@@ -74,11 +74,11 @@ class ExtendedModel(Model):
         return self.base.transition(at.x, u, at.p, w)
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        at = self._context(x, u, p, ca.SX.zeros(self.n_w))
+        at = self._context(x, u, p)
         return self.effect.output(at, self.base.measurement(at.x, u, at.p))
 
     def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
-        at = self._context(x, u, p, ca.SX.zeros(self.n_w))
+        at = self._context(x, u, p)
         return self.base.quantities(at.x, u, at.p)
 
     def memory(self, step: float) -> tuple[Signal, ...]:
@@ -89,17 +89,9 @@ class ExtendedModel(Model):
         self, memory: ca.SX, u: ca.SX, p: ca.SX, window: Window, step: float
     ) -> tuple[ca.SX, ca.SX]:
         n = len(self.base.memory(step))
-        n_p = len(self.base.parameters)
-        arriving, beneath = self.base.input_path(memory[:n, :], u, p[:n_p, :], window, step)
-        at = EffectContext(
-            self.base,
-            ca.SX.zeros(self.base.n_x),
-            arriving,
-            p[:n_p, :],
-            ca.SX.zeros(self.n_w),
-            memory[n:, :],
-            self._named(p),
-        )
+        at = self._context(ca.SX.zeros(self.n_x), u, p)
+        arriving, beneath = self.base.input_path(memory[:n, :], u, at.p, window, step)
+        at = replace(at, u=arriving, own=memory[n:, :])
         arriving, own = self.effect.input_path(at, window, step)
         return arriving, ca.vertcat(beneath, own)
 
@@ -122,7 +114,7 @@ class ExtendedModel(Model):
         window: Window,
         step: float,
     ) -> ca.SX:
-        first, last = (self._context(x, u, p, ca.SX.zeros(self.n_w)) for x in (before, after))
+        first, last = (self._context(x, u, p) for x in (before, after))
         shown, own = self._sensors(memory, step)
         beneath = self.base.sensor_path(shown, first.x, last.x, u, first.p, window, step)
         if own.is_empty():
@@ -136,13 +128,13 @@ class ExtendedModel(Model):
     def reading(
         self, memory: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX, step: float, since: float = 1.0
     ) -> ca.SX:
-        at = self._context(x, u, p, ca.SX.zeros(self.n_w))
+        at = self._context(x, u, p)
         shown, own = self._sensors(memory, step)
         y = self.base.reading(shown, at.x, u, at.p, step, since)
         return self.effect.reading(replace(at, shown=own), y, step, since)
 
     def noise_sd(self, p: ca.SX, step: float) -> ca.SX:
-        at = self._context(ca.SX.zeros(self.n_x), ca.SX.zeros(self.n_u), p, ca.SX.zeros(self.n_w))
+        at = self._context(ca.SX.zeros(self.n_x), ca.SX.zeros(self.n_u), p)
         return ca.vertcat(self.base.noise_sd(at.p, step), self.effect.noise_sd(at, step))
 
     def _sensors(self, memory: ca.SX, step: float) -> tuple[ca.SX, ca.SX]:
@@ -150,14 +142,12 @@ class ExtendedModel(Model):
         n = len(self.base.sensor_memory(step))
         return memory[:n, 0], memory[n:, 0]
 
-    def _context(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> EffectContext:
-        n = self.base.n_x
-        n_p = len(self.base.parameters)
-        return EffectContext(self.base, x[:n, :], u, p[:n_p, :], w, x[n:, :], self._named(p))
-
-    def _named(self, p: ca.SX) -> dict[str, ca.SX]:
-        n = len(self.base.parameters)
-        return {name: p[n + i] for i, name in enumerate(self._sizes)}
+    def _context(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX | None = None) -> EffectContext:
+        """Where the effect is evaluated; without torques where none matter."""
+        n, n_p = self.base.n_x, len(self.base.parameters)
+        w = ca.SX.zeros(self.n_w) if w is None else w
+        sizes = {name: p[n_p + i] for i, name in enumerate(self._sizes)}
+        return EffectContext(self.base, x[:n, :], u, p[:n_p, :], w, x[n:, :], sizes)
 
 
 def _require_outside(base: Model, name: str, effect: Effect) -> None:

@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from trms_cli.core.errors import ModelError, TrmsError
-from trms_cli.core.plugins import TARGET, build, nearest
+from trms_cli.core.plugins import TARGET, build, nearest, require_known
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extend_model
@@ -116,12 +116,9 @@ def _plugin(content: ParameterFile, node: Mapping[str, Any], where: str) -> Mode
     model = _built(node, where, content.parameters, node.get(TARGET))
     given = {parameter.name: parameter for parameter in content.parameter_set()}
     for name in given:
-        if name not in model.parameters:
-            raise ModelError(
-                f"model {model.name!r} has no parameter {name!r}",
-                where=f"{where.removesuffix('model')}parameters.{name}",
-                remedy=nearest(name, model.parameters.names),
-            )
+        problem = f"model {model.name!r} has no parameter {name!r}"
+        place = f"{where.removesuffix('model')}parameters.{name}"
+        require_known(name, model.parameters.names, problem, place, ModelError)
     model.parameters = ParameterSet(
         (given.get(parameter.name, parameter) for parameter in model.parameters), content.name
     )
@@ -188,14 +185,10 @@ def _effect(name: str, sizes: Mapping[str, Any], where: str) -> Effect:
         node = dict(sizes)
     else:
         node = dict(_option("effect", name, where).get(name, {}))
+        known = [key for key in node if key != TARGET]
         for key in sizes:
-            if key not in node:
-                allowed = [known for known in node if known != TARGET]
-                raise ModelError(
-                    f"effect {name!r} has no size {key!r}",
-                    where=f"{where}.{key}",
-                    remedy=nearest(key, allowed),
-                )
+            problem = f"effect {name!r} has no size {key!r}"
+            require_known(key, known, problem, f"{where}.{key}", ModelError)
         node |= sizes
     try:
         effect = build(node, where)

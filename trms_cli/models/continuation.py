@@ -281,7 +281,6 @@ class ImplicitCurve:
         return best
 
     def _bound_at(self, y: FloatArray) -> str:
-        """Which bound a point is at."""
         for index in range(self.n, -1, -1):
             for bound in (self.lower[index], self.upper[index]):
                 if np.isfinite(bound) and abs(y[index] - bound) <= 1e-9 * self.scale[index]:

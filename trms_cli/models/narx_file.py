@@ -46,7 +46,7 @@ import numpy as np
 
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ModelError, TrmsError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
 from trms_cli.models.network import NarxStructure, Network
@@ -302,12 +302,8 @@ def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
                 f"{', '.join(_OPTIONAL)}",
             )
     for key in data:
-        if key not in (*_REQUIRED, *_OPTIONAL):
-            raise ModelError(
-                f"unknown key {key!r}",
-                where=f"{shown}: {key}",
-                remedy=nearest(str(key), (*_REQUIRED, *_OPTIONAL)),
-            )
+        place = f"{shown}: {key}"
+        require_known(str(key), (*_REQUIRED, *_OPTIONAL), f"unknown key {key!r}", place, ModelError)
     if data["model"] != KIND:
         raise ModelError(
             f"{data['model']!r} given", where=f"{shown}: model", remedy=f"a network is a {KIND!r}"

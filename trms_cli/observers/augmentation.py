@@ -262,12 +262,8 @@ def _equations(setup: ObserverSetup, chosen: tuple[str, ...] | None) -> list[int
             return list(range(model.n_w))
         return [known.index(axis.moment) for axis in model.axes.values()]
     for name in chosen:
-        require_known(
-            name,
-            known,
-            f"model {model.name!r} has no equation for {name!r}",
-            "observer.disturbances",
-        )
+        problem = f"model {model.name!r} has no equation for {name!r}"
+        require_known(name, known, problem, "observer.disturbances")
     return [known.index(name) for name in dict.fromkeys(chosen)]
 
 

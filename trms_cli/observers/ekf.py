@@ -31,7 +31,6 @@ class Ekf(RecursiveFilter):
 
 
 def _step(augmented: AugmentedModel) -> ca.Function:
-    """One sample; see :func:`trms_cli.observers.kalman_step.kalman_step`."""
     return kalman_step(
         "ekf_step", augmented, exact_transition(augmented), exact_measurement(augmented)
     )

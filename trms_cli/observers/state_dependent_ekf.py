@@ -201,7 +201,6 @@ class StateDependentEkf(RecursiveFilter):
 
 
 def _step(augmented: AugmentedModel, x_0: FloatArray, u_0: FloatArray) -> ca.Function:
-    """One sample; see :func:`trms_cli.observers.kalman_step.kalman_step`."""
     return kalman_step(
         "state_dependent_ekf_step",
         augmented,

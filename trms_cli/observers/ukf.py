@@ -34,15 +34,8 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import call_memoised
 from trms_cli.core.ranges import NotNegative
+from trms_cli.observers import kalman_step as kalman
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel
-from trms_cli.observers.kalman_step import (
-    diagonal,
-    disturbances,
-    gain_stage,
-    gate_channels,
-    joseph,
-    step_inputs,
-)
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS, RecursiveFilter
 
@@ -104,7 +97,7 @@ def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     measure = measurement_stage(augmented)
     update = _update_stage(augmented, points)
 
-    inputs = step_inputs(augmented, len(augmented.model.parameters))
+    inputs = kalman.step_inputs(augmented, len(augmented.model.parameters))
     m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate = inputs
     drawn = spread(m, P)
     count = points.count
@@ -150,7 +143,7 @@ def _prediction_stage(points: SigmaPoints) -> ca.Function:
     moved = ca.if_else(advance > 0, after, before)
     m = moved @ ca.DM(points.mean_weights)
     off = moved - ca.repmat(m, 1, count)
-    P = _weighted(off, points) @ off.T + diagonal(advance * q)
+    P = _weighted(off, points) @ off.T + kalman.diagonal(advance * q)
     return ca.Function("predict", [before, after, advance, q], [m, P])
 
 
@@ -177,14 +170,14 @@ def _update_stage(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function
     off_y = seen - ca.repmat(predicted, 1, count)
     variance = ca.diag(_weighted(off_y, points) @ off_y.T) + r
     innovation = mask * (y - predicted)
-    believed = gate_channels(mask, innovation, variance, gate)
+    believed = kalman.gate_channels(mask, innovation, variance, gate)
     off_y = off_y * ca.repmat(believed, 1, count)
     off_x = drawn - ca.repmat(m, 1, count)
-    S = _weighted(off_y, points) @ off_y.T + diagonal(believed * r + (1 - believed))
-    gain = gain_stage(n, n_y)(_weighted(off_x, points) @ off_y.T, S)
+    S = _weighted(off_y, points) @ off_y.T + kalman.diagonal(believed * r + (1 - believed))
+    gain = kalman.gain_stage(n, n_y)(_weighted(off_x, points) @ off_y.T, S)
     m_next = m + gain @ innovation
     left = off_x - gain @ off_y
-    P = joseph(_weighted(left, points) @ left.T, gain, believed * r, floor)
+    P = kalman.joseph(_weighted(left, points) @ left.T, gain, believed * r, floor)
     sd = ca.sqrt(ca.diag(P))
     return ca.Function(
         "update",
@@ -194,7 +187,7 @@ def _update_stage(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function
             P,
             ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P)),
             sd,
-            *disturbances(augmented, m_next, sd, known),
+            *kalman.disturbances(augmented, m_next, sd, known),
             predicted,
             innovation,
             ca.sqrt(variance),

@@ -322,7 +322,6 @@ def _remembering(
 def _selected(
     measurement: ca.Function, channels: tuple[str, ...], available: tuple[str, ...]
 ) -> ca.Function:
-    """The measurement of some channels only."""
     at = [ca.SX.sym(name, *measurement.size_in(name)) for name in ("x", "u", "p")]
     rows = [available.index(name) for name in channels]
     return ca.Function("sense", at, [measurement(*at)[rows]], ["x", "u", "p"], ["y"])

@@ -32,15 +32,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from trms_cli.core.data_file import (
-    MEBIBYTE,
-    absent,
-    how_to_raise,
-    largest,
-    not_as_written,
-    recorded_bytes,
-    unreadable,
-)
+from trms_cli.core import data_file
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.run_log import RUN_SCHEMA
 from trms_cli.recordings.topics import (
@@ -51,16 +43,16 @@ from trms_cli.recordings.topics import (
 )
 
 #: Messages of one log that are kept, and what one chunk unpacks to, however small the file is.
-USUAL_MOST = 256 * MEBIBYTE
+USUAL_MOST = 256 * data_file.MEBIBYTE
 #: A long run has a large log, which unpacks to some four times its size.
 _UNPACKED_TO_FILE = 8
 #: All chunks of a log together, of which one is in the memory at a time.
 _TOGETHER = 16
 #: Numbers in the tables of one log, 8 bytes each. A table of a run is as long as its messages say,
 #: but a schema may name any number of columns, and the messages leave them out.
-_USUAL_MOST_CELLS = 32 * MEBIBYTE
+_USUAL_MOST_CELLS = 32 * data_file.MEBIBYTE
 #: Memory that a compressor may ask for beside the content.
-_WINDOW = 64 * MEBIBYTE
+_WINDOW = 64 * data_file.MEBIBYTE
 
 
 class TooMuch(ValueError):
@@ -69,7 +61,7 @@ class TooMuch(ValueError):
 
 def message_limit(size: int = 0) -> int:
     """Bytes of messages that are kept of a log in a file of `size` bytes."""
-    return max(largest(USUAL_MOST), _UNPACKED_TO_FILE * size)
+    return max(data_file.largest(USUAL_MOST), _UNPACKED_TO_FILE * size)
 
 
 def unpacking_limit(size: int = 0) -> int:
@@ -89,8 +81,9 @@ def content_of(chunk: Chunk, room: int) -> bytes:
     damaged, of an unknown compression.
     """
     size = chunk.uncompressed_size
-    if size > min(room, message_limit()):
-        raise TooMuch(f"it unpacks to more than {min(room, message_limit()) / MEBIBYTE:,.0f} MiB")
+    most = min(room, message_limit())
+    if size > most:
+        raise TooMuch(f"it unpacks to more than {most / data_file.MEBIBYTE:,.0f} MiB")
     if chunk.compression == "zstd":
         data = _unpacked_zstd(chunk.data, size)
     elif chunk.compression == "lz4":
@@ -130,7 +123,7 @@ def damage_of(chunk: Chunk, data: bytes) -> str:
 RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 #: Of a file, compressed: some four hours of a run at 50 Hz.
-_USUAL_MOST = 512 * MEBIBYTE
+_USUAL_MOST = 512 * data_file.MEBIBYTE
 #: Bytes that a message takes in the memory at least, however short it is.
 _LEAST_MESSAGE = 64
 _EMPTY_RUN = "it holds no sample: the run ended before its first flush"
@@ -251,7 +244,7 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
     if not content.channels:
         content.problems.append(_EMPTY_RUN)
     score = content.metadata.get(SCORE_METADATA, {})
-    with not_as_written(str(path)):
+    with data_file.not_as_written(str(path)):
         tables = _tables(content, path, cells)
     return LoggedRun(
         path=path,
@@ -278,7 +271,7 @@ def _refuse_newer(run: Mapping[str, str], path: Path) -> None:
 
 
 def _read_bytes(path: Path) -> bytes:
-    data = recorded_bytes(path, _USUAL_MOST)
+    data = data_file.recorded_bytes(path, _USUAL_MOST)
     if not data:
         raise RecordingError("the file is empty", where=str(path), remedy="repeat the run")
     if not is_mcap(data, path):
@@ -324,7 +317,7 @@ def _walk(data: bytes, content: _Content) -> None:
                 _take(opcode, body, content)
         except TooMuch as error:
             raise RecordingError(
-                str(error), where=content.where, remedy=how_to_raise(2 * message_limit())
+                str(error), where=content.where, remedy=data_file.how_to_raise(2 * message_limit())
             ) from error
         except Exception as error:  # damage shows as any error of the decoders
             content.problems.append(f"a damaged record was left out ({error})")
@@ -455,7 +448,9 @@ Wanted = Callable[[str, str], bool]
 class LogPiece:
     """What one look has found."""
 
-    tables: dict[str, TopicTable]  #: New messages by topic; topics without new ones are absent
+    tables: dict[
+        str, TopicTable
+    ]  #: New messages by topic; topics without new ones are data_file.absent
     #: For each chunk its latest log time and publish time [ns]: how far the run was by when
     written: tuple[tuple[int, int], ...] = ()
 
@@ -495,9 +490,9 @@ class LogTail:
         try:
             self._descriptor = os.open(self.path, os.O_RDONLY)
         except FileNotFoundError as error:
-            raise absent(Path(path)) from error
+            raise data_file.absent(Path(path)) from error
         except OSError as error:
-            raise unreadable(error, self.path) from error
+            raise data_file.unreadable(error, self.path) from error
 
     @property
     def of_trms(self) -> bool:
@@ -585,7 +580,7 @@ class LogTail:
         try:
             return os.pread(self._descriptor, size, self._offset)
         except OSError as error:
-            raise unreadable(error, self.path) from error
+            raise data_file.unreadable(error, self.path) from error
 
     def _take(self, opcode: int, body: memoryview) -> None:
         try:

@@ -92,25 +92,31 @@ class SupervisorSetup:
     outputs: tuple[str, ...]  #: Measured channels, the order of y
 
 
-class SupervisorRun(Protocol):
-    """A supervisor during one run; the loop calls it in this order at each sample."""
+class SupervisorRun:
+    """A supervisor during one run; the loop calls it in this order at each sample.
 
-    mode: Mode
+    This one does not watch: every measurement and every command passes.
+    """
+
+    mode: Mode = Mode.NORMAL
 
     def screen(self, y: FloatArray) -> FloatArray:
         """The measurement (n_y,) as the observer is to see it."""
+        return y
 
     def judge(self, estimate: Estimate, tell: Tell) -> None:
         """Look at the estimate, choose the mode, and tell what begins or ends."""
 
     def landed(self, u: FloatArray) -> FloatArray:
         """The command (n_u,) after ``u`` while landing, V."""
+        return u
 
     def heard(self, command: Command) -> None:
         """Take in the controller's own words."""
 
     def reasons(self) -> str:
         """Why the mode is not normal, in words for the log; empty when it is."""
+        return ""
 
 
 class SupervisorPlugin(Protocol):
@@ -158,7 +164,7 @@ class Supervisor:
         return WatchingRun(self, setup)
 
 
-class WatchingRun:
+class WatchingRun(SupervisorRun):
     """See :class:`SupervisorRun`."""
 
     def __init__(self, config: Supervisor, setup: SupervisorSetup) -> None:
@@ -295,27 +301,6 @@ class WatchingRun:
 class Unsupervised:
     """Nobody watches: every measurement and every command passes."""
 
-    def init(self, setup: SupervisorSetup) -> UnsupervisedRun:
+    def init(self, setup: SupervisorSetup) -> SupervisorRun:
         """Nothing to prepare."""
-        return UnsupervisedRun()
-
-
-class UnsupervisedRun:
-    """See :class:`SupervisorRun`."""
-
-    mode = Mode.NORMAL
-
-    def screen(self, y: FloatArray) -> FloatArray:
-        return y
-
-    def judge(self, estimate: Estimate, tell: Tell) -> None:
-        pass
-
-    def landed(self, u: FloatArray) -> FloatArray:
-        return u
-
-    def heard(self, command: Command) -> None:
-        pass
-
-    def reasons(self) -> str:
-        return ""
+        return SupervisorRun()

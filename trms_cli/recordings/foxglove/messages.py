@@ -14,23 +14,7 @@ from dataclasses import replace
 
 from msgspec import Struct, to_builtins
 
-from trms_cli.core.scene import (
-    BASE,
-    BEAM,
-    GHOSTS,
-    TONES,
-    YAW,
-    Arrow,
-    Cylinder,
-    Quaternion,
-    Ring,
-    Scene,
-    Vector,
-    attitude,
-    pitch_rotation,
-    rotation_onto,
-    yaw_rotation,
-)
+from trms_cli.core import scene as rig
 from trms_cli.recordings.foxglove import types as foxglove
 
 #: Yaw and pitch of the rig ("") and of its ghosts, rad.
@@ -62,25 +46,27 @@ class SceneEncoder:
     sentence that goes along with the bodies.
     """
 
-    def __init__(self, scene: Scene, ghosts: Sequence[str] = GHOSTS, about: str = "") -> None:
+    def __init__(
+        self, scene: rig.Scene, ghosts: Sequence[str] = rig.GHOSTS, about: str = ""
+    ) -> None:
         self.scene = scene
         self.ghosts = tuple(ghosts)
         self._about = about
         self._rig = (
-            _transform(BASE, YAW, f'"x":0,"y":0,"z":{scene.height!r}')
+            _transform(rig.BASE, rig.YAW, f'"x":0,"y":0,"z":{scene.height!r}')
             + ","
-            + _transform(YAW, BEAM, f'"x":0,"y":{scene.offset!r},"z":0')
+            + _transform(rig.YAW, rig.BEAM, f'"x":0,"y":{scene.offset!r},"z":0')
         )
         where = f'"x":%.7g,"y":%.7g,"z":{scene.height!r}'
         self._ghosts = {
-            f"{ghost}_": _transform(BASE, f"{ghost}_{BEAM}", where) for ghost in self.ghosts
+            f"{ghost}_": _transform(rig.BASE, f"{ghost}_{rig.BEAM}", where) for ghost in self.ghosts
         }
         self._arrows = [
             (_arrow_text(arrow, 1.0), _arrow_text(arrow, -1.0), arrow.reach)
             for arrow in scene.arrows
         ]
         # one entity, with places for its time and, at its end, for its arrows
-        empty = foxglove.SceneEntity(foxglove.Timestamp(0, 0), BEAM, "commands")
+        empty = foxglove.SceneEntity(foxglove.Timestamp(0, 0), rig.BEAM, "commands")
         entity = _encoded(foxglove.SceneUpdate([], [empty]))
         timed = entity.replace(_stamp_text(0), "%s", 1).replace('"arrows":[],', "")
         self._commands = timed.removesuffix("}]}") + ',"arrows":[%s]}]}'
@@ -90,10 +76,10 @@ class SceneEncoder:
         parts = self.scene.parts
         entities = [
             _entity(time_ns, frame, frame, [p for p in parts if p.frame == frame], self._about)
-            for frame in (BASE, YAW, BEAM)
+            for frame in (rig.BASE, rig.YAW, rig.BEAM)
         ]
         for ghost in self.ghosts:
-            frame = f"{ghost}_{BEAM}"
+            frame = f"{ghost}_{rig.BEAM}"
             shape = [_pointer(parts)] if ghost == "estimate" else _inside(parts)
             entities.append(_entity(time_ns, frame, ghost, shape, "", ghost))
         return _encoded(foxglove.SceneUpdate([], entities)).encode()
@@ -109,9 +95,9 @@ class SceneEncoder:
         for prefix, (yaw, pitch) in attitudes.items():
             if prefix:
                 where = (-offset * math.sin(yaw), offset * math.cos(yaw)) if offset else (0.0, 0.0)
-                texts.append(self._ghosts[prefix] % (stamp, *where, *attitude(yaw, pitch)))
+                texts.append(self._ghosts[prefix] % (stamp, *where, *rig.attitude(yaw, pitch)))
             else:
-                turned, raised = yaw_rotation(yaw), pitch_rotation(pitch)
+                turned, raised = rig.yaw_rotation(yaw), rig.pitch_rotation(pitch)
                 texts.append(self._rig % (stamp, *turned, stamp, *raised))
         return ('{"transforms":[' + ",".join(texts) + "]}").encode()
 
@@ -150,7 +136,7 @@ def _entity(
     time_ns: int,
     frame: str,
     name: str,
-    parts: Sequence[Cylinder | Ring],
+    parts: Sequence[rig.Cylinder | rig.Ring],
     about: str = "",
     ghost: str = "",
 ) -> foxglove.SceneEntity:
@@ -159,36 +145,36 @@ def _entity(
         frame,
         name,
         metadata=[foxglove.KeyValuePair("about", about)] if about else [],
-        cylinders=[_cylinder(part, ghost) for part in parts if isinstance(part, Cylinder)],
-        lines=[_ring(part, ghost) for part in parts if isinstance(part, Ring)],
+        cylinders=[_cylinder(part, ghost) for part in parts if isinstance(part, rig.Cylinder)],
+        lines=[_ring(part, ghost) for part in parts if isinstance(part, rig.Ring)],
     )
 
 
-def _inside(parts: Sequence[Cylinder | Ring]) -> list[Cylinder | Ring]:
+def _inside(parts: Sequence[rig.Cylinder | rig.Ring]) -> list[rig.Cylinder | rig.Ring]:
     """The beam a little thinner: hidden in the rig's own while both agree, and not through it."""
     return [
         replace(part, thickness=_GHOST_WIDTH * part.thickness)
-        if isinstance(part, Ring)
+        if isinstance(part, rig.Ring)
         else replace(part, radius=_GHOST_WIDTH * part.radius, length=0.98 * part.length)
         for part in parts
-        if part.frame == BEAM
+        if part.frame == rig.BEAM
     ]
 
 
-def _pointer(parts: Sequence[Cylinder | Ring]) -> Cylinder:
+def _pointer(parts: Sequence[rig.Cylinder | rig.Ring]) -> rig.Cylinder:
     """A thin rod along the beam that stands out at both ends: an estimate is hardly ever off."""
-    rings = [part for part in parts if isinstance(part, Ring)]
+    rings = [part for part in parts if isinstance(part, rig.Ring)]
     ends = [part.centre[0] + sign * 1.3 * part.radius for part in rings for sign in (-1, 1)]
     low, high = min(ends), max(ends)
-    return Cylinder(
-        "estimate", BEAM, (0.5 * (low + high), 0.0, 0.0), (1.0, 0.0, 0.0), high - low,
+    return rig.Cylinder(
+        "estimate", rig.BEAM, (0.5 * (low + high), 0.0, 0.0), (1.0, 0.0, 0.0), high - low,
         0.4 * min(part.thickness for part in rings), "estimate",
     )  # fmt: skip
 
 
-def _cylinder(part: Cylinder, ghost: str) -> foxglove.CylinderPrimitive:
+def _cylinder(part: rig.Cylinder, ghost: str) -> foxglove.CylinderPrimitive:
     return foxglove.CylinderPrimitive(
-        _pose(part.centre, rotation_onto(part.axis)),
+        _pose(part.centre, rig.rotation_onto(part.axis)),
         foxglove.Vector3(2 * part.radius, 2 * part.radius, part.length),
         bottom_scale=1.0,
         top_scale=1.0,
@@ -196,12 +182,12 @@ def _cylinder(part: Cylinder, ghost: str) -> foxglove.CylinderPrimitive:
     )
 
 
-def _ring(part: Ring, ghost: str) -> foxglove.LinePrimitive:
+def _ring(part: rig.Ring, ghost: str) -> foxglove.LinePrimitive:
     turns = [2 * math.pi * i / _CORNERS for i in range(_CORNERS)]
     corners = [(part.radius * math.cos(t), part.radius * math.sin(t)) for t in turns]
     return foxglove.LinePrimitive(
         foxglove.LineType.LINE_LOOP,
-        _pose(part.centre, rotation_onto(part.axis)),
+        _pose(part.centre, rig.rotation_onto(part.axis)),
         part.thickness,
         scale_invariant=False,
         points=[foxglove.Point3(round(x, 6), round(y, 6), 0.0) for x, y in corners],
@@ -209,7 +195,7 @@ def _ring(part: Ring, ghost: str) -> foxglove.LinePrimitive:
     )
 
 
-def _arrow_text(arrow: Arrow, sign: float) -> str:
+def _arrow_text(arrow: rig.Arrow, sign: float) -> str:
     """Text of an arrow with places for the lengths of its shaft and of its head."""
     ax, ay, az = (sign * part for part in arrow.axis)
     # An arrow lies along x: laid along z first, it is then turned like everything else.
@@ -222,7 +208,7 @@ def _arrow_text(arrow: Arrow, sign: float) -> str:
     )
 
 
-def _x_onto(axis: Vector) -> Quaternion:
+def _x_onto(axis: rig.Vector) -> rig.Quaternion:
     """The shortest rotation that takes x onto a unit vector."""
     x, y, z = axis
     if x < -1 + 1e-9:
@@ -234,11 +220,11 @@ def _x_onto(axis: Vector) -> Quaternion:
 def _colour(tone: str, opacity: float, ghost: str = "") -> foxglove.Color:
     if ghost:
         tone, opacity = ghost, opacity * _GHOST_OPACITY[ghost]
-    red, green, blue = TONES[tone]
+    red, green, blue = rig.TONES[tone]
     return foxglove.Color(red, green, blue, opacity)
 
 
-def _pose(at: Vector, turned: Quaternion) -> foxglove.Pose:
+def _pose(at: rig.Vector, turned: rig.Quaternion) -> foxglove.Pose:
     return foxglove.Pose(foxglove.Vector3(*at), foxglove.Quaternion(*turned))
 
 

@@ -17,15 +17,8 @@ import numpy as np
 
 from trms_cli.core.scene import GHOSTS
 from trms_cli.recordings.chunk_writer import ChunkWriter
+from trms_cli.recordings.foxglove import types as foxglove
 from trms_cli.recordings.foxglove.messages import Attitudes, SceneEncoder, log_line
-from trms_cli.recordings.foxglove.types import (
-    ARROWS,
-    BODIES,
-    LOG_LINES,
-    SCENE_TOPICS,
-    TRANSFORMS,
-    encoded_topics,
-)
 from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.run_log import LIBRARY, RunLog
 
@@ -143,8 +136,11 @@ class SceneLog:
         self._watched = {topic for topic, *_ in sources.attitudes.values()} | {_COMMANDS}
         self._memory = PoseMemory(sources)
         self._rows: dict[str, Row] = {}
-        self._transforms, self._bodies = log.writer(TRANSFORMS), log.writer(BODIES)
-        self._arrows, self._lines = log.writer(ARROWS), log.writer(LOG_LINES)
+        self._transforms, self._bodies = (
+            log.writer(foxglove.TRANSFORMS),
+            log.writer(foxglove.BODIES),
+        )
+        self._arrows, self._lines = log.writer(foxglove.ARROWS), log.writer(foxglove.LOG_LINES)
         self._empty = True
 
     def writer(self, topic: str) -> Callable[[int, Row], None]:
@@ -211,15 +207,15 @@ def scene_messages(
     memory = PoseMemory(sources)
     for k, time_ns in enumerate(times.tolist()):
         if k == 0:
-            yield BODIES, time_ns, encoder.bodies(time_ns)
+            yield foxglove.BODIES, time_ns, encoder.bodies(time_ns)
         attitudes, shares = memory.take({topic: held[k] for topic, held in rows.items()})
-        yield TRANSFORMS, time_ns, encoder.transforms(time_ns, attitudes)
-        yield ARROWS, time_ns, encoder.commands(time_ns, shares)
+        yield foxglove.TRANSFORMS, time_ns, encoder.transforms(time_ns, attitudes)
+        yield foxglove.ARROWS, time_ns, encoder.commands(time_ns, shares)
     events = log.tables.get("/event")
     if events is not None:
         told = (events.columns[name] for name in ("kind", "source", "message"))
         for time_ns, *words in zip(events.time_ns.tolist(), *told, strict=True):
-            yield LOG_LINES, time_ns, log_line(time_ns, *(word or "" for word in words))
+            yield foxglove.LOG_LINES, time_ns, log_line(time_ns, *(word or "" for word in words))
 
 
 def write_with_scene(
@@ -243,7 +239,7 @@ def write_with_scene(
         pending, last_words = _copy_words(log.path, writer)
         numbers = {
             topic.name: writer.add_channel(topic.name, topic.schema_name, topic.schema)
-            for topic in encoded_topics()
+            for topic in foxglove.encoded_topics()
         }
         pending += [(numbers[topic], time_ns, time_ns, data) for topic, time_ns, data in added]
         pending.sort(key=lambda message: message[1])
@@ -251,7 +247,7 @@ def write_with_scene(
         for metadata in last_words:
             writer.add_metadata(metadata.name, metadata.metadata)
         writer.finish()
-    return sum(topic == TRANSFORMS for topic, _, _ in added)
+    return sum(topic == foxglove.TRANSFORMS for topic, _, _ in added)
 
 
 _Pending = list[tuple[int, int, int, bytes]]
@@ -272,7 +268,7 @@ def _copy_words(path: Path, writer: ChunkWriter) -> tuple[_Pending, list[Metadat
                 if isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
-                    if record.id not in numbers and record.topic not in SCENE_TOPICS:
+                    if record.id not in numbers and record.topic not in foxglove.SCENE_TOPICS:
                         schema = schemas[record.schema_id]
                         numbers[record.id] = writer.add_channel(
                             record.topic, schema.name, schema.data
