@@ -22,8 +22,8 @@ class RecordedRig(Selection):
     """A recorded run of a rig: a file, and what a model takes of it."""
 
     file: str  #: CSV, MAT or MCAP; a relative path is relative to the working directory
-    command_delay: Annotated[int, Meta(ge=0)] = 0
-    jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
+    command_delay: Annotated[int, Meta(ge=0)] = 0  #: samples, as of :class:`Selection`
+    jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2  #: share of a sample, likewise
     #: Channels to use and their declared noise; noise and quantum are those of the record
     sensors: Sensors = field(default_factory=Sensors)
 
