@@ -30,8 +30,6 @@ from trms_cli.core.errors import ConfigurationError
 
 #: Keys that have another meaning than those of ``newton_mpc``.
 _OWN = {"max_iterations", "tolerance", "fallback"}
-#: A scaled terminal residual above this counts as a relaxed equality.
-_RELAXED_ABOVE = 1e-3
 #: Rounding of a rate limit, V.
 _HAIR = 1e-6
 
@@ -105,7 +103,7 @@ class Nmpc(HorizonSettings):
         newton.trajectory[:] = trajectory
         missed = float(np.abs(terminal).max()) if newton.horizon.terminal is not None else 0.0
         status = Status.OK if candidate.converged else Status.BUDGET
-        if missed > _RELAXED_ABOVE:
+        if missed > shared.relaxed_above:
             status = Status.RELAXED
         return Command(
             newton.plan[:, 0].copy(),

@@ -132,12 +132,8 @@ class CubePrimitive(Struct):
     color: Color
 
 
-class SpherePrimitive(Struct):
+class SpherePrimitive(CubePrimitive):
     """An ellipsoid."""
-
-    pose: Pose
-    size: Vector3
-    color: Color
 
 
 class CylinderPrimitive(Struct):
