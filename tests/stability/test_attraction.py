@@ -11,9 +11,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from attraction_cases import Cabled, Jumping, Planar, VanDerPol, at_origin
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from planar_systems import Planar, at_origin, bent, reversed_van_der_pol
 from scipy.integrate import solve_ivp
 
 from trms_cli.composition.composer import compose
@@ -54,7 +54,7 @@ METHODS = ("lyapunov", "inclusion", "level_set", "quartic")
 
 @pytest.fixture(scope="module")
 def van_der_pol():
-    model = VanDerPol()
+    model = reversed_van_der_pol()
     return around(model, at_origin(model))
 
 
@@ -80,34 +80,31 @@ def area(polygon):
     return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
 
 
-def test_estimates_of_van_der_pol_lie_inside_its_cycle(found):
+def test_estimates_of_van_der_pol_lie_inside_its_cycle_and_cover_as_much_as_is_known(
+    found, van_der_pol
+):
     from matplotlib.path import Path
 
-    region = Path(cycle())
+    rim = cycle()
+    whole, region = area(rim), Path(rim)
     assert tuple(e.method for e in found) == METHODS
     for estimate in found:
         assert estimate.proved
         y = estimate.drawn(2000, 0)
         assert len(y) == 2000
         assert region.contains_points(y).all(), estimate.method
-
-
-def test_how_much_of_van_der_pols_region_is_covered(found):
-    whole = area(cycle())
     covered = {e.method: math.exp(e.log_volume) / whole for e in found}
     # The best quadratic is known to cover less than the polynomials of higher degree do.
     assert covered["lyapunov"] <= covered["inclusion"] * 1.001
     assert 0.3 < covered["level_set"] < covered["quartic"] < 1.0
     assert covered["quartic"] > 0.7
-
-
-def test_true_region_of_van_der_pol_by_simulation(van_der_pol, found):
+    # The simulated region is the true one.
     largest = max(found, key=lambda e: e.log_volume)
     box = np.array([3.0, 3.0])
     starts = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 2)) * box
     fate, _ = fates(van_der_pol, starts, largest.contains, 60.0, 4.0 * box)
     share = share_of(int((fate == SETTLED).sum()), 1000)
-    assert share.lower < area(cycle()) / 36.0 < share.upper
+    assert share.lower < whole / 36.0 < share.upper
 
 
 def test_a_wrong_estimate_is_caught_and_a_short_time_is_no_failure_of_a_right_one(
@@ -138,7 +135,7 @@ def test_no_level_above_the_sampled_one_is_proved(van_der_pol):
 
 
 def test_all_of_a_linear_systems_box_is_proved():
-    model = Planar()
+    model = bent()
     system = around(model, at_origin(model))
     limits = np.array([5.0, 0.5])
     assert system.curved == ()
@@ -160,7 +157,7 @@ def test_all_of_a_linear_systems_box_is_proved():
 def test_what_is_proved_of_random_systems_comes_to_rest(entries, decay, bend):
     a = np.array(entries).reshape(2, 2)
     a -= (np.linalg.eigvals(a).real.max() + decay) * np.eye(2)
-    model = Planar("random", a, bend)
+    model = bent(a, bend)
     system = around(model, at_origin(model))
     shape = largest_level(system, from_lyapunov_equation(system), np.eye(2) / 10.0)
     assume(shape is not None)
@@ -198,19 +195,23 @@ def test_corners_and_definiteness(seed):
             assert np.linalg.eigvalsh(m + m.T)[-1] < 0.0
 
 
-def test_slopes_of_a_segment_hold_the_rates():
+def test_with_rotors_that_are_not_settled_slopes_hold_the_rates_and_a_proof_is_found():
     model = Newtonian(freedom="both")
     system = around(model, operating_point(model, {"u_v": 1.8}))
+    # Slopes over a box bound the rates along each segment from the equilibrium.
     random = np.random.default_rng(0)
     radii = np.array([20.0, 0.3, 0.3, 20.0, 0.3, 0.3])
     bounds = system.hull(radii)
     for y in random.uniform(-1.0, 1.0, (50, 6)) * radii:
-        lower, upper = (
-            np.sum(np.minimum(bounds.lower * y, bounds.upper * y), axis=1),
-            np.sum(np.maximum(bounds.lower * y, bounds.upper * y), axis=1),
-        )
+        one, other = bounds.lower * y, bounds.upper * y
+        lower, upper = np.minimum(one, other).sum(axis=1), np.maximum(one, other).sum(axis=1)
         rate = system.rates(y[None])[0]
         assert np.all(lower - 1e-9 <= rate) and np.all(rate <= upper + 1e-9)
+    P = from_lyapunov_equation(system)
+    unit = Ellipsoid(P, 1.0).extents[system.names.index("alpha_v")]
+    # The stiffness of the cable jumps where yaw is zero: both values are covered.
+    assert is_proved_attracted(system, Ellipsoid(P, (0.02 / unit) ** 2))
+    assert not is_proved_attracted(system, Ellipsoid(P, (0.2 / unit) ** 2))
 
 
 def test_the_pitch_region_stays_below_the_saddle():
@@ -229,16 +230,6 @@ def test_the_pitch_region_stays_below_the_saddle():
     assert failures(system, found, 50, 214.0, 0) == [(50, 0)]
 
 
-def test_a_proof_with_rotors_that_are_not_settled():
-    model = Newtonian(freedom="both")
-    system = around(model, operating_point(model, {"u_v": 1.8}))
-    P = from_lyapunov_equation(system)
-    unit = Ellipsoid(P, 1.0).extents[system.names.index("alpha_v")]
-    # In 2 DOF the stiffness of the cable jumps where yaw is zero: both values are covered.
-    assert is_proved_attracted(system, Ellipsoid(P, (0.02 / unit) ** 2))
-    assert not is_proved_attracted(system, Ellipsoid(P, (0.2 / unit) ** 2))
-
-
 def test_a_state_moves_what_it_moves_and_none_may_jump():
     model = Newtonian(freedom="both")
     point = operating_point(model, {"u_v": 1.8})
@@ -248,19 +239,9 @@ def test_a_state_moves_what_it_moves_and_none_may_jump():
     assert methods_for(system) == ("lyapunov", "inclusion", "level_set")  # none of many weights
     with pytest.raises(ConfigurationError, match="alpha_x"):
         around(model, point, ["alpha_x"])
+    jumping = Planar(lambda x, y, u: (2 * y - x, u - 2 * x - y - 0.1 * ca.sign(y)))
     with pytest.raises(ModelError, match="jumps"):
-        around(Jumping(), at_origin(Jumping()))
-
-
-def test_an_unstable_equilibrium_has_no_region():
-    model = Newtonian(freedom="both", parameter_set="rahideh")
-    system = around(model, operating_point(model, {"alpha_v": 0.4}))
-    with pytest.raises(ModelError, match="unstable") as told:
-        require_attractive(system)
-    worst = max(system.eigenvalues, key=lambda v: v.real)
-    assert 0.01 < worst.real < 0.04 and abs(worst.imag) == pytest.approx(1.27, abs=0.02)
-    assert f"{worst.real:.3g} + {abs(worst.imag):.3g}j" in told.value.problem
-    assert "no region of attraction" in told.value.problem
+        around(jumping, at_origin(jumping))
 
 
 def test_a_free_yaw_is_left_out_and_an_undamped_axis_is_refused():
@@ -297,7 +278,13 @@ def test_shares_and_their_confidence():
 
 
 def test_a_kink_is_covered_and_gives_no_integral():
-    model = Cabled()
+    def cabled(x, y, u):
+        """A spring whose stiffness changes away from the equilibrium, at x = −0.3."""
+        slack = x + 0.3
+        spring = ca.if_else(slack >= 0, 1.0, 3.0) * slack - 0.3
+        return y, -spring - 0.4 * y + u
+
+    model = Planar(cabled)
     system = around(model, at_origin(model))
     assert not any("∫" in name for name in basis_of(system, 2, integrals=True).names)
     limits = np.array([2.0, 2.0])
@@ -318,14 +305,8 @@ def answered(*overrides):
     return request.findings_of(request.request_of(composition), silent)
 
 
-@pytest.fixture(scope="module")
-def pitch():
-    return answered(PITCH, "study.methods=[lyapunov,integrals]", "study.boxes=20000", *FEW)
-
-
-def test_the_answer_for_pitch(pitch):
-    assert "proved to come to rest" in pitch.lead[0]
-    assert any("none failed" in sentence for sentence in pitch.lead)
+def test_the_answer_for_pitch_and_its_figure():
+    pitch = answered(PITCH, "study.methods=[lyapunov,integrals]", "study.boxes=20000", *FEW)
     data = json.loads(json.dumps(pitch.results, allow_nan=False))
     assert data["states"] == ["S_v", "alpha_v"] and data["settled"] == ["omega_v"]
     assert data["point"]["alpha_v"] == pytest.approx(0.271, abs=5e-4)  # check value, 1.8 V
@@ -337,14 +318,19 @@ def test_the_answer_for_pitch(pitch):
         assert 0.0 < share["lower"] <= share["value"] <= share["upper"]
     saddle = next(e for e in data["other_equilibria"] if not e["stable"])
     assert saddle["deviation"]["alpha_v"] == pytest.approx(1.3615, abs=1e-3)
-
-
-def test_the_figure_shows_region_estimates_and_saddle(pitch):
+    # The largest set goes further towards the saddle than away from it.
+    best = max(kinds.values(), key=lambda e: e["volume"])
+    low, high = best["extent"]["alpha_v"]
+    assert low < 0.0 < high and high > -1.3 * low
+    assert max(-low, high) == pytest.approx(best["half_widths"]["alpha_v"])
+    assert "no box" in pitch.lead[0] and "half-widths" not in pitch.lead[0]
+    assert "alpha_v −0.7" in pitch.lead[0] and "±" not in pitch.lead[0]
     chart = next(c for c in pitch.charts if c.name == "region_of_attraction")
-    marks = chart.panels[0].marks
-    labels = {getattr(mark, "label", "") for mark in marks}
-    assert {"comes to rest (simulated)", "saddle", "with integrals of the rates"} <= labels
+    wide, near = ({getattr(m, "label", "") for m in panel.marks} for panel in chart.panels)
+    assert {"comes to rest (simulated)", "saddle", "with integrals of the rates"} <= wide
     assert as_data(chart)["panels"]
+    assert "Lyapunov equation" in near
+    assert not near & {"with integrals of the rates", "saddle", "motions that do not"}
 
 
 @pytest.mark.slow
@@ -363,11 +349,14 @@ def test_a_box_that_is_given_is_kept_to():
     assert found.results["estimates"][0]["half_widths"]["alpha_v"] <= 0.05
 
 
+#: The eigenvalue is that of the mean of both sides of yaw zero, as study=local has it.
+UNSTABLE = r"unstable.*0\.0234 \+ 1\.27j.*no region of attraction"
+
+
 @pytest.mark.parametrize(
     ("overrides", "kind", "words"),
     [
-        # 0.0234: of the mean of both sides of yaw zero, as study=local has it
-        (["model=rahideh", "study.at={alpha_v: 0.4}"], ModelError, "unstable.*0.0234"),
+        (["model=rahideh", "study.at={alpha_v: 0.4}"], ModelError, UNSTABLE),
         (["model=narx_2dof"], ModelError, "only steps"),
         ([PITCH, "study.at={u_v: 2.4}"], ConfigurationError, "ends at"),
         ([PITCH, "study.box={alpha_x: 1.0}"], ConfigurationError, "alpha_x"),
@@ -424,22 +413,6 @@ def test_another_controller_is_only_run():
     assert found.results["law"] is None
     assert any("Nothing is proved for pid" in warning for warning in found.warnings)
     assert found.results["runs"]["recovered"] == [True, True, True]
-
-
-def test_a_set_is_told_from_to_and_as_no_box(pitch):
-    best = max((e for e in pitch.results["estimates"] if e["proved"]), key=lambda e: e["volume"])
-    low, high = best["extent"]["alpha_v"]
-    assert low < 0.0 < high and high > -1.3 * low  # towards the saddle it goes further
-    assert max(-low, high) == pytest.approx(best["half_widths"]["alpha_v"])
-    assert "no box" in pitch.lead[0] and "half-widths" not in pitch.lead[0]
-    assert "alpha_v −0.7" in pitch.lead[0] and "±" not in pitch.lead[0]
-
-
-def test_labels_of_a_panel_are_drawn_in_it(pitch):
-    _, near = next(c for c in pitch.charts if c.name == "region_of_attraction").panels
-    labels = {getattr(mark, "label", "") for mark in near.marks}
-    assert "Lyapunov equation" in labels
-    assert not labels & {"with integrals of the rates", "saddle", "motions that do not"}
 
 
 @pytest.mark.parametrize(

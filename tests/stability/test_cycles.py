@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planar_systems import Planar, van_der_pol
 from scipy.integrate import trapezoid
 from scipy.special import ellipk
 
@@ -19,10 +20,9 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
-from trms_cli.models.model import Model, Signal
+from trms_cli.models.model import Signal
 from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.models.operating_point import operating_point
-from trms_cli.models.parameters import ParameterSet
 from trms_cli.models.vector_field import VectorField, has_impulses
 from trms_cli.stability.cycles.absence import absence
 from trms_cli.stability.cycles.branch import born_at, equilibria_over, follow_branch, hopf_points
@@ -39,33 +39,7 @@ from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject, not_level
 
 
-class Oscillator(Model):
-    """Two states x, y and one input, its equations given."""
-
-    name = "oscillator"
-    states = (Signal("x", "1"), Signal("y", "1"))
-    inputs = (Signal("u", "1"),)
-    outputs = (Signal("x", "1"),)
-    disturbances = ()
-    controlled = ("x",)
-
-    def __init__(self, equations) -> None:
-        self.input_limits, self.stops, self.axes, self.rotors = {"u": 2.0}, {}, {}, {}
-        self.parameters = ParameterSet([], "none")
-        self._equations = equations
-
-    def dynamics(self, x, u, p, w):
-        return ca.vertcat(*self._equations(x[0], x[1], u[0]))
-
-    def measurement(self, x, u, p):
-        return x[0]
-
-
-def van_der_pol() -> Oscillator:
-    return Oscillator(lambda x, y, u: (y, (1 - x**2) * y - x))
-
-
-def normal_form() -> Oscillator:
+def normal_form() -> Planar:
     """r' = u r + r³ − r⁵, φ' = 2: cycles at u = r⁴ − r², Hopf at 0, fold at u = −1/4, r² = 1/2."""
 
     def equations(x, y, u):
@@ -73,7 +47,7 @@ def normal_form() -> Oscillator:
         growth = u + r2 - r2**2
         return growth * x - 2 * y, growth * y + 2 * x
 
-    return Oscillator(equations)
+    return Planar(equations)
 
 
 VAN_DER_POL = Shooting(van_der_pol())
@@ -87,7 +61,7 @@ def circle(r: float) -> np.ndarray:
 
 def test_orbits_around_a_centre_are_a_continuum_and_those_at_a_fold_are_not():
     """A pendulum of energy 1 − cos a has the period 4 K(sin² a/2)."""
-    pendulum = Oscillator(lambda x, y, u: (y, -ca.sin(x)))
+    pendulum = Planar(lambda x, y, u: (y, -ca.sin(x)))
     shooting = Shooting(pendulum, steps=400)
     starts = np.array([[a, 0.0] for a in (0.5, 1.0, 1.5)])
     found = search_orbits(pendulum, starts, np.zeros(1), 40.0, shooting)
@@ -201,8 +175,8 @@ def test_both_axes_are_left_open():
 def test_what_an_open_block_drives_is_open_too():
     """x, y cycle as van der Pol's, z settles towards x: a limit cycle in z too."""
 
-    class Driven(Oscillator):
-        states = (*Oscillator.states, Signal("z", "1"))
+    class Driven(Planar):
+        states = (*Planar.states, Signal("z", "1"))
 
         def dynamics(self, x, u, p, w):
             return ca.vertcat(super().dynamics(x, u, p, w), x[0] - x[2])
@@ -225,13 +199,13 @@ def test_nothing_is_proved_of_an_oscillator_that_cycles_but_where_areas_shrink()
     assert block.share == 1.0
 
 
-class WithLag(Oscillator):
+class WithLag(Planar):
     """The normal form with a lag that acts back a little: one block of three states."""
 
-    states = (*Oscillator.states, Signal("z", "1"))
+    states = (*Planar.states, Signal("z", "1"))
 
     def __init__(self) -> None:
-        super().__init__(normal_form()._equations)
+        super().__init__(normal_form()._rates)
 
     def dynamics(self, x, u, p, w):
         plane = super().dynamics(x, u, p, w)
