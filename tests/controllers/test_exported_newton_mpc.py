@@ -204,7 +204,7 @@ def test_nothing_makes_it_leave_the_limits_and_it_comes_back(converged, size):
     assert said.status in (Status.OK, Status.BUDGET)
 
 
-def test_two_contexts_share_nothing(one):
+def test_two_contexts_share_nothing_and_one_may_be_moved_in_memory(one):
     library, _, setup = one
     x = setup.model.rest()
     alone, first, second = (Exported(library, 2) for _ in range(3))
@@ -215,12 +215,7 @@ def test_two_contexts_share_nothing(one):
         v = second.step(x + 0.1, wandering(k), levels(k), v).u
         assert (said == expected).all()
         u = expected
-
-
-def test_a_context_may_be_moved_in_memory(one):
-    library, _, setup = one
-    here, there = Exported(library, 2), Exported(library, 2)
-    x, u = setup.model.rest(), np.zeros(2)
+    here, there, u = Exported(library, 2), Exported(library, 2), np.zeros(2)
     for k in range(10):
         u = here.step(x, wandering(k), squares(k), u).u
     ctypes.memmove(there.context, here.context, len(here.context))

@@ -48,9 +48,7 @@ def spoil(monkeypatch: pytest.MonkeyPatch, state: Any) -> None:
 
 @pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input", "stop"])
 @pytest.mark.parametrize("name", PREDICTIVE)
-def test_a_failed_solve_falls_back_as_declared(
-    name: str, policy: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_solve_falls_back_as_declared(name, policy, monkeypatch) -> None:
     kind, options = PREDICTIVE[name]
     law = kind(**options, fallback=policy)
     state = law.init(setup_of(BOTH))
@@ -77,9 +75,7 @@ def test_a_failed_solve_falls_back_as_declared(
 
 
 @pytest.mark.parametrize("name", ["newton_mpc", "linear_mpc"])
-def test_an_exception_of_the_solver_is_a_failed_solve(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_exception_of_the_solver_is_a_failed_solve(name, monkeypatch) -> None:
     kind, options = PREDICTIVE[name]
     law = kind(**options)
     state, sample = law.init(setup_of(BOTH)), sample_of(BOTH, [0.1, 0.2])
@@ -142,12 +138,7 @@ MISTAKES: list[Any] = [
     (LinearMpc, {"operating_point": {"alpha_h": 0.0}}, "operating_point", "alpha_h"),
     (LinearMpc, {"state_weights": {"S_h": 1.0}}, "state_weights", "no weight"),
     (NewtonMpc, {"input_rate_limits": {"u_x": 5.0}}, "input_rate_limits.u_x", "u_"),
-    (
-        NewtonMpc,
-        {"soft_limits": {"alpha_v": (0.6, -0.9)}},
-        "soft_limits.alpha_v",
-        "below the upper",
-    ),
+    (NewtonMpc, {"soft_limits": {"alpha_v": (1, -1)}}, "soft_limits.alpha_v", "below the upper"),
     (NewtonMpc, {"soft_limits": {"alpha_w": (-1.0, 1.0)}}, "soft_limits.alpha_w", "alpha_"),
     (NewtonMpc, {"rate_weights": {"omega": 1.0}}, "rate_weights.omega", "has no 'omega'"),
     (NewtonMpc, {"state_weights": {"alpha_w": 1.0}}, "state_weights.alpha_w", "alpha_"),

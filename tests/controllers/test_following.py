@@ -46,6 +46,7 @@ MODELS: dict[str, Model] = {
 }
 LATER = extend_model(BOTH, {"late": InputDelay(rotor="main", delay=0.3)})
 WAYS: list[Any] = ["fixed", "target", "current"]
+ALL = "newtonian lagrangian vertical horizontal currents tras"
 LAWS: dict[str, Any] = {
     "pid": Pid(),
     "lqr": Lqr(),
@@ -63,9 +64,7 @@ def settled(levels: list[np.ndarray], within: float) -> float:
     ("law", "share", "times", "overshoot", "left"),
     [("pid", 0.02, (6.5, 8.0), 0.11, 0.003), ("lqr", 0.05, (3.5, 3.5), 0.08, 1e-3)],
 )
-def test_squares_are_followed(
-    law: str, share: float, times: tuple[float, float], overshoot: float, left: float
-) -> None:
+def test_squares_are_followed(law, share, times, overshoot, left) -> None:
     """A share of the step until a time; what is left two seconds before the next step."""
     ran = close_loop(LAWS[law], BOTH, squares(BOTH), 120.0)
     for (angle, step), time in zip(STEPS.items(), times, strict=True):
@@ -85,12 +84,7 @@ def test_squares_are_followed(
     [
         ("pid", np.inf, 0.03, "vertical horizontal currents tras"),
         ("lqr", np.inf, 3e-3, "vertical horizontal currents delay"),
-        (
-            "feedback_linearisation",
-            0.1,
-            5e-3,
-            "newtonian lagrangian vertical horizontal currents tras",
-        ),
+        ("feedback_linearisation", 0.1, 5e-3, ALL),
     ],
 )
 def test_every_model_is_followed(law: str, overshoot: float, left: float, models: str) -> None:
@@ -112,9 +106,7 @@ def test_every_model_is_followed(law: str, overshoot: float, left: float, models
         ("feedback_linearisation", 15.0, 45.0, 0.005, 1e-3),
     ],
 )
-def test_a_constant_torque_leaves_no_error(
-    law: str, equation: int, start: float, end: float, felt: float, left: float
-) -> None:
+def test_a_constant_torque_leaves_no_error(law, equation, start, end, felt, left) -> None:
     push = 0.01 * np.eye(4)[equation]
     ran = close_loop(
         LAWS[law], BOTH, constant(0.1, 0.4), end, torque=lambda time: push * (time > start)
@@ -131,9 +123,7 @@ def test_a_constant_torque_leaves_no_error(
         ("feedback_linearisation", 15.0, 6.0, 25.0, 12.0, 3.0, 0.05),
     ],
 )
-def test_an_input_at_its_limit_does_not_wind_up(
-    law: str, start: float, short: float, long: float, after: float, last: float, left: float
-) -> None:
+def test_an_input_at_its_limit_does_not_wind_up(law, start, short, long, after, last, left) -> None:
     """A torque that the rotor cannot hold: back as fast after a long one as after a short one."""
 
     def pushed_for(length: float) -> tuple[Ran, float]:
@@ -178,9 +168,7 @@ KNOWN: list[Any] = [
 
 
 @pytest.mark.parametrize(("law", "model", "level", "push", "seconds", "left"), KNOWN)
-def test_a_known_torque_leaves_no_offset(
-    law: Any, model: str, level: Any, push: Any, seconds: float, left: float
-) -> None:
+def test_a_known_torque_leaves_no_offset(law, model, level, push, seconds, left) -> None:
     rig = MODELS[model]
     goal = [dict(zip(("alpha_v", "alpha_h"), level, strict=True))[name] for name in rig.controlled]
     w = np.zeros(rig.n_w)
@@ -191,7 +179,9 @@ def test_a_known_torque_leaves_no_offset(
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_linear_mpc_reckons_with_a_known_delay(way: Any) -> None:
+def test_a_linear_mpc_reckons_with_a_known_delay_and_a_rotor_at_rest_does_not_stop_it(
+    way: Any,
+) -> None:
     """Believing in no delay swings more than knowing it: the memory is part of the state."""
     law = LinearMpc(
         linearisation=way, sample_time=SAMPLE_TIME, prediction_horizon=60, move_blocks=(6,) * 10
@@ -202,6 +192,10 @@ def test_a_linear_mpc_reckons_with_a_known_delay(way: Any) -> None:
     )
     assert aware[-50:].max() < 5e-3
     assert aware[-200:].max() < 0.5 * unaware[-200:].max()
+    # From and to yaw 0, where a linear model sees no thrust of the tail rotor.
+    start = state_with(BOTH, alpha_h=0.6)
+    ran = close_loop(LinearMpc(linearisation=way), BOTH, constant(0.0, 0.0), 20.0, x0=start)
+    assert np.abs(ran.error("alpha_h")[-20:]).max() < 0.05
 
 
 def test_an_lqr_reckons_with_a_known_delay() -> None:
@@ -211,11 +205,3 @@ def test_an_lqr_reckons_with_a_known_delay() -> None:
     )
     worst = [max(e.max() for e in ran.levels("alpha_v")) for ran in (aware, unaware)]
     assert worst[0] < worst[1]
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_a_rotor_at_rest_does_not_stop_a_linear_mpc(way: Any) -> None:
-    """From and to yaw 0, where a linear model sees no thrust of the tail rotor."""
-    start = state_with(BOTH, alpha_h=0.6)
-    ran = close_loop(LinearMpc(linearisation=way), BOTH, constant(0.0, 0.0), 20.0, x0=start)
-    assert np.abs(ran.error("alpha_h")[-20:]).max() < 0.05

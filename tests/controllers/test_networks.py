@@ -57,23 +57,14 @@ class TestSteadyState:
 
 
 class TestPrediction:
-    @pytest.fixture
-    def horizon(self):
-        model = rig_like(bend=0.4)
-        state = MPC.init(setup_of(model))
-        return state.newton.horizon
-
-    @pytest.fixture
-    def point(self, horizon):
+    def test_is_the_network_evaluated_sample_by_sample_with_the_slopes_of_its_differences(self):
+        horizon = MPC.init(setup_of(rig_like(bend=0.4))).newton.horizon
         rng = np.random.default_rng(5)
-        at = horizon.arguments
-        at["x0"][:] = horizon.model.rest() + 0.05
-        at["z"][:] = rng.uniform(-1, 1, at["z"].shape)
-        at["r"][:] = rng.uniform(-0.3, 0.3, at["r"].shape)
-        at["x_s"][:] = horizon.model.rest()
-        return at
-
-    def test_is_the_network_evaluated_sample_by_sample(self, horizon, point):
+        point = horizon.arguments
+        point["x0"][:] = horizon.model.rest() + 0.05
+        point["z"][:] = rng.uniform(-1, 1, point["z"].shape)
+        point["r"][:] = rng.uniform(-0.3, 0.3, point["r"].shape)
+        point["x_s"][:] = horizon.model.rest()
         horizon.evaluate()
         trajectory = horizon.evaluate.outputs[0]
         x = point["x0"].copy()
@@ -81,8 +72,6 @@ class TestPrediction:
             for _ in range(5):
                 x = network_step(horizon.model, x, point["z"][:, block])
             np.testing.assert_allclose(trajectory[:, k], x, rtol=1e-9, atol=1e-10)
-
-    def test_has_the_gradient_and_the_slopes_of_its_differences(self, horizon, point):
         horizon.linearise()
         gradient, slope = horizon.linearise.outputs[5].copy(), horizon.linearise.outputs[7].copy()
         plan = point["z"].copy()
@@ -108,15 +97,12 @@ class TestPrediction:
 
 
 class TestNewtonMpc:
-    def test_reaches_the_reference_without_offset(self):
+    def test_reaches_the_reference_without_offset_and_knows_a_constant_push(self):
         ran = close_loop(MPC, rig_like(), constant(0.25, -0.3), 12.0)
         np.testing.assert_allclose(ran.errors[-10:], 0, atol=2e-3)
         assert ran.commands[-1].status.label == "ok"
-
-    def test_knows_a_constant_push(self):
-        ran = close_loop(
-            MPC, rig_like(), constant(0, 0), 12.0, torque=lambda t: [0.15, -0.08, 10, 0], known=True
-        )
+        push = {"torque": lambda t: [0.15, -0.08, 10, 0], "known": True}
+        ran = close_loop(MPC, rig_like(), constant(0, 0), 12.0, **push)
         np.testing.assert_allclose(ran.errors[-10:], 0, atol=2e-3)
 
     def test_needs_whole_steps_of_the_network(self):

@@ -221,7 +221,7 @@ def test_cost_equals_the_direct_sum() -> None:
     assert command.objective == pytest.approx(direct, rel=1e-10)
 
 
-def test_prediction_is_what_the_model_does() -> None:
+def test_prediction_is_what_the_model_does_and_blocks_beyond_it_are_left_out() -> None:
     mpc = NewtonMpc()
     _, command = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
     step = discretise(MODEL, mpc.sample_time, mpc.integration_steps).step
@@ -231,6 +231,8 @@ def test_prediction_is_what_the_model_does() -> None:
     for k in range(40):
         x = np.array(step(x, prediction.inputs[k], MODEL.parameters.values, np.zeros(4))).ravel()
         assert prediction.states[k + 1] == pytest.approx(x, rel=1e-9, abs=1e-12)
+    assert blocks_of(5, (1, 2, 4, 4)).tolist() == [0, 1, 1, 2, 2]
+    assert blocks_of(5, (1, 2)).tolist() == [0, 1, 1, 1, 1]
 
 
 def test_warm_start_shifts_in_time_and_not_across_inputs() -> None:
@@ -287,15 +289,12 @@ def test_of_two_starts_the_better_end_is_kept() -> None:
 # -- constraints ------------------------------------------------------------------------------
 
 
-def test_terminal_equality_is_met_when_it_can_be() -> None:
+def test_terminal_equality_is_met_when_it_can_be_and_else_relaxed_and_reported() -> None:
     # Cheap moves from a tail rotor at rest take hundreds of iterations to the last digit.
     mpc = NewtonMpc(move_weights={"u_v": 0.1, "u_h": 0.2}, **CONVERGED)
     ran = close_loop(mpc, MODEL, constant(0.2, 0.4), 3.0)
     assert max(command.slack for command in ran.commands) < 1e-4
     assert all(command.status is Status.OK for command in ran.commands)
-
-
-def test_terminal_equality_is_relaxed_and_reported_when_it_cannot_be() -> None:
     short = NewtonMpc(prediction_horizon=5, move_blocks=(1,) * 5, **CONVERGED)
     _, command = first_command(short, MODEL, MODEL.rest(), [0.4, 1.0])
     assert command.status is Status.RELAXED
@@ -330,15 +329,12 @@ def test_soft_limit_holds_exactly_when_it_can() -> None:
     assert limited < 0.31 + 2e-3
 
 
-def test_reference_beyond_a_soft_limit_is_followed_to_the_limit_and_calmly() -> None:
+def test_reference_beyond_a_soft_limit_is_followed_to_it_and_a_limit_gives_way() -> None:
     mpc = NewtonMpc(soft_limits={"alpha_v": (-0.9, 0.2)})
     ran = close_loop(mpc, MODEL, constant(0.4, 0.3), 12.0)
     assert ran.angles[-1] == pytest.approx([0.2, 0.3], abs=2e-3)
     assert np.ptp(ran.inputs[-30:], axis=0).max() < 0.02
     assert all(command.status is Status.OK for command in ran.commands[-30:])
-
-
-def test_soft_limit_gives_way_when_it_must() -> None:
     mpc = NewtonMpc(soft_limits={"alpha_v": (-0.2, 0.6)})  # the run starts at −0.619
     ran = close_loop(mpc, MODEL, constant(0.1, 0.0), 6.0)
     assert all(command.status is not Status.FAILED for command in ran.commands)
@@ -365,9 +361,7 @@ DELAYED = extend_model(MODEL, {"d": InputDelay(rotor="main", delay=0.13)})
     ],
     ids=["both", "preview", "horizontal", "currents", "vertical", "delay"],
 )
-def test_tracks_without_steady_state_error(
-    options: dict[str, Any], model: Any, goal: tuple[float, ...], seconds: float, left: float
-) -> None:
+def test_tracks_without_steady_state_error(options, model, goal, seconds, left) -> None:
     ran = close_loop(NewtonMpc(**options), model, constant(*goal), seconds)
     assert ran.errors[-1] == pytest.approx(0.0, abs=left)
 
@@ -396,15 +390,10 @@ def test_disturbance_that_no_input_holds_is_reported_and_survived() -> None:
     assert "no input holds" in command.message or "out of reach" in command.message
 
 
-def test_blocks_beyond_the_horizon_are_left_out() -> None:
-    assert blocks_of(5, (1, 2, 4, 4)).tolist() == [0, 1, 1, 2, 2]
-    assert blocks_of(5, (1, 2)).tolist() == [0, 1, 1, 1, 1]
-
-
 # -- the reference ahead ----------------------------------------------------------------------
 
 
-def test_a_sine_is_followed_as_if_it_were_known() -> None:
+def test_a_sine_is_followed_as_if_it_were_known_and_a_step_the_same_without_forecast() -> None:
     def sine(times: np.ndarray) -> np.ndarray:
         return np.column_stack([0.2 * np.sin(0.4 * times), 0.4 * np.sin(0.3 * times)])
 
@@ -414,9 +403,6 @@ def test_a_sine_is_followed_as_if_it_were_known() -> None:
     )
     assert forecast == pytest.approx(known, rel=0.05)
     assert forecast < 0.6 * held
-
-
-def test_a_step_is_followed_the_same_with_and_without_forecast() -> None:
     with_it, without = (
         close_loop(NewtonMpc(forecast_horizon=periods), MODEL, SQUARE, 12.0).inputs
         for periods in (15, 0)

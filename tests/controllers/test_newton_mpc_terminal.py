@@ -122,8 +122,7 @@ def test_gradient_and_slopes_are_those_of_the_objective() -> None:
     assert residual.shape == (1,)
     middle = z.copy()
     for k in range(z.size):
-        change = np.zeros(z.size)
-        change[k] = 1e-6
+        change = 1e-6 * np.eye(z.size)[k]
         ends = []
         for sign in (1.0, -1.0):
             z[:] = middle + sign * change.reshape(z.shape, order="F")
@@ -157,19 +156,12 @@ def test_decrease_holds_all_over_the_region(goal: list[float]) -> None:
         radius = np.sqrt(region.level)
         return -gap(inverse @ (radius * zeta / np.linalg.norm(zeta))) / radius**2
 
+    # Far outside it can fail: else this would prove nothing.
+    assert max(gap(xi) for xi in on_shell(region, 1, 300, 100.0)) > 0.0
     for _ in range(6):  # and an optimiser's worst
         found = minimize(negative, generator.standard_normal(8), method="Nelder-Mead",
                          options={"maxfev": 1500})  # fmt: skip
         assert found.fun > 0.0
-
-
-def test_decrease_can_fail_far_outside() -> None:
-    # Else the test above would prove nothing.
-    mpc = NewtonMpc(**QUASI)
-    state = begun(mpc, MODEL, [0.0, 0.0])
-    region = state.regions.region
-    gap = decrease(mpc, MODEL, state.target, region)
-    assert max(gap(xi) for xi in on_shell(region, 1, 300, 100.0)) > 0.0
 
 
 @pytest.mark.parametrize("goal", GOALS)
@@ -185,7 +177,9 @@ def test_local_law_keeps_limits_in_the_region(goal: list[float]) -> None:
     assert (target.x[5] + xi[:, 5]).max() <= 0.4
 
 
-def test_terminal_cost_is_no_less_than_what_the_law_costs() -> None:
+def test_terminal_cost_is_no_less_than_what_the_law_costs_and_serves_the_targets_of_its_cell() -> (
+    None
+):
     mpc = NewtonMpc(**QUASI)
     state = begun(mpc, MODEL, [0.1, 0.3])
     region, target = state.regions.region, state.target
@@ -202,12 +196,6 @@ def test_terminal_cost_is_no_less_than_what_the_law_costs() -> None:
             xi = np.concatenate([after - target.x, u])
         assert np.abs(xi[:6] / [100, 1, 1, 100, 1, 1]).max() < 0.01
         assert total <= first
-
-
-def test_a_region_serves_the_targets_of_its_cell() -> None:
-    mpc = NewtonMpc(**QUASI)
-    state = begun(mpc, MODEL, [0.1, 0.3])
-    region = state.regions.region
     for shift in ([0.004, 0.003], [-0.004, 0.003]):
         near = [0.1 + shift[0], 0.3 + shift[1]]
         target = state.steady_state.solve(np.array(near))
@@ -218,7 +206,7 @@ def test_a_region_serves_the_targets_of_its_cell() -> None:
 # -- where there is none --------------------------------------------------------------------------
 
 
-def test_yaw_that_nothing_drives_nor_pulls_back_keeps_the_equality() -> None:
+def test_yaw_keeps_the_equality_where_nothing_drives_it_nor_a_cable_pulls_back() -> None:
     # Without the cable yaw rests anywhere at ω_h = 0, where u_h moves it by second order only.
     model = Newtonian(parameters={"k_chp": 0.0, "k_chn": 0.0})
     mpc = NewtonMpc(**QUASI)
@@ -231,9 +219,7 @@ def test_yaw_that_nothing_drives_nor_pulls_back_keeps_the_equality() -> None:
     assert np.array_equal(ran.inputs, equal.inputs)
     assert "no terminal region" in ran.commands[-1].message
     assert ran.states[-1, 2] == pytest.approx(0.3, abs=2e-3)
-
-
-def test_the_same_yaw_has_a_region_where_the_cable_pulls_back() -> None:
+    # With the cable it has a region.
     state = begun(NewtonMpc(**QUASI), Newtonian(), [0.0, 0.0])
     assert state.target.x[0] == pytest.approx(0.0, abs=0.02)
     assert state.regions.region is not None
@@ -264,26 +250,19 @@ def test_region_is_entered_and_the_steady_state_reached() -> None:
     assert ran.states[-1, 2] == pytest.approx(0.2, abs=1e-3)
 
 
-def test_terminal_residual_is_told() -> None:
-    x = Newtonian().rest()
-    for terminal, sample in (("equality", 18), ("quasi_infinite", 10), ("none", 10)):
-        mpc = NewtonMpc(terminal=terminal, prediction_horizon=sample, move_blocks=(1,) * sample)
-        state = mpc.init(setup_of(MODEL))
-        command = mpc.step(state, sample_of(MODEL, [0.1, 0.3], x), want_prediction=False)
-        if terminal == "none":
-            assert np.isnan(command.terminal_residual)
-        else:
-            assert command.terminal_residual == command.slack > 0.01
+def test_terminal_residual_is_told_and_a_shorter_horizon_suffices_than_with_the_equality() -> None:
+    def first(terminal: Any, horizon: int, **keys: Any) -> Any:
+        blocks = (1,) * horizon
+        mpc = NewtonMpc(terminal=terminal, prediction_horizon=horizon, move_blocks=blocks, **keys)
+        sample = sample_of(MODEL, [0.1, 0.3])
+        return mpc.step(mpc.init(setup_of(MODEL)), sample, want_prediction=False)
 
-
-def test_a_shorter_horizon_suffices_than_with_the_equality() -> None:
-    blocks = {"prediction_horizon": 18, "move_blocks": (1,) * 18}
-    for terminal, relaxed in (("equality", True), ("quasi_infinite", False)):
-        mpc = NewtonMpc(**blocks, terminal=terminal, max_iterations=60, tolerance=1e-6)
-        x = MODEL.rest()
-        state = mpc.init(setup_of(MODEL))
-        command = mpc.step(state, sample_of(MODEL, [0.1, 0.3], x), want_prediction=False)
-        assert (command.status is Status.RELAXED) == relaxed, (terminal, command)
+    for command in (first("equality", 18), first("quasi_infinite", 10)):
+        assert command.terminal_residual == command.slack > 0.01
+    assert np.isnan(first("none", 10).terminal_residual)
+    exact: dict[str, Any] = {"max_iterations": 60, "tolerance": 1e-6}
+    assert first("equality", 18, **exact).status is Status.RELAXED
+    assert first("quasi_infinite", 18, **exact).status is not Status.RELAXED
 
 
 def test_objective_falls_by_the_stage_cost_every_sample() -> None:

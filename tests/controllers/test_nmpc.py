@@ -125,9 +125,12 @@ def test_a_cap_on_iterations_never_makes_a_plan_worse() -> None:
     assert answer.status is not Status.FAILED or answer.fallback == "shifted_plan"
 
 
-def test_its_defaults_are_those_of_newton_mpc() -> None:
+def test_its_defaults_are_those_of_newton_mpc_but_a_terminal_region_has_no_counterpart() -> None:
     """The classes' and the files': whoever compares the two compares the solvers."""
-    ours, theirs = (build(yaml_of(name)) for name in ("nmpc", "newton_mpc"))
+    ours, theirs = (
+        build(dict(compose([f"controller={name}"]).config["controller"]))
+        for name in ("nmpc", "newton_mpc")
+    )
     assert replace(ours.problem(), qp=theirs.qp) == replace(theirs, max_iterations=10)
     # The file also names the weights that are zero.
     assert replace(Nmpc(), input_weights=ours.input_weights) == ours
@@ -135,13 +138,5 @@ def test_its_defaults_are_those_of_newton_mpc() -> None:
     shared = {f.name for f in fields(NewtonMpc)} & {f.name for f in fields(Nmpc)}
     apart = {f.name for f in fields(NewtonMpc)} - shared
     assert apart == {"qp", "terminal_weight", "terminal_decay"}
-
-
-def yaml_of(name: str) -> dict[str, Any]:
-    composed = compose([f"controller={name}"]).config
-    return dict(composed["controller"])
-
-
-def test_a_terminal_region_has_no_counterpart() -> None:
     with pytest.raises(ConfigurationError, match="no counterpart"):
         Nmpc.of(NewtonMpc(terminal="quasi_infinite"))

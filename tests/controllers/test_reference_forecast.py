@@ -30,15 +30,10 @@ def forecast(signal: Callable[[np.ndarray], np.ndarray], samples: int, horizon: 
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.floats(0.02, 1.0),
-    st.floats(0.05, 1.0),
-    st.floats(-3.0, 3.0),
-    st.floats(-1.0, 1.0),
-    st.integers(8, 60),
-)
-def test_a_sine_with_an_offset_is_foreseen(
-    frequency: float, amplitude: float, phase: float, offset: float, samples: int
-) -> None:
+    frequency=st.floats(0.02, 1.0), amplitude=st.floats(0.05, 1.0), phase=st.floats(-3.0, 3.0),
+    offset=st.floats(-1.0, 1.0), samples=st.integers(8, 60),
+)  # fmt: skip
+def test_a_sine_with_an_offset_is_foreseen(frequency, amplitude, phase, offset, samples) -> None:
     def signal(t: np.ndarray) -> np.ndarray:
         return offset + amplitude * np.sin(2 * np.pi * frequency * t + phase)
 
@@ -47,14 +42,23 @@ def test_a_sine_with_an_offset_is_foreseen(
     np.testing.assert_allclose(seen, truth, atol=1e-5 * amplitude)
 
 
-def test_a_ramp_is_foreseen() -> None:
+def test_a_ramp_is_foreseen_and_each_axis_for_itself() -> None:
     seen = forecast(lambda t: 0.3 * t - 1.0, 10, 20)
     np.testing.assert_allclose(seen, 0.3 * T * (9 + np.arange(21)) - 1.0, atol=1e-9)
+    foresight = ReferenceForecast(5, 2)
+    rows = np.zeros((1, 2))
+    for k in range(20):
+        rows = foresight.update(np.array([0.1 * k, 0.5]))
+    assert rows.shape == (6, 2)
+    np.testing.assert_allclose(rows[:, 0], 1.9 + 0.1 * np.arange(6))
+    assert np.all(rows[:, 1] == 0.5)
 
 
-def test_a_constant_and_the_first_samples_have_no_forecast() -> None:
+def test_a_constant_noise_and_the_first_samples_have_no_forecast() -> None:
     assert forecast(lambda t: np.full_like(t, 0.4), 20, 15).shape == (1,)
     assert forecast(np.sin, 6, 15).shape == (1,)
+    noise = np.random.default_rng(0).standard_normal(40)
+    assert forecast(lambda t: 0.01 * noise[: len(t)], 40, 15).shape == (1,)
 
 
 @pytest.mark.parametrize("after", range(1, 7))
@@ -75,22 +79,7 @@ def test_a_jump_in_a_sine_stops_the_forecast_until_it_has_passed() -> None:
     assert forecast(signal, 35, 15).shape == (16,)
 
 
-def test_noise_is_not_foreseen() -> None:
-    noise = np.random.default_rng(0).standard_normal(40)
-    assert forecast(lambda t: 0.01 * noise[: len(t)], 40, 15).shape == (1,)
-
-
-def test_axes_are_foreseen_each_for_itself() -> None:
-    foresight = ReferenceForecast(5, 2)
-    rows = np.zeros((1, 2))
-    for k in range(20):
-        rows = foresight.update(np.array([0.1 * k, 0.5]))
-    assert rows.shape == (6, 2)
-    np.testing.assert_allclose(rows[:, 0], 1.9 + 0.1 * np.arange(6))
-    assert np.all(rows[:, 1] == 0.5)
-
-
-T, N = 0.1, 12
+N = 12
 
 
 def rates(values: np.ndarray) -> np.ndarray:
@@ -99,22 +88,19 @@ def rates(values: np.ndarray) -> np.ndarray:
     return np.asarray(function(values[None, :]))[0]
 
 
-def test_ramps_sines_and_constants_have_their_rates() -> None:
+def test_ramps_sines_and_constants_have_their_rates_and_a_ramp_that_stops_until_then() -> None:
     t = T * np.arange(1, N + 1)
     np.testing.assert_allclose(rates(0.3 * t), 0.3)
     assert not rates(np.full(N, 0.4)).any()
     found = rates(np.sin(0.8 * t))
     np.testing.assert_allclose(found[1:], np.diff(np.sin(0.8 * t)) / T)
+    r = np.minimum(np.arange(N), 6) * 0.02
+    np.testing.assert_allclose(rates(r), [0.2] * 7 + [0.0] * 5)
 
 
 @pytest.mark.parametrize("at", range(1, N))
 def test_a_jump_has_none_wherever_it_is(at: int) -> None:
     assert not rates(np.where(np.arange(N) < at, -0.2, 0.5)).any()
-
-
-def test_a_ramp_that_stops_keeps_its_rate_until_then() -> None:
-    r = np.minimum(np.arange(N), 6) * 0.02
-    np.testing.assert_allclose(rates(r), [0.2] * 7 + [0.0] * 5)
 
 
 def test_the_weight_on_rates_does_not_hold_back_from_a_ramp() -> None:

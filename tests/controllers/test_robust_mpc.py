@@ -1,4 +1,6 @@
-"""Robust MPC in the loop on the nonlinear plant: online and looked up."""
+"""Robust MPC in the loop on the nonlinear plant: online and looked up. Its coordinates, demands of
+thrust and polytopes, against the nonlinear step itself.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,16 @@ import numpy as np
 import pytest
 
 from trms_cli.controllers.controller import ControlSample, Status
+from trms_cli.controllers.robust.polytope import box, independent_cube
+from trms_cli.controllers.robust.regulation import Regulation, RegulationDesign
 from trms_cli.controllers.robust_mpc import RobustMpc
 from trms_cli.controllers.robust_mpc_offline import Family, RobustMpcOffline, RobustMpcOfflineState
+from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.feedback_manual import FeedbackManual
+from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 
 from .closed_loop_case import close_loop, constant, sample_of, setup_of, state_with
@@ -44,6 +52,13 @@ def started(yaw: float, pitch: float) -> np.ndarray:
     return state_with(BOTH, alpha_h=yaw, alpha_v=pitch)
 
 
+def beside_target(state: Any, angle: str) -> ControlSample:
+    """At rest at the target, but for an angle of 0.2 rad."""
+    x = state.regulation.aim_at(np.zeros(2)).steady.x.copy()
+    x[BOTH.state_index(angle)] += 0.2
+    return sample_at(x)
+
+
 @pytest.fixture(scope="module")
 def offline() -> RobustMpcOfflineState:
     return OFFLINE.init(setup_of(BOTH))
@@ -63,24 +78,15 @@ class TestOnline:
         )  # fmt: skip
         assert np.all(np.abs(ran.errors[-1]) < [2e-3, 5e-3])
 
-    def test_a_certified_law_acts_and_is_printed(self) -> None:
-        state = ONLINE().init(setup_of(BOTH))
-        target = state.regulation.aim_at(np.zeros(2)).steady.x
-        near = target.copy()
-        near[BOTH.state_index("alpha_h")] += 0.2
-        command = ONLINE().step(state, sample_at(near), want_prediction=False)
-        assert command.status is Status.OK and command.objective > 0
+    def test_a_certified_law_acts_and_the_last_one_where_none_is_found(self, monkeypatch) -> None:
+        controller = ONLINE()
+        state = controller.init(setup_of(BOTH))
+        sample = beside_target(state, "alpha_h")
+        first = controller.step(state, sample, want_prediction=False)
+        assert first.status is Status.OK and first.objective > 0
         assert state.law is not None
         held = state.law.certificate
         assert held.stable and held.constrained and "decrease holds" in str(held)
-
-    def test_the_last_law_acts_where_none_is_found(self, monkeypatch) -> None:
-        controller = ONLINE()
-        state = controller.init(setup_of(BOTH))
-        x = state.regulation.aim_at(np.zeros(2)).steady.x + 0.0
-        x[BOTH.state_index("alpha_h")] += 0.2
-        sample = sample_at(x)
-        first = controller.step(state, sample, want_prediction=False)
         monkeypatch.setattr(state.inequalities, "solve", lambda task: None)
         again = controller.step(state, sample, want_prediction=False)
         assert again.status is Status.FAILED and again.fallback == "last_law"
@@ -99,9 +105,8 @@ class TestOnline:
             return replace(solution, K=-10 * solution.K)
 
         monkeypatch.setattr(state.inequalities, "solve", spoilt)
-        x = state.regulation.aim_at(np.zeros(2)).steady.x.copy()
-        x[BOTH.state_index("alpha_v")] += 0.2
-        command = controller.step(state, sample_at(x), want_prediction=False)
+        sample = beside_target(state, "alpha_v")
+        command = controller.step(state, sample, want_prediction=False)
         assert command.status is Status.FAILED and state.law is None
         assert "certificate" in command.message
 
@@ -131,14 +136,14 @@ class TestOffline:
         assert {c.status for c in ran.commands} <= {Status.OK, Status.RELAXED}
         assert ran.commands[-1].status is Status.OK
 
-    def test_ellipsoids_lie_within_each_other(self, offline: RobustMpcOfflineState) -> None:
-        inverses = offline.family.inverses
+    def test_ellipsoids_lie_within_each_other_and_a_lookup_finds_the_smallest(
+        self, offline: RobustMpcOfflineState
+    ) -> None:
+        family: Family = offline.family
+        inverses = family.inverses
         assert len(inverses) >= 8
         for outer, inner in itertools.pairwise(inverses):
             assert np.linalg.eigvalsh(inner - outer).min() > -1e-6 * np.abs(inner).max()
-
-    def test_a_lookup_finds_the_smallest_ellipsoid(self, offline: RobustMpcOfflineState) -> None:
-        family = offline.family
         random = np.random.default_rng(2)
         for _ in range(200):
             z = random.normal(size=6) * 10 ** random.uniform(-3, 0)
@@ -146,10 +151,11 @@ class TestOffline:
             holds = [i for i, P in enumerate(family.inverses) if z @ P @ z <= 1]
             assert ring == (holds[-1] if holds else -1)
             assert level == pytest.approx(z @ family.inverses[max(ring, 0)] @ z)
+        # Less room for the inputs shrinks them.
+        assert family.share(family.input_bounds) == 1.0
+        assert family.share(family.input_bounds * np.array([0.5, 1.0])) == pytest.approx(0.5)
 
-    def test_at_a_border_the_law_is_that_of_the_border(
-        self, offline: RobustMpcOfflineState
-    ) -> None:
+    def test_at_a_border_the_law_is_that_of_the_border(self, offline) -> None:
         family = offline.family
         z = np.random.default_rng(0).normal(size=6)
         blended = np.flatnonzero(family.blends)
@@ -185,11 +191,6 @@ class TestOffline:
             assert rings[0] >= 0 and max(outer) <= 1.0  # never leaves the outermost
             assert rings[-1] > rings[0]
 
-    def test_less_room_for_the_inputs_shrinks_the_ellipsoids(self, offline) -> None:
-        family: Family = offline.family
-        assert family.share(family.input_bounds) == 1.0
-        assert family.share(family.input_bounds * np.array([0.5, 1.0])) == pytest.approx(0.5)
-
     def test_a_step_is_fast(self, offline: RobustMpcOfflineState) -> None:
         from time import process_time
 
@@ -214,3 +215,129 @@ def _state_at(state: RobustMpcOfflineState, z: np.ndarray) -> np.ndarray:
         x -= error
     np.testing.assert_allclose(coordinates.forward(x), z, atol=1e-6 * np.abs(z).max())
     return x
+
+
+def regulation_of(model: Model = BOTH, **design: object) -> Regulation:
+    return Regulation(RegulationDesign(**design), setup_of(model))
+
+
+@pytest.fixture(scope="module")
+def regulation() -> Regulation:
+    return regulation_of()
+
+
+def states(model: Model, count: int, seed: int = 0) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    width = np.array([{"o": 200.0, "S": 1.0, "a": 0.9}[name[0]] for name in model.state_names])
+    return random.uniform(-1, 1, (count, model.n_x)) * width
+
+
+class TestCoordinates:
+    def test_the_step_is_the_models_own(self, regulation: Regulation) -> None:
+        coordinates = regulation.coordinates
+        step = BufferedFunction(coordinates.step)
+        plain = BufferedFunction(coordinates.discrete.step)
+        w = np.array([0.002, -0.001, 1e-4, -1e-4])
+        for x in states(BOTH, 20):
+            z = coordinates.forward(x)
+            v = np.array([1.3, 0.8 * z[0] + 3000.0])
+            u = coordinates.command(x, v, w)
+            after = plain.evaluate(x, u, BOTH.parameters.values, w)[0]
+            assert coordinates.psi_of(after[:1])[0] == pytest.approx(v[1], abs=0.5)
+            found = step.evaluate(z, v, w)[0]
+            np.testing.assert_allclose(found, coordinates.forward(after), rtol=1e-5, atol=1e-6)
+
+    def test_a_target_stays(self, regulation: Regulation) -> None:
+        step = BufferedFunction(regulation.coordinates.step)
+        for reference in ([0.0, 0.0], [0.3, -0.5], [-0.4, 1.0]):
+            target = regulation.aim_at(np.array(reference)).target
+            after = step.evaluate(target.z, target.v, target.w)[0]
+            np.testing.assert_allclose(after, target.z, rtol=1e-6, atol=1e-5)
+
+    def test_the_yaw_is_driven_where_its_rotor_stands_still(self, regulation: Regulation) -> None:
+        """In the speed the gain vanishes at standstill; in the thrust it does not."""
+        small = regulation.angles(np.full(2, 0.05))
+        gains = {}
+        for key, one in (("thrust", regulation), ("speed", regulation_of(thrust_inputs=()))):
+            aim = one.aim_at(np.zeros(2))
+            region = one.region_of(aim.target, np.abs(small) + 0.02)
+            coefficients = one.coefficients.over(aim.target, region)
+            row = one.coordinates.names.index("dalpha_h")
+            gains[key] = coefficients[:, row, 0] / np.abs(coefficients[:, row, 0]).max()
+        assert gains["thrust"].min() > 0.6
+        assert gains["speed"].min() < 0.1
+
+    def test_fast_states_are_left_out(self) -> None:
+        full = regulation_of(Newtonian(currents="dynamic"))
+        assert full.n == 6 and not any(name.startswith("i_") for name in full.coordinates.names)
+
+    @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
+    def test_one_axis(self, freedom: str) -> None:
+        one = regulation_of(Newtonian(freedom=freedom))
+        assert (one.n, one.m) == (3, 1)
+        assert bool(one.demands) == (freedom == "horizontal")
+
+    def test_memory_and_unknown_names_are_refused(self) -> None:
+        with pytest.raises(ConfigurationError, match="memory"):
+            regulation_of(extend_model(BOTH, {"late": InputDelay(rotor="main", delay=0.1)}))
+        with pytest.raises(ConfigurationError, match="u_x"):
+            regulation_of(thrust_inputs=("u_x",))
+        with pytest.raises(ConfigurationError, match="alpha_x"):
+            regulation_of(state_weights={"alpha_x": 1.0})
+
+
+class TestDemand:
+    def test_every_demand_within_its_bound_is_within_the_limits(self, regulation) -> None:
+        (demand,) = regulation.demands
+        random = np.random.default_rng(1)
+        reach = regulation.coordinates.speed_of(np.array([demand.largest]))[0]
+        largest = 0.0
+        for psi_s in (0.0, 15_000.0, -15_000.0):
+            bound = demand.bound(psi_s)
+            assert 0 < bound <= demand.scale
+            for omega in random.uniform(-0.99, 0.99, 60) * reach:
+                x = BOTH.rest()
+                x[0] = omega
+                psi = regulation.coordinates.psi_of(np.array([omega]))[0]
+                for nu in (-bound, bound):
+                    v = np.array([0.0, psi_s + demand.pole * (psi - psi_s) + nu])
+                    u = regulation.coordinates.command(x, v, np.zeros(4))[1]
+                    largest = max(largest, abs(u))
+        assert largest <= 2.5 * 1.001
+        assert largest > 2.0  # the bound is not idle
+
+
+class TestPolytope:
+    def test_coefficients_give_the_step_exactly(self, regulation: Regulation) -> None:
+        aim = regulation.aim_at(np.array([0.1, 0.4]))
+        region = regulation.region_of(aim.target, np.full(6, 0.4))
+        cube = independent_cube(400, 8, seed=3)
+        residual = regulation.coefficients.residual(aim.target, region, cube)
+        assert np.median(np.abs(residual)) < 1e-4
+        # Rays that cross a standing tail rotor leave something, in yaw and pitch, where
+        # the speed has next to no slope in the thrust.
+        assert np.abs(residual).max() < 0.02
+        across = np.abs(residual).max(axis=1) > 1e-3
+        assert across.any()
+
+    def test_other_points_are_inside_and_a_smaller_region_has_a_smaller_polytope(
+        self, regulation: Regulation
+    ) -> None:
+        aim = regulation.aim_at(np.zeros(2))
+        region = regulation.region_of(aim.target, np.full(6, 0.4))
+        coefficients = regulation.coefficients.over(aim.target, region)
+        others = regulation.coefficients.over(aim.target, region, independent_cube(4000, 8, seed=4))
+        for components in (2, 3):
+            polytope = box(coefficients, components, 0.05)
+            assert polytope.vertices == 2**components
+            assert polytope.inside(others).mean() > 0.99
+        tighter = [box(coefficients, k, 0.05).remainder(others).max() for k in (1, 3, 5)]
+        assert tighter == sorted(tighter, reverse=True)
+        flat = np.concatenate([polytope.A, polytope.B], axis=2)
+        assert polytope.remainder(flat).max() < 1e-9  # its own vertices
+        spreads = []
+        for size in (1.0, 0.3, 0.1):
+            region = regulation.region_of(aim.target, np.full(6, size))
+            spreads.append(np.ptp(regulation.coefficients.over(aim.target, region), axis=0).max())
+        assert spreads == sorted(spreads, reverse=True)
+        assert spreads[-1] < 0.6 * spreads[0]

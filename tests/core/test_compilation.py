@@ -42,17 +42,9 @@ def test_compiled_equals_interpreted(cache: Path) -> None:
     assert fast[2] == pytest.approx(np.diag(2 * arguments[0]))
 
 
-def test_cache_is_by_content(cache: Path) -> None:
+def test_cache_is_by_content_in_another_process_too(cache: Path) -> None:
     compile_function(function(2.0))
     compile_function(function(2.0))
-    assert len(list(cache.glob("*.so"))) == 1
-    compile_function(function(3.0))
-    assert len(list(cache.glob("*.so"))) == 2
-    assert not [path for path in cache.iterdir() if path.suffix != ".so"]
-
-
-def test_cache_key_is_the_same_in_another_process(cache: Path) -> None:
-    compile_function(function())
     code = (
         "import casadi as ca; from trms_cli.core.compilation import compile_function\n"
         "x, y = ca.SX.sym('x', 3), ca.SX.sym('y', 2, 2)\n"
@@ -61,37 +53,27 @@ def test_cache_key_is_the_same_in_another_process(cache: Path) -> None:
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ.copy())
     assert len(list(cache.glob("*.so"))) == 1
+    compile_function(function(3.0))
+    assert len(list(cache.glob("*.so"))) == 2
+    assert not [path for path in cache.iterdir() if path.suffix != ".so"]
 
 
-def test_works_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TRMS_COMPILE", "0")
-    compilation.compiler.cache_clear()
-    assert compilation.compiler() is None
-    found = BufferedFunction(function()).evaluate(np.ones(3), np.eye(2))[0]
-    assert found == pytest.approx(2 * np.sin(np.ones(3)))
-    assert not cache.exists()
-
-
-def test_broken_compiler_costs_speed_and_not_the_run(
-    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("trouble", ["no compiler", "a broken compiler", "no place for a cache"])
+def test_trouble_costs_speed_and_not_the_run(trouble, cache, tmp_path, monkeypatch) -> None:
     broken = tmp_path / "cc"
     broken.write_text("#!/bin/sh\nexit 1\n")
     broken.chmod(broken.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("CC", str(broken))
+    name, value = {
+        "no compiler": ("TRMS_COMPILE", "0"),
+        "a broken compiler": ("CC", str(broken)),
+        "no place for a cache": ("TRMS_CACHE", str(broken / "below")),
+    }[trouble]
+    monkeypatch.setenv(name, value)
     compilation.compiler.cache_clear()
+    assert (compilation.compiler() is None) == (trouble == "no compiler")
     found = BufferedFunction(function()).evaluate(np.ones(3), np.eye(2))[0]
     assert found == pytest.approx(2 * np.sin(np.ones(3)))
-
-
-def test_cache_that_cannot_be_written_costs_speed_and_not_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "a_file"
-    file.write_text("")
-    monkeypatch.setenv("TRMS_CACHE", str(file / "below"))
-    found = BufferedFunction(function()).evaluate(np.ones(3), np.eye(2))[0]
-    assert found == pytest.approx(2 * np.sin(np.ones(3)))
+    assert not list(cache.glob("*"))
 
 
 def test_arrays_stay_the_same_objects_and_may_be_shared(cache: Path) -> None:

@@ -69,22 +69,7 @@ def node(name: str, **arguments: Any) -> dict[str, Any]:
     return {"_target_": f"{__name__}.{name}", **arguments}
 
 
-@pytest.fixture(autouse=True)
-def importable(monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
-    monkeypatch.setitem(sys.modules, __name__, sys.modules.get(__name__) or _this_module())
-
-
-def _this_module() -> Any:
-    import types
-
-    module = types.ModuleType(__name__)
-    vars(module).update(globals())
-    return module
-
-
-def test_builds_nested_plugins_in_fields_lists_and_mappings() -> None:
+def test_builds_nested_plugins_in_fields_lists_and_mappings_also_of_no_dataclass() -> None:
     drawing = build(
         node(
             "Drawing",
@@ -99,9 +84,6 @@ def test_builds_nested_plugins_in_fields_lists_and_mappings() -> None:
     assert [shape.area() for shape in drawing.shapes] == [2.25]
     assert drawing.named["a"].area() == 9.0
     assert drawing.sizes == {"x": 1.0}
-
-
-def test_builds_classes_that_are_no_dataclass() -> None:
     assert build(node("Plain", factor=0.25)).factor == 0.25
 
 
@@ -144,9 +126,7 @@ def test_builds_classes_that_are_no_dataclass() -> None:
         ("a word", "d", "_target_"),
     ],
 )
-def test_each_mistake_names_the_key_and_what_is_allowed(
-    given: Any, where: str, remedy: str
-) -> None:
+def test_each_mistake_names_the_key_and_what_is_allowed(given, where, remedy) -> None:
     with pytest.raises(ConfigurationError) as raised:
         build(given, "d")
     error = raised.value

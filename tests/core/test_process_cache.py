@@ -1,9 +1,12 @@
-"""What a process keeps: found by content, bounded, and never in the way."""
+"""What a process keeps: found by content, bounded, and never in the way. What is kept in files:
+found again bit for bit, by all its inputs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -11,14 +14,15 @@ import numpy as np
 import pytest
 
 from trms_cli.core import process_cache
-from trms_cli.core.process_cache import MOST_RESULTS, call_memoised, forget
+from trms_cli.core.process_cache import MOST_RESULTS, cached_result, call_memoised, forget
 from trms_cli.models.newtonian import Newtonian
 
 _calls: list[Any] = []
 
 
 @pytest.fixture(autouse=True)
-def fresh() -> Iterator[None]:
+def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "cache" / "functions"))
     forget()
     _calls.clear()
     yield
@@ -68,9 +72,13 @@ def test_what_is_only_equal_in_value_is_told_apart(one: Any, other: Any) -> None
     assert call_memoised(plain, one) is not call_memoised(plain, other)
 
 
-def test_two_functions_of_equal_inputs_are_told_apart() -> None:
+def test_functions_of_equal_inputs_and_casadi_functions_are_told_apart_by_what_they_are() -> None:
     assert call_memoised(total, Weights({})) == 0
     assert call_memoised(plain, Weights({})) == [Weights({})]
+    x = ca.SX.sym("x")
+    one, other = (ca.Function("f", [x], [k * x]) for k in (2, 3))
+    assert call_memoised(plain, one) is call_memoised(plain, ca.Function(one))
+    assert call_memoised(plain, one) is not call_memoised(plain, other)
 
 
 def test_a_class_defined_anew_is_another_class() -> None:
@@ -100,10 +108,9 @@ def test_inputs_without_a_content_are_computed_each_time() -> None:
 
 
 def test_what_is_raised_is_not_kept() -> None:
-    with pytest.raises(ZeroDivisionError):
-        call_memoised(_inverse, 0.0)
-    with pytest.raises(ZeroDivisionError):
-        call_memoised(_inverse, 0.0)
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            call_memoised(_inverse, 0.0)
     assert not process_cache._kept
 
 
@@ -120,14 +127,6 @@ def test_the_longest_unused_goes_first() -> None:
     assert call_memoised(plain, 0) is not None and _calls.count(0) == 2  # it had gone
 
 
-def test_casadi_functions_are_told_apart_by_what_they_are() -> None:
-    x = ca.SX.sym("x")
-    one, other = (ca.Function("f", [x], [k * x]) for k in (2, 3))
-    again: Callable[[ca.Function], ca.Function] = ca.Function
-    assert call_memoised(plain, one) is call_memoised(plain, again(one))
-    assert call_memoised(plain, one) is not call_memoised(plain, other)
-
-
 def test_a_model_with_parameters_assigned_is_another_model() -> None:
     model = Newtonian()
     before = call_memoised(_coupling, model)
@@ -141,3 +140,54 @@ def test_a_model_with_parameters_assigned_is_another_model() -> None:
 def _coupling(model: Newtonian) -> float:
     _calls.append(model)
     return model.parameters["k_g"].value
+
+
+def test_second_call_finds_the_same_bits(tmp_path: Path) -> None:
+    calls = []
+
+    def compute() -> list[float]:
+        calls.append(1)
+        return [1 / 3, 2.0**-1074, 1e300]
+
+    inputs = [np.arange(3.0), 0.1, "axis"]
+    first = cached_result(__file__, inputs, list[float], compute)
+    again = cached_result(__file__, inputs, list[float], compute)
+    assert again == first == [1 / 3, 2.0**-1074, 1e300]
+    assert len(calls) == 1
+    assert len(list((tmp_path / "cache" / "results").iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    "other", [[np.arange(3.0) + 1, 0.1], [np.arange(3.0), 0.2], [np.arange(3.0)]]
+)
+def test_other_inputs_than_those_kept_in_files_are_another_result(other: list[object]) -> None:
+    assert cached_result(__file__, [np.arange(3.0), 0.1], int, lambda: 1) == 1
+    assert cached_result(__file__, other, int, lambda: 2) == 2
+
+
+def test_an_edit_of_the_code_makes_the_result_anew(tmp_path: Path) -> None:
+    code = tmp_path / "code.py"
+    code.write_text("first")
+    assert cached_result(str(code), [1], int, lambda: 1) == 1
+    code.write_text("second")
+    assert cached_result(str(code), [1], int, lambda: 2) == 2
+
+
+def test_damaged_or_unwritable_cache_costs_time_only(tmp_path, monkeypatch) -> None:
+    assert cached_result(__file__, [1], int, lambda: 1) == 1
+    for file in (tmp_path / "cache" / "results").iterdir():
+        file.write_text("{")
+    assert cached_result(__file__, [1], int, lambda: 1) == 1
+    blocked = tmp_path / "a_file"
+    blocked.write_text("")
+    monkeypatch.setenv("TRMS_CACHE", str(blocked / "functions"))
+    assert cached_result(__file__, [1], int, lambda: 1) == 1
+
+
+def test_failures_are_not_kept_in_files() -> None:
+    def fail() -> int:
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        cached_result(__file__, [1], int, fail)
+    assert cached_result(__file__, [1], int, lambda: 5) == 5

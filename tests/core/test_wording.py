@@ -67,15 +67,12 @@ def test_units_are_printed_one_way(unit, text):
     assert wording.unit(unit) == text
 
 
-def test_names_are_listed_as_prose_does():
+def test_lists_counts_names_and_times_are_written_as_prose_does():
     assert wording.listing([]) == ""
     assert wording.listing(["a"]) == "a"
     assert wording.listing(["a", "b"], "or") == "a or b"
     assert wording.listing(["a", "b", "c"]) == "a, b and c"
     assert wording.listing(["a", "b", "c", "d"], most=2) == "a, b and 2 more"
-
-
-def test_counts_and_names_and_times():
     assert wording.count(1, "step") == "1 step"
     assert wording.count(0, "step") == "no step"
     assert wording.count(2, "deadline missed", "deadlines missed") == "2 deadlines missed"

@@ -76,7 +76,8 @@ class Rig:
     def measure(self) -> np.ndarray:
         return self.x[self.rows] + self.sd * self.random.standard_normal(len(self.rows))
 
-    def advance(self, u: np.ndarray, w: np.ndarray, noise_sd: np.ndarray | float = 0.0) -> None:
+    def advance(self, u: np.ndarray, torque: Any = 0.0, noise_sd: Any = 0.0) -> None:
+        w = np.zeros(self.discrete.model.n_w) + torque
         self.x = self.step_function.evaluate(self.x, u, self.p, w)[0].copy()
         self.x += noise_sd * self.random.standard_normal(self.x.size)
 
@@ -86,20 +87,19 @@ def followed(
     state: Any,
     rig: Rig,
     inputs: np.ndarray,
-    torque: np.ndarray | float = 0.0,
-    noise_sd: np.ndarray | float = 0.0,
+    torque: Any = 0.0,
+    noise_sd: Any = 0.0,
     lost: range = range(0),
     spoil: Callable[[int, np.ndarray], np.ndarray] = lambda k, y: y,
 ) -> Iterator[tuple[int, Estimate]]:
     """Run rig and observer; at each sample, before the rig moves on, the estimate is yielded."""
-    w = np.zeros(rig.discrete.model.n_w) + torque
     u_before = inputs[0]
     for k, u in enumerate(inputs):
         y = spoil(k, rig.measure())
         if k in lost:
             y[:] = np.nan
         yield k, observer.step(state, u_before, y, None)
-        rig.advance(u, w, noise_sd)
+        rig.advance(u, torque, noise_sd)
         u_before = u
 
 

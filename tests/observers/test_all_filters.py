@@ -1,4 +1,6 @@
-"""What every filter has to do on the rig's models, whatever it is."""
+"""What every filter has to do on the rig's models, whatever it is; outliers are held back, and
+nothing is held back for ever.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ from trms_cli.observers.filterpy_ukf import FilterpyUkf
 from trms_cli.observers.kalman import Kalman
 from trms_cli.observers.mhe import Mhe
 from trms_cli.observers.observer import ObserverSetup
-from trms_cli.observers.recursive_filter import FilterState
+from trms_cli.observers.recursive_filter import FilterState, Gate
 from trms_cli.observers.state_dependent_ekf import StateDependentEkf
 from trms_cli.observers.ukf import Ukf
 
@@ -34,6 +36,7 @@ NONLINEAR = [Ukf, FilterpyUkf, Ekf, StateDependentEkf, Mhe]
 """Those that are to follow the rig far from any one point."""
 UKF = "ukf.Ukf"
 SD_EKF = "state_dependent_ekf.StateDependentEkf"
+NEWTONIAN = Newtonian()
 
 
 def made(kind: type[FilterOptions], **options: Any) -> Any:
@@ -41,10 +44,10 @@ def made(kind: type[FilterOptions], **options: Any) -> Any:
     return kind(**options, **({"within_stops": False} if kind is Mhe else {}))
 
 
-def begun(kind: type[FilterOptions], seed: int = 0) -> tuple[Any, Any, Rig]:
+def begun(kind: type[FilterOptions]) -> tuple[Any, Any, Rig]:
     """An observer of the Newtonian rig, its state, and the rig."""
-    model, observer = Newtonian(), made(kind)
-    return observer, observer.init(setup_for(model)), Rig(model, names(model.outputs), seed)
+    observer = made(kind)
+    return observer, observer.init(setup_for(NEWTONIAN)), Rig(NEWTONIAN, names(NEWTONIAN.outputs))
 
 
 def filter_of(state: Any) -> FilterState:
@@ -60,9 +63,7 @@ def covariance_of(state: Any) -> np.ndarray:
 @pytest.mark.parametrize(
     "outputs", [("alpha_v", "alpha_h", "omega_v", "omega_h"), ("alpha_h", "alpha_v")]
 )
-def test_errors_are_as_large_as_it_says(
-    kind: type[FilterOptions], outputs: tuple[str, ...]
-) -> None:
+def test_errors_are_as_large_as_it_says(kind, outputs) -> None:
     """NEES and NIS, averaged over time and seeds, lie where χ² puts them."""
     model = Newtonian()
     observer = made(
@@ -104,10 +105,8 @@ def test_errors_are_as_large_as_it_says(
     ids=["vertical", "horizontal, currents", "currents", "lagrangian", "delay", "friction"],
 )
 def test_every_model_is_followed(kind: type[FilterOptions], model: Model) -> None:
-    outputs = names(model.outputs)
     observer = made(kind)
-    state = observer.init(setup_for(model))
-    rig = Rig(model, outputs)
+    state, rig = observer.init(setup_for(model)), Rig(model, names(model.outputs))
     for k, estimate in followed(observer, state, rig, commands(400, model.n_u)):
         if k > 50:
             assert np.all(np.abs(estimate.x - rig.x[: model.n_x]) < 6 * estimate.sd + 1e-9)
@@ -116,9 +115,7 @@ def test_every_model_is_followed(kind: type[FilterOptions], model: Model) -> Non
 
 @pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize("torque", [0.01, -0.02])
-def test_a_constant_torque_on_yaw_is_estimated_without_bias(
-    kind: type[FilterOptions], torque: float
-) -> None:
+def test_a_constant_torque_on_yaw_is_estimated_without_bias(kind, torque) -> None:
     observer, state, rig = begun(kind)
     found = []
     still = np.tile([0.5, 0.3], (1500, 1))
@@ -169,11 +166,8 @@ def test_a_window_without_any_measurement_is_the_models_own_motion() -> None:
 
 @pytest.mark.parametrize("kind", ALL)
 def test_two_runs_in_one_process_are_equal(kind: type[FilterOptions]) -> None:
-    def run() -> np.ndarray:
-        observer, state, rig = begun(kind, seed=5)
-        return np.array([e.x.copy() for _, e in followed(observer, state, rig, commands(80))])
-
-    np.testing.assert_array_equal(run(), run())
+    first, second = (run(made(kind), clean, 80)[0] for _ in "ab")
+    np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.parametrize("kind", ALL)
@@ -223,6 +217,152 @@ def test_a_network_is_followed(kind: type[FilterOptions], monkeypatch: pytest.Mo
             x = np.array(step(x, u, [], np.zeros(4)))[:, 0]
 
 
+SAMPLES = 800
+
+
+def run(observer: Any, spoil: Any, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of the estimated state, (samples, 6), and what was rejected, (samples, 4)."""
+    state = observer.init(setup_for(NEWTONIAN))
+    rig, errors, rejected = Rig(NEWTONIAN, names(NEWTONIAN.outputs)), [], []
+    for _, estimate in followed(observer, state, rig, commands(samples), spoil=spoil):
+        errors.append(estimate.x - rig.x)
+        rejected.append(estimate.rejected.copy())
+    return np.array(errors), np.array(rejected)
+
+
+def clean(k: int, y: np.ndarray) -> np.ndarray:
+    return y
+
+
+def with_outliers(share: float = 0.02, size: float = 0.3) -> Any:
+    """Some samples of the angles are off by 0.3 rad."""
+    random = np.random.default_rng(6)
+    hit = random.random((SAMPLES, 2)) < share
+    sign = random.choice([-1.0, 1.0], (SAMPLES, 2))
+    angles = [names(NEWTONIAN.outputs).index(name) for name in ("alpha_v", "alpha_h")]
+    hit[:20] = False
+
+    def spoil(k: int, y: np.ndarray) -> np.ndarray:
+        y = y.copy()
+        y[angles] += size * sign[k] * hit[k]
+        return y
+
+    spoil.hit = hit  # type: ignore[attr-defined]
+    spoil.angles = angles  # type: ignore[attr-defined]
+    return spoil
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_outliers_leave_no_trace_with_a_gate_and_a_clear_one_without(kind) -> None:
+    spoil = with_outliers()
+
+    def error(observer: Any, what: Any) -> np.ndarray:
+        rows = run(observer, what)[0][50:]
+        return np.sqrt(np.mean(rows[:, [2, 5]] ** 2, axis=0))
+
+    undisturbed, gated = error(made(kind), clean), error(made(kind), spoil)
+    believing = error(made(kind, gate=None), spoil)
+    assert np.all(gated < 1.2 * undisturbed)
+    assert np.all(believing > 3 * undisturbed)
+
+
+@pytest.mark.parametrize("kind", NONLINEAR)
+def test_exactly_the_outliers_are_rejected_and_their_innovation_is_told(kind) -> None:
+    spoil = with_outliers()
+    rejected = run(made(kind), spoil)[1]
+    np.testing.assert_array_equal(rejected[:, spoil.angles] > 0, spoil.hit)
+    assert not rejected[:, [i for i in range(4) if i not in spoil.angles]].any()
+    observer, state, rig = begun(kind)
+    for _ in range(30):
+        observer.step(state, np.zeros(2), rig.measure(), None)
+    y = rig.measure()
+    y[0] += 0.3
+    estimate = observer.step(state, np.zeros(2), y, None)
+    assert estimate.rejected.tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert estimate.innovation[0] == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_a_channel_that_jumps_for_ever_is_believed_again(kind: type[FilterOptions]) -> None:
+    """The encoder slips by a radian at 4 s: half a second later the estimate is with it."""
+    yaw = names(NEWTONIAN.outputs).index("alpha_h")
+
+    def slipped(k: int, y: np.ndarray) -> np.ndarray:
+        y = y.copy()
+        y[yaw] += 1.0 * (k >= 200)
+        return y
+
+    errors, rejected = run(made(kind), slipped, 400)
+    patience = round(0.5 / SAMPLE_TIME)
+    assert rejected[200 : 200 + patience, yaw].all()
+    assert not rejected[200 + patience :, yaw].any()
+    angle = NEWTONIAN.state_index("alpha_h")
+    assert np.all(np.abs(errors[200 : 200 + patience - 1, angle]) < 0.1)
+    assert np.all(np.abs(errors[200 + patience + 5 :, angle] - 1.0) < 0.02)
+    others = [i for i in range(6) if i != angle]
+    if kind is not Kalman:
+        assert np.all(np.abs(errors[-1, others]) < [4.0, 0.1, 4.0, 0.1, 0.05])
+
+
+def test_a_sensor_much_worse_than_declared_is_used_all_the_same() -> None:
+    """Noise a hundred times the declared one: after the first half second all is believed."""
+    random = np.random.default_rng(0)
+
+    def noisy(k: int, y: np.ndarray) -> np.ndarray:
+        return y + np.array([0.05, 0.0, 0.0, 0.0]) * random.standard_normal(4)
+
+    rejected = run(Ukf(gate=5.0), noisy)[1]
+    assert rejected[:100, 0].mean() > 0.3
+    assert rejected[SAMPLES // 2 :, 0].mean() < 0.2
+    assert rejected[:, 1:].mean() < 0.02
+
+
+def test_the_gate_opens_after_its_patience_and_closes_after_as_long_an_agreement() -> None:
+    squared, rejected = np.zeros(2), np.zeros(2)
+    gate = Gate.start(5.0, 0.06, 0.02, squared, rejected)
+    assert squared.tolist() == [25.0, 25.0]
+    assert gate.quiet()
+    both, sd = np.ones(2, dtype=bool), np.ones(2)
+
+    def sample(innovation: float, present: bool = True) -> bool:
+        rejected[0] = float(present and innovation**2 > squared[0])
+        here = both & np.array([present, True])
+        return gate.follow(here, np.array([innovation, 0.0]), sd)
+
+    assert [sample(9.0), sample(9.0), sample(0.0)] == [False, False, False]  # two in a row only
+    assert gate.quiet()
+    assert [sample(9.0), sample(9.0)] == [False, False]
+    assert not sample(0.0, present=False)  # a missing sample neither counts nor breaks the run
+    assert sample(9.0)  # the third: believed from now on, from a wide covariance
+    assert squared.tolist() == [np.inf, 25.0]
+    assert [sample(9.0), sample(0.0), sample(0.0), sample(9.0)] == [False] * 4
+    assert not gate.quiet()
+    assert squared[0] == np.inf
+    assert [sample(0.0), sample(0.0), sample(0.0)] == [False] * 3
+    assert squared.tolist() == [25.0, 25.0]
+    assert gate.quiet()
+
+
+def test_without_a_gate_the_steps_are_the_same_bit_for_bit() -> None:
+    np.testing.assert_array_equal(run(Ukf(gate=None), clean)[0], run(Ukf(), clean)[0])
+
+
+def test_outliers_are_told_in_the_log_and_counted() -> None:
+    close_loop = pytest.importorskip("experiments.chapter7.runs").close_loop
+
+    from trms_cli.scoring.score import score_tables
+
+    fault = ["fault=[yaw_outliers]", "controller=lqr", "sim.duration=15", "supervisor=none"]
+    tables, limits, duration = close_loop(fault)
+    events = tables["/event"]
+    told = events.columns["source"][np.asarray(events.columns["kind"] == "outlier", dtype=bool)]
+    assert set(told) == {"alpha_h"}
+    estimate = score_tables(tables, limits=limits, duration_s=duration)["estimate"]
+    assert estimate["rejected_samples"] == estimate["innovations"]["alpha_h"]["rejected"]
+    assert estimate["rejected_samples"] == len(told) > 3
+    assert estimate["rmse"]["alpha_h"] < 1e-3
+
+
 @pytest.mark.parametrize(
     ("target", "options", "where", "remedy"),
     [
@@ -243,11 +383,9 @@ def test_a_network_is_followed(kind: type[FilterOptions], monkeypatch: pytest.Mo
         (UKF, {"kappa": -11.0}, "observer.kappa", "above -10"),
     ],
 )
-def test_mistakes_are_reported_by_key(
-    target: str, options: dict[str, object], where: str, remedy: str
-) -> None:
+def test_mistakes_are_reported_by_key(target, options, where, remedy) -> None:
     node = {"_target_": f"trms_cli.observers.{target}", **options}
     with pytest.raises(ConfigurationError) as caught:
-        build(node, "observer").init(setup_for(Newtonian()))
+        build(node, "observer").init(setup_for(NEWTONIAN))
     assert caught.value.where == where
     assert remedy in f"{caught.value.problem} {caught.value.remedy}"

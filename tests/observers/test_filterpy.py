@@ -64,7 +64,7 @@ def test_filterpys_filter_gives_the_same_estimates(currents: str) -> None:
         np.testing.assert_array_equal(one.rejected, other.rejected)
         held += one.rejected.sum()
         before = u
-        rig.advance(u, np.zeros(4))
+        rig.advance(u)
     assert held > 20 and state.recoveries == their_state.recoveries == 0
 
 
@@ -108,7 +108,7 @@ def test_filterpys_extended_filter_gives_the_same_estimates(model: Model) -> Non
             np.testing.assert_allclose(found / sd, mean / sd, rtol=0, atol=1e-6)
         np.testing.assert_allclose(estimate.sd, scale[:n_x], rtol=1e-6)
         u_before = u
-        rig.advance(u, np.zeros(4))
+        rig.advance(u)
 
 
 @pytest.mark.parametrize(
@@ -118,9 +118,7 @@ def test_filterpys_extended_filter_gives_the_same_estimates(model: Model) -> Non
         (("alpha_v", "alpha_h"), [True, True, False, False]),
     ],
 )
-def test_there_are_as_many_integrators_as_channels(
-    channels: tuple[str, ...], estimated: list[bool]
-) -> None:
+def test_there_are_as_many_integrators_as_channels(channels, estimated) -> None:
     observer = Ukf()
     state = observer.init(setup_for(Newtonian(), channels))
     estimate = observer.step(state, TRIM, np.zeros(len(channels)), None)

@@ -98,11 +98,9 @@ def test_the_arrival_filter_stands_in_where_a_problem_is_not_solved(
     assert state.fallbacks > 100
 
 
-@pytest.mark.parametrize("channels", [("alpha_v", "alpha_h")])
-def test_it_is_no_worse_than_its_arrival_filter(channels: tuple[str, ...]) -> None:
+def test_it_is_no_worse_than_its_arrival_filter() -> None:
     """Far from where both start, without tachos, where the models bend most."""
-    model = Newtonian()
-    errors = {}
+    model, channels, errors = Newtonian(), ("alpha_v", "alpha_h"), {}
     for observer in (Ekf(), Mhe(within_stops=False, iterations=2, arrival="ekf")):
         squares = []
         for seed in range(4):

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.rest import resting_state
 from trms_cli.models.state_kinds import kinds_of_disturbances, kinds_of_states
@@ -16,7 +14,7 @@ from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.ukf import Ukf
 
 from ..models.network_case import rig_like
-from .observed_rigs import NOISE_SD
+from .observed_rigs import NOISE_SD, Rig, followed
 
 CHANNELS = tuple(NOISE_SD)
 
@@ -27,27 +25,15 @@ def interpreted(monkeypatch):
     monkeypatch.setattr("trms_cli.core.compilation.compiler", lambda: None)
 
 
-class Rig:
-    """A network as the rig, with a constant push, sampled as a run samples it."""
-
-    def __init__(self, model, push=None):
-        self.model = model
-        self.step = BufferedFunction(discretise(model, 0.02).step)
-        self.x, self.push = model.rest(), np.zeros(4) if push is None else push
-
-    def advance(self, u):
-        self.x = self.step.evaluate(self.x, u, [], self.push)[0].copy()
-
-    def truth(self):
-        return dict(zip(CHANNELS, self.x[:4].tolist(), strict=True))
+def setup(model, sample_time=0.02):
+    return ObserverSetup(model, sample_time, CHANNELS, NOISE_SD, model.rest()[:4], np.zeros(2))
 
 
-def setup(model, sample_time=0.02, first=None, channels=CHANNELS):
-    first = model.rest()[:4] if first is None else first
-    return ObserverSetup(model, sample_time, channels, NOISE_SD, first, np.zeros(2))
+def truth(rig):
+    return dict(zip(CHANNELS, rig.x[:4].tolist(), strict=True))
 
 
-def commands(n):
+def steps(n):
     rng = np.random.default_rng(2)
     return np.repeat(rng.uniform(-1.5, 1.5, (n // 10 + 1, 2)), 10, axis=0)[:n]
 
@@ -83,20 +69,21 @@ class TestRestingState:
 class TestFullState:
     def test_remembers_what_it_saw_and_what_was_commanded(self):
         model = rig_like((1, 3), (1, 3))
-        rig, observer = Rig(model), FullState()
+        rig, observer = Rig(model, CHANNELS), FullState()
         state, u = observer.init(setup(model)), np.zeros(2)
-        for following in commands(40):
-            estimate = observer.step(state, u, rig.x[:4], rig.truth())
+        for following in steps(40):
+            estimate = observer.step(state, u, rig.x[:4], truth(rig))
             np.testing.assert_array_equal(estimate.x, rig.x)
             u = following
             rig.advance(u)
 
     def test_of_another_rig_takes_its_outputs(self):
         """The rig is not the network: what is remembered is what the rig did."""
-        model, rig, observer = rig_like(seed=1), Rig(rig_like(seed=2, bend=1.0)), FullState()
+        model, rig = rig_like(seed=1), Rig(rig_like(seed=2, bend=1.0), CHANNELS)
+        observer = FullState()
         state, u, before = observer.init(setup(model)), np.zeros(2), None
-        for following in commands(20):
-            estimate = observer.step(state, u, rig.x[:4], rig.truth())
+        for following in steps(20):
+            estimate = observer.step(state, u, rig.x[:4], truth(rig))
             np.testing.assert_array_equal(estimate.x[:4], rig.x[:4])
             if before is not None:
                 np.testing.assert_array_equal(estimate.x[4:], before)
@@ -112,27 +99,22 @@ class TestUkf:
     def test_finds_a_constant_push_and_has_no_bias(self):
         model = rig_like((1, 2), (1, 2))
         push = np.array([0.3, -0.2, 25.0, -15.0])
-        rig, observer, rng = Rig(model, push), Ukf(), np.random.default_rng(3)
-        sd = np.array([NOISE_SD[name] for name in CHANNELS])
-        state, u = observer.init(setup(model)), np.zeros(2)
-        errors, pushes = [], []
-        for k, following in enumerate(commands(900)):
-            estimate = observer.step(state, u, rig.x[:4] + sd * rng.normal(size=4), None)
+        rig, observer, inputs = Rig(model, CHANNELS, seed=3), Ukf(), steps(900)
+        state, errors, pushes = observer.init(setup(model)), [], []
+        for k, estimate in followed(observer, state, rig, inputs, push):
             if k > 400:
                 errors.append((estimate.x - rig.x)[:4])
                 pushes.append(estimate.disturbance.copy())
-                np.testing.assert_allclose(estimate.x[8:], u, rtol=0, atol=1e-6)
-            u = following
-            rig.advance(u)
+                np.testing.assert_allclose(estimate.x[8:], inputs[k - 1], rtol=0, atol=1e-6)
         assert np.all(np.abs(np.mean(pushes, axis=0) - push) < [0.05, 0.05, 3.0, 3.0])
-        assert np.all(np.std(errors, axis=0) < sd)
+        assert np.all(np.std(errors, axis=0) < rig.sd)
         assert state.recoveries == 0
 
     def test_steps_over_several_samples_of_the_network(self):
         model = rig_like()
-        rig, observer = Rig(model), Ukf(disturbances=())
+        rig, observer = Rig(model, CHANNELS), Ukf(disturbances=())
         state, u = observer.init(setup(model, 0.1)), np.zeros(2)
-        for following in commands(200)[::5]:
+        for following in steps(200)[::5]:
             estimate = observer.step(state, u, rig.x[:4], None)
             u = following
             for _ in range(5):

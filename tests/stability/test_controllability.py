@@ -31,7 +31,6 @@ from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.controllability import Controllability
 
 U_V, U_H = 0, 1
-AT = {"alpha_v": 0.0, "alpha_h": 0.3}
 
 
 class Case:
@@ -57,6 +56,11 @@ class Case:
         return self.access.torques(sensors, (duration,), 0.01)
 
 
+AT = {"alpha_v": 0.0, "alpha_h": 0.3}
+TURNING = Case(NEWTONIAN, AT)
+FREE_YAW = Case(QuanserAero(parameter_set="quanser_aero"), {"alpha_v": 0.2})
+
+
 @pytest.mark.parametrize("at", [{}, {"alpha_v": 0.0}], ids=["rest", "hover"])
 @pytest.mark.parametrize("currents", ["quasi_static", "dynamic"])
 def test_the_tail_rotor_does_not_move_yaw_where_it_stands_still(at, currents):
@@ -73,14 +77,17 @@ def test_the_tail_rotor_does_not_move_yaw_where_it_stands_still(at, currents):
     assert case.by_inputs("yaw swing", [U_V]).grade == "yes"
 
 
-def test_yaw_is_controllable_where_the_tail_rotor_turns():
-    case = Case(NEWTONIAN, AT)
-    reach = case.by_inputs("yaw swing", [U_H])
+def test_the_inputs_move_every_mode_together_and_one_neither_the_other_rotor_nor_two_equal_ones():
+    reach = TURNING.by_inputs("yaw swing", [U_H])
     assert reach.grade == "yes" and reach.margin > 0.1
-    assert all(case.by_inputs(mode, [U_V, U_H]).grade == "yes" for mode in case.modes)
+    assert all(TURNING.by_inputs(mode, [U_V, U_H]).grade == "yes" for mode in TURNING.modes)
     # No input turns the other rotor.
-    assert case.by_inputs("main rotor", [U_H]).grade == "none"
-    assert case.by_inputs("tail rotor", [U_V]).grade == "none"
+    assert TURNING.by_inputs("main rotor", [U_H]).grade == "none"
+    assert TURNING.by_inputs("tail rotor", [U_V]).grade == "none"
+    # Both lags are 20 1/s: a double eigenvalue needs two inputs.
+    double = next(name for name, mode in FREE_YAW.modes.items() if mode.multiplicity == 2)
+    for inputs, grade in (([U_V], "none"), ([U_H], "none"), ([U_V, U_H], "yes")):
+        assert FREE_YAW.by_inputs(double, inputs).grade == grade
 
 
 def test_the_gain_of_yaw_goes_as_the_speed_of_the_tail_rotor():
@@ -98,41 +105,25 @@ def test_the_gain_of_yaw_goes_as_the_speed_of_the_tail_rotor():
     assert any("u_h loses alpha_h at alpha_h = 0" in sentence for sentence in findings.lead)
 
 
-def test_one_input_does_not_move_two_equal_rotors():
-    # Both lags are 20 1/s: a double eigenvalue needs two inputs.
-    case = Case(QuanserAero(parameter_set="quanser_aero"), {"alpha_v": 0.2})
-    double = next(name for name, mode in case.modes.items() if mode.multiplicity == 2)
-    assert case.by_inputs(double, [U_V]).grade == "none"
-    assert case.by_inputs(double, [U_H]).grade == "none"
-    assert case.by_inputs(double, [U_V, U_H]).grade == "yes"
-
-
-def test_angles_alone_see_every_mode_and_pitch_alone_not_yaw_at_rest():
-    case = Case(NEWTONIAN, AT)
-    assert all(case.by_sensors(m, ["alpha_v", "alpha_h"]).grade == "yes" for m in case.modes)
+def test_which_modes_and_constant_torques_a_set_of_sensors_tells():
+    assert all(TURNING.by_sensors(m, ["alpha_v", "alpha_h"]).grade == "yes" for m in TURNING.modes)
     rest = Case(NEWTONIAN, {})
     assert rest.by_sensors("yaw swing", ["alpha_v"]).grade == "none"
     assert rest.by_sensors("pitch swing", ["alpha_h"]).grade == "none"
     # The main rotor at rest has no thrust, and its momentum turns yaw only.
     assert rest.by_sensors("main rotor", ["alpha_v"]).grade == "none"
     assert rest.by_sensors("main rotor", ["alpha_h"]).grade == "yes"
-    free = Case(QuanserAero(), {"alpha_v": 0.2})
-    assert free.by_sensors("yaw free", ["alpha_v", "omega_v", "omega_h"]).grade == "none"
-    assert free.by_sensors("yaw free", ["alpha_h"]).grade == "yes"
-
-
-def test_constant_torques_by_sensor_set():
-    case = Case(NEWTONIAN, AT)
-    angles, everything = case.torques(["alpha_v", "alpha_h"]), case.torques(case.outputs)
+    assert FREE_YAW.by_sensors("yaw free", ["alpha_v", "omega_v", "omega_h"]).grade == "none"
+    assert FREE_YAW.by_sensors("yaw free", ["alpha_h"]).grade == "yes"
+    angles, everything = TURNING.torques(["alpha_v", "alpha_h"]), TURNING.torques(TURNING.outputs)
     # Two angles in rest cannot tell more than two torques, whatever the filter.
     assert angles.together == 2 and all(torque.seen for torque in angles.alone.values())
     assert everything.together == 4
-    free_yaw = Case(QuanserAero(), {"alpha_v": 0.2})
-    for one, seen in ((case, {"pitch_moment", "main_motor"}), (free_yaw, {"pitch_moment"})):
+    for one, seen in ((TURNING, {"pitch_moment", "main_motor"}), (FREE_YAW, {"pitch_moment"})):
         alone = one.torques(["alpha_v"]).alone
         assert {name for name, t in alone.items() if t.seen} >= seen
         assert not alone["yaw_moment"].seen
-    assert not case.torques(["alpha_v"]).alone["tail_motor"].seen
+    assert not TURNING.torques(["alpha_v"]).alone["tail_motor"].seen
 
 
 def test_the_error_of_a_torque_is_that_of_a_kalman_filter():
@@ -189,23 +180,19 @@ def test_finite_gramians_are_the_integral_for_unstable_systems_too(seed, duratio
     assert np.allclose(found, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
 
-def test_finite_gramians_stand_poles_that_a_block_exponential_does_not():
+def test_finite_gramians_stand_fast_poles_and_those_of_a_step_count_the_same_energy():
+    # A block exponential would not stand the poles of the currents.
     case = Case(Newtonian(currents="dynamic"), AT)
-    slow = Case(NEWTONIAN, AT)
     volts = []
-    for c in (case, slow):
+    for c in (case, TURNING):
         gramian = controllability_gramian(c.matrices.a, c.matrices.b[:, [U_H]], 2.0)
         direction = np.eye(c.model.n_x)[c.model.state_index("alpha_h")]
         volts.append(volts_to_move(gramian, direction, 0.1, 2.0))
     assert volts[0] == pytest.approx(volts[1], rel=1e-3)
     stationary = stationary_gramian(case.matrices.a, case.matrices.b)
     assert np.isfinite(stationary).all()
-
-
-def test_gramians_of_a_step_count_energy_as_those_in_continuous_time():
-    case = Case(NEWTONIAN, AT)
-    a, b = case.matrices.a, case.matrices.b
     step = 0.005
+    a, b = TURNING.matrices.a, TURNING.matrices.b
     block = scipy.linalg.expm(np.block([[a, b], [np.zeros((2, 6)), np.zeros((2, 2))]]) * step)
     found = controllability_gramian(block[:6, :6], block[:6, 6:], 2.0, step)
     expected = controllability_gramian(a, b, 2.0)
@@ -213,9 +200,8 @@ def test_gramians_of_a_step_count_energy_as_those_in_continuous_time():
 
 
 def test_the_least_command_moves_the_rig_as_far_as_it_says():
-    case = Case(NEWTONIAN, AT)
-    a, b, T = case.matrices.a, case.matrices.b[:, [U_H]], 2.0
-    row = np.eye(6)[case.model.state_index("alpha_h")]
+    a, b, T = TURNING.matrices.a, TURNING.matrices.b[:, [U_H]], 2.0
+    row = np.eye(6)[NEWTONIAN.state_index("alpha_h")]
     gramian = controllability_gramian(a, b, T)
     volts = volts_to_move(gramian, row, 0.1, T)
     reach = row @ gramian @ row

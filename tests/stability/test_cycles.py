@@ -50,7 +50,6 @@ def normal_form() -> Planar:
     return Planar(equations)
 
 
-VAN_DER_POL = Shooting(van_der_pol())
 NORMAL_FORM = Shooting(normal_form(), steps=400)
 
 
@@ -75,23 +74,16 @@ def test_orbits_around_a_centre_are_a_continuum_and_those_at_a_fold_are_not():
     assert continuum(pair) == []
 
 
-@pytest.fixture(scope="module")
-def van_der_pol_search():
+def test_the_cycle_of_van_der_pol_is_found_from_motions_and_its_multiplier_by_liouville():
     starts = starts_in(np.zeros(2), np.array([3.0, 3.0]), 6)
-    return search_orbits(van_der_pol(), starts, np.zeros(1), 60.0, VAN_DER_POL)
-
-
-def test_the_cycle_of_van_der_pol_is_found_from_motions(van_der_pol_search):
-    assert [motion.fate for motion in van_der_pol_search.motions] == ["cycle"] * 6
-    (orbit,) = van_der_pol_search.orbits
+    model = van_der_pol()
+    found = search_orbits(model, starts, np.zeros(1), 60.0, Shooting(model))
+    assert [motion.fate for motion in found.motions] == ["cycle"] * 6
+    (orbit,) = found.orbits
     assert orbit.period == pytest.approx(6.66328686, abs=1e-6)
     assert orbit.path[:, 0].max() == pytest.approx(2.00861986, abs=1e-4)  # of 800 points a period
     assert orbit.stable and orbit.misfit < 1e-9 and orbit.trivial_error < 1e-6
-
-
-def test_its_multiplier_is_the_exponential_of_the_divergence(van_der_pol_search):
-    """Liouville: the product of all multipliers is exp ∮ div f dt, and one of them is 1."""
-    (orbit,) = van_der_pol_search.orbits
+    # Liouville: the product of all multipliers is exp ∮ div f dt, and one of them is 1.
     divergence = 1 - orbit.path[:, 0] ** 2
     expected = np.exp(trapezoid(divergence, orbit.time))
     assert orbit.largest.real == pytest.approx(expected, rel=1e-5)

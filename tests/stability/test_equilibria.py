@@ -1,9 +1,11 @@
 """Equilibria of the rigs: the check values of the design, folds, proofs, friction. Branch and
-prune: what it calls proved is true, and what it cannot decide it does not claim.
+prune: what it calls proved is true, and what it cannot decide it does not claim. The study as it is
+asked for and told.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 
 import casadi as ca
@@ -13,15 +15,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from trms_cli.core.chart import Note, as_data
+from trms_cli.core.errors import ModelError, TrmsError
+from trms_cli.core.findings import Findings
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.disturbance import Disturbance
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian, geometry
+from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.tras import Tras
 from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.equilibria.proof import Proof, Prover, Roots, isolate, over_range
@@ -37,8 +44,9 @@ from trms_cli.stability.equilibria.survey import (
 )
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
+from trms_cli.stability.studies.equilibria import Equilibria
 from trms_cli.stability.studies.local import Local
-from trms_cli.stability.study import silent
+from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import Subject
 
 #: Table of the design: u_v [V] → ω_v [rad/s], α_v [rad].
@@ -78,6 +86,12 @@ def surveyed(model: Model, over: str, points: int = 6, whole: bool = False) -> S
     return survey(model, setting, {}, np.linspace(-limit, limit, points), whole, silent)
 
 
+def asked(model: object, **keys: object) -> Findings:
+    study = Equilibria(**({"proof_range": False, "proof_points": 5, "map": False} | keys))  # type: ignore[arg-type]
+    assert isinstance(study, Study)
+    return study.run(Subject(model, "tested"), silent)  # type: ignore[arg-type]
+
+
 #: Parameters, the largest moment of gravity on pitch (N m), and the angle at which it is none.
 C = {parameter.name: parameter.value for parameter in NEWTONIAN.parameters}
 G = geometry(C)
@@ -90,11 +104,6 @@ def analytic_fold() -> float:
     omega = np.sqrt(weight / (c["l_m"] * c["k_fvp"]))
     torque = c["B_mr"] * omega + c["k_tvp"] * omega**2
     return float((c["R"] * torque / c["kphi"] + c["kphi"] * omega) / c["k_uv"])
-
-
-@pytest.fixture(scope="module")
-def over_u_v() -> Survey:
-    return surveyed(NEWTONIAN, "u_v", 11, whole=True)
 
 
 @pytest.mark.parametrize("model", [NEWTONIAN, Lagrangian()], ids=["newtonian", "lagrangian"])
@@ -119,38 +128,38 @@ def test_rest_and_hover() -> None:
     assert not rest.unstable and not hover.unstable
 
 
-def test_the_fold_is_where_gravity_is_exhausted(over_u_v: Survey) -> None:
+def test_curves_over_u_v_agree_with_proofs_up_to_the_fold_where_gravity_is_exhausted() -> None:
+    over_u_v = surveyed(NEWTONIAN, "u_v", 11, whole=True)
+    assert all(check.agree and check.proof.complete for check in over_u_v.checks)
+    assert over_u_v.late == 0
+    by_input = {round(check.input, 6): check.proof.count for check in over_u_v.checks}
+    assert by_input[2.0] == 2 and by_input[1.0] == 1 and by_input[2.5] == 0
+    # The range is proved but for slivers around its changes.
+    pieces = over_u_v.pieces
+    untold = sum(piece.upper - piece.lower for piece in pieces if piece.count is None)
+    assert 0.0 < untold < 0.01
+    assert (pieces[0].lower, pieces[-1].upper) == (-2.5, 2.5)
+    assert max(p.upper for p in pieces if p.count == 2) <= analytic_fold()
+    assert min(p.lower for p in pieces if p.count == 0 and p.lower > 0) >= analytic_fold()
+    assert [p.count for p in pieces if p.count is not None] == [0, 1, 2, 0]
     (fold,) = [one for one in over_u_v.landmarks if one.kind == "fold"]
     assert abs(fold.y[-1] - 2.23) < 5e-3
     assert abs(fold.y[-1] - analytic_fold()) < 1e-8
     slopes, _ = VectorField(NEWTONIAN).linearised(fold.at.x, fold.at.u)
     assert np.abs(np.linalg.eigvals(slopes)).min() < 1e-6
-
-
-def test_curves_and_proofs_agree(over_u_v: Survey) -> None:
-    assert all(check.agree and check.proof.complete for check in over_u_v.checks)
-    assert over_u_v.late == 0
-    by_input = {round(check.input, 6): check.proof.count for check in over_u_v.checks}
-    assert by_input[2.0] == 2 and by_input[1.0] == 1 and by_input[2.5] == 0
-
-
-def test_upper_branch_is_unstable_and_the_lower_is_not(over_u_v: Survey) -> None:
+    # The upper branch is unstable and the lower is not.
     row = NEWTONIAN.state_index("alpha_v")
     for curve in over_u_v.curves:
         for point in curve.points:
             if abs(point.x[row] - 0.9514) > 1e-3:
                 assert (point.unstable > 0) == (point.x[row] > 0.9514)
-
-
-def test_the_range_is_proved_but_for_slivers_around_its_changes(over_u_v: Survey) -> None:
-    fold = analytic_fold()
-    pieces = over_u_v.pieces
-    untold = sum(piece.upper - piece.lower for piece in pieces if piece.count is None)
-    assert 0.0 < untold < 0.01
-    assert (pieces[0].lower, pieces[-1].upper) == (-2.5, 2.5)
-    assert max(p.upper for p in pieces if p.count == 2) <= fold
-    assert min(p.lower for p in pieces if p.count == 0 and p.lower > 0) >= fold
-    assert [p.count for p in pieces if p.count is not None] == [0, 1, 2, 0]
+    # A curve that the search misses is found by the proof, and many starts lead to the same.
+    proofs = [check.proof for check in over_u_v.checks if abs(check.input) < 0.1]
+    curves, late = complete_curves(over_u_v.equations, [], proofs)
+    assert late == len(curves) == 1
+    seeds = over_u_v.equations.starts(np.linspace(-2.0, 2.1, 4), 4)
+    assert len(seeds) >= 4
+    assert len(over_u_v.equations.curves_through(seeds)) == 1
 
 
 @settings(max_examples=8, deadline=None)
@@ -260,23 +269,14 @@ def test_a_yaw_that_nothing_pulls_back_is_free_and_its_input_follows() -> None:
     assert at_zero.agree and len(at_zero.points) == 1
 
 
-def test_a_curve_that_the_search_misses_is_found_by_the_proof(over_u_v: Survey) -> None:
-    proofs = [check.proof for check in over_u_v.checks if abs(check.input) < 0.1]
-    curves, late = complete_curves(over_u_v.equations, [], proofs)
-    assert late == len(curves) == 1
-
-
-def test_many_starts_lead_to_the_same_curve(over_u_v: Survey) -> None:
-    seeds = over_u_v.equations.starts(np.linspace(-2.0, 2.1, 4), 4)
-    assert len(seeds) >= 4
-    assert len(over_u_v.equations.curves_through(seeds)) == 1
-
-
-def test_a_dead_zone_is_part_of_rest() -> None:
+def test_a_dead_zone_is_part_of_rest_and_leaves_no_rounding_in_hover() -> None:
     model = ExtendedModel(NEWTONIAN, "dead", DeadZone(rotor="main", width=0.2))
     both = proofs_at(prover_of(model, "u_v"), [0.19, 1.2]), proofs_at(SHARED, [0.0, 1.0])
     for one, other in zip(*both, strict=True):
         np.testing.assert_allclose(one.enclosed[0].x.middle, other.enclosed[0].x.middle, atol=1e-9)
+    hover = asked(model, over=("u_v",)).results["named"][1]
+    assert hover["inputs"]["u_h"] == 0.0
+    assert abs(hover["quantities"]["current_tail"]) < 1e-12
 
 
 def test_a_curve_goes_around_the_corners_of_a_dead_zone() -> None:
@@ -373,14 +373,19 @@ def test_all_roots_of_a_polynomial_are_found_and_proved(places: list[int]) -> No
         assert found.box.width[k, 0] < 1e-9
 
 
-def test_a_root_on_the_border_of_two_boxes_is_one_root() -> None:
+def test_roots_on_borders_outside_at_kinks_and_double_ones() -> None:
     found = solved(Z * (Z**2 + 1), Z, (-4.0, 4.0))
     assert found.unique.tolist() == [True]
     assert found.box.contains(0.0).all()
     assert len(solved(Z**2 + 0.01, Z, (-2.0, 2.0)).owner) == 0  # nothing where there is nothing
-
-
-def test_a_double_root_is_not_called_one_root() -> None:
+    # Outside the box, and on its edge.
+    assert len(solved(Z - 2.05, Z, (-2.0, 2.0)).owner) == 0
+    assert solved(Z - 2.0, Z, (-2.0, 2.0)).unique.tolist() in ([True], [False])
+    # A kink has the slopes of both sides.
+    found = solved(ca.if_else(Z >= 0, 1.0, 5.0) * Z + 0.5, Z, (-2.0, 2.0))
+    assert found.unique.tolist() == [True]
+    np.testing.assert_allclose(found.box.middle, [[-0.1]], atol=1e-12)
+    # A double root is not called one root.
     found = solved(Z**2 * (Z - 1), Z, (-2.0, 2.0))
     assert found.unique.tolist() == [False, True]
     assert abs(found.box.middle[0, 0]) < 1e-6
@@ -389,17 +394,13 @@ def test_a_double_root_is_not_called_one_root() -> None:
     assert thrust.exists.tolist() == [True] and thrust.unique.tolist() == [False]
 
 
-def test_two_unknowns_of_a_circle_and_a_line() -> None:
-    expression = ca.vertcat(ZZ[0] ** 2 + ZZ[1] ** 2 - 1, ZZ[0] - ZZ[1] * 2)
-    found = solved(expression, ZZ, (-2.0, 2.0))
+def test_a_circle_and_a_line_have_two_roots_and_a_tangent_is_left_undecided() -> None:
+    circle = ZZ[0] ** 2 + ZZ[1] ** 2 - 1
+    found = solved(ca.vertcat(circle, ZZ[0] - ZZ[1] * 2), ZZ, (-2.0, 2.0))
     assert found.unique.tolist() == [True, True]
     reached = np.sort(found.box.middle[:, 1])
     np.testing.assert_allclose(reached, [-1 / np.sqrt(5), 1 / np.sqrt(5)], rtol=1e-9)
-
-
-def test_a_tangent_is_left_undecided() -> None:
-    expression = ca.vertcat(ZZ[0] ** 2 + ZZ[1] ** 2 - 1, ZZ[0] - 1)
-    found = solved(expression, ZZ, (-2.0, 2.0))
+    found = solved(ca.vertcat(circle, ZZ[0] - 1), ZZ, (-2.0, 2.0))
     assert len(found.owner) >= 1
     assert not found.unique.any()
     np.testing.assert_allclose(found.box.middle[0], [1.0, 0.0], atol=1e-4)
@@ -423,12 +424,91 @@ def test_what_is_given_as_an_interval_is_proved_for_all_of_it() -> None:
     assert 2 not in found.owner
 
 
-def test_a_root_outside_the_box_is_not_counted() -> None:
-    assert len(solved(Z - 2.05, Z, (-2.0, 2.0)).owner) == 0
-    assert solved(Z - 2.0, Z, (-2.0, 2.0)).unique.tolist() in ([True], [False])
+def test_what_nothing_returns_is_marginal() -> None:
+    found = asked(Tras(), over=("u_v",))
+    assert "(marginal)" in found.lead[0] and "(stable)" not in " ".join(found.lead)
+    assert {point["verdict"] for point in found.results["named"]} == {"marginal"}
 
 
-def test_a_kink_has_the_slopes_of_both_sides() -> None:
-    found = solved(ca.if_else(Z >= 0, 1.0, 5.0) * Z + 0.5, Z, (-2.0, 2.0))
-    assert found.unique.tolist() == [True]
-    np.testing.assert_allclose(found.box.middle, [[-0.1]], atol=1e-12)
+def test_rest_and_hover_outside_the_box_are_left_out() -> None:
+    found = asked(NEWTONIAN, box={"alpha_v": (2.0, 3.0)})
+    assert not found.results["named"]
+    told = " ".join(found.warnings)
+    assert "rest lies outside the box" in told and "hover lies outside the box" in told
+    assert "held at α_v = 0 rad, outside the box" in told
+
+
+def test_the_study_of_both_commands_as_figures_and_as_json() -> None:
+    found = asked(NEWTONIAN, map=True)
+    charts = {chart.name: chart for chart in found.charts}
+    assert list(charts) == ["equilibria_u_v", "equilibria_u_h", "equilibria_map"]
+    drawn = as_data(charts["equilibria_u_v"])
+    assert [panel["y"]["label"] for panel in drawn["panels"]] == ["α_v", "ω_v"]
+    labels = {mark.get("label") for mark in drawn["panels"][0]["marks"]}
+    assert {"stable", "unstable", "proved", "fold", "stop"} <= labels
+    notes = {m.text: m for m in charts["equilibria_u_v"].panels[0].marks if isinstance(m, Note)}
+    assert notes["hover"].x > 1.413 and notes["hover"].y < -0.1  # beneath a curve that rises
+    results = json.loads(json.dumps(found.results, allow_nan=False))
+    survey = results["surveys"][0]
+    assert survey["over"] == "u_v" and len(survey["proofs"]) == 5
+    assert all(proof["complete"] and proof["agrees_with_curves"] for proof in survey["proofs"])
+    fold = next(one for one in survey["landmarks"] if one["kind"] == "fold")
+    assert abs(fold["input"] - 2.2272) < 1e-4
+    assert [point["name"] for point in results["named"]] == ["rest", "hover"]
+    (warning,) = set(found.warnings)
+    assert "mean of both" in warning and "α_h = 0" in warning
+    curve = survey["curves"][0]
+    assert len(curve["states"]["alpha_v"]) == len(curve["growing"]) == len(curve["inputs"]["u_v"])
+
+
+def test_special_points_and_ranges_of_ones_own() -> None:
+    found = asked(
+        Newtonian(freedom="vertical"),
+        special={"nose up": {"alpha_v": 0.4}},
+        range={"u_v": (0.0, 2.3)},
+        box={"alpha_v": (-0.7, 1.0)},
+    )
+    named = {point["name"]: point for point in found.results["named"]}
+    assert abs(named["nose up"]["states"]["alpha_v"] - 0.4) < 1e-9
+    survey = found.results["surveys"][0]
+    assert survey["range"] == [0.0, 2.3]
+    assert survey["box"]["alpha_v"] == [-0.7, 1.0]
+    assert survey["curves"][0]["ends"] == ["end of the range", "alpha_v = 1 rad"]
+
+
+def test_a_beam_driven_by_its_rotors_speeds() -> None:
+    model = DrivenModel(NEWTONIAN, ("omega_v", "omega_h"))
+    with pytest.raises(ModelError, match="have no limits"):
+        asked(model)
+    found = asked(model, over=("omega_v",), range={"omega_v": (0.0, 300.0)})
+    fold = next(one for one in found.results["surveys"][0]["landmarks"] if one["kind"] == "fold")
+    assert abs(fold["input"] - 257.654) < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("keys", "where"),
+    [
+        ({"over": ("u_x",)}, "study.over"),
+        ({"over": ()}, "study.over"),
+        ({"range": {"u_v": (1.0, 1.0)}}, "study.range.u_v"),
+        ({"range": {"uv": (0.0, 1.0)}}, "study.range"),
+        ({"at": {"alpha_h": 0.0}}, "study.at"),
+        ({"box": {"alpha_h": (-1.0, 1.0)}}, "study.box.alpha_h"),
+        ({"at": {"alpha_v": 5.0}}, "study.at.alpha_v"),
+        ({"box": {"alpha_v": (1.0, -1.0)}}, "study.box.alpha_v"),
+        ({"special": {"far": {"alpha_v": 2.0}}}, "study.special.far"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(keys: dict[str, object], where: str) -> None:
+    with pytest.raises(TrmsError) as refused:
+        asked(Newtonian(freedom="vertical"), **keys)
+    assert refused.value.where == where
+    assert refused.value.remedy
+
+
+def test_an_upright_beam_in_the_box_is_told() -> None:
+    with pytest.raises(ModelError, match="may be singular"):
+        asked(Lagrangian(), box={"alpha_v": (-1.6, 1e9)}, over=("u_v",))
+    with pytest.raises(ModelError, match="beam upright") as refused:
+        asked(QuanserAero(), box={"alpha_v": (-3.0, 3.0)})
+    assert refused.value.where == "study.box.alpha_v"

@@ -51,16 +51,6 @@ LINEAR = friction_loop(RIG, LOOP, PID, POINT, "pitch")
 LAW = frictions_of(RIG)[0].law
 
 
-@pytest.fixture(scope="module")
-def prediction():
-    return predict(StickSlip(LINEAR, LAW))
-
-
-@pytest.fixture(scope="module")
-def run():
-    return axis_run(RIG, LOOP, POINT, "pitch", 0.03, 120.0)
-
-
 def test_the_friction_is_read_with_the_sizes_in_force():
     (friction,) = frictions_of(with_sizes(RIG, {"friction.torque": 0.007}))
     assert friction.axis == "pitch" and friction.law == FrictionLaw(0.007, 1.0, 0.02)
@@ -133,18 +123,24 @@ def test_a_stick_lasts_until_the_integral_has_reached_the_breakaway_moment():
     assert events.ramp(0.2) == pytest.approx([0.2, 0.0, 1.5], rel=1e-9)
 
 
-def test_the_map_of_coulomb_friction_is_a_straight_line_below_the_diagonal():
+def test_coulomb_friction_alone_does_not_hunt():
+    # Its map is a straight line below the diagonal.
     events = StickSlip(LINEAR, FrictionLaw(0.02))
     ratios = [events.next_error(e) / e for e in (1e-3, 1e-2, 1e-1)]
     assert ratios == pytest.approx([ratios[0]] * 3, rel=1e-5)
     assert abs(ratios[0]) < 0.5
     found = predict(events)
     assert found.cycle is None and found.threshold is None
+    rig = with_sizes(RIG, {"friction.excess": 0.0})
+    for push in (0.02, 0.1):
+        seen = axis_run(rig, LOOP, POINT, "pitch", push, 60.0)
+        assert seen.verdict == "rest" and seen.swing < 1e-4
 
 
-def test_the_predicted_cycle_is_a_fixed_point_that_attracts(prediction):
-    cycle = prediction.cycle
+def test_the_predicted_cycle_attracts_and_stiction_hunts_as_predicted_above_its_threshold():
     events = StickSlip(LINEAR, LAW)
+    prediction = predict(events)
+    cycle = prediction.cycle
     half = events.half(cycle.half.start)
     assert half.end == pytest.approx(-cycle.half.start, rel=1e-5, abs=1e-9)
     assert cycle.stable and cycle.period == pytest.approx(2 * (half.stick + half.slip))
@@ -152,30 +148,18 @@ def test_the_predicted_cycle_is_a_fixed_point_that_attracts(prediction):
     e = cycle.swing / 2
     slope = (events.next_error(1.02 * e) - events.next_error(0.98 * e)) / (0.04 * e)
     assert slope**2 == pytest.approx(abs(cycle.multipliers[0]), rel=0.2)
-
-
-def test_stiction_hunts_as_predicted(prediction, run):
-    assert run.hunts and prediction.cycle is not None
-    assert prediction.cycle.swing == pytest.approx(run.swing, rel=0.03)
-    assert prediction.cycle.period == pytest.approx(run.period, rel=0.04)
-    assert prediction.cycle.stuck == pytest.approx(run.stuck_share, abs=0.05)
-
-
-def test_below_the_threshold_it_rests_and_above_it_hunts(prediction):
-    """The threshold of the map, tried in simulation: a stick at an error is where a run begins."""
+    # In simulation it hunts as predicted.
+    run = axis_run(RIG, LOOP, POINT, "pitch", 0.03, 120.0)
+    assert run.hunts and cycle.swing == pytest.approx(run.swing, rel=0.03)
+    assert cycle.period == pytest.approx(run.period, rel=0.04)
+    assert cycle.stuck == pytest.approx(run.stuck_share, abs=0.05)
+    # The threshold of the map, tried in simulation: a stick at an error is where a run begins.
     below, above = (
         axis_run(RIG, LOOP, POINT, "pitch", share * prediction.threshold, 160.0)
         for share in (0.6, 1.5)
     )
-    assert not below.hunts and below.swing < 0.1 * prediction.cycle.swing
-    assert above.hunts and above.swing == pytest.approx(prediction.cycle.swing, rel=0.03)
-
-
-def test_coulomb_friction_alone_does_not_hunt():
-    rig = with_sizes(RIG, {"friction.excess": 0.0})
-    for push in (0.02, 0.1):
-        seen = axis_run(rig, LOOP, POINT, "pitch", push, 60.0)
-        assert seen.verdict == "rest" and seen.swing < 1e-4
+    assert not below.hunts and below.swing < 0.1 * cycle.swing
+    assert above.hunts and above.swing == pytest.approx(cycle.swing, rel=0.03)
 
 
 def test_slips_between_sticks():

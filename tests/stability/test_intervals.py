@@ -76,10 +76,13 @@ BINARY = {
     "nested": ca.if_else(a >= 0, ca.if_else(b >= 0, a, a * b), ca.if_else(b >= 0, b, 1.0)),
     "clipped": ca.fmin(ca.fmax(a * b, -1.0), 1.0),
 }
-FUNCTIONS = {
-    name: ca.Function("tested", [x], [expression])
-    for name, expression in {**UNARY, **BINARY}.items()
-}
+
+
+def of(expression: ca.SX, *symbols: ca.SX) -> ca.Function:
+    return ca.Function("tested", list(symbols), [expression])
+
+
+FUNCTIONS = {name: of(expression, x) for name, expression in {**UNARY, **BINARY}.items()}
 ENCLOSURES = {name: Enclosure(function) for name, function in FUNCTIONS.items()}
 ends = st.floats(-3.0, 3.0, allow_nan=False)
 
@@ -105,9 +108,7 @@ def holds(bounds: Interval, values: np.ndarray) -> bool:
 @pytest.mark.parametrize("name", list(FUNCTIONS))
 @settings(max_examples=25, deadline=None)
 @given(corners=st.tuples(ends, ends, ends, ends), seed=st.integers(0, 999))
-def test_each_operation_bounds_its_values(
-    name: str, corners: tuple[float, float, float, float], seed: int
-) -> None:
+def test_each_operation_bounds_its_values(name, corners, seed) -> None:
     function = FUNCTIONS[name]
     box = box_of(*corners)
     values = np.array(function(points_of(box, 25, seed).T)).T
@@ -116,13 +117,9 @@ def test_each_operation_bounds_its_values(
 
 @settings(max_examples=60, deadline=None)
 @given(corners=st.tuples(ends, ends, ends, ends), seed=st.integers(0, 999))
-def test_mean_value_form_bounds_and_is_no_wider(
-    corners: tuple[float, float, float, float], seed: int
-) -> None:
-    expression = ca.vertcat(
-        ca.sin(a) * b - a * ca.fabs(a) + a, ca.if_else(a >= 0, 2.0, 3.0) * a + b**3 - b
-    )
-    function = ca.Function("tested", [x], [expression])
+def test_mean_value_form_bounds_and_is_no_wider(corners, seed) -> None:
+    bent = ca.if_else(a >= 0, 2.0, 3.0) * a + b**3 - b
+    function = of(ca.vertcat(ca.sin(a) * b - a * ca.fabs(a) + a, bent), x)
     enclosure = Enclosure(function)
     box = box_of(*corners)
     tight, natural = enclosure.mean_value(box), enclosure(box)[0]
@@ -131,18 +128,15 @@ def test_mean_value_form_bounds_and_is_no_wider(
 
 
 def test_mean_value_form_is_tighter_on_small_boxes() -> None:
-    function = ca.Function("tested", [x], [ca.sin(a) - a + b * (b - 1)])
-    enclosure = Enclosure(function)
+    enclosure = Enclosure(of(ca.sin(a) - a + b * (b - 1), x))
     box = Interval.of([[0.40, 0.30]], [[0.41, 0.31]])
     natural, tight = enclosure(box)[0].width, enclosure.mean_value(box).width
     assert tight[0, 0] < 0.5 * natural[0, 0]
 
 
 def test_a_decided_switch_takes_its_branch_alone() -> None:
-    function = ca.Function("tested", [x], [ca.if_else(a >= 0, 10.0 + b, -10.0 + b)])
-    bounds = Enclosure(function)(
-        Interval.of([[1.0, 0.0], [-2.0, 0.0], [-1.0, 0.0]], [[2.0, 1.0], [-1.0, 1.0], [1.0, 1.0]])
-    )[0]
+    box = Interval.of([[1.0, 0.0], [-2.0, 0.0], [-1.0, 0.0]], [[2.0, 1.0], [-1.0, 1.0], [1.0, 1.0]])
+    bounds = Enclosure(of(ca.if_else(a >= 0, 10.0 + b, -10.0 + b), x))(box)[0]
     np.testing.assert_allclose(bounds.lower[:, 0], [10.0, -10.0, -10.0], atol=1e-12)
     np.testing.assert_allclose(bounds.upper[:, 0], [11.0, -9.0, 11.0], atol=1e-12)
 
@@ -158,7 +152,7 @@ def test_bounds_that_are_infinite_stay_bounds() -> None:
     assert not np.any(np.isnan([product.lower, product.upper, inverse.lower, inverse.upper]))
 
 
-def test_rounding_goes_outwards() -> None:
+def test_rounding_goes_outwards_and_sine_finds_its_crests() -> None:
     third = Interval.point([1.0]) / Interval.point([3.0])
     # 3 · (1/3) is 1 in floating point; the bounds are on both sides of the number itself.
     back = third * Interval.point([3.0])
@@ -166,9 +160,6 @@ def test_rounding_goes_outwards() -> None:
     assert back.lower[0] < 1.0 < back.upper[0]
     tenth = Interval.point([0.1]) + Interval.point([0.2])
     assert tenth.lower[0] < 0.1 + 0.2 < tenth.upper[0]
-
-
-def test_sine_finds_its_crests() -> None:
     box = Interval.of([1.0, 1.6, -10.0, 4.0], [1.6, 3.0, 10.0, 5.0])
     sine = box.sine()
     assert sine.upper[0] == 1.0 and sine.lower[0] <= np.sin(1.0)
@@ -215,18 +206,11 @@ def _enclosures(name: str) -> tuple[Enclosure, Enclosure]:
     return Enclosure(function), Enclosure(slopes)
 
 
-def of(expression: ca.SX, *symbols: ca.SX) -> ca.Function:
-    return ca.Function("f", list(symbols), [expression])
-
-
-X = ca.SX.sym("x", 2)
-
-
 def test_a_true_claim_is_proved_up_to_its_edge_and_a_false_one_has_a_state_where_it_fails() -> None:
-    f = of(X[0] ** 2 + X[1] ** 2 - 2.001, X)
+    f = of(x[0] ** 2 + x[1] ** 2 - 2.001, x)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0])
     assert proof.holds and len(proof.left.lower) == 0 and proof.point is None
-    f = of(X[0] ** 2 + X[1] ** 2 - 1.99, X)
+    f = of(x[0] ** 2 + x[1] ** 2 - 1.99, x)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0])
     assert proof.status == "counterexample"
     assert proof.point is not None and proof.value is not None
@@ -235,7 +219,7 @@ def test_a_true_claim_is_proved_up_to_its_edge_and_a_false_one_has_a_state_where
 
 
 def test_the_budget_ends_the_search_and_tells_what_is_left() -> None:
-    f = of(2 * X[0] * X[1] - X[0] ** 2 - X[1] ** 2 - 1e-9, X)
+    f = of(2 * x[0] * x[1] - x[0] ** 2 - x[1] ** 2 - 1e-9, x)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0], budget=300)
     assert proof.status == "undecided" and proof.examined <= 300
     assert len(proof.left.lower) > 0
@@ -244,27 +228,22 @@ def test_the_budget_ends_the_search_and_tells_what_is_left() -> None:
     assert np.all(np.abs(middle[:, 0] - middle[:, 1]) < 0.5)
 
 
-def test_all_rows_must_be_negative_and_given_values_are_used() -> None:
+def test_all_rows_must_be_negative_given_values_are_used_and_a_jump_is_not_smoothed_away() -> None:
     c = ca.SX.sym("c")
-    f = of(ca.vertcat(X[0] - c, X[1] - 2 * c), X, c)
+    f = of(ca.vertcat(x[0] - c, x[1] - 2 * c), x, c)
     assert prove_negative(f, [0.0, 0.0], [1.0, 1.5], given=[1.01]).holds
     assert not prove_negative(f, [0.0, 0.0], [1.0, 2.5], given=[1.01]).holds
-
-
-def test_a_jump_is_not_smoothed_away() -> None:
     # Its derivative is zero everywhere: the mean value form alone would call it negative.
-    f = of(ca.sign(X[0] - 0.4) - 0.5, X)
+    f = of(ca.sign(x[0] - 0.4) - 0.5, x)
     assert prove_negative(f, [0.0, 0.0], [1.0, 1.0]).status == "counterexample"
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(-2, 2), min_size=3, max_size=3), st.floats(-1.0, 1.0))
-def test_proofs_and_counterexamples_agree_with_a_dense_search(
-    coefficients: list[float], offset: float
-) -> None:
+def test_proofs_and_counterexamples_agree_with_a_dense_search(coefficients, offset) -> None:
     a, b, c = coefficients
-    expression = a * ca.sin(3 * X[0]) * X[1] + b * X[0] * ca.fabs(X[0]) + c * X[1] ** 3 + offset
-    f = of(expression, X)
+    expression = a * ca.sin(3 * x[0]) * x[1] + b * x[0] * ca.fabs(x[0]) + c * x[1] ** 3 + offset
+    f = of(expression, x)
     grid = np.stack(np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41)), -1).reshape(-1, 2)
     largest = float(np.array(f(grid.T)).max())
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0], budget=20_000)

@@ -152,27 +152,23 @@ def test_linearisation_is_that_of_the_vector_field():
         assert np.allclose(found.a[:, j], slope / (2 * h), rtol=1e-4, atol=1e-5)
 
 
-def test_double_eigenvalues_with_and_without_enough_eigenvectors():
+def test_double_eigenvalues_with_and_without_enough_eigenvectors_and_beside_others():
     parts = (RigPart("pitch", "angle"), RigPart("pitch", "rate"))
     chained = modes_of_matrix(np.array([[0.0, 1.0], [0.0, 0.0]]), parts)
     (mode,) = chained.modes
     assert mode.multiplicity == 2 and mode.defective
     assert mode.verdict == chained.verdict == "unstable"  # grows with t
-    separate = modes_of_matrix(
-        np.diag([-2.0, -2.0]), (RigPart("main rotor"), RigPart("tail rotor"))
-    )
+    rotors = RigPart("main rotor"), RigPart("tail rotor")
+    separate = modes_of_matrix(np.diag([-2.0, -2.0]), rotors)
     (mode,) = separate.modes
     assert mode.multiplicity == 2 and not mode.defective
     assert mode.participation == pytest.approx([0.5, 0.5])
     slow = modes_of_matrix(np.array([[-1.0, 1.0], [0.0, -1.0]]), parts)
     assert slow.modes[0].defective and slow.verdict == "stable"
-
-
-def test_a_double_pole_beside_others_takes_part_as_its_projector_says():
-    # Two rotors of equal lag drive one free axis.
+    # Two rotors of equal lag drive one free axis: the pole takes part as its projector says.
     a = np.array([[-20.0, 0, 0, 0], [0, -20.0, 0, 0], [1.0, 2.0, -0.4, 0], [0, 0, 1.0, 0]])
     yaw = RigPart("yaw", "rate"), RigPart("yaw", "angle")
-    modes = modes_of_matrix(a, (RigPart("main rotor"), RigPart("tail rotor"), *yaw)).modes
+    modes = modes_of_matrix(a, (*rotors, *yaw)).modes
     names = ["main rotor and tail rotor together", "yaw rate", "yaw free"]
     assert [mode.name for mode in modes] == names
     assert modes[0].participation == pytest.approx([0.5, 0.5, 0, 0], abs=1e-9)
@@ -203,7 +199,7 @@ def test_tracks_keep_their_mode_where_eigenvalues_pass_each_other():
     assert rows[0] == rows[1]
 
 
-def test_the_sweep_ends_where_the_equilibrium_does():
+def test_a_sweep_passes_a_rotor_at_standstill_and_ends_where_the_equilibrium_does():
     model = Newtonian(freedom="vertical")
     sweep = sweep_eigenvalues(OperatingPath(model, {}, "u_v"), -1.0, 2.5, 15)
     assert sweep.values[-1] == pytest.approx(2.23, abs=5e-3)
@@ -211,9 +207,6 @@ def test_the_sweep_ends_where_the_equilibrium_does():
     # At the fold the stiffness of pitch, the product of its two eigenvalues, goes to zero.
     stiffness = [np.prod(np.sort(np.abs(row))[:2]) for row in sweep.eigenvalues]
     assert stiffness[-1] < 2e-3 * np.abs(sweep.eigenvalues[0]).max() ** 2
-
-
-def test_a_sweep_passes_a_rotor_at_standstill():
     sweep = sweep_eigenvalues(OperatingPath(Newtonian(), {}, "alpha_v"), -0.8, 0.2, 11)
     assert len(sweep.places) >= 11 and not sweep.low and not sweep.high
     rest = min(sweep.places, key=lambda place: abs(place.value + 0.6194))
@@ -292,13 +285,10 @@ def growth_in_simulation(alpha_v, duration=240.0):
     return np.polyfit(tops * 0.02, np.log(swing[tops]), 1)[0]
 
 
-def test_small_swings_across_the_switch_grow_as_the_mean_of_both_slopes_says():
+def test_small_swings_across_the_switch_grow_as_the_eigenvalue_of_the_mean_of_both_slopes_says():
     # The crossing is at 0.3396 and 0.3541 rad with the slopes of either side, at 0.3468 with the
     # mean; the simulated swing decides for the mean, to 2 mrad.
     assert growth_in_simulation(0.3447) < 0 < growth_in_simulation(0.3489)
-
-
-def test_the_growth_of_a_simulated_swing_is_that_of_its_eigenvalue():
     modes = modes_at(RAHIDEH, {"alpha_v": 0.4})
     pitch = by_name(modes)["pitch swing"]
     assert growth_in_simulation(0.4, 120.0) == pytest.approx(pitch.real, rel=0.05)

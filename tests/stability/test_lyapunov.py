@@ -66,6 +66,7 @@ def run(model: Model, **options: object) -> Findings:
 
 
 HOVER = (("alpha_v", 0.0),)
+VERTICAL = Newtonian(freedom="vertical")
 
 
 def test_horizontal_is_globally_stable_at_any_command() -> None:
@@ -143,7 +144,7 @@ def test_v_falls_at_random_states_of_the_outer_set() -> None:
 
 def test_dry_friction_only_helps_and_the_conclusion_is_a_set_of_rests() -> None:
     friction = {"pitch_coulomb_friction": CoulombFriction(axis="pitch", torque=0.002)}
-    found = run(extend_model(Newtonian(freedom="vertical"), friction), at={"alpha_v": 0.0})
+    found = run(extend_model(VERTICAL, friction), at={"alpha_v": 0.0})
     assert found.results["holds"]
     assert "friction holds it" in found.lead[1]
     attracts = next(c for c in found.results["claims"] if c["name"] == "attracts")
@@ -152,26 +153,20 @@ def test_dry_friction_only_helps_and_the_conclusion_is_a_set_of_rests() -> None:
         run(extend_model(Newtonian(), friction), at={"alpha_v": 0.0, "alpha_h": 0.3})
 
 
-def test_sensors_change_nothing() -> None:
+def test_the_findings_carry_sets_claims_and_figures_and_sensors_change_nothing() -> None:
     bias = {"pitch_sensor_bias": SensorBias(axis="pitch", bias=0.1)}
-    found = run(extend_model(Newtonian(freedom="vertical"), bias), at={"alpha_v": 0.0})
-    without = run(Newtonian(freedom="vertical"), at={"alpha_v": 0.0})
-    assert found.results["holds"] and found.results == without.results
-
-
-def test_the_findings_carry_sets_claims_and_figures() -> None:
-    found = run(Newtonian(freedom="vertical"), at={"alpha_v": 0.0})
+    found, biased = (
+        run(model, at={"alpha_v": 0.0}) for model in (VERTICAL, extend_model(VERTICAL, bias))
+    )
+    assert found.results == biased.results
     data = found.results
     assert data["function"] == "energy" and data["holds"]
     assert data["N"]["level"] > data["N_prime"]["level"] > 0
     low, high = data["N_prime"]["extent"]["alpha_v"]
     assert -1.05 <= low < 0 < high <= 1.05
     assert {c["name"] for c in data["claims"]} >= {"positive", "falls", "kept", "attracts", "seen"}
-    assert {chart.name for chart in found.charts} == {
-        "lyapunov_well",
-        "lyapunov_sets",
-        "lyapunov_decay",
-    }
+    drawn = {chart.name for chart in found.charts}
+    assert drawn == {"lyapunov_well", "lyapunov_sets", "lyapunov_decay"}
     assert all(real < 0 for real, _ in data["eigenvalues"])
 
 
@@ -183,7 +178,6 @@ def test_an_unstable_point_is_told_from_a_function_that_fails() -> None:
     assert any("region_of_attraction" in line for line in stable.lead)
 
 
-VERTICAL = Newtonian(freedom="vertical")
 INFLOW = {"main_inflow": Inflow(rotor="main", coefficient=0.1)}
 
 

@@ -201,7 +201,7 @@ def vanishes(expression: sp.Expr) -> bool:
     return bool(sp.expand(rest) == 0)
 
 
-def test_horizontal_energy_falls_by_friction_and_the_lacking_thrust() -> None:
+def test_the_energy_of_one_axis_falls_by_friction_and_the_lacking_thrust() -> None:
     J = sp.Symbol("J", positive=True)
     thrust = k_c * A_h / (l_t * W_h**2)  # the balance at the equilibrium: l_t F̄ = k_c ᾱ
     V = J * S_h**2 / 2 + k_c * (a_h - A_h) ** 2 / 2 + c_h * stored(w_h, b_h, d_h, W_h)
@@ -209,9 +209,7 @@ def test_horizontal_energy_falls_by_friction_and_the_lacking_thrust() -> None:
     rates = {w_h: -s_h, S_h: moment / J, a_h: S_h}
     claimed = -k_oh * S_h**2 + l_t * (F_h - F_h0) * S_h - c_h * s_h**2
     assert sp.simplify((along(V, rates) - claimed).subs(f_h, thrust)) == 0
-
-
-def test_vertical_energy_falls_by_friction_and_the_lacking_thrust() -> None:
+    # The vertical axis, with gravity in place of the cable.
     U = G * (sp.cos(A_v + delta) - sp.cos(a_v + delta) - sp.sin(A_v + delta) * (a_v - A_v))
     V = J_v * S_v**2 / 2 + U + c_v * stored(w_v, b_v, d_v, W_v)
     moment = l_m * (F_v - F_v0) + G * sp.sin(A_v + delta) - G * sp.sin(a_v + delta) - k_ov * S_v
@@ -220,26 +218,26 @@ def test_vertical_energy_falls_by_friction_and_the_lacking_thrust() -> None:
     assert sp.simplify(along(V, rates) - claimed) == 0
 
 
-def test_the_square_is_complete_where_the_weight_is_large_enough() -> None:
+def test_the_square_is_complete_and_lacking_thrust_is_bounded_by_settling() -> None:
     """With F − F̄ = ψ s: V̇ = −(√k Ω − l ψ s / 2√k)² − (c − (l ψ)²/4k) s²."""
     k, level, psi, s, rate, c = sp.symbols("k l psi s Omega c", positive=True)
     form = -k * rate**2 + level * psi * s * rate - c * s**2
     square = -((sp.sqrt(k) * rate - level * psi * s / (2 * sp.sqrt(k))) ** 2)
     assert sp.simplify(form - square + (c - (level * psi) ** 2 / (4 * k)) * s**2) == 0
-
-
-def test_lacking_thrust_is_bounded_by_settling_at_all_speeds() -> None:
-    """F'/s' = 2 k_f ω/(b + 2 d ω) rises to k_f/d and never reaches it."""
+    # F'/s' = 2 k_f ω/(b + 2 d ω) rises to k_f/d and never reaches it.
     w, b, d, f = sp.symbols("w b d f", positive=True)
     ratio = sp.diff(f * w**2, w) / sp.diff(b * w + d * w**2, w)
     assert sp.simplify(f / d - ratio - f * b / (d * (b + 2 * d * w))) == 0
     assert sp.limit(ratio, w, sp.oo) == f / d
 
 
-def newtonian() -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr], sp.Expr]:
-    """V, the rates, and the claimed V̇ with cross terms, of the Newtonian model."""
-    J = D * sp.cos(a_v) ** 2 + E * sp.sin(a_v) ** 2 + F
-    O_h, O_v = S_h + k_m * w_v * sp.cos(a_v) / J, S_v + k_t * w_h / J_v
+#: Inertia of yaw, and the rates of the angles.
+J = D * sp.cos(a_v) ** 2 + E * sp.sin(a_v) ** 2 + F
+O_h, O_v = S_h + k_m * w_v * sp.cos(a_v) / J, S_v + k_t * w_h / J_v
+
+
+def newtonian() -> tuple[sp.Expr, sp.Expr]:
+    """V̇ derived and as it is claimed, with cross terms, of the Newtonian model."""
     x_h, x_v = a_h - A_h, a_v - A_v
     # Restoring moments: any functions of their own angle, U' = g(α) − g(ᾱ).
     g_v, U_v = sp.Symbol("g_v"), sp.Function("U_v")(a_v)
@@ -271,12 +269,20 @@ def newtonian() -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr], sp.Expr]:
     claimed = spent + lacking + moving + rates_of
     claimed += gamma * e_h * x_h * yaw_of + e_v * x_v * pitch_of
     V_slope = {sp.Derivative(U_v, a_v): g_v}
-    return along(V, rates).subs(V_slope), rates, claimed
+    return along(V, rates).subs(V_slope), claimed
 
 
-def test_two_axes_newtonian_with_cross_terms() -> None:
-    derived, _, claimed = newtonian()
+def test_two_axes_newtonian_with_cross_terms_of_which_one_does_not_cancel() -> None:
+    derived, claimed = newtonian()
     assert vanishes(derived - claimed)
+    # What is left over, ½ (E − D − H) sin 2α Ω_h² Ω_v, is all that H does; it would be gone with
+    # H = D − E and the moment −J_h' Ω_v Ω_h, which that model lacks.
+    left = (E - D - H) * sp.sin(2 * a_v) * O_h**2 * O_v / 2
+    energy = claimed.subs({gamma: 1, e_h: 0, e_v: 0})
+    assert vanishes(sp.diff(energy - left, H))
+    assert not vanishes(left.subs(H, D - E))
+    power_of_what_lacks = -sp.diff(J, a_v) * O_v * O_h * O_h
+    assert vanishes(left.subs(H, D - E) + power_of_what_lacks)
 
 
 def test_two_axes_lagrangian_coriolis_terms_have_no_power() -> None:
@@ -310,20 +316,6 @@ def test_two_axes_lagrangian_coriolis_terms_have_no_power() -> None:
     assert sp.simplify(M_dot - C - C.T) == sp.zeros(2, 2)
 
 
-def test_the_newtonian_terms_that_should_cancel_do_not() -> None:
-    """What is left over, ½ (E − D − H) sin 2α Ω_h² Ω_v, is all that H does; it would be gone with
-    H = D − E and the moment −J_h' Ω_v Ω_h, which that model lacks."""
-    _, _, claimed = newtonian()
-    J = D * sp.cos(a_v) ** 2 + E * sp.sin(a_v) ** 2 + F
-    O_h, O_v = S_h + k_m * w_v * sp.cos(a_v) / J, S_v + k_t * w_h / J_v
-    left = (E - D - H) * sp.sin(2 * a_v) * O_h**2 * O_v / 2
-    energy = claimed.subs({gamma: 1, e_h: 0, e_v: 0})
-    assert vanishes(sp.diff(energy - left, H))
-    assert not vanishes(left.subs(H, D - E))
-    power_of_what_lacks = -sp.diff(J, a_v) * O_v * O_h * O_h
-    assert vanishes(left.subs(H, D - E) + power_of_what_lacks)
-
-
 FORMS: list[Any] = [
     pytest.param(kind, freedom, at, weights, id=f"{kind.__name__}-{freedom}-{name}")
     for kind in (Newtonian, Lagrangian)
@@ -340,9 +332,7 @@ FORMS: list[Any] = [
 
 
 @pytest.mark.parametrize(("kind", "freedom", "at", "weights"), FORMS)
-def test_the_form_is_the_derivative_along_the_models_own_equations(
-    kind: type, freedom: str, at: dict[str, float], weights: EnergyWeights
-) -> None:
+def test_the_form_is_the_derivative_along_the_models_own_equations(kind, freedom, at, weights):
     parameters = "bench" if kind is Newtonian else "tastemirov"
     model = kind(freedom=freedom, parameter_set=parameters)
     point = operating_point(model, at)
@@ -350,15 +340,12 @@ def test_the_form_is_the_derivative_along_the_models_own_equations(
     assert identity_residual(candidate, seed=3, states=60) < 1e-8
 
 
-def test_a_saturated_interface_is_part_of_the_rotor() -> None:
+def test_a_saturated_interface_is_part_of_the_rotor_and_yaw_may_be_weighed() -> None:
     model = Newtonian(main_voltage_limit=8.0)
     point = operating_point(model, {"u_v": 1.4})
     assert point.x[model.state_index("alpha_v")] < -0.2  # 8 V of the 11.9 V asked for
     candidate = EnergyCandidate(Energy(model, point.u), point.x, EnergyWeights(2e-3, 1e-3))
     assert identity_residual(candidate, seed=3, states=60) < 1e-8
-
-
-def test_yaw_may_be_weighed_in_the_newtonian_model() -> None:
     model = Newtonian()
     point = operating_point(model, {"alpha_v": 0.2})
     energy = Energy(model, point.u)

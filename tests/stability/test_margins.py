@@ -54,12 +54,19 @@ MARKERS = ("triangle", "square")
 
 
 class TestOneLoop:
-    def test_an_integrator_loses_ninety_degrees_at_the_most(self):
+    def test_an_integrator_loses_ninety_degrees_and_a_sampled_loop_ends_at_half_the_rate(self):
         found = classical_margins(OMEGA, 2.0 / S)
         assert found.up is None and found.down is None
         assert found.crossover == pytest.approx(2.0, rel=1e-4)
         assert found.phase.value == pytest.approx(math.pi / 2, rel=1e-4)
         assert found.delay.value == pytest.approx(math.pi / 4, rel=1e-4)
+        omega = np.geomspace(0.01, math.pi / 0.1, 2000)
+        found = classical_margins(omega, 0.5 * np.exp(-0.1j * omega))
+        assert found.up.value == pytest.approx(2.0, rel=1e-3)
+        assert found.up.omega == pytest.approx(math.pi / 0.1)
+        # Of several loci the first counts.
+        loci = np.column_stack([2.0 / (S + 1) ** 3, 4.0 / (S + 1) ** 3])
+        assert classical_margins(OMEGA, loci).up.value == pytest.approx(2.0, rel=1e-4)
 
     @pytest.mark.parametrize("gain", [0.5, 2.0])
     def test_three_lags_have_the_margin_of_hurwitz(self, gain):
@@ -77,16 +84,6 @@ class TestOneLoop:
         found = classical_margins(OMEGA, 6.0 * (S + 2) ** 2 / (S - 1) ** 3)
         assert found.down.value == pytest.approx(least / 6.0, rel=1e-3)
         assert found.up is None
-
-    def test_a_sampled_loop_ends_at_half_the_rate(self):
-        omega = np.geomspace(0.01, math.pi / 0.1, 2000)
-        found = classical_margins(omega, 0.5 * np.exp(-0.1j * omega))
-        assert found.up.value == pytest.approx(2.0, rel=1e-3)
-        assert found.up.omega == pytest.approx(math.pi / 0.1)
-
-    def test_the_first_of_several_loci_counts(self):
-        loci = np.column_stack([2.0 / (S + 1) ** 3, 4.0 / (S + 1) ** 3])
-        assert classical_margins(OMEGA, loci).up.value == pytest.approx(2.0, rel=1e-4)
 
     @pytest.mark.slow
     def test_python_control_agrees(self):
@@ -118,8 +115,7 @@ class TestDisks:
         assert diagonal_mu(M[None])[0] == pytest.approx(brute, rel=0.02, abs=1e-3)
 
     def test_factors_within_the_disk_are_stood_and_one_on_its_edge_is_not(self):
-        loop = 4.0 / (S * (S + 1) * (S / 5 + 1))
-        loop *= 0.5
+        loop = 2.0 / (S * (S + 1) * (S / 5 + 1))
         apart = (1 - loop) / (1 + loop)
         disk = disk_margin(OMEGA, np.abs(apart))
         worst = int(np.argmax(np.abs(apart)))
@@ -130,8 +126,7 @@ class TestDisks:
         assert disk.gain_down < abs(factor) < disk.gain_up or abs(factor) == pytest.approx(
             disk.gain_up
         )
-
-    def test_one_loop_has_its_own_size_and_a_disk_of_two_holds_every_gain(self):
+        # A disk of two holds every gain.
         assert diagonal_mu(np.array([[[3 - 4j]]]))[0] == pytest.approx(5.0)
         assert DiskMargin(2.0, 1.0).gain_up == math.inf
         assert DiskMargin(2.5, 1.0).gain_down == 0.0
@@ -171,23 +166,18 @@ def findings():
 
 class TestTheStudy:
     def test_tells_the_margins_of_each_command(self, findings):
-        assert findings.results["holds"]
-        assert set(findings.results["loops"]) == {"u_v", "u_h"}
-        assert not findings.warnings
+        results = findings.results
+        assert results["holds"] and not findings.warnings
+        assert set(results["loops"]) == {"u_v", "u_h"}
         drawn = [chart.name.removeprefix("margins_") for chart in findings.charts]
         assert drawn == ["bode", "nyquist", "sensitivity"]
-        json.dumps(findings.results, allow_nan=False)
-
-    def test_a_regulator_has_what_regulators_have(self, findings):
-        """Sampling takes some of the 60° and the factor 1/2 that continuous ones guarantee."""
-        for loop in findings.results["loops"].values():
-            assert loop["gain_up"] > 2 and math.degrees(loop["phase"]) > 35
-            assert loop["modulus_margin"] == pytest.approx(1 / loop["peak_sensitivity"])
-
-    def test_no_disk_is_larger_than_what_it_bounds(self, findings):
-        results = findings.results
+        json.dumps(results, allow_nan=False)
         assert results["disk_any"]["alpha"] <= results["disk_each"]["alpha"] + 1e-12
         for loop in results["loops"].values():
+            # Sampling takes some of the 60° and the factor 1/2 of a continuous regulator.
+            assert loop["gain_up"] > 2 and math.degrees(loop["phase"]) > 35
+            assert loop["modulus_margin"] == pytest.approx(1 / loop["peak_sensitivity"])
+            # No disk is larger than what it bounds.
             assert results["disk_each"]["alpha"] <= loop["disk"]["alpha"] + 1e-12
             assert loop["disk"]["gain_up"] <= loop["gain_up"]
             assert loop["disk"]["phase"] <= loop["phase"]
@@ -260,7 +250,11 @@ def test_what_makes_no_sense_is_refused(keys, controller, clock, says):
 
 class TestLoopsWithoutMargins:
     def test_a_loop_that_does_not_hold(self):
-        findings = STUDY.run(subject_of(Changed(lqr(), late=4)), silent)
+        law = Changed(lqr(), late=4)
+        found = COARSE.measure(MODEL, loop_of(law), POINT, silent)
+        assert isinstance(found, NoResponse)
+        assert found.leaves and "rad away after" in found.words
+        findings = STUDY.run(subject_of(law), silent)
         assert findings.results["holds"] is False
         assert "does not hold this point" in findings.lead[0]
         assert [chart.name for chart in findings.charts] == ["margins_departure"]
@@ -365,9 +359,6 @@ class TestTheSignal:
 
 
 class TestALinearLaw:
-    def test_has_the_response_of_linear_algebra(self, plain):
-        assert alike(plain.L, regulated(plain.omega))
-
     @pytest.mark.slow
     def test_has_the_margins_of_linear_algebra(self):
         found = MarginResult(measured(lqr(), analyser=Analyser()))
@@ -382,19 +373,17 @@ class TestALinearLaw:
         assert found.disk_each.alpha == pytest.approx(exact.disk_each.alpha, rel=1e-3)
         assert found.disk_any.alpha == pytest.approx(exact.disk_any.alpha, rel=1e-3)
 
-    def test_is_measured_without_doubt(self, plain):
+    def test_is_measured_without_doubt_and_has_the_response_of_linear_algebra(self, plain):
         assert plain.drift < 1e-4 and plain.nonlinearity < 2e-3 and plain.beside < 1e-5
         assert plain.statuses == {"ok": sum(plain.statuses.values())}
         assert plain.limited == 0 and plain.reversed == ()
         assert np.abs(plain.rest).max() < 1e-3
         assert np.abs(plain.S + plain.T - np.eye(2)).max() < 1e-12
+        assert alike(plain.L, regulated(plain.omega))
 
-    @pytest.mark.parametrize("gain", [(0.6, 1.6)])
-    def test_scales_with_its_gain(self, plain, gain):
-        scaled = measured(Changed(lqr(), gain=gain))
-        assert alike(scaled.L, np.diag(gain) @ plain.L)
-
-    def test_turns_by_a_period_of_delay(self, plain):
+    def test_scales_with_its_gain_and_turns_by_a_period_of_delay(self, plain):
+        scaled = measured(Changed(lqr(), gain=(0.6, 1.6)))
+        assert alike(scaled.L, np.diag((0.6, 1.6)) @ plain.L)
         late = measured(Changed(lqr(), late=1))
         turned = plain.L * np.exp(-1j * plain.omega * PERIOD)[:, None, None]
         assert alike(late.L, turned)
@@ -442,12 +431,6 @@ class TestWhatIsNotLinear:
         assert isinstance(found, NoResponse) and not found.leaves
         assert found.reversed == ("omega_h",)
         assert "still changes by" in found.words
-
-
-def test_a_loop_that_does_not_hold_its_point_has_no_response():
-    found = COARSE.measure(MODEL, loop_of(Changed(lqr(), late=4)), POINT, silent)
-    assert isinstance(found, NoResponse)
-    assert found.leaves and "rad away after" in found.words
 
 
 def test_a_controller_that_does_not_look_closes_no_loop():

@@ -1,29 +1,41 @@
 """Portraits: coordinates, the section that they lie in and the field on it, equilibria in the
-window, starts, trajectories and their ends, separatrices, sticking sets.
+window, starts, trajectories and their ends, separatrices, sticking sets. The findings of
+``study=phase_portrait`` for a model alone and in a loop.
 """
 
 from __future__ import annotations
+
+import json
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trms_cli.composition.composer import compose
+from trms_cli.controllers.lqr import Lqr
+from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.findings import Table
+from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.rotor_friction import RotorFriction
 from trms_cli.effects.stribeck_friction import StribeckFriction
+from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.models.vector_field import has_impulses
+from trms_cli.observers.full_state import FullState
 from trms_cli.stability.local.linear import Linear
+from trms_cli.stability.portraits.charts import PortraitResult, has_field
 from trms_cli.stability.portraits.invariant_sets import (
     grid,
     halving_time,
     kind_of,
     period,
+    rest_point,
     search,
     separatrices,
     sticking_sets,
@@ -40,6 +52,9 @@ from trms_cli.stability.portraits.trajectories import (
     loop_starts,
     trajectories,
 )
+from trms_cli.stability.studies.phase_portrait import PhasePortrait, lead_of_model
+from trms_cli.stability.study import silent
+from trms_cli.stability.subject import LoopParts, Subject
 
 VERTICAL = Newtonian(freedom="vertical")
 BOTH = Newtonian()
@@ -52,15 +67,12 @@ def hover():
     return section_of(VERTICAL, ("alpha_v", "rate_v"), {"alpha_v": 0.0})
 
 
-def test_a_rate_is_the_row_of_its_angle(hover):
+def test_a_rate_is_the_row_of_its_angle_and_coordinates_change_as_along_a_motion(hover):
     x = np.random.default_rng(0).normal(size=(6, 3)) * [100.0, 1.0, 1.0]
     field = hover.coordinates.field
     values = hover.coordinates.values(x, hover.point.u)
     assert values[:, 0] == pytest.approx(x[:, 2])
     assert values[:, 1] == pytest.approx(field.rates(x, hover.point.u)[:, 2])
-
-
-def test_coordinates_change_as_along_a_motion(hover):
     start = np.array([[150.0, 0.4, -0.3]])
     x = hover.coordinates.field.motions(start, hover.point.u, 0.02, 0.01)[:, 0]
     c = hover.coordinates.values(x, hover.point.u)
@@ -185,22 +197,19 @@ def test_real_eigenvalues_of_one_sign_make_a_node(sizes, stable):
 
 
 @given(rates, rates, st.booleans())
-def test_a_pair_makes_a_focus(real, imaginary, stable):
+def test_a_pair_makes_a_focus_and_what_only_swings_is_a_centre(real, imaginary, stable):
     sign = -1.0 if stable else 1.0
     pair = [sign * real + 1j * imaginary, sign * real - 1j * imaginary]
     assert kind_of(pair) == f"{'' if stable else 'un'}stable focus"
     # A zero eigenvalue (a yaw that nothing pulls back) does not hide it.
     assert kind_of([*pair, 0.0]) == kind_of(pair)
+    swing = [1j * imaginary, -1j * imaginary]
+    assert kind_of(swing) == "centre" and kind_of([*swing, -real]) == "undecided"
 
 
 @given(rates, rates, st.lists(rates, max_size=3))
 def test_both_signs_make_a_saddle(out, into, more):
     assert kind_of([out, -into, *(-size for size in more)]) == "saddle"
-
-
-def test_what_only_swings_is_a_centre():
-    assert kind_of([2j, -2j]) == "centre"
-    assert kind_of([2j, -2j, -1.0]) == "undecided"
 
 
 @pytest.mark.parametrize("command", [{"alpha_v": 0.0}, {"u_v": 1.0}, {"u_v": 1.8}])
@@ -299,12 +308,6 @@ def test_a_rest_beside_the_section_is_told():
     assert upper.kind == "saddle" and not upper.in_section
 
 
-def test_only_the_window_is_searched():
-    section = section_of(VERTICAL, ("alpha_v", "rate_v"), {"alpha_v": 0.0})
-    assert len(search(section, np.array([[-1.0, 1.5], [-1.0, 1.0]]))) == 1
-    assert search(section, np.array([[0.5, 1.5], [-1.0, 1.0]])) == ()
-
-
 WINDOW = np.array([[-2.5, 2.5], [-2.5, 2.5]])
 G, F_C = 0.2646, 0.005  # N m
 
@@ -314,32 +317,20 @@ def rests(hover):
     return search(hover, WINDOW)
 
 
-@pytest.fixture(scope="module")
-def into_the_saddle(hover, rests):
-    """The separatrix that comes from the left."""
-    paths = separatrices(hover, True, WINDOW, rests[1], 25.0)
-    return next(path for path in paths if path.into and path.c[:, 0].min() < 0)
-
-
 def ends_from(section, c, duration=20.0):
     found = trajectories(section, section.place(c), duration, 0.05)
     return ends_of(section, WINDOW, search(section, WINDOW), found)
 
 
-def test_the_window_holds_the_rest_points_and_the_operating_point(hover):
+def test_the_window_holds_the_rest_points_and_it_alone_is_searched(hover):
     window = default_window(hover, {})
     for rest in search(hover, window):
         assert np.all(rest.c > window[:, 0]) and np.all(rest.c < window[:, 1])
     assert len(search(hover, window)) == 2
     given = checked_window(hover.coordinates, {"rate_v": (-1.0, 0.5)})
     assert default_window(hover, given)[1].tolist() == [-1.0, 0.5]
-
-
-def test_a_swing_within_the_separatrix_stays_within_the_window(hover, into_the_saddle):
-    window = default_window(hover, {})
-    inside = into_the_saddle.c[into_the_saddle.c[:, 0] < 1.8]
-    last_swing = inside[np.flatnonzero(inside[:, 1] < 0)[-1] :]
-    assert np.all(np.abs(last_swing[:, 1]) < window[1, 1])
+    assert len(search(hover, np.array([[-1.0, 1.5], [-1.0, 1.0]]))) == 1
+    assert search(hover, np.array([[0.5, 1.5], [-1.0, 1.0]])) == ()
 
 
 def test_the_window_of_a_motor_holds_what_its_commands_reach():
@@ -365,7 +356,7 @@ def test_limits_that_make_no_window_are_refused(hover, window, where):
     assert error.value.where == where
 
 
-def test_starts_on_the_edge_enter_the_window_and_all_lie_in_it(hover):
+def test_starts_lie_in_the_window_or_around_the_goal_of_a_loop(hover):
     x = default_starts(hover, WINDOW, 28)
     c = hover.coordinates.values(x, hover.point.u)
     assert c.shape == (28, 2) and np.all(c >= WINDOW[:, 0]) and np.all(c <= WINDOW[:, 1])
@@ -374,9 +365,7 @@ def test_starts_on_the_edge_enter_the_window_and_all_lie_in_it(hover):
     after = hover.coordinates.field.motions(x[edge], hover.point.u, 0.01, 0.01)[-1]
     moved = hover.coordinates.values(after, hover.point.u)
     assert np.all(np.abs(moved).max(axis=1) < np.abs(c[edge]).max(axis=1))
-
-
-def test_starts_of_a_loop_lie_around_its_goal(hover):
+    # Those of a loop lie around its goal.
     c = hover.coordinates.values(loop_starts(hover, WINDOW, 8), hover.point.u)
     assert np.linalg.norm(c / 2.5, axis=1) == pytest.approx(1.0)
     assert c.mean(axis=0) == pytest.approx(0.0, abs=1e-9)
@@ -391,10 +380,17 @@ def test_starts_by_name_may_name_other_states(hover):
     assert error.value.where == "starts[1].alpha"
 
 
-def test_trajectories_follow_the_field(hover):
+def test_trajectories_follow_the_field_and_are_drawn_evenly_spaced_and_cut_at_the_window(hover):
     (trajectory,) = trajectories(hover, hover.place([[0.6, 0.5]]), 2.0, 0.01)
     slopes = (trajectory.c[2:] - trajectory.c[:-2]) / 0.02
     assert slopes == pytest.approx(hover.rates(trajectory.c[1:-1]), abs=2e-4)
+    (trajectory,) = trajectories(hover, hover.place([[2.3, 1.0]]), 3.0, 0.01)
+    points, _ = drawn_points(trajectory, WINDOW, 0.01, 2.0)
+    seen = points[np.isfinite(points).all(axis=1)]
+    assert len(seen) > 5
+    assert np.sum(np.any(np.abs(seen) > 2.5, axis=1)) <= 1  # one point to reach the edge
+    steps = np.linalg.norm(np.diff(seen, axis=0) / 5.0, axis=1)
+    assert np.median(steps) == pytest.approx(0.01, rel=0.3)
 
 
 def test_a_fall_within_a_step_is_drawn_as_it_is():
@@ -409,24 +405,11 @@ def test_a_fall_within_a_step_is_drawn_as_it_is():
     )
 
 
-def test_what_is_drawn_is_evenly_spaced_and_cut_at_the_window(hover):
-    (trajectory,) = trajectories(hover, hover.place([[2.3, 1.0]]), 3.0, 0.01)
-    points, _ = drawn_points(trajectory, WINDOW, 0.01, 2.0)
-    seen = points[np.isfinite(points).all(axis=1)]
-    assert len(seen) > 5
-    assert np.sum(np.any(np.abs(seen) > 2.5, axis=1)) <= 1  # one point to reach the edge
-    steps = np.linalg.norm(np.diff(seen, axis=0) / 5.0, axis=1)
-    assert np.median(steps) == pytest.approx(0.01, rel=0.3)
-
-
-def test_ends_tell_rest_from_turning_over(hover):
+def test_ends_tell_rest_from_turning_over_and_the_time_of_arrival_that_of_the_envelope(hover):
     ends = {end.what: end for end in ends_from(hover, [[0.1, 0.0], [2.2, 0.5]], 107.0)}
     assert set(ends) == {"rest", "turning"}
     assert ends["rest"].members == (0,) and ends["turning"].members == (1,)
     assert ends["rest"].rest.c == pytest.approx([0.0, 0.0], abs=1e-9)
-
-
-def test_the_time_of_arrival_is_that_of_the_envelope(hover):
     start = 0.2
     (end,) = ends_from(hover, [[start, 0.0]], 107.0)
     # The swing decays as exp(−0.0467 t); the rate, 1.83 times as large, is the last to arrive.
@@ -434,16 +417,14 @@ def test_the_time_of_arrival_is_that_of_the_envelope(hover):
     assert end.times[0] == pytest.approx(expected, abs=1.8)  # within half a swing
 
 
-def test_the_separatrix_leads_into_the_saddle(hover, rests, into_the_saddle):
-    saddle = rests[1].c
-    assert into_the_saddle.c[-1] == pytest.approx(saddle)
-    near = into_the_saddle.c[np.abs(into_the_saddle.c[:, 0] - 1.6).argmin()]
+def test_the_separatrix_leads_into_the_saddle_and_divides_the_starts(hover, rests):
+    paths = separatrices(hover, True, WINDOW, rests[1], 25.0)
+    from_left = next(path for path in paths if path.into and path.c[:, 0].min() < 0)
+    saddle, c = rests[1].c, from_left.c
+    assert c[-1] == pytest.approx(saddle)
+    near = c[np.abs(c[:, 0] - 1.6).argmin()]
     (trajectory,) = trajectories(hover, hover.place([near]), 4.0, 0.01)
     assert np.abs(trajectory.c - saddle).max(axis=1).min() < 1e-2
-
-
-def test_the_separatrix_divides_the_starts(hover, into_the_saddle):
-    c = into_the_saddle.c
     # Well before the saddle, on the last swing: left of the hover point, and above it.
     for wanted in (-1.0, -0.3, 0.5, 1.2):
         swing = np.flatnonzero((c[:, 1] > 0) & (np.abs(c[:, 0] - wanted) < 0.05))
@@ -455,17 +436,18 @@ def test_the_separatrix_divides_the_starts(hover, into_the_saddle):
             for number in end.members
         }
         assert by_start == {0: "rest", 1: "turning"}
-
-
-def test_how_far_back_pitch_may_be_let_go(hover, into_the_saddle):
-    farthest = into_the_saddle.c[:, 0].min()
+    # How far back pitch may be let go.
+    farthest = c[:, 0].min()
     assert farthest == pytest.approx(-1.159, abs=1e-3)
     ends = ends_from(hover, [[farthest + 0.01, 0.0], [farthest - 0.01, 0.0]], 107.0)
     assert {end.what: end.members for end in ends} == {"rest": (0,), "turning": (1,)}
-
-
-def test_what_leaves_the_saddle_goes_to_hover_or_over_the_top(hover, rests):
-    out = [path for path in separatrices(hover, True, WINDOW, rests[1], 25.0) if not path.into]
+    # A swing within it stays within the window.
+    window = default_window(hover, {})
+    inside = c[c[:, 0] < 1.8]
+    last_swing = inside[np.flatnonzero(inside[:, 1] < 0)[-1] :]
+    assert np.all(np.abs(last_swing[:, 1]) < window[1, 1])
+    # What leaves the saddle goes to hover or over the top.
+    out = [path for path in paths if not path.into]
     assert len(out) == 2
     assert sorted(path.c[-1, 0] > 2.4 for path in out) == [False, True]
     assert separatrices(hover, True, WINDOW, rests[0], 5.0) == ()  # of no saddle
@@ -535,3 +517,228 @@ def test_trajectories_end_on_the_sticking_set():
     assert np.all((finals[:, 0] >= low - 1e-3) & (finals[:, 0] <= high + 1e-3))
     assert np.ptp(finals[:, 0]) > 0.01  # anywhere on it, not at one point
     assert np.abs(finals[:, 1]).max() < 1e-6
+
+
+NAMES = {"controller": "lqr", "observer": "full_state"}
+LOOP = LoopParts(VERTICAL, Lqr(), FullState(), 0.02, NAMES)
+
+
+def found(model=VERTICAL, loop=None, **keys):
+    return PhasePortrait(**keys).run(Subject(model, "rig", loop), silent)
+
+
+@pytest.fixture(scope="module")
+def portrait():
+    return found(at={"alpha_v": 0.0}, starts=12)
+
+
+def marks(findings, kind):
+    return [mark for mark in findings.charts[0].panels[0].marks if isinstance(mark, kind)]
+
+
+def test_the_portrait_as_data_and_its_flow_and_nullclines_those_of_the_field(portrait):
+    results = json.loads(json.dumps(portrait.results, allow_nan=False))
+    assert [item["name"] for item in results["coordinates"]] == ["alpha_v", "rate_v"]
+    assert results["section_is_invariant"] is True
+    focus, saddle = results["equilibria"]
+    assert (focus["kind"], saddle["kind"]) == ("stable focus", "saddle")
+    ends = results["trajectories"]["ends"]
+    assert sum(end["share"] for end in ends) == pytest.approx(1.0)
+    assert sorted(n for end in ends for n in end["starts"]) == list(range(12))
+    json.dumps([as_data(chart) for chart in portrait.charts], allow_nan=False)
+    shown = {mark.label: mark for mark in marks(portrait, Points)}
+    assert shown["stable focus"].marker == "stable" and shown["saddle"].marker == "saddle"
+    assert shown["saddle"].x[0] == pytest.approx(1.903, abs=1e-3)
+    # An unstable equilibrium is told by how fast it grows.
+    (table,) = [b for b in portrait.sections[1].blocks if isinstance(b, Table)]
+    growth = max(real for real, _ in saddle["eigenvalues"])
+    times = [row[-1] for row in table.rows]
+    assert times == ["halves in 14.9 s", f"doubles in {np.log(2) / growth:.3g} s"]
+    contourpy = pytest.importorskip("contourpy")
+    section = section_of(VERTICAL, None, {"alpha_v": 0.0})
+    (flow,) = marks(portrait, Flow)
+    i, j = 7, 30
+    rates = section.rates([[flow.x[j], flow.y[i]]])[0]
+    assert (flow.u[i, j], flow.v[i, j]) == pytest.approx(tuple(rates))
+    contours = marks(portrait, Contour)
+    assert [mark.label for mark in contours] == ["dα_v/dt = 0", "d²α_v/dt² = 0"]
+    for place, mark in enumerate(contours):
+        lines = contourpy.contour_generator(mark.x, mark.y, mark.values).lines(0.0)
+        points = np.vstack(lines)
+        assert len(points) > 50
+        typical = np.abs(mark.values).max()
+        assert np.abs(section.rates(points)[:, place]).max() < 1e-3 * typical
+
+
+def test_names_near_the_right_edge_are_short(portrait):
+    window = {"alpha_v": (-1.0, 2.0)}
+    inside, edge = (
+        {mark.label: mark.names for mark in marks(findings, Points)}["saddle"]
+        for findings in (
+            portrait,
+            found(at={"alpha_v": 0.0}, starts=1, duration=1.0, window=window),
+        )
+    )
+    assert inside == ("1.9",) and edge == ()
+
+
+def test_no_trajectory_has_the_colour_of_a_nullcline():
+    findings = found(at={"alpha_v": 0.0}, starts=12, duration=5.0)
+    moving = {c.colour for c in marks(findings, Curve) if c.label == "still moving at the end"}
+    others = {c.colour for c in marks(findings, Curve) if c.label != "still moving at the end"}
+    assert len(moving) == 1
+    assert not moving & ({mark.colour for mark in marks(findings, Contour)} | others)
+
+
+def test_commands_are_those_that_reach_the_motor():
+    # The drive loses a tenth of its gain under load: the equations know nothing of it.
+    derated = extend_model(
+        VERTICAL, {"weak": SupplyDerating(rotor="main", depth=0.1, time_constant=0.0)}
+    )
+    findings = found(derated, at={"alpha_v": 0.0}, starts=({"alpha_v": 0.3},), duration=150.0)
+    assert "u_v = 1.413 V: a stable focus at α_v = 0 rad" in findings.lead[0]
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "rest" and end["at"]["alpha_v"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_projection_is_told():
+    findings = found(Newtonian(), states=("alpha_v", "alpha_h"), at={"alpha_v": 0.0}, starts=3)
+    assert "A projection" in findings.charts[0].caption
+    assert any("a projection" in warning for warning in findings.warnings)
+    assert findings.results["section_is_invariant"] is False
+    # With the rates held, no angle has one: there is no field to draw.
+    section = section_of(Newtonian(), ("alpha_v", "alpha_h"), {"alpha_v": 0.0})
+    assert not has_field(section, np.array([[-1.0, 1.0], [-1.0, 1.0]]))
+    assert not marks(findings, Flow) and not marks(findings, Contour)
+
+
+def test_slopes_of_two_sides_are_told():
+    yaw = found(Newtonian(freedom="horizontal"), at={"u_h": 0.0}, starts=2)
+    (result,) = [words for words in yaw.warnings if "mean of both" in words]
+    assert result.startswith("at α_h = 0 the slopes differ")
+    assert yaw.results["equilibria"][0]["switches"] == ["alpha_h"]
+    beside = found(Newtonian(freedom="horizontal"), at={"u_h": 0.5}, starts=2)
+    assert not any("mean of both" in words for words in beside.warnings)
+
+
+def test_three_states_make_a_space():
+    findings = found(
+        states=("omega_v", "S_v", "alpha_v"), at={"alpha_v": 0.0}, starts=4, duration=20.0
+    )
+    panel = findings.charts[0].panels[0]
+    assert panel.z is not None and panel.z.label == "α_v"
+    assert all(curve.z is not None for curve in marks(findings, Curve))
+    assert not marks(findings, Flow)
+
+
+def test_a_slow_motor_is_followed_until_it_has_arrived():
+    motor = SingleRotor(rotor="main", currents="dynamic")
+    # From full speed backwards: slow where it passes standstill.
+    findings = found(motor, at={"u_v": 1.0}, starts=({"omega_v": -280.0},))
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "rest" and end["at"]["omega_v"] == pytest.approx(158.527, abs=1e-2)
+    assert "fast one halves in 0.0745 ms" in " ".join(findings.lead)
+
+
+def test_a_line_of_rest_points_is_one_end():
+    findings = found(FeedbackManual(), states=("alpha_h", "rate_h"), starts=5, duration=20.0)
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "line" and "side by side on a line" in findings.lead[0]
+
+
+def test_dry_friction_takes_separatrices_away_and_a_set_too_short_to_see_is_told():
+    rubbing = extend_model(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.02)})
+    findings = found(rubbing, at={"alpha_v": 0.0}, starts=4)
+    assert findings.results["separatrices"] == 0 and findings.results["sticking"]
+    assert any("dry friction holds α_v" in curve.label for curve in marks(findings, Curve))
+    rubbing = extend_model(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=0.0005)})
+    findings = found(rubbing, starts=2)
+    assert findings.results["sticking"]
+    assert not any("dry friction holds" in curve.label for curve in marks(findings, Curve))
+    assert "Too short to be seen" in findings.charts[0].caption
+
+
+def test_a_loop_brings_every_start_to_the_goal():
+    findings = found(loop=LOOP, at={"alpha_v": 0.0}, duration=12.0, starts=4, open_loop_too=True)
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "rest" and end["share"] == 1.0
+    assert "All 4 trajectories under lqr reach the goal" in findings.lead[0]
+    assert not marks(findings, Flow) and not marks(findings, Contour)
+    labels = {curve.label for curve in marks(findings, Curve)}
+    assert {"comes to rest at the goal", "without controller"} <= labels
+    (goal,) = [mark for mark in marks(findings, Points) if mark.marker == "star"]
+    assert (goal.x[0], goal.y[0]) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert any("nullclines do not exist" in text for text in findings.sections[0].text)
+
+
+def test_a_command_at_its_bound_is_marked():
+    findings = found(
+        loop=LOOP, at={"alpha_v": 0.0}, duration=6.0, starts=({"alpha_v": -0.6, "rate_v": -1.5},)
+    )
+    share = findings.results["share_at_bound"]
+    assert 0 < share < 1
+    (at_bound,) = [c for c in marks(findings, Curve) if c.label == "command at its bound"]
+    assert 0 < np.isfinite(at_bound.x).mean() < 1
+
+
+def test_a_loop_that_does_not_arrive_is_not_praised():
+    findings = found(loop=LOOP, at={"alpha_v": 0.0}, duration=0.4, starts=2)
+    assert findings.lead[0].startswith("None of the 2 trajectories under lqr")
+
+
+def test_two_portraits_are_equal():
+    motor = SingleRotor(rotor="tail", currents="dynamic")
+    first, second = (found(motor, at={"u_h": 1.0}, starts=3) for _ in "ab")
+    assert first.results == second.results
+    assert [as_data(chart) for chart in first.charts] == [as_data(c) for c in second.charts]
+
+
+def test_more_points_than_can_be_held_are_refused():
+    with pytest.raises(ConfigurationError) as error:
+        found(starts=400, duration=1000.0, step=1e-4)
+    assert error.value.where == "step"
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        ["study.states=[alpha_h,rate_h]", "study.others=settled", "study.starts=5"],
+        ["study.starts=[{alpha_v: 0.5}]", "study.window={alpha_v: [-1, 1]}"],
+        ["study.others=[omega_v]"],
+    ],
+)
+def test_values_of_each_kind_are_taken(typed):
+    config = compose(["study=phase_portrait", *typed], primary="stability").config["study"]
+    assert isinstance(build(config, "study"), PhasePortrait)
+
+
+@pytest.mark.parametrize(
+    ("typed", "where"),
+    [
+        ("study.starts=0", "study.starts"),
+        ("study.others=foo", "study.others"),
+        ("study.states=alpha_v", "study.states"),
+        ("study.duration=0", "study.duration"),
+        ("study.step=1", "study.step"),
+        ("study.window={alpha_v: 1}", "study.window.alpha_v"),
+    ],
+)
+def test_values_of_the_wrong_kind_are_refused_by_their_key(typed, where):
+    config = compose(["study=phase_portrait", typed], primary="stability").config["study"]
+    with pytest.raises(ConfigurationError) as error:
+        build(config, "study")
+    assert error.value.where == where
+
+
+def test_equilibria_at_one_place_of_the_portrait_are_told_apart():
+    # Hover and the saddle above it have the same speed, and no rate.
+    section = section_of(VERTICAL, ("omega_v", "S_v"), {"alpha_v": 0.0})
+    window = np.array([[100.0, 300.0], [-1.0, 1.0]])
+    above = section.point.x + np.array([0.0, 0.0, 1.90274])
+    both = [rest_point(section, x) for x in (section.point.x, above)]
+    paths = trajectories(section, section.point.x[None], 1.0, 0.1)
+    result = PortraitResult(
+        section, window, both, paths, ends_of(section, window, both, paths), 1.0
+    )
+    lead = lead_of_model(result)
+    assert "a stable focus at α_v = 0 rad and a saddle at α_v = 1.903 rad" in lead[0]

@@ -44,44 +44,47 @@ def kind(errors: np.ndarray, commands: np.ndarray = STILL, ended: bool = False) 
     return BOUNDS.verdict(errors.reshape(TIME.size, -1), commands, ended).kind
 
 
+def swing(decay: float) -> np.ndarray:
+    return 0.1 * np.exp(-decay * TIME) * np.cos(1.8 * TIME)
+
+
 class TestVerdicts:
     @pytest.mark.parametrize(
-        ("decay", "told"),
-        [(0.3, "settles"), (0.06, "dies out"), (0.0, "swings"), (-0.05, "swings")],
+        ("error", "told"),
+        [
+            (swing(0.3), "settles"),
+            (swing(0.06), "dies out"),
+            (swing(0.0), "swings"),
+            (swing(-0.05), "swings"),
+            # An error that stays.
+            (0.03 + 0.1 * np.exp(-TIME), "rests beside"),
+            (0.01 + 0.1 * np.exp(-TIME), "settles"),
+            (0.3 * np.exp(-0.08 * TIME), "dies out"),
+            # One that shrinks too slowly is no rest.
+            (0.3 * np.exp(-0.03 * TIME), "still creeping"),
+            (0.05 + 0.3 * np.exp(-0.1 * TIME), "still creeping"),
+            (0.05 + 0.3 * np.exp(-0.5 * TIME), "rests beside"),
+            (-0.3 * np.exp(0.01 * TIME), "rests beside"),
+            (0.4 + 0.15 * np.exp(-0.02 * TIME) * np.cos(0.23 * TIME), "rests beside"),
+            # A slip is no swing.
+            (np.where(TIME < 33, 0.015, -0.005), "dies out"),
+        ],
     )
-    def test_a_swing(self, decay, told):
-        assert kind(0.1 * np.exp(-decay * TIME) * np.cos(1.8 * TIME)) == told
+    def test_of_one_angle(self, error, told):
+        assert kind(error) == told
 
-    def test_an_error_that_stays(self):
-        assert kind(0.03 + 0.1 * np.exp(-TIME)) == "rests beside"
-        assert kind(0.01 + 0.1 * np.exp(-TIME)) == "settles"
-        assert kind(0.3 * np.exp(-0.08 * TIME)) == "dies out"
-
-    def test_an_error_that_shrinks_too_slowly_is_no_rest(self):
-        assert kind(0.3 * np.exp(-0.03 * TIME)) == "still creeping"
-        assert kind(0.05 + 0.3 * np.exp(-0.1 * TIME)) == "still creeping"
-        assert kind(0.05 + 0.3 * np.exp(-0.5 * TIME)) == "rests beside"
-        assert kind(-0.3 * np.exp(0.01 * TIME)) == "rests beside"
-        swinging = 0.4 + 0.15 * np.exp(-0.02 * TIME) * np.cos(0.23 * TIME)
-        assert kind(swinging) == "rests beside"
+    def test_of_commands_at_their_limit_that_chatter_and_of_a_run_that_ended(self):
         assert kind(0.3 * np.exp(-0.03 * TIME), np.ones_like(STILL)) == "rests beside"
+        fast = 0.1 * np.sign(np.cos(np.pi * np.arange(TIME.size)))[:, None]
+        assert kind(1e-5 * np.cos(TIME), fast) == "chatters"
+        assert kind(np.exp(0.1 * TIME), ended=True) == "is lost"
+        assert BOUNDS.verdict(np.ones((1, 2)), np.ones((1, 2)), True).axis == 0
+
+    def test_names_the_angle_that_fails(self):
         both = np.column_stack([0.3 * np.exp(-0.03 * TIME), 0.05 * np.ones_like(TIME)])
         found = BOUNDS.verdict(both, STILL, False)
         assert found.kind == "rests beside" and found.axis == 1
         assert found.calm and not found.back
-
-    def test_a_slip_is_no_swing(self):
-        assert kind(np.where(TIME < 33, 0.015, -0.005)) == "dies out"
-
-    def test_commands_that_chatter(self):
-        fast = 0.1 * np.sign(np.cos(np.pi * np.arange(TIME.size)))[:, None]
-        assert kind(1e-5 * np.cos(TIME), fast) == "chatters"
-
-    def test_a_run_that_ended(self):
-        assert kind(np.exp(0.1 * TIME), ended=True) == "is lost"
-        assert Bounds(0.02, 0.002, 0.02).verdict(np.ones((1, 2)), np.ones((1, 2)), True).axis == 0
-
-    def test_names_the_angle_that_fails(self):
         both = np.column_stack([0.015 * np.ones_like(TIME), 0.01 * np.cos(TIME)])
         found = BOUNDS.verdict(both, STILL, False)
         assert found.kind == "swings" and found.axis == 1 and not found.calm and not found.back
@@ -112,16 +115,12 @@ class TestTheSearch:
         assert found.below.size < found.limit < found.above.size
         assert found.again == ()
 
-    def test_tells_that_all_is_stood(self):
+    def test_tells_that_all_is_stood_that_a_loop_recovers_and_that_nothing_is_stood(self):
         found = search((0.1, 0.2), lambda size: True)
         assert found.above is None and found.limit is None and found.below.size == 0.2
-
-    def test_tells_that_a_loop_recovers(self):
         found = search((1.5, 3.0, 6.0, 12.0), lambda size: size < 2 or size > 10, nothing=1.0)
         assert 1.9 < found.limit < 2.1
         assert found.again == (12.0,)
-
-    def test_gives_up_where_nothing_is_stood(self):
         found = search((0.1,), lambda size: size <= 0)
         assert found.below.size == 0 and found.above.size == pytest.approx(0.1 / 2**10)
 
@@ -156,12 +155,10 @@ class TestWhatGoesWrong:
         changes = changed.path(MODEL, POINT, 0.02, 2.0)
         assert changes(0, POINT.u + 0.1) == pytest.approx(POINT.u + np.array([0.2, 0.1]))
 
-    def test_friction_is_an_effect_on_the_rig(self):
+    def test_friction_is_an_effect_on_the_rig_and_each_rig_has_its_own(self):
         rig = Impairment("friction", "pitch").rig(MODEL, 0.004)
         assert effect_names(rig) == ("added_friction_pitch",)
         assert rig.parameters["added_friction_pitch.torque"].value == 0.004
-
-    def test_each_rig_has_its_own(self):
         keys = [one.key for one in impairments_of(Newtonian(freedom="vertical"))]
         assert keys == ["delay", "gain_up_u_v", "gain_down_u_v", "friction_pitch"]
 
@@ -267,7 +264,7 @@ LOOP = loop_of(Lqr())
 PITCH = MODEL.state_index("alpha_v")
 
 
-def test_the_loop_rests_at_its_point_comes_back_to_it_and_goes_to_another():
+def test_the_loop_rests_at_its_point_comes_back_to_it_goes_to_another_and_repeats_itself():
     run = run_loop(MODEL, LOOP, POINT, 2.0)
     assert run.time.shape == (100,) and run.x.shape == (100, 6) and run.u.shape == (100, 2)
     assert np.abs(run.x - POINT.x).max() < 1e-6 and not run.ended and not run.failures
@@ -277,24 +274,18 @@ def test_the_loop_rests_at_its_point_comes_back_to_it_and_goes_to_another():
     assert np.abs(run.x[-1] - POINT.x).max() < 0.01
     run = run_loop(MODEL, LOOP, POINT, 20.0, reference={"alpha_v": 0.2})
     assert run.x[-1, PITCH] == pytest.approx(0.2, abs=0.01)
+    first, second = (run_loop(MODEL, LOOP, POINT, 3.0, offset={"alpha_h": 0.1}) for _ in "ab")
+    assert np.array_equal(first.x, second.x) and np.array_equal(first.u, second.u)
 
 
-def test_what_reaches_the_motors_may_differ_from_the_command():
+def test_what_reaches_the_motors_and_what_the_rig_is_may_differ_from_what_the_controller_knows():
     run = run_loop(MODEL, LOOP, POINT, 1.0, path=lambda k, u: u + (0.1 if k == 10 else 0.0))
     assert run.applied[10] == pytest.approx(run.u[10] + 0.1)
     assert np.delete(run.applied, 10, 0) == pytest.approx(np.delete(run.u, 10, 0))
     assert np.abs(run.x[:11] - POINT.x).max() < 1e-6 < np.abs(run.x[12:] - POINT.x).max()
-
-
-def test_the_rig_may_have_what_the_controller_does_not_know():
     rig = extend_model(MODEL, {"reaction": RotorReaction(rotor="main", drag=3e-7, inertia=1e-4)})
     known, other = (run_loop(model, LOOP, POINT, 20.0) for model in (MODEL, rig))
     assert np.abs(other.x - known.x).max() > 0.01
-
-
-def test_two_runs_are_equal():
-    first, second = (run_loop(MODEL, LOOP, POINT, 3.0, offset={"alpha_h": 0.1}) for _ in "ab")
-    assert np.array_equal(first.x, second.x) and np.array_equal(first.u, second.u)
 
 
 def test_a_run_may_end_at_a_state_or_when_its_path_has_enough():
