@@ -13,7 +13,7 @@ import numpy as np
 
 from trms_cli.code_generation.newton_source import newton_source
 from trms_cli.code_generation.observer_source import ObserverSource
-from trms_cli.controllers.controller import ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import BufferedFunction, compiler
 from trms_cli.models.discretisation import discretise
@@ -35,9 +35,7 @@ int shim_step(rig_ctx *c, const double *x, const double *w, const double *r, con
               double *u, double *out) {
     rig_info i;
     int status = rig_step(c, x, w, r, before, u, &i);
-    out[0] = i.fallback; out[1] = i.iterations; out[2] = i.objective; out[3] = i.violation;
-    out[4] = i.terminal_residual; out[5] = i.target_projected; out[6] = i.target_held;
-    out[7] = i.steady_iterations; out[8] = i.qp_iterations;
+    out[0] = i.fallback; out[1] = i.iterations; out[2] = i.objective; out[3] = i.target_projected;
     return status;
 }
 """
@@ -52,20 +50,6 @@ def contiguous(values: Any) -> np.ndarray:
     return np.ascontiguousarray(values, dtype=float)
 
 
-@dataclass
-class Said:
-    """The answer of a step."""
-
-    u: np.ndarray
-    status: Status
-    fallback: str
-    iterations: int
-    objective: float
-    projected: bool
-    held: bool
-    steady_iterations: int
-
-
 class Exported:
     """A context of a compiled controller named ``rig``."""
 
@@ -75,21 +59,19 @@ class Exported:
         self.context = ctypes.create_string_buffer(library.shim_size())
         library.rig_init(self.context)
 
-    def step(self, x: Any, w: Any, reference: Any, before: Any) -> Said:
+    def step(self, x: Any, w: Any, reference: Any, before: Any) -> Command:
         given = [contiguous(value) for value in (x, w, reference, before)]
-        u, out = np.full(self._n_u, np.nan), np.zeros(9)
+        u, out = np.full(self._n_u, np.nan), np.zeros(4)
         status = self.library.shim_step(
             self.context, *map(pointer, given), pointer(u), pointer(out)
         )
-        return Said(
+        return Command(
             u,
             STATUS[status],
-            FALLBACKS[int(out[0])],
-            int(out[1]),
-            out[2],
-            bool(out[5]),
-            bool(out[6]),
-            int(out[7]),
+            fallback=FALLBACKS[int(out[0])],
+            iterations=int(out[1]),
+            objective=out[2],
+            out_of_reach=bool(out[3]),
         )
 
 
@@ -121,8 +103,8 @@ class Compared:
     """Both controllers over a closed loop with equal inputs."""
 
     differences: list[float] = field(default_factory=list)
-    python: list[Any] = field(default_factory=list)
-    exported: list[Said] = field(default_factory=list)
+    python: list[Command] = field(default_factory=list)
+    exported: list[Command] = field(default_factory=list)
 
     @property
     def worst(self) -> float:

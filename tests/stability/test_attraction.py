@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from planar_systems import Planar, at_origin, bent, reversed_van_der_pol
 from scipy.integrate import solve_ivp
 
 from trms_cli.composition.composer import compose
@@ -47,6 +46,8 @@ from trms_cli.stability.closed_loop import run_loop
 from trms_cli.stability.intervals.interval import Interval, corners, decays, positive_definite
 from trms_cli.stability.studies.region_of_attraction import percent
 from trms_cli.stability.study import silent
+
+from .planar_systems import Planar, at_origin, bent, reversed_van_der_pol
 
 #: Without `integrals`: the rates of van der Pol are straight along the axes.
 METHODS = ("lyapunov", "inclusion", "level_set", "quartic")
@@ -334,16 +335,12 @@ def test_the_answer_for_pitch_and_its_figure():
 
 
 @pytest.mark.slow
-def test_rotors_may_deviate_too():
+def test_rotors_may_deviate_too_and_a_box_that_is_given_is_kept_to():
     found = answered(PITCH, "study.states=all", "study.methods=[inclusion]", *FEW)
     assert found.results["states"] == ["omega_v", "S_v", "alpha_v"]
     estimate = found.results["estimates"][0]
     assert estimate["proved"] and estimate["half_widths"]["omega_v"] > 3.0
     assert estimate["failed"] == 0
-
-
-@pytest.mark.slow
-def test_a_box_that_is_given_is_kept_to():
     found = answered(PITCH, LYAPUNOV, "study.box={alpha_v: 0.05, S_v: 0.6}", *FEW)
     assert found.results["box"] == {"S_v": 0.6, "alpha_v": 0.05}
     assert found.results["estimates"][0]["half_widths"]["alpha_v"] <= 0.05

@@ -10,7 +10,6 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from study_cases import NEWTONIAN, answer
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.newtonian import Newtonian
@@ -29,6 +28,8 @@ from trms_cli.stability.local.access import (
 )
 from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.controllability import Controllability
+
+from .study_cases import NEWTONIAN, answer
 
 U_V, U_H = 0, 1
 

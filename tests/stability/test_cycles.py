@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planar_systems import Planar, van_der_pol
 from scipy.integrate import trapezoid
 from scipy.special import ellipk
 
@@ -37,6 +36,8 @@ from trms_cli.stability.local.linear import Linear
 from trms_cli.stability.studies.limit_cycles import LimitCycles
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject, not_level
+
+from .planar_systems import Planar, van_der_pol
 
 
 def normal_form() -> Planar:
@@ -236,14 +237,6 @@ def asked(model, **keys):
     return LimitCycles(**{**SHORT, **keys}).run(Subject(model, "m"), silent)
 
 
-@pytest.fixture(scope="module")
-def strong_cross_moment():
-    """The set `rahideh`, k_g = 0.2, where a stable and an unstable cycle surround the hover."""
-    at = {"alpha_v": 0.17, "alpha_h": 0.3}
-    keys = {"starts": 8, "duration": 60.0, "box": {"alpha_v": 0.9}}
-    return asked(Newtonian(parameter_set="rahideh"), at=at, **keys)
-
-
 @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
 def test_of_one_axis_there_is_none_and_the_lead_says_proved(freedom):
     findings = asked(Newtonian(freedom=freedom))
@@ -276,9 +269,12 @@ def test_without_losses_orbits_are_no_limit_cycles():
     json.dumps(results, allow_nan=False)
 
 
-def test_two_cycles_around_a_stable_hover(strong_cross_moment):
-    unstable, stable = strong_cross_moment.results["cycles"]
-    assert strong_cross_moment.results["continuum"] == []
+def test_two_cycles_surround_a_stable_hover_on_a_branch_that_folds():
+    """The set `rahideh`, k_g = 0.2."""
+    model, at = Newtonian(parameter_set="rahideh"), {"alpha_v": 0.17, "alpha_h": 0.3}
+    findings = asked(model, at=at, starts=8, duration=60.0, box={"alpha_v": 0.9})
+    unstable, stable = findings.results["cycles"]
+    assert findings.results["continuum"] == []
     assert not unstable["stable"] and stable["stable"]
     assert unstable["period"] == pytest.approx(4.302, abs=0.002)
     assert stable["period"] == pytest.approx(4.622, abs=0.002)
@@ -289,9 +285,31 @@ def test_two_cycles_around_a_stable_hover(strong_cross_moment):
         assert cycle["trivial_error"] < 1e-6 and cycle["misfit"] < 1e-8
         # The rotors are driven by nothing but their commands: they stand still on a cycle.
         assert cycle["lowest"]["omega_v"] == pytest.approx(cycle["highest"]["omega_v"])
-    json.dumps(strong_cross_moment.results, allow_nan=False)
-    names = [chart.name for chart in strong_cross_moment.charts]
+    json.dumps(findings.results, allow_nan=False)
+    names = [chart.name for chart in findings.charts]
     assert names == ["limit_cycles", "floquet_multipliers", "cycles_over_command"]
+    # The Hopf point is subcritical.
+    over = findings.results["over"]
+    (hopf,) = over["hopf"]
+    assert hopf["x"][model.state_index("alpha_v")] == pytest.approx(0.29, abs=0.003)
+    branch = over["branches"][0]
+    assert not any(branch["stable"][:10]) and branch["u"][5] < hopf["u"]
+    fold = branch["changes"][0]
+    assert fold["kind"] == "fold" and fold["u"] == pytest.approx(1.645, abs=0.002)
+    assert any("subcritical" in sentence for sentence in findings.lead)
+    # The curves of stable and unstable cycles meet at the fold.
+    chart = findings.charts[-1]
+    for panel in chart.panels:
+        curves = [mark for mark in panel.marks if isinstance(mark, Curve)]
+        blue = [mark for mark in curves if mark.colour == "blue"]
+        red = [mark for mark in curves if mark.colour == "vermilion"]
+        assert blue and red
+        for one, other in zip(blue, red, strict=True):
+            drawn, beside = (np.isfinite(np.asarray(mark.y)) for mark in (one, other))
+            # They share the changes alone.
+            shared = np.asarray(one.x)[drawn & beside]
+            assert np.all(np.isin(shared, [change["u"] for change in branch["changes"]]))
+            assert fold["u"] in shared
 
 
 def test_the_multipliers_have_the_product_of_liouville():
@@ -308,18 +326,6 @@ def test_the_multipliers_have_the_product_of_liouville():
     assert np.log(np.abs(np.prod(orbit.multipliers))) == pytest.approx(expected, rel=1e-4)
 
 
-def test_the_hopf_point_is_subcritical_and_the_branch_folds(strong_cross_moment):
-    over = strong_cross_moment.results["over"]
-    (hopf,) = over["hopf"]
-    model = Newtonian(parameter_set="rahideh")
-    assert hopf["x"][model.state_index("alpha_v")] == pytest.approx(0.29, abs=0.003)
-    branch = over["branches"][0]
-    assert not any(branch["stable"][:10]) and branch["u"][5] < hopf["u"]
-    fold = branch["changes"][0]
-    assert fold["kind"] == "fold" and fold["u"] == pytest.approx(1.645, abs=0.002)
-    assert any("subcritical" in sentence for sentence in strong_cross_moment.lead)
-
-
 def test_on_the_cable_s_switch_the_hopf_point_is_that_of_the_mean():
     model = Newtonian(parameter_set="rahideh")
     findings = asked(model, at={"alpha_v": 0.17}, starts=1, orbits=12)
@@ -333,23 +339,6 @@ def test_on_the_cable_s_switch_the_hopf_point_is_that_of_the_mean():
     assert any("mean of both sides" in words for words in findings.lead)
     # The multipliers of the smallest cycles are 1 within their accuracy: no fold.
     assert findings.results["over"]["branches"][0]["changes"] == []
-
-
-def test_the_curves_of_stable_and_unstable_cycles_meet_at_the_fold(strong_cross_moment):
-    chart = strong_cross_moment.charts[-1]
-    fold = strong_cross_moment.results["over"]["branches"][0]["changes"][0]
-    for panel in chart.panels:
-        curves = [mark for mark in panel.marks if isinstance(mark, Curve)]
-        blue = [mark for mark in curves if mark.colour == "blue"]
-        red = [mark for mark in curves if mark.colour == "vermilion"]
-        assert blue and red
-        for one, other in zip(blue, red, strict=True):
-            drawn, beside = (np.isfinite(np.asarray(mark.y)) for mark in (one, other))
-            # They share the changes alone.
-            shared = np.asarray(one.x)[drawn & beside]
-            changes = strong_cross_moment.results["over"]["branches"][0]["changes"]
-            assert np.all(np.isin(shared, [change["u"] for change in changes]))
-            assert fold["u"] in shared
 
 
 def test_with_dry_friction_motions_alone_are_looked_at():

@@ -4,13 +4,10 @@ that are varied; modes that become others along a range.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from study_cases import RAHIDEH, answer
 
 from trms_cli.composition.composer import compose
 from trms_cli.core.chart import Line, Points
@@ -44,6 +41,8 @@ from trms_cli.stability.local.tables import colours_of, points_alone, styles_of
 from trms_cli.stability.studies.controllability import Controllability
 from trms_cli.stability.studies.local import Local
 from trms_cli.stability.studies.root_locus import RootLocus, StabilityMap, map_section
+
+from .study_cases import RAHIDEH, answer
 
 
 def modes_at(model, at, side="mean"):
@@ -243,25 +242,6 @@ def test_no_operating_point_beside_a_free_yaw_is_said():
     assert any("study.over=alpha_v" in sentence for sentence in findings.lead)
 
 
-@pytest.mark.parametrize(
-    ("study", "says"),
-    [
-        (Local(at={"alpha_x": 0.0}), "alpha_v"),
-        (Local(over="k_q"), "allowed"),
-        (Local(at={"alpha_v": 2.0}), "closest"),
-        (Local(at={"alpha_v": 0.0, "u_h": 1.0}), "others follow"),
-        (Local(range=(2.5, 2.7)), "cannot rest"),
-        (RootLocus(over="k_g", range=(0.1, 0.1)), "different"),
-        (RootLocus(over="k_ov", range=(-1.0, 0.1)), "between"),
-        (RootLocus(over="k_g", at={"alpha_v": 0.1}, against="u_h", points=3), "others follow"),
-    ],
-)
-def test_bad_requests_say_what_is_possible(study, says):
-    with pytest.raises(ConfigurationError) as refused:
-        answer(study)
-    assert says in f"{refused.value.problem} {refused.value.remedy}"
-
-
 def test_states_of_effects_are_named_after_the_effect():
     hysteresis = CableHysteresis(axis="yaw", torque=0.004, width=0.1)
     model = extend_model(Newtonian(), {"yaw_cable_hysteresis": hysteresis})
@@ -319,32 +299,38 @@ def test_the_first_command_in_at_is_varied_if_nothing_is_said(study, at):
         assert results["at"]["u"]["u_v"] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("study", STUDIES)
+ANGLE = "over=alpha_v varies an angle; at holds commands"
+COMMAND = "over=u_h varies a command; at holds angles"
+REVERSED = {"over": "alpha_v", "points": 5}
+
+
 @pytest.mark.parametrize(
-    ("at", "over", "says", "use"),
+    ("study", "says"),
     [
-        ({"u_v": 1.0}, "alpha_v", "over=alpha_v varies an angle; at holds commands", "u_v"),
-        ({"alpha_v": 0.1}, "u_h", "over=u_h varies a command; at holds angles", "alpha_v"),
+        (Local(at={"alpha_x": 0.0}), ["alpha_v"]),
+        (Local(over="k_q"), ["allowed"]),
+        (Local(at={"alpha_v": 2.0}), ["closest"]),
+        (Local(at={"alpha_v": 0.0, "u_h": 1.0}), ["others follow"]),
+        (Local(range=(2.5, 2.7)), ["cannot rest"]),
+        (RootLocus(over="k_g", range=(0.1, 0.1)), ["different"]),
+        (RootLocus(over="k_ov", range=(-1.0, 0.1)), ["between"]),
+        (RootLocus(over="k_g", at={"alpha_v": 0.1}, against="u_h", points=3), ["others follow"]),
+        # A line that does not go with at: what does.
+        *((of(at={"u_v": 1.0}, over="alpha_v"), [ANGLE, "study.over=u_v"]) for of in STUDIES),
+        *((of(at={"alpha_v": 0.1}, over="u_h"), [COMMAND, "study.over=alpha_v"]) for of in STUDIES),
+        # A reversed range, by its name.
+        *((of(**REVERSED, range=(0.2, 0.1)), ["study.range=[0.1,0.2]"]) for of in STUDIES),
+        (
+            RootLocus(**REVERSED, against="k_g", against_range=(0.2, 0.1)),
+            ["upper end comes first", "study.against_range=[0.1,0.2]"],
+        ),
     ],
 )
-def test_a_line_that_does_not_go_with_at_is_refused_with_one_that_does(study, at, over, says, use):
+def test_bad_requests_say_what_is_possible(study, says):
     with pytest.raises(ConfigurationError) as refused:
-        answer(study(at=at, over=over, points=5))
-    assert says in refused.value.problem
-    assert f"study.over={use}" in refused.value.remedy
-
-
-@pytest.mark.parametrize(
-    ("study", "key"),
-    [
-        *((study, "range") for study in STUDIES),
-        (partial(RootLocus, against="k_g"), "against_range"),
-    ],
-)
-def test_a_reversed_range_is_refused_by_its_name(study, key):
-    with pytest.raises(ConfigurationError, match="upper end comes first") as refused:
-        answer(study(over="alpha_v", points=5, **{key: (0.2, 0.1)}))
-    assert f"study.{key}=[0.1,0.2]" in refused.value.remedy
+        answer(study)
+    told = f"{refused.value.problem} {refused.value.remedy}"
+    assert all(words in told for words in says)
 
 
 def test_beyond_the_fold_it_is_the_pitch_that_diverges():

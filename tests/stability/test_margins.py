@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_cases import AT, COARSE, MODEL, PERIOD, POINT, Changed, loop_of, lqr, subject_of
 
 from trms_cli.cli import main
 from trms_cli.controllers.controller import Command, ControlSetup, Status
@@ -47,6 +46,8 @@ from trms_cli.stability.loops.frequency_response import (
 from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.study import silent
 from trms_cli.stability.subject import Subject
+
+from .loop_cases import AT, COARSE, MODEL, PERIOD, POINT, Changed, loop_of, lqr, subject_of
 
 OMEGA = np.geomspace(0.01, 100, 4000)
 S = 1j * OMEGA
@@ -202,13 +203,11 @@ class TestTheStudy:
 
 
 class TestDryFriction:
-    @pytest.mark.parametrize(("axis", "angle"), [("pitch", "alpha_v"), ("yaw", "alpha_h")])
-    def test_holds_its_axis(self, axis, angle):
-        rig = extend_model(MODEL, {"dry": CoulombFriction(axis=axis, torque=0.001)})
-        assert held_by_friction(rig, POINT) == (angle,)
+    def test_holds_its_axis_is_left_out_of_the_margins_and_that_is_told(self, findings):
+        for axis, angle in (("pitch", "alpha_v"), ("yaw", "alpha_h")):
+            rig = extend_model(MODEL, {"dry": CoulombFriction(axis=axis, torque=0.001)})
+            assert held_by_friction(rig, POINT) == (angle,)
         assert held_by_friction(MODEL, POINT) == ()
-
-    def test_is_left_out_of_the_margins_and_that_is_told(self, findings):
         rig = extend_model(MODEL, {"dry": CoulombFriction(axis="yaw", torque=0.003)})
         stuck = STUDY.run(subject_of(lqr(), rig), silent)
         assert stuck.results["quality"]["held_by_dry_friction"] == ["alpha_h"]

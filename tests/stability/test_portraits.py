@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
-from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Table
 from trms_cli.core.plugins import build
 from trms_cli.effects.coulomb_friction import CoulombFriction
@@ -151,65 +151,40 @@ def test_the_default_is_the_first_axis_or_the_two_states_of_a_motor():
 
 
 @pytest.mark.parametrize(
-    ("states", "where", "words"),
+    ("model", "states", "others", "where", "words"),
     [
-        (("alpha_v", "omga_v"), "states[1]", "omega_v"),
-        (("alpha_v",), "states", "two make a plane"),
-        (("alpha_v", "alpha_v"), "states", "once"),
-        (("rate_v", "S_v"), "states", "angle"),
-        (("alpha_v", "S_v", "omega_v", "alpha_h"), "states", "three a space"),
-    ],
-)
-def test_states_that_make_no_portrait_are_refused(states, where, words):
-    with pytest.raises(ConfigurationError) as error:
-        section_of(BOTH, states, {})
-    assert error.value.where == where
-    assert words in error.value.remedy
-
-
-def test_a_model_of_one_state_is_refused():
-    with pytest.raises(ModelError, match="one state") as error:
-        section_of(SingleRotor(rotor="main"), ("omega_v", "omega_v"), {})
-    assert "currents=dynamic" in error.value.remedy
-
-
-@pytest.mark.parametrize(
-    ("states", "others", "where", "words"),
-    [
-        (("alpha_v", "S_v"), ("alpha_v",), "others[0]", "leaves open"),
+        (BOTH, ("alpha_v", "omga_v"), "held", "states[1]", "omega_v"),
+        (BOTH, ("alpha_v",), "held", "states", "two make a plane"),
+        (BOTH, ("alpha_v", "alpha_v"), "held", "states", "once"),
+        (BOTH, ("rate_v", "S_v"), "held", "states", "angle"),
+        (BOTH, ("alpha_v", "S_v", "omega_v", "alpha_h"), "held", "states", "three a space"),
+        (SingleRotor(rotor="main"), ("omega_v", "omega_v"), "held", None, "currents=dynamic"),
+        (VERTICAL, ("alpha_v", "S_v"), ("alpha_v",), "others[0]", "leaves open"),
         # dα_v/dt = S_v does not depend on α_v.
-        (("omega_v", "S_v"), "settled", "others", "alpha_v: what settles"),
+        (VERTICAL, ("omega_v", "S_v"), "settled", "others", "alpha_v: what settles"),
     ],
 )
-def test_what_cannot_settle_is_refused(states, others, where, words):
-    with pytest.raises(ConfigurationError, match=words) as error:
-        section_of(VERTICAL, states, {}, others)
-    assert error.value.where == where
+def test_states_that_make_no_portrait_are_refused(model, states, others, where, words):
+    with pytest.raises(TrmsError) as error:
+        section_of(model, states, {}, others)
+    assert where is None or error.value.where == where
+    assert words in f"{error.value.problem} {error.value.remedy}"
 
 
 rates = st.floats(0.01, 50.0)
 
 
-@given(st.lists(rates, min_size=2, max_size=5), st.booleans())
-def test_real_eigenvalues_of_one_sign_make_a_node(sizes, stable):
-    sign = -1.0 if stable else 1.0
-    assert kind_of([sign * size for size in sizes]) == f"{'' if stable else 'un'}stable node"
-
-
-@given(rates, rates, st.booleans())
-def test_a_pair_makes_a_focus_and_what_only_swings_is_a_centre(real, imaginary, stable):
-    sign = -1.0 if stable else 1.0
-    pair = [sign * real + 1j * imaginary, sign * real - 1j * imaginary]
-    assert kind_of(pair) == f"{'' if stable else 'un'}stable focus"
+@given(rates, rates, st.lists(rates, max_size=3), st.booleans())
+def test_eigenvalues_make_a_node_a_focus_a_centre_or_a_saddle(one, other, more, stable):
+    sign, prefix = (-1.0, "") if stable else (1.0, "un")
+    assert kind_of([sign * size for size in (one, other, *more)]) == f"{prefix}stable node"
+    pair = [sign * one + 1j * other, sign * one - 1j * other]
+    assert kind_of(pair) == f"{prefix}stable focus"
     # A zero eigenvalue (a yaw that nothing pulls back) does not hide it.
     assert kind_of([*pair, 0.0]) == kind_of(pair)
-    swing = [1j * imaginary, -1j * imaginary]
-    assert kind_of(swing) == "centre" and kind_of([*swing, -real]) == "undecided"
-
-
-@given(rates, rates, st.lists(rates, max_size=3))
-def test_both_signs_make_a_saddle(out, into, more):
-    assert kind_of([out, -into, *(-size for size in more)]) == "saddle"
+    swing = [1j * other, -1j * other]
+    assert kind_of(swing) == "centre" and kind_of([*swing, -one]) == "undecided"
+    assert kind_of([one, -other, *(-size for size in more)]) == "saddle"
 
 
 @pytest.mark.parametrize("command", [{"alpha_v": 0.0}, {"u_v": 1.0}, {"u_v": 1.8}])
@@ -225,12 +200,8 @@ def test_the_upper_rest_of_pitch_is_the_mirror_of_the_lower_one(command):
     assert low.in_section and high.in_section
 
 
-def test_hover_swings_and_decays_as_known():
-    (hover, _) = search(
-        section := section_of(VERTICAL, ("alpha_v", "rate_v"), {"alpha_v": 0.0}),
-        default_window(section, {}),
-    )
-    pair = hover.eigenvalues[1]
+def test_hover_swings_and_decays_as_known(rests):
+    pair = rests[0].eigenvalues[1]
     assert pair == pytest.approx(-0.047 + 1.830j, abs=1e-3)
     assert period(pair) == pytest.approx(3.433, abs=2e-3)
     assert halving_time(pair) == pytest.approx(14.85, abs=0.05)
@@ -268,12 +239,6 @@ def test_a_swing_that_grows_is_told_from_a_way_out():
     assert growing.real > 0 and period(growing) == pytest.approx(2 * np.pi / 1.27, rel=0.01)
 
 
-def test_a_portrait_tells_the_modes_that_it_shows():
-    section = section_of(BOTH, ("alpha_h", "rate_h"), {"alpha_v": 0.0})
-    (rest,) = search(section, np.array([[-1.0, 1.0], [-1.0, 1.0]]))
-    assert period(rest.eigenvalues[rest.shown][0]) == pytest.approx(14.15, abs=0.1)  # not pitch
-
-
 def test_on_a_switch_eigenvalues_are_those_of_the_mean():
     # The cable is stiffer on one side of α_h = 0: a swing takes half its time on either.
     yaw = Newtonian(freedom="horizontal")
@@ -291,21 +256,22 @@ def test_on_a_switch_eigenvalues_are_those_of_the_mean():
     assert period(rest.eigenvalues[0]) == pytest.approx(swing, rel=0.02)
 
 
-def test_the_same_rest_a_turn_away_has_the_same_eigenvalues():
+def test_of_both_axes_rests_beside_the_section_and_a_turn_away_and_the_modes_that_are_shown():
+    # The upper rest of pitch needs another yaw rate state than hover does.
+    section = section_of(BOTH, ("alpha_v", "rate_v"), {"alpha_v": 0.0})
+    hover, upper = search(section, default_window(section, {}))
+    assert hover.in_section
+    assert upper.kind == "saddle" and not upper.in_section
+    section = section_of(BOTH, ("alpha_h", "rate_h"), {"alpha_v": 0.0})
+    (rest,) = search(section, np.array([[-1.0, 1.0], [-1.0, 1.0]]))
+    assert period(rest.eigenvalues[rest.shown][0]) == pytest.approx(14.15, abs=0.1)  # not pitch
+    # The same rest a turn away has the same eigenvalues.
     section = section_of(BOTH, None, {})
     rests = search(section, np.array([[-4.5, 4.0], [-1.0, 1.0]]))
     first, last = (rest for rest in rests if rest.kind == "saddle")
     assert last.c[0] - first.c[0] == pytest.approx(2 * np.pi)
     assert first.eigenvalues == pytest.approx(last.eigenvalues)
     assert np.count_nonzero(first.eigenvalues.imag) == 2  # rounding makes no pair
-
-
-def test_a_rest_beside_the_section_is_told():
-    # The upper rest of pitch needs another yaw rate state than hover does.
-    section = section_of(BOTH, ("alpha_v", "rate_v"), {"alpha_v": 0.0})
-    hover, upper = search(section, default_window(section, {}))
-    assert hover.in_section
-    assert upper.kind == "saddle" and not upper.in_section
 
 
 WINDOW = np.array([[-2.5, 2.5], [-2.5, 2.5]])
@@ -570,7 +536,12 @@ def test_the_portrait_as_data_and_its_flow_and_nullclines_those_of_the_field(por
         assert np.abs(section.rates(points)[:, place]).max() < 1e-3 * typical
 
 
-def test_names_near_the_right_edge_are_short(portrait):
+def test_no_trajectory_has_the_colour_of_a_nullcline_and_names_near_the_edge_are_short(portrait):
+    findings = found(at={"alpha_v": 0.0}, starts=12, duration=5.0)
+    moving = {c.colour for c in marks(findings, Curve) if c.label == "still moving at the end"}
+    others = {c.colour for c in marks(findings, Curve) if c.label != "still moving at the end"}
+    assert len(moving) == 1
+    assert not moving & ({mark.colour for mark in marks(findings, Contour)} | others)
     window = {"alpha_v": (-1.0, 2.0)}
     inside, edge = (
         {mark.label: mark.names for mark in marks(findings, Points)}["saddle"]
@@ -580,14 +551,6 @@ def test_names_near_the_right_edge_are_short(portrait):
         )
     )
     assert inside == ("1.9",) and edge == ()
-
-
-def test_no_trajectory_has_the_colour_of_a_nullcline():
-    findings = found(at={"alpha_v": 0.0}, starts=12, duration=5.0)
-    moving = {c.colour for c in marks(findings, Curve) if c.label == "still moving at the end"}
-    others = {c.colour for c in marks(findings, Curve) if c.label != "still moving at the end"}
-    assert len(moving) == 1
-    assert not moving & ({mark.colour for mark in marks(findings, Contour)} | others)
 
 
 def test_commands_are_those_that_reach_the_motor():
@@ -631,19 +594,16 @@ def test_three_states_make_a_space():
     assert not marks(findings, Flow)
 
 
-def test_a_slow_motor_is_followed_until_it_has_arrived():
+def test_a_line_of_rest_points_is_one_end_and_a_slow_motor_is_followed_to_its_own():
+    findings = found(FeedbackManual(), states=("alpha_h", "rate_h"), starts=5, duration=20.0)
+    (end,) = findings.results["trajectories"]["ends"]
+    assert end["what"] == "line" and "side by side on a line" in findings.lead[0]
     motor = SingleRotor(rotor="main", currents="dynamic")
     # From full speed backwards: slow where it passes standstill.
     findings = found(motor, at={"u_v": 1.0}, starts=({"omega_v": -280.0},))
     (end,) = findings.results["trajectories"]["ends"]
     assert end["what"] == "rest" and end["at"]["omega_v"] == pytest.approx(158.527, abs=1e-2)
     assert "fast one halves in 0.0745 ms" in " ".join(findings.lead)
-
-
-def test_a_line_of_rest_points_is_one_end():
-    findings = found(FeedbackManual(), states=("alpha_h", "rate_h"), starts=5, duration=20.0)
-    (end,) = findings.results["trajectories"]["ends"]
-    assert end["what"] == "line" and "side by side on a line" in findings.lead[0]
 
 
 def test_dry_friction_takes_separatrices_away_and_a_set_too_short_to_see_is_told():
@@ -671,7 +631,9 @@ def test_a_loop_brings_every_start_to_the_goal():
     assert any("nullclines do not exist" in text for text in findings.sections[0].text)
 
 
-def test_a_command_at_its_bound_is_marked():
+def test_a_command_at_its_bound_is_marked_and_a_loop_that_does_not_arrive_not_praised():
+    findings = found(loop=LOOP, at={"alpha_v": 0.0}, duration=0.4, starts=2)
+    assert findings.lead[0].startswith("None of the 2 trajectories under lqr")
     findings = found(
         loop=LOOP, at={"alpha_v": 0.0}, duration=6.0, starts=({"alpha_v": -0.6, "rate_v": -1.5},)
     )
@@ -679,11 +641,6 @@ def test_a_command_at_its_bound_is_marked():
     assert 0 < share < 1
     (at_bound,) = [c for c in marks(findings, Curve) if c.label == "command at its bound"]
     assert 0 < np.isfinite(at_bound.x).mean() < 1
-
-
-def test_a_loop_that_does_not_arrive_is_not_praised():
-    findings = found(loop=LOOP, at={"alpha_v": 0.0}, duration=0.4, starts=2)
-    assert findings.lead[0].startswith("None of the 2 trajectories under lqr")
 
 
 def test_two_portraits_are_equal():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from study_cases import RAHIDEH, answer
 
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.inflow import Inflow
@@ -25,6 +24,8 @@ from trms_cli.stability.local.sensitivity import (
 from trms_cli.stability.local.sweep import OperatingPath, crossings, sweep_eigenvalues, tracks_of
 from trms_cli.stability.studies.root_locus import RootLocus, stability_map
 from trms_cli.stability.study import silent
+
+from .study_cases import RAHIDEH, answer
 
 RANGE = (0.0123, 0.2)
 
@@ -57,15 +58,6 @@ def test_the_crossing_over_k_g_is_on_the_axis_and_between_the_sides():
     assert values["mean"] == pytest.approx(0.148, abs=1e-3)
 
 
-def test_the_crossing_is_that_of_a_model_built_with_the_value():
-    _, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
-    for factor, stable in ((0.98, True), (1.02, False)):
-        model = Newtonian(parameters={"k_g": factor * found.value})
-        path = OperatingPath(model, {"alpha_v": 0.4}, "alpha_v")
-        place = path.first(0.4, 0.4)
-        assert (place.spectrum.values.real.max() < 0) == stable
-
-
 @pytest.mark.parametrize(
     ("at", "over", "span"),
     [
@@ -87,7 +79,7 @@ def test_sensitivities_are_those_of_finite_differences(at, over, span):
         assert sum(s.part for s in found.shares) == pytest.approx(found.total)
 
 
-def test_the_shares_name_the_gyroscopic_moment_first():
+def test_the_crossing_over_k_g_is_of_the_gyroscopic_moment_in_a_loop_over_pitch_and_yaw():
     path, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
     why = sensitivity(path, found.place, found.track)
     first = why.shares[0]
@@ -97,24 +89,21 @@ def test_the_shares_name_the_gyroscopic_moment_first():
     p = {parameter.name: parameter.value for parameter in path.model.parameters}
     thrust = p["k_fvp"] * found.place.point.x[path.model.state_index("omega_v")] ** 2
     assert first.change == pytest.approx(thrust * np.cos(0.4) / geometry(p)["J_v"])
-
-
-def test_the_loop_is_closed_over_pitch_and_yaw():
-    path, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
+    # The strongest loop through that moment.
     a = path.linear.a(found.place.point.x, found.place.point.u, "mean", found.place.held.p)
     row, column = (path.model.state_index(name) for name in ("S_v", "S_h"))
     strongest = loops_through(a, row, column, 1j * found.frequency)[0]
     words = {state_words(path.model, k) for k in strongest.states}
     assert words == {"pitch rate", "pitch angle", "yaw rate"}
-
-
-def test_the_instability_needs_both_couplings_in_product():
-    _, _, (over_k_g,) = locus({"alpha_v": 0.4}, "k_g", RANGE)
+    # It is that of a model built with the value.
+    for factor, stable in ((0.98, True), (1.02, False)):
+        model = Newtonian(parameters={"k_g": factor * found.value})
+        place = OperatingPath(model, {"alpha_v": 0.4}, "alpha_v").first(0.4, 0.4)
+        assert (place.spectrum.values.real.max() < 0) == stable
+    # It needs both couplings, in product.
     _, _, (over_k_m,) = locus({"alpha_v": 0.4}, "k_m", (0.0, 4e-4), model=RAHIDEH)
-    bench = Newtonian().parameters
-    assert over_k_m.value * RAHIDEH.parameters["k_g"].value == pytest.approx(
-        over_k_g.value * bench["k_m"].value, rel=1e-6
-    )
+    product = over_k_m.value * RAHIDEH.parameters["k_g"].value
+    assert product == pytest.approx(found.value * p["k_m"], rel=1e-6)
 
 
 def test_the_lagrangian_form_has_no_such_instability():
@@ -149,16 +138,13 @@ def test_the_size_of_an_effect_can_be_varied():
     assert np.all(np.diff(damping) < 0)  # inflow damps
 
 
-def test_the_map_has_the_boundary_of_the_loci():
+def test_the_map_has_the_boundary_of_the_loci_and_holes_where_there_is_no_operating_point():
     path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
     found = stability_map(path, "alpha_v", RANGE, (0.3, 0.5), (7, 5), silent)
     assert found.largest_growth_1_s.shape == (5, 7)
     row = np.flatnonzero(np.isclose(found.boundary[:, 1], 0.4))
     assert found.boundary[row, 0] == pytest.approx([0.1481], abs=2e-4)
     assert np.all(np.diff(found.largest_growth_1_s, axis=1) > 0)  # more k_g, less stable
-
-
-def test_the_map_has_holes_where_there_is_no_operating_point():
     path = OperatingPath(FeedbackManual(), {"alpha_v": -0.5}, "K_gy")
     found = stability_map(path, "alpha_v", (0.01, 0.05), (-0.4, 0.2), (3, 5), silent)
     assert np.isfinite(found.largest_growth_1_s[0]).all()

@@ -49,14 +49,7 @@ OF_A_LOOP = Hunting(), Margins(), Tolerance()
 OF_EQUATIONS = Equilibria(), LimitCycles(), Lyapunov(), PhasePortrait(), RegionOfAttraction()
 
 
-def test_effects_are_told_by_what_they_change():
-    subject = Subject(MODEL, "newtonian")
-    assert subject.dry == ("dry",)
-    assert subject.on_commands == ("zone",) and subject.on_sensors == ("bias",)
-    assert set(subject.left_out_of_equations()) == {"dry", "zone", "bias"}
-
-
-def test_the_equations_are_those_of_what_moves():
+def test_the_equations_are_those_of_what_moves_and_other_effects_are_told():
     model = Subject(MODEL, "newtonian").require_equations("a study")
     assert effect_names(model) == ("drag", "dry")
     whole = Subject(MODEL, "newtonian").require_equations("a study", command_path=True)
@@ -64,6 +57,10 @@ def test_the_equations_are_those_of_what_moves():
     # Nothing is made anew without need.
     moving = extend_model(Newtonian(), {"drag": EFFECTS["drag"]})
     assert Subject(moving, "newtonian").require_equations("a study") is moving
+    subject = Subject(MODEL, "newtonian")
+    assert subject.dry == ("dry",)
+    assert subject.on_commands == ("zone",) and subject.on_sensors == ("bias",)
+    assert set(subject.left_out_of_equations()) == {"dry", "zone", "bias"}
 
 
 def test_values_that_were_changed_later_stay():

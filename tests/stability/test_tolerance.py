@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_cases import AT, MODEL, POINT, Changed, loop_of, lqr, subject_of
 
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.core.errors import ConfigurationError
@@ -34,6 +33,8 @@ from trms_cli.stability.loops.tolerance import (
 from trms_cli.stability.studies.margins import Margins
 from trms_cli.stability.studies.tolerance import Tolerance, _sentence
 from trms_cli.stability.study import silent
+
+from .loop_cases import AT, MODEL, POINT, Changed, loop_of, lqr, subject_of
 
 BOUNDS = Bounds(rest=0.02, swing=0.002, chatter=0.02)
 TIME = np.arange(0, 40, 0.02)
