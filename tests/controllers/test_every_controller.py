@@ -142,7 +142,7 @@ def follows(rig: Rig) -> bool:
 
 
 @pytest.mark.parametrize("first", [True, False], ids=["from the start", "under way"])
-def test_an_estimate_that_is_no_number(rig: Rig, first: bool) -> None:
+def test_what_is_no_number(rig: Rig, first: bool) -> None:
     """It fails as declared, and is over with the first good estimate."""
     runner, still = rig.runner, np.zeros(rig.runner.model.n_w)
     if not first:
@@ -159,10 +159,7 @@ def test_an_estimate_that_is_no_number(rig: Rig, first: bool) -> None:
         fresh.u = runner.u.copy()
         answer, expected = runner.step(rig.x), fresh.step(rig.x)
     assert (answer.status is Status.FAILED) == (expected.status is Status.FAILED), answer.message
-
-
-def test_a_reference_that_is_no_number(rig: Rig) -> None:
-    rig.run(2)
+    # Nor is a reference.
     for _ in range(2):
         answer = rig.runner.step(rig.x, np.full(len(rig.runner.level), np.nan))
         if follows(rig):

@@ -1,5 +1,5 @@
-"""The exported Newton MPC against Python's, sample by sample in closed loops; exported filters over a
-noisy rig with missing samples and outliers.
+"""The exported Newton MPC against Python's, sample by sample in closed loops; exported filters over
+a noisy rig with missing samples and outliers.
 """
 
 from __future__ import annotations
@@ -392,13 +392,10 @@ def test_filters(tmp_path, observer, channels):
     agree(setup, observer, library, 400)
 
 
-def test_a_delay_of_the_input_is_remembered(tmp_path):
+def test_a_delay_of_the_input_is_remembered_and_an_estimate_always_finite(tmp_path):
     model = extend_model(Newtonian(freedom="vertical"), {"d": InputDelay(rotor="main", delay=0.05)})
     setup, library = compiled(tmp_path, Ukf(), model, ("alpha_v", "omega_v"))
     agree(setup, Ukf(), library, 400)
-
-
-def test_an_estimate_is_always_finite(tmp_path):
     model = Newtonian(freedom="vertical")
     setup, library = compiled(tmp_path, Ukf(gate=None), model, ("alpha_v", "omega_v"))
     u = setup.first_command

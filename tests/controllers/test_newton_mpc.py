@@ -1,5 +1,5 @@
-"""The Newton MPC against textbook solutions, and its promises one by one; the quasi-infinite horizon,
-its terminal cost and region, and what they promise.
+"""The Newton MPC against textbook solutions, and its promises one by one; the quasi-infinite
+horizon, its terminal cost and region, and what they promise.
 """
 
 from __future__ import annotations
@@ -372,18 +372,15 @@ def test_tracks_without_steady_state_error(options, model, goal, seconds, left) 
     assert ran.errors[-1] == pytest.approx(0.0, abs=left)
 
 
-def test_reference_out_of_reach_is_projected() -> None:
-    ran = close_loop(NewtonMpc(), MODEL, constant(0.0, 9.0), 12.0)
-    assert ran.angles[-1] == pytest.approx([0.0, MODEL.stops["alpha_h"]], abs=0.01)
-    assert "out of reach" in ran.commands[-1].message
-
-
-def test_preview_lowers_the_tracking_error() -> None:
+def test_preview_lowers_the_tracking_error_and_a_reference_out_of_reach_is_projected() -> None:
     blind, ahead = (
         np.square(close_loop(NewtonMpc(preview_horizon=n), MODEL, SQUARE, 20.0).errors[50:]).sum()
         for n in (0, 15)
     )
     assert ahead < 0.8 * blind
+    ran = close_loop(NewtonMpc(), MODEL, constant(0.0, 9.0), 12.0)
+    assert ran.angles[-1] == pytest.approx([0.0, MODEL.stops["alpha_h"]], abs=0.01)
+    assert "out of reach" in ran.commands[-1].message
 
 
 def test_disturbance_that_no_input_holds_is_reported_and_survived() -> None:
@@ -637,12 +634,22 @@ def test_a_target_at_a_bound_keeps_the_equality() -> None:
 # -- the controller -------------------------------------------------------------------------------
 
 
-def test_region_is_entered_and_the_steady_state_reached() -> None:
+def test_region_is_entered_and_the_steady_state_reached_also_with_memory_and_with_currents() -> (
+    None
+):
     mpc = NewtonMpc(**QUASI, max_iterations=30, tolerance=1e-6)
     ran = close_loop(mpc, MODEL, constant(0.1, 0.2), 9.0)
     assert max(command.slack for command in ran.commands) < 1e-6
     assert ran.states[-1, 5] == pytest.approx(0.1, abs=1e-3)
     assert ran.states[-1, 2] == pytest.approx(0.2, abs=1e-3)
+    delayed = extend_model(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)})
+    state = begun(NewtonMpc(**QUASI), delayed, [0.1, 0.2])
+    assert state.regions.region is not None
+    assert state.regions.region.root.shape == (2 + state.discrete.n_x,) * 2
+    model = Newtonian(currents="dynamic")
+    ran = close_loop(NewtonMpc(**QUASI, max_iterations=2), model, constant(0.1, 0.2), 9.0)
+    assert ran.states[-1, model.state_index("alpha_v")] == pytest.approx(0.1, abs=3e-3)
+    assert ran.states[-1, model.state_index("alpha_h")] == pytest.approx(0.2, abs=3e-3)
 
 
 def test_terminal_residual_is_told_and_a_shorter_horizon_suffices_than_with_the_equality() -> None:
@@ -676,14 +683,3 @@ def test_objective_falls_by_the_stage_cost_every_sample() -> None:
     stage += np.square(np.diff(u, axis=0))[: len(stage)] @ moves
     # The rig is integrated in finer steps than the prediction.
     assert (np.diff(cost) + stage <= 1e-4 * (1.0 + cost[:-1])).all()
-
-
-def test_models_with_memory_and_with_currents() -> None:
-    delayed = extend_model(Newtonian(), {"d": InputDelay(rotor="main", delay=0.13)})
-    state = begun(NewtonMpc(**QUASI), delayed, [0.1, 0.2])
-    assert state.regions.region is not None
-    assert state.regions.region.root.shape == (2 + state.discrete.n_x,) * 2
-    model = Newtonian(currents="dynamic")
-    ran = close_loop(NewtonMpc(**QUASI, max_iterations=2), model, constant(0.1, 0.2), 9.0)
-    assert ran.states[-1, model.state_index("alpha_v")] == pytest.approx(0.1, abs=3e-3)
-    assert ran.states[-1, model.state_index("alpha_h")] == pytest.approx(0.2, abs=3e-3)

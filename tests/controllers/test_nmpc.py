@@ -90,16 +90,13 @@ def test_machine_code_gives_the_answer_of_the_virtual_machine() -> None:
     np.testing.assert_allclose(answers[0].u, answers[1].u, atol=1e-6)
 
 
-def test_a_soft_limit_is_kept_where_it_can_be() -> None:
+def test_a_soft_limit_is_kept_where_it_can_be_and_preview_moves_before_the_step() -> None:
     ceiling = 0.2
     law = quick(soft_limits={"alpha_v": (-0.7, ceiling)})
     ran = close_loop(law, BOTH, constant(0.3, 0.5), 6.0)
     angle = ran.states[:, BOTH.state_index("alpha_v")]
     assert angle.max() < ceiling + 5e-3
     assert angle[-1] > ceiling - 0.02
-
-
-def test_preview_moves_before_the_step() -> None:
     ahead, blind = quick(preview_horizon=10), quick()
     start, moved = SteadyState(BOTH).solve(np.array([0.0, 0.3])), []
     for law in (ahead, blind):

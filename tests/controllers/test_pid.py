@@ -41,8 +41,8 @@ def started(controller: Pid, u: np.ndarray | None = None) -> PidState:
     return controller.init(setup_of(BOTH, SAMPLE_TIME, u))
 
 
-def test_sines_are_followed() -> None:
-    """Far better than by standing still, which has an RMSE of 0.21 and 0.35 rad."""
+def test_sines_are_followed_and_squares_by_another_rig_than_the_model() -> None:
+    """Far better than by standing still, with an RMSE of 0.21 and 0.35 rad."""
 
     def sines(times: np.ndarray) -> np.ndarray:
         phase = 2 * math.pi * 0.05 * times
@@ -51,9 +51,6 @@ def test_sines_are_followed() -> None:
     trajectory = close_loop(Pid(), BOTH, sines, 60.0)
     for angle, bound in (("alpha_v", 0.15), ("alpha_h", 0.16)):
         assert np.sqrt(np.mean(trajectory.error(angle) ** 2)) < bound
-
-
-def test_another_rig_than_the_model_is_followed_too() -> None:
     rig = Newtonian(parameters={"k_fvp": 1.4e-5, "l_cb": 0.265, "k_chp": 0.02, "k_oh": 0.022})
     trajectory = close_loop(Pid(), BOTH, squares(BOTH), 80.0, rig=rig)
     for angle, step in (("alpha_v", 0.6), ("alpha_h", 1.0)):
@@ -114,7 +111,7 @@ def test_the_cost_of_a_load_is_the_sum_along_its_response() -> None:
     assert load_costs(axis, np.array([[0.0, 50.0, 0.0]]), FILTERS, 2.0, 0.05)[0] == math.inf
 
 
-def test_tuned_loops_keep_their_margins() -> None:
+def test_tuned_loops_keep_their_margins_which_are_where_they_become_unstable() -> None:
     controller = Pid(max_sensitivity=1.8)
     for loop in started(controller).margins.values():
         assert loop.peak_sensitivity < 1.8 * 1.02
@@ -122,9 +119,7 @@ def test_tuned_loops_keep_their_margins() -> None:
         assert loop.gain_margin > 1.8 / 0.8 * 0.97
         assert loop.phase_margin > 2 * math.asin(1 / (2 * 1.8)) * 0.97
         assert 0.5 < loop.crossover < 5.0
-
-
-def test_margins_are_where_the_loop_becomes_unstable() -> None:
+    # Any loop becomes unstable at its gain margin.
     axis, gains = plant(), Gains(0.4, 0.3, 0.6)
     margin = margins(axis, gains, Filters(0.05)).gain_margin
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -61,17 +60,12 @@ def test_a_constant_noise_and_the_first_samples_have_no_forecast() -> None:
     assert forecast(lambda t: 0.01 * noise[: len(t)], 40, 15).shape == (1,)
 
 
-@pytest.mark.parametrize("after", range(1, 7))
-def test_a_jump_is_never_carried_on(after: int) -> None:
-    """For as long as it is among the differences that are looked at."""
+def test_a_jump_is_never_carried_on_and_in_a_sine_stops_the_forecast_until_it_has_passed() -> None:
+    # For as long as it is among the differences that are looked at.
+    for after in range(1, 7):
+        start = T * (20 - after) - 1e-9
+        assert forecast(lambda t, start=start: 0.5 * (t >= start), 20, 15).shape == (1,)
 
-    def jump(t: np.ndarray) -> np.ndarray:
-        return np.where(t < T * (20 - after) - 1e-9, 0.0, 0.5)
-
-    assert forecast(jump, 20, 15).shape == (1,)
-
-
-def test_a_jump_in_a_sine_stops_the_forecast_until_it_has_passed() -> None:
     def signal(t: np.ndarray) -> np.ndarray:
         return np.sin(0.5 * t) + np.where(t >= 1.95, 0.3, 0.0)
 
@@ -88,19 +82,16 @@ def rates(values: np.ndarray) -> np.ndarray:
     return np.asarray(function(values[None, :]))[0]
 
 
-def test_ramps_sines_and_constants_have_their_rates_and_a_ramp_that_stops_until_then() -> None:
+def test_ramps_sines_and_constants_have_their_rates_and_jumps_have_none() -> None:
     t = T * np.arange(1, N + 1)
     np.testing.assert_allclose(rates(0.3 * t), 0.3)
     assert not rates(np.full(N, 0.4)).any()
     found = rates(np.sin(0.8 * t))
     np.testing.assert_allclose(found[1:], np.diff(np.sin(0.8 * t)) / T)
     r = np.minimum(np.arange(N), 6) * 0.02
-    np.testing.assert_allclose(rates(r), [0.2] * 7 + [0.0] * 5)
-
-
-@pytest.mark.parametrize("at", range(1, N))
-def test_a_jump_has_none_wherever_it_is(at: int) -> None:
-    assert not rates(np.where(np.arange(N) < at, -0.2, 0.5)).any()
+    np.testing.assert_allclose(rates(r), [0.2] * 7 + [0.0] * 5)  # a ramp that stops, until then
+    for at in range(1, N):
+        assert not rates(np.where(np.arange(N) < at, -0.2, 0.5)).any()
 
 
 def test_the_weight_on_rates_does_not_hold_back_from_a_ramp() -> None:

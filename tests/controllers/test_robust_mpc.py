@@ -233,7 +233,7 @@ def states(model: Model, count: int, seed: int = 0) -> np.ndarray:
 
 
 class TestCoordinates:
-    def test_the_step_is_the_models_own(self, regulation: Regulation) -> None:
+    def test_the_step_is_the_models_own_and_a_target_stays(self, regulation: Regulation) -> None:
         coordinates = regulation.coordinates
         step = BufferedFunction(coordinates.step)
         plain = BufferedFunction(coordinates.discrete.step)
@@ -246,9 +246,6 @@ class TestCoordinates:
             assert coordinates.psi_of(after[:1])[0] == pytest.approx(v[1], abs=0.5)
             found = step.evaluate(z, v, w)[0]
             np.testing.assert_allclose(found, coordinates.forward(after), rtol=1e-5, atol=1e-6)
-
-    def test_a_target_stays(self, regulation: Regulation) -> None:
-        step = BufferedFunction(regulation.coordinates.step)
         for reference in ([0.0, 0.0], [0.3, -0.5], [-0.4, 1.0]):
             target = regulation.aim_at(np.array(reference)).target
             after = step.evaluate(target.z, target.v, target.w)[0]
@@ -267,15 +264,13 @@ class TestCoordinates:
         assert gains["thrust"].min() > 0.6
         assert gains["speed"].min() < 0.1
 
-    def test_fast_states_are_left_out(self) -> None:
+    def test_fast_states_are_left_out_and_one_axis_suffices(self) -> None:
         full = regulation_of(Newtonian(currents="dynamic"))
         assert full.n == 6 and not any(name.startswith("i_") for name in full.coordinates.names)
-
-    @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
-    def test_one_axis(self, freedom: str) -> None:
-        one = regulation_of(Newtonian(freedom=freedom))
-        assert (one.n, one.m) == (3, 1)
-        assert bool(one.demands) == (freedom == "horizontal")
+        for freedom in ("vertical", "horizontal"):
+            one = regulation_of(Newtonian(freedom=freedom))
+            assert (one.n, one.m) == (3, 1)
+            assert bool(one.demands) == (freedom == "horizontal")
 
     def test_memory_and_unknown_names_are_refused(self) -> None:
         with pytest.raises(ConfigurationError, match="memory"):

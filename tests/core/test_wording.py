@@ -84,6 +84,9 @@ def test_lists_counts_names_and_times_are_written_as_prose_does():
     assert [wording.seconds(s) for s in (0.25, 12.34, 250.0, 7500.0)] == [
         "250 ms", "12.3 s", "4 min 10 s", "2 h 05 min",
     ]  # fmt: skip
+    # A plant that is not simulated has no equations of the model.
+    assert wording.plant_name({"plant": "replay", "model": "newtonian"}) == "replay"
+    assert wording.plant_name({"plant": "mine", "model": "newtonian"}, "bench") == "mine (bench)"
 
 
 @pytest.mark.parametrize(
@@ -132,8 +135,3 @@ _FIT = {"path": "fit/model.yaml"}
 def test_a_simulated_rig_is_called_by_the_equations_it_has(choices, config, rig) -> None:
     shown = wording.choice_labels({"controller": "lqr", "plant": "simulated"} | choices, config)
     assert wording.headline(shown, follows=False).endswith(f"plant simulated ({rig})")
-
-
-def test_a_plant_that_is_not_simulated_has_no_equations_of_the_model() -> None:
-    assert wording.plant_name({"plant": "replay", "model": "newtonian"}) == "replay"
-    assert wording.plant_name({"plant": "mine", "model": "newtonian"}, "bench") == "mine (bench)"

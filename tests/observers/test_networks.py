@@ -51,7 +51,7 @@ class TestKinds:
 
 
 class TestRestingState:
-    def test_of_all_outputs_known_remembers_them(self):
+    def test_remembers_the_outputs_and_finds_the_rotors_speeds_without_tachos_by_the_command(self):
         model = rig_like((1, 3), (1, 2))
         measured = dict(zip(CHANNELS, [0.1, -0.2, 30.0, -40.0], strict=True))
         x = resting_state(model, measured, np.array([0.3, 0.4]))
@@ -59,15 +59,13 @@ class TestRestingState:
             root = name.split("_lag")[0]
             expected = measured.get(root, {"u_v": 0.3, "u_h": 0.4}.get(root))
             assert x[i] == expected, name
-
-    def test_without_tachos_finds_the_rotors_speeds_by_the_command(self):
         model = rig_like(bend=0.0)
         x = resting_state(model, {"alpha_v": 0.1, "alpha_h": -0.2}, np.array([0.5, -0.3]))
         np.testing.assert_allclose(x[:4], [0.1, -0.2, 140 * 0.5, -250 * 0.3], rtol=1e-6)
 
 
 class TestFullState:
-    def test_remembers_what_it_saw_and_what_was_commanded(self):
+    def test_remembers_what_it_saw_and_was_commanded_but_not_between_samples(self):
         model = rig_like((1, 3), (1, 3))
         rig, observer = Rig(model, CHANNELS), FullState()
         state, u = observer.init(setup(model)), np.zeros(2)
@@ -76,6 +74,8 @@ class TestFullState:
             np.testing.assert_array_equal(estimate.x, rig.x)
             u = following
             rig.advance(u)
+        with pytest.raises(ConfigurationError, match=r"sim\.sample_time=0\.02"):
+            FullState().init(setup(rig_like(), 0.1))
 
     def test_of_another_rig_takes_its_outputs(self):
         """The rig is not the network: what is remembered is what the rig did."""
@@ -89,10 +89,6 @@ class TestFullState:
                 np.testing.assert_array_equal(estimate.x[4:], before)
             u, before = following, rig.x[:4].copy()
             rig.advance(u)
-
-    def test_cannot_remember_between_samples(self):
-        with pytest.raises(ConfigurationError, match=r"sim\.sample_time=0\.02"):
-            FullState().init(setup(rig_like(), 0.1))
 
 
 class TestUkf:

@@ -231,7 +231,7 @@ def test_the_pitch_region_stays_below_the_saddle():
     assert failures(system, found, 50, 214.0, 0) == [(50, 0)]
 
 
-def test_a_state_moves_what_it_moves_and_none_may_jump():
+def test_rotors_and_a_free_yaw_are_left_out_and_jumps_and_undamped_axes_refused():
     model = Newtonian(freedom="both")
     point = operating_point(model, {"u_v": 1.8})
     assert around(model, point, ["omega_h"]).settled == ("omega_v",)
@@ -243,9 +243,6 @@ def test_a_state_moves_what_it_moves_and_none_may_jump():
     jumping = Planar(lambda x, y, u: (2 * y - x, u - 2 * x - y - 0.1 * ca.sign(y)))
     with pytest.raises(ModelError, match="jumps"):
         around(jumping, at_origin(jumping))
-
-
-def test_a_free_yaw_is_left_out_and_an_undamped_axis_is_refused():
     manual = FeedbackManual()
     system = around(manual, operating_point(manual, {}))
     assert [manual.state_names[i] for i in system.neutral] == ["alpha_h"]
@@ -434,7 +431,7 @@ def test_intervals_have_enough_digits(hits):
         assert (float(low) < 100.0) and (high == "100") == (share.upper == 1.0)
 
 
-def test_a_cut_duration_is_told_and_widens_the_share():
+def test_a_cut_duration_is_told_and_proofs_and_simulations_are_of_the_same_rig():
     found = answered("model=rahideh", "study.at={alpha_v: 0.343}", LYAPUNOV, *FEW)
     assert found.results["duration"] == 120.0
     assert any("what had not arrived is undecided" in sentence for sentence in found.warnings)
@@ -442,9 +439,6 @@ def test_a_cut_duration_is_told_and_widens_the_share():
     assert undecided > 0 and share["upper"] >= share["value"] + undecided / 100.0
     assert all(e["failed"] == 0 for e in found.results["estimates"])
     assert not any("contradict" in sentence for sentence in found.lead)
-
-
-def test_proofs_and_simulations_are_of_the_same_rig():
     found = answered(PITCH, "effect=main_dead_zone", "study.at.u_v=1.0", LYAPUNOV, *FEW)
     assert [e["failed"] for e in found.results["estimates"]] == [0]
     assert any("main_dead_zone" in sentence for sentence in found.warnings)

@@ -107,7 +107,7 @@ def test_cycles_of_the_normal_form(r2, off):
     assert orbit.stable == (r2 > 0.5)
 
 
-def test_a_branch_from_its_hopf_point_around_the_fold():
+def test_a_branch_from_its_hopf_point_goes_around_the_fold_and_from_a_cycle_ends_there():
     model = normal_form()
     curve = equilibria_over(model, np.zeros(2), np.array([-0.4]), 0)
     (hopf,) = hopf_points(model, curve, np.array([-0.4]), 0)
@@ -120,9 +120,7 @@ def test_a_branch_from_its_hopf_point_around_the_fold():
     for orbit in branch.orbits:
         r2 = orbit.swing[0] ** 2 / 4
         assert orbit.u[0] == pytest.approx(r2**2 - r2, abs=1e-4)
-
-
-def test_a_branch_from_a_cycle_ends_at_the_hopf_point():
+    # From a cycle it ends at the Hopf point.
     u = np.array([0.25 - 0.5 + 0.05])
     small = (1 - np.sqrt(1 + 4 * u[0])) / 2
     first = NORMAL_FORM.closed(circle(np.sqrt(small)), np.pi, u)
@@ -132,6 +130,13 @@ def test_a_branch_from_a_cycle_ends_at_the_hopf_point():
     assert not any(orbit.stable for orbit in branch.orbits)
     # From a guess that belongs to no cycle none comes.
     assert NORMAL_FORM.closed(circle(0.1), np.pi, np.array([-1.0])) is None
+
+
+SHORT = {"starts": 6, "duration": 40.0, "orbits": 45}
+
+
+def asked(model, **keys):
+    return LimitCycles(**{**SHORT, **keys}).run(Subject(model, "m"), silent)
 
 
 def proof_of(model, point):
@@ -153,9 +158,15 @@ def test_one_axis_has_no_cycle_and_that_is_proved(freedom):
     if freedom == "vertical":
         exact = -values["k_ov"] / geometry(values)["J_v"]
         assert low == pytest.approx(exact, rel=1e-12) and high - low < 1e-9
+    findings = asked(model)
+    assert "no limit cycle" in findings.lead[0] and "proved" in findings.lead[0]
+    proof = findings.results["proof"]
+    assert proof["no_cycle"] and proof["everywhere"]
+    assert findings.results["cycles"] == [] and findings.results["over"]["hopf"] == []
+    json.dumps(findings.results, allow_nan=False)
 
 
-def test_both_axes_are_left_open():
+def test_of_both_axes_none_is_found_but_that_is_left_open():
     model = Newtonian()
     point = operating_point(model, {"alpha_v": 0.0, "alpha_h": 0.3})
     proof = proof_of(model, point)
@@ -163,6 +174,10 @@ def test_both_axes_are_left_open():
     assert not proof.blocks[-1].constant
     # Close to the equilibrium areas shrink: there, none is proved.
     assert 0.1 < proof.blocks[-1].share < 0.5
+    findings = asked(model)
+    assert "not a proof" in findings.lead[0] and "certified" in findings.lead[1]
+    assert findings.results["cycles"] == [] and findings.results["over"]["hopf"] == []
+    assert not findings.results["proof"]["no_cycle"]
 
 
 def test_what_an_open_block_drives_is_open_too():
@@ -228,30 +243,6 @@ def test_starts_fill_the_box_and_nothing_else():
     assert starts.shape == (50, 2) and np.all(starts[:, 1] == 5.0)
     assert starts[:, 0].min() < 0.6 and starts[:, 0].max() > 1.4
     assert np.all(np.abs(starts[:, 0] - 1.0) <= 0.5)
-
-
-SHORT = {"starts": 6, "duration": 40.0, "orbits": 45}
-
-
-def asked(model, **keys):
-    return LimitCycles(**{**SHORT, **keys}).run(Subject(model, "m"), silent)
-
-
-@pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
-def test_of_one_axis_there_is_none_and_the_lead_says_proved(freedom):
-    findings = asked(Newtonian(freedom=freedom))
-    assert "no limit cycle" in findings.lead[0] and "proved" in findings.lead[0]
-    proof = findings.results["proof"]
-    assert proof["no_cycle"] and proof["everywhere"]
-    assert findings.results["cycles"] == [] and findings.results["over"]["hopf"] == []
-    json.dumps(findings.results, allow_nan=False)
-
-
-def test_with_the_cross_moment_of_physics_none_is_found_and_no_hopf_point():
-    findings = asked(Newtonian())
-    assert "not a proof" in findings.lead[0] and "certified" in findings.lead[1]
-    assert findings.results["cycles"] == [] and findings.results["over"]["hopf"] == []
-    assert not findings.results["proof"]["no_cycle"]
 
 
 def test_without_losses_orbits_are_no_limit_cycles():

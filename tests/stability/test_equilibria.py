@@ -6,7 +6,9 @@ asked for and told.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -49,20 +51,6 @@ from trms_cli.stability.studies.local import Local
 from trms_cli.stability.study import Study, silent
 from trms_cli.stability.subject import Subject
 
-#: Table of the design: u_v [V] → ω_v [rad/s], α_v [rad].
-TABLE = {
-    -1.0: (-165.4, -0.898),
-    -0.5: (-104.8, -0.730),
-    0.2: (52.5, -0.578),
-    0.4: (86.7, -0.506),
-    0.6: (114.1, -0.422),
-    0.8: (137.6, -0.330),
-    1.0: (158.5, -0.231),
-    1.2: (177.6, -0.124),
-    1.6: (211.6, 0.121),
-    1.8: (227.1, 0.271),
-    2.0: (241.8, 0.458),
-}
 NEWTONIAN = Newtonian()
 
 
@@ -86,6 +74,25 @@ def surveyed(model: Model, over: str, points: int = 6, whole: bool = False) -> S
     return survey(model, setting, {}, np.linspace(-limit, limit, points), whole, silent)
 
 
+def resting(u: float) -> tuple[float, list[float]]:
+    """Speed of the main rotor and the pitch angles of the box that rest, in closed form."""
+    c = C
+
+    def torque(omega: float) -> float:
+        side = "p" if omega >= 0 else "n"
+        current = (c["k_uv"] * u - c["kphi"] * omega) / c["R"]
+        drag = c["B_mr"] * omega + c[f"k_tv{side}"] * omega * abs(omega)
+        return float(c["kphi"] * current - drag)
+
+    omega = float(brentq(torque, -2000.0, 2000.0, xtol=1e-12))
+    lift = c["l_m"] * c["k_fvp" if omega >= 0 else "k_fvn"] * omega * abs(omega)
+    if abs(lift) > WEIGHT:
+        return omega, []
+    turn = np.arcsin(lift / WEIGHT)
+    both = (turn - TILT, np.pi - turn - TILT)
+    return omega, [angle for angle in both if abs(angle) <= 1.57]
+
+
 def asked(model: object, **keys: object) -> Findings:
     study = Equilibria(**({"proof_range": False, "proof_points": 5, "map": False} | keys))  # type: ignore[arg-type]
     assert isinstance(study, Study)
@@ -107,14 +114,19 @@ def analytic_fold() -> float:
 
 
 @pytest.mark.parametrize("model", [NEWTONIAN, Lagrangian()], ids=["newtonian", "lagrangian"])
-def test_the_table_of_the_design_is_proved(model: Model) -> None:
-    proofs = proofs_at(prover_of(model, "u_v"), TABLE)
-    for proof, (omega, alpha) in zip(proofs, TABLE.values(), strict=True):
+def test_what_rests_in_closed_form_and_by_the_table_of_the_page_is_proved(model: Model) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "model.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| (−?[\d.]+) \| (−?[\d.]+) \| (−?[\d.]+) \|$", page, re.MULTILINE)
+    table = np.array([[value.replace("−", "-") for value in row] for row in cells], dtype=float)
+    assert len(table) == 8
+    proofs = proofs_at(prover_of(model, "u_v"), table[:, 0])
+    for (u, *printed), proof in zip(table.tolist(), proofs, strict=True):
+        omega, pitches = resting(u)
+        assert np.all(np.abs(np.array([omega, min(pitches)]) - printed) < [0.051, 6e-4])
+        assert proof.complete and proof.count == len(pitches)
         lowest = min(proof.proved, key=lambda one: one.x.middle[model.state_index("alpha_v")])
-        assert proof.complete
-        assert proof.count == (2 if alpha > 0.45 else 1)
-        assert abs(lowest.x.middle[model.state_index("omega_v")] - omega) < 0.051
-        assert abs(lowest.x.middle[model.state_index("alpha_v")] - alpha) < 6e-4
+        assert abs(lowest.x.middle[model.state_index("omega_v")] - omega) < 1e-4
+        assert abs(lowest.x.middle[model.state_index("alpha_v")] - min(pitches)) < 1e-6
         assert np.all(lowest.x.width < 1e-6)
 
 
@@ -172,25 +184,7 @@ def test_a_number_over_an_interval_is_never_wrong(centre: float, width: float) -
     (count,) = prover.counts(lower, upper)
     if count is not None:
         for u in (centre - width, centre, centre + width):
-            assert count == _pitches(u)
-
-
-def _pitches(u: float) -> int:
-    """How many pitch angles of the box rest, by the closed form of the design."""
-    c, weight = C, WEIGHT
-
-    def torque(omega: float) -> float:
-        side = "p" if omega >= 0 else "n"
-        current = (c["k_uv"] * u - c["kphi"] * omega) / c["R"]
-        drag = c["B_mr"] * omega + c[f"k_tv{side}"] * omega * abs(omega)
-        return float(c["kphi"] * current - drag)
-
-    omega = brentq(torque, -2000.0, 2000.0, xtol=1e-12)
-    lift = c["l_m"] * c["k_fvp" if omega >= 0 else "k_fvn"] * omega * abs(omega)
-    if abs(lift) > weight:
-        return 0
-    turn = np.arcsin(lift / weight)
-    return sum(abs(angle) <= 1.57 for angle in (turn - TILT, np.pi - turn - TILT))
+            assert count == len(resting(u)[1])
 
 
 SHARED = prover_of(NEWTONIAN, "u_v")
@@ -258,7 +252,7 @@ def test_equations_solved_one_by_one_are_the_models_own() -> None:
             assert np.abs(rates).max() < 1e-9 * max(1.0, steepest)
 
 
-def test_a_yaw_that_nothing_pulls_back_is_free_and_its_input_follows() -> None:
+def test_a_yaw_that_nothing_pulls_back_is_free_marginal_and_its_input_follows() -> None:
     system = rest_system(Tras(), {"u_v"})
     assert (system.free, system.released) == (("alpha_h",), ("u_h",))
     found = surveyed(Tras(), "u_v", 3)
@@ -267,19 +261,21 @@ def test_a_yaw_that_nothing_pulls_back_is_free_and_its_input_follows() -> None:
     assert at_zero.proof.count is None
     assert [one.exists for one in at_zero.proof.undecided] == [True]
     assert at_zero.agree and len(at_zero.points) == 1
+    found = asked(Tras(), over=("u_v",))
+    assert "(marginal)" in found.lead[0] and "(stable)" not in " ".join(found.lead)
+    assert {point["verdict"] for point in found.results["named"]} == {"marginal"}
 
 
-def test_a_dead_zone_is_part_of_rest_and_leaves_no_rounding_in_hover() -> None:
+def test_a_dead_zone_is_part_of_rest_and_a_curve_goes_around_its_corners() -> None:
     model = ExtendedModel(NEWTONIAN, "dead", DeadZone(rotor="main", width=0.2))
     both = proofs_at(prover_of(model, "u_v"), [0.19, 1.2]), proofs_at(SHARED, [0.0, 1.0])
     for one, other in zip(*both, strict=True):
         np.testing.assert_allclose(one.enclosed[0].x.middle, other.enclosed[0].x.middle, atol=1e-9)
+    # It leaves no rounding in hover.
     hover = asked(model, over=("u_v",)).results["named"][1]
     assert hover["inputs"]["u_h"] == 0.0
     assert abs(hover["quantities"]["current_tail"]) < 1e-12
-
-
-def test_a_curve_goes_around_the_corners_of_a_dead_zone() -> None:
+    # A curve goes around its corners.
     model = ExtendedModel(NEWTONIAN, "dead", DeadZone(rotor="tail", width=0.1))
     found = surveyed(model, "u_h", 9)
     assert all(check.agree and check.proof.complete for check in found.checks)
@@ -294,7 +290,7 @@ def test_a_fold_does_not_move_with_a_state_that_pitch_knows_nothing_of() -> None
     assert abs(fold.y[-1] - analytic_fold()) < 1e-8
 
 
-def test_coulomb_friction_holds_a_band() -> None:
+def test_coulomb_friction_holds_a_band_and_that_of_the_makers_model_its_free_yaw() -> None:
     torque = 0.01
     model = ExtendedModel(NEWTONIAN, "friction", CoulombFriction(axis="pitch", torque=torque))
     rest = named_points(model, {})[0][0]
@@ -304,9 +300,6 @@ def test_coulomb_friction_holds_a_band() -> None:
     assert band.lower is not None and band.upper is not None
     np.testing.assert_allclose([band.lower, band.upper], [-TILT - half, -TILT + half], atol=1e-6)
     assert named_points(NEWTONIAN, {})[0][0].bands == ()
-
-
-def test_friction_of_the_makers_model_holds_its_free_yaw() -> None:
     points, missing = named_points(FeedbackManual(), {})
     assert [point.name for point in points] == ["rest"] and "hover" in missing[0]
     yaw = next(band for band in points[0].bands if band.axis == "yaw")
@@ -424,20 +417,6 @@ def test_what_is_given_as_an_interval_is_proved_for_all_of_it() -> None:
     assert 2 not in found.owner
 
 
-def test_what_nothing_returns_is_marginal() -> None:
-    found = asked(Tras(), over=("u_v",))
-    assert "(marginal)" in found.lead[0] and "(stable)" not in " ".join(found.lead)
-    assert {point["verdict"] for point in found.results["named"]} == {"marginal"}
-
-
-def test_rest_and_hover_outside_the_box_are_left_out() -> None:
-    found = asked(NEWTONIAN, box={"alpha_v": (2.0, 3.0)})
-    assert not found.results["named"]
-    told = " ".join(found.warnings)
-    assert "rest lies outside the box" in told and "hover lies outside the box" in told
-    assert "held at α_v = 0 rad, outside the box" in told
-
-
 def test_the_study_of_both_commands_as_figures_and_as_json() -> None:
     found = asked(NEWTONIAN, map=True)
     charts = {chart.name: chart for chart in found.charts}
@@ -461,7 +440,7 @@ def test_the_study_of_both_commands_as_figures_and_as_json() -> None:
     assert len(curve["states"]["alpha_v"]) == len(curve["growing"]) == len(curve["inputs"]["u_v"])
 
 
-def test_special_points_and_ranges_of_ones_own() -> None:
+def test_special_points_and_ranges_of_ones_own_and_rest_and_hover_outside_the_box() -> None:
     found = asked(
         Newtonian(freedom="vertical"),
         special={"nose up": {"alpha_v": 0.4}},
@@ -474,6 +453,11 @@ def test_special_points_and_ranges_of_ones_own() -> None:
     assert survey["range"] == [0.0, 2.3]
     assert survey["box"]["alpha_v"] == [-0.7, 1.0]
     assert survey["curves"][0]["ends"] == ["end of the range", "alpha_v = 1 rad"]
+    found = asked(NEWTONIAN, box={"alpha_v": (2.0, 3.0)})
+    assert not found.results["named"]
+    told = " ".join(found.warnings)
+    assert "rest lies outside the box" in told and "hover lies outside the box" in told
+    assert "held at α_v = 0 rad, outside the box" in told
 
 
 def test_a_beam_driven_by_its_rotors_speeds() -> None:

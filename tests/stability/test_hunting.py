@@ -172,7 +172,7 @@ def test_slips_between_sticks():
     ]
 
 
-def test_the_study_says_it_all():
+def test_the_study_says_it_all_and_of_another_controller_simulates_only():
     study = Hunting(duration=70.0, torques=(), integrals=(), push=0.03)
     assert isinstance(study, Study)
     findings = study.run(Subject(RIG, "newtonian_vertical", LOOP), silent)
@@ -185,6 +185,11 @@ def test_the_study_says_it_all():
     names = [chart.name for chart in findings.charts]
     assert names == ["hunting_history", "hunting_plane", "hunting_map", "hunting_nyquist"]
     assert findings.lead[0].startswith("The loop hunts")
+    names = {"controller": "lqr", "observer": "full_state"}
+    loop = replace(LOOP, controller=Lqr(operating_point={"alpha_v": 0.0}), names=names)
+    findings = Hunting(duration=40.0).run(Subject(RIG, "newtonian_vertical", loop), silent)
+    assert findings.results["predicted"] is None and findings.results["levels"] == []
+    assert any("controller=pid only" in words for words in findings.warnings)
 
 
 @pytest.mark.slow
@@ -198,14 +203,6 @@ def test_other_levels_are_predicted_too():
         assert level["simulated"]["hunts"]
         assert level["predicted_swing"] == pytest.approx(level["simulated"]["swing"], rel=0.05)
     assert findings.charts[-1].name == "hunting_over_friction"
-
-
-def test_another_controller_is_only_simulated():
-    names = {"controller": "lqr", "observer": "full_state"}
-    loop = replace(LOOP, controller=Lqr(operating_point={"alpha_v": 0.0}), names=names)
-    findings = Hunting(duration=40.0).run(Subject(RIG, "newtonian_vertical", loop), silent)
-    assert findings.results["predicted"] is None and findings.results["levels"] == []
-    assert any("controller=pid only" in words for words in findings.warnings)
 
 
 @pytest.mark.parametrize(

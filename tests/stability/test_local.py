@@ -95,16 +95,13 @@ def test_published_eigenvalues_with_their_names(name):
         assert double.eigenvalue == pytest.approx(-20.0) and not double.defective
 
 
-def test_damping_and_frequencies_of_a_pair():
+def test_damping_and_frequencies_of_a_pair_and_currents_as_modes_of_their_own():
     pair = next(m for m in modes_at(Newtonian(), {}).modes if m.name == "pitch swing")
     assert pair.natural_frequency == pytest.approx(abs(pair.eigenvalue))
     assert pair.damped_frequency / (2 * np.pi) == pytest.approx(0.323, abs=1e-3)
     assert pair.damping_ratio == pytest.approx(-pair.eigenvalue.real / abs(pair.eigenvalue))
     assert pair.time_constant == pytest.approx(-1 / pair.eigenvalue.real)
     assert pair.participation.sum() == pytest.approx(1.0)
-
-
-def test_currents_are_modes_of_their_own_and_kept_apart():
     model = Newtonian(currents="dynamic")
     path = OperatingPath(model, {}, "alpha_v")
     tracks = tracks_of(model, sweep_eigenvalues(path, -0.2, 0.2, 5))
@@ -235,9 +232,7 @@ def test_the_study_answers_with_names_verdict_and_range():
     assert {c.name for c in findings.charts} == {"local_modes", "local_plane", "local_range"}
     assert findings.results["switches"][0]["state"] == "alpha_h"
     assert findings.warnings
-
-
-def test_no_operating_point_beside_a_free_yaw_is_said():
+    # No operating point beside a free yaw is said.
     findings = answer(Local(over="u_v", points=5), FeedbackManual())
     assert any("study.over=alpha_v" in sentence for sentence in findings.lead)
 
@@ -265,16 +260,13 @@ def growth_in_simulation(alpha_v, duration=240.0):
     return np.polyfit(tops * 0.02, np.log(swing[tops]), 1)[0]
 
 
-def test_small_swings_across_the_switch_grow_as_the_eigenvalue_of_the_mean_of_both_slopes_says():
+def test_small_swings_across_the_switch_grow_and_turn_as_the_mean_of_both_slopes_says():
     # The crossing is at 0.3396 and 0.3541 rad with the slopes of either side, at 0.3468 with the
     # mean; the simulated swing decides for the mean, to 2 mrad.
     assert growth_in_simulation(0.3447) < 0 < growth_in_simulation(0.3489)
     modes = modes_at(RAHIDEH, {"alpha_v": 0.4})
     pitch = by_name(modes)["pitch swing"]
     assert growth_in_simulation(0.4, 120.0) == pytest.approx(pitch.real, rel=0.05)
-
-
-def test_the_yaw_swing_across_the_switch_has_nearly_the_frequency_of_the_mean():
     model = Newtonian(freedom="horizontal")
     yaw = by_name(modes_at(model, {}))["yaw swing"]
     start = [0.0, 0.05, 0.0]

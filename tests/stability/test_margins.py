@@ -69,15 +69,13 @@ class TestOneLoop:
         loci = np.column_stack([2.0 / (S + 1) ** 3, 4.0 / (S + 1) ** 3])
         assert classical_margins(OMEGA, loci).up.value == pytest.approx(2.0, rel=1e-4)
 
-    @pytest.mark.parametrize("gain", [0.5, 2.0])
-    def test_three_lags_have_the_margin_of_hurwitz(self, gain):
+    def test_three_lags_have_the_margin_of_hurwitz_and_an_unstable_rig_a_least_gain_too(self):
         # k/(s + 1)³ is unstable from k = 8 on, and swings at √3 rad/s
-        found = classical_margins(OMEGA, gain / (S + 1) ** 3)
-        assert found.up.value == pytest.approx(8 / gain, rel=1e-4)
-        assert found.up.omega == pytest.approx(math.sqrt(3), rel=1e-4)
-        assert found.down is None
-
-    def test_an_unstable_rig_has_a_least_gain_too(self):
+        for gain in (0.5, 2.0):
+            found = classical_margins(OMEGA, gain / (S + 1) ** 3)
+            assert found.up.value == pytest.approx(8 / gain, rel=1e-4)
+            assert found.up.omega == pytest.approx(math.sqrt(3), rel=1e-4)
+            assert found.down is None
         # k (s + 2)²/(s − 1)³ closed: s³ + (k − 3)s² + (4k + 3)s + 4k − 1, stable by Hurwitz where
         # (k − 3)(4k + 3) > 4k − 1
         k = np.roots([4.0, -13.0, -8.0])
@@ -135,16 +133,13 @@ class TestDisks:
         assert DiskMargin(1.0, 1.0).gain_down == pytest.approx(1 / 3)
 
 
-def test_loci_are_followed_where_their_order_changes():
+def test_loci_are_followed_where_their_order_changes_and_between_the_lines_interpolated():
     first, second = 1 / (S + 1), 2 / (S + 3) * np.exp(-0.1 * S)
     loci = np.column_stack([first, second])
     mixed = loci.copy()
     mixed[1000:2000] = mixed[1000:2000, ::-1]
     followed = continuous(mixed)
     assert np.abs(np.diff(followed, axis=0)).max() <= np.abs(np.diff(loci, axis=0)).max() + 1e-12
-
-
-def test_between_the_lines_the_sensitivity_is_interpolated():
     few = np.geomspace(0.1, 30, 90)
 
     def sensitivity(omega):
@@ -338,19 +333,17 @@ def alike(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 class TestTheSignal:
-    @pytest.mark.parametrize("seed", [0, 1])
-    def test_has_power_on_its_lines_alone_up_to_half_the_rate(self, seed):
-        probe = multisine(0.1, 0.2, 1.1, seed)
-        assert probe.period == pytest.approx(2 * np.pi / 0.2, rel=0.01)
-        assert np.sqrt(np.mean(probe.values**2)) == pytest.approx(1.0)
-        spectrum = np.abs(np.fft.rfft(probe.values))
-        assert np.all(spectrum[probe.lines] > 1.0)
-        assert np.delete(spectrum, probe.lines) == pytest.approx(0.0, abs=1e-9)
-        assert probe.omega[-1] == pytest.approx(np.pi / 0.1)
-
-    def test_is_not_peaky_and_what_lies_between_the_lines_is_told(self):
+    def test_has_power_on_its_lines_alone_up_to_half_the_rate_and_is_not_peaky(self):
+        for seed in (0, 1):
+            probe = multisine(0.1, 0.2, 1.1, seed)
+            assert probe.period == pytest.approx(2 * np.pi / 0.2, rel=0.01)
+            assert np.sqrt(np.mean(probe.values**2)) == pytest.approx(1.0)
+            spectrum = np.abs(np.fft.rfft(probe.values))
+            assert np.all(spectrum[probe.lines] > 1.0)
+            assert np.delete(spectrum, probe.lines) == pytest.approx(0.0, abs=1e-9)
+            assert probe.omega[-1] == pytest.approx(np.pi / 0.1)
         assert np.abs(multisine(0.1, 0.1, 1.06).values).max() < 3.5
-        probe = multisine(0.1, 0.2, 1.1)
+        # What lies between the lines is told.
         between = np.setdiff1d(np.arange(1, probe.length // 2), probe.lines)[0]
         tone = np.cos(2 * np.pi * between * np.arange(probe.length) / probe.length)
         power = probe.beside((probe.values + 0.1 * tone)[:, None])
@@ -419,11 +412,9 @@ def test_pid_has_the_margins_that_it_was_tuned_with():
 
 
 class TestWhatIsNotLinear:
-    def test_grows_with_the_signal(self, plain):
+    def test_grows_with_the_signal_and_shows_where_a_rotor_reverses(self, plain):
         large = Analyser(lowest=0.4, ratio=1.2, amplitude=0.01, periods=20)
         assert measured(lqr(), analyser=large).nonlinearity > 20 * plain.nonlinearity
-
-    def test_shows_where_a_rotor_reverses_which_is_named(self):
         level = operating_point(MODEL, {"alpha_v": 0.0, "alpha_h": 0.0})
         brief = Analyser(lowest=0.4, ratio=1.2, amplitude=0.001, periods=3)
         found = brief.measure(MODEL, loop_of(lqr()), level, silent)

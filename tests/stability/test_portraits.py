@@ -102,7 +102,7 @@ def test_a_placed_point_has_the_coordinates_asked_for_and_the_others_as_told(mod
     assert np.abs(rates[:, section.settled]).max(initial=0.0) < 1e-6
 
 
-def test_a_settled_current_is_the_quasi_static_one():
+def test_a_settled_current_is_the_quasi_static_one_and_a_motor_by_default_shown_with_it():
     section = section_of(FULL, ("alpha_v", "omega_v"), {"u_v": 1.0}, "settled")
     assert [FULL.state_names[i] for i in section.settled] == ["i_v", "S_v"]
     section = section_of(FULL, ("alpha_v", "omega_v"), {"u_v": 1.0}, ("i_v",))
@@ -110,6 +110,9 @@ def test_a_settled_current_is_the_quasi_static_one():
     i = section.place([[0.0, 100.0]])[0, FULL.state_index("i_v")]
     volt = c["k_uv"].value * section.point.u[0]
     assert i == pytest.approx((volt - c["kphi"].value * 100.0) / c["R"].value)
+    assert default_states(BOTH) == ("alpha_v", "rate_v")
+    assert default_states(Newtonian(freedom="horizontal")) == ("alpha_h", "rate_h")
+    assert default_states(MOTOR) == ("omega_v", "i_v")
 
 
 def test_slopes_in_the_section_are_those_of_its_field(hover):
@@ -142,12 +145,6 @@ def test_a_section_is_invariant_where_no_motion_leaves_it(model, states, at, inv
     x = section.coordinates.field.motions(start, section.point.u, 1.0, 0.1)[:, 0]
     back = section.place(section.coordinates.values(x, section.point.u))
     assert np.allclose(back, x, atol=1e-6) is invariant
-
-
-def test_the_default_is_the_first_axis_or_the_two_states_of_a_motor():
-    assert default_states(BOTH) == ("alpha_v", "rate_v")
-    assert default_states(Newtonian(freedom="horizontal")) == ("alpha_h", "rate_h")
-    assert default_states(MOTOR) == ("omega_v", "i_v")
 
 
 @pytest.mark.parametrize(
@@ -218,7 +215,7 @@ def test_the_current_turns_the_node_of_the_motor_into_a_focus(inductance):
     assert rest.kind == ("stable focus" if swings else "stable node")
 
 
-def test_a_rest_whose_neighbours_rest_too_is_told():
+def test_a_rest_whose_neighbours_rest_too_and_a_swing_that_grows_are_told():
     section = section_of(FeedbackManual(), ("alpha_v", "rate_v"), {})
     rests = search(section, np.array([[-1.0, 0.5], [-1.0, 1.0]]))
     assert rests and not any(rest.isolated for rest in rests)
@@ -228,9 +225,6 @@ def test_a_rest_whose_neighbours_rest_too_is_told():
     assert len(rests) == 1
     of_yaw = section_of(FeedbackManual(), ("alpha_h", "rate_h"), {})
     assert all(rest.line for rest in search(of_yaw, np.array([[-1.0, 1.0], [-1.0, 1.0]])))
-
-
-def test_a_swing_that_grows_is_told_from_a_way_out():
     # The thesis's k_g makes pitch unstable above 0.34 rad.
     section = section_of(Newtonian(parameter_set="rahideh"), None, {"alpha_v": 0.4})
     (focus,) = search(section, np.array([[0.0, 0.8], [-0.5, 0.5]]))
@@ -322,7 +316,7 @@ def test_limits_that_make_no_window_are_refused(hover, window, where):
     assert error.value.where == where
 
 
-def test_starts_lie_in_the_window_or_around_the_goal_of_a_loop(hover):
+def test_starts_lie_in_the_window_around_the_goal_of_a_loop_or_where_their_names_say(hover):
     x = default_starts(hover, WINDOW, 28)
     c = hover.coordinates.values(x, hover.point.u)
     assert c.shape == (28, 2) and np.all(c >= WINDOW[:, 0]) and np.all(c <= WINDOW[:, 1])
@@ -335,9 +329,6 @@ def test_starts_lie_in_the_window_or_around_the_goal_of_a_loop(hover):
     c = hover.coordinates.values(loop_starts(hover, WINDOW, 8), hover.point.u)
     assert np.linalg.norm(c / 2.5, axis=1) == pytest.approx(1.0)
     assert c.mean(axis=0) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_starts_by_name_may_name_other_states(hover):
     x = given_starts(hover, [{"alpha_v": 0.4}, {"rate_v": -1.0, "omega_v": 50.0}])
     assert x[0] == pytest.approx([hover.point.x[0], 0.0, 0.4])
     assert x[1] == pytest.approx([50.0, -1.0, 0.0])

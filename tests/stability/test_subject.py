@@ -49,7 +49,7 @@ OF_A_LOOP = Hunting(), Margins(), Tolerance()
 OF_EQUATIONS = Equilibria(), LimitCycles(), Lyapunov(), PhasePortrait(), RegionOfAttraction()
 
 
-def test_the_equations_are_those_of_what_moves_and_other_effects_are_told():
+def test_the_equations_are_those_of_what_moves_with_values_changed_later_and_others_are_told():
     model = Subject(MODEL, "newtonian").require_equations("a study")
     assert effect_names(model) == ("drag", "dry")
     whole = Subject(MODEL, "newtonian").require_equations("a study", command_path=True)
@@ -61,9 +61,6 @@ def test_the_equations_are_those_of_what_moves_and_other_effects_are_told():
     assert subject.dry == ("dry",)
     assert subject.on_commands == ("zone",) and subject.on_sensors == ("bias",)
     assert set(subject.left_out_of_equations()) == {"dry", "zone", "bias"}
-
-
-def test_values_that_were_changed_later_stay():
     model = extend_model(Newtonian(), EFFECTS)
     model.parameters = model.parameters.replaced({"k_g": 0.05, "drag.drag": 1e-7})
     assert isinstance(model.parameters, ParameterSet)
