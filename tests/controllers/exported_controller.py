@@ -25,12 +25,12 @@ STATUS = [Status.OK, Status.BUDGET, Status.RELAXED, Status.FAILED]
 FALLBACKS = ["", "shifted_plan", "hold", "steady_input"]
 _POINTER = ctypes.POINTER(ctypes.c_double)
 
-#: What a test wants to know of the structs, as plain arrays.
+#: What a test wants to know of the structs, as plain arrays, and to change in them.
 _SHIM = """
 #include "rig.h"
 #include <stddef.h>
 size_t shim_size(void) { return sizeof(rig_ctx); }
-rig_settings *shim_settings(rig_ctx *c) { return &c->settings; }
+void shim_allow_iterations(rig_ctx *c, int most) { c->settings.max_iterations = most; }
 int shim_step(rig_ctx *c, const double *x, const double *w, const double *r, const double *before,
               double *u, double *out) {
     rig_info i;
