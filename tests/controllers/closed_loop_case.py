@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -71,18 +71,10 @@ class Ran:
 
     model: Model
     period: float
-    x: list[np.ndarray] = field(default_factory=list)
-    u: list[np.ndarray] = field(default_factory=list)
-    r: list[np.ndarray] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
-
-    @property
-    def states(self) -> np.ndarray:
-        return np.array(self.x)
-
-    @property
-    def inputs(self) -> np.ndarray:
-        return np.array(self.u)
+    states: np.ndarray
+    inputs: np.ndarray
+    references: np.ndarray
+    commands: list[Command]
 
     @property
     def angles(self) -> np.ndarray:
@@ -91,7 +83,7 @@ class Ran:
 
     @property
     def errors(self) -> np.ndarray:
-        return self.angles - np.array(self.r)
+        return self.angles - self.references
 
     def error(self, angle: str) -> np.ndarray:
         return self.errors[:, self.model.controlled.index(angle)]
@@ -103,7 +95,7 @@ class Ran:
     def levels(self, angle: str) -> list[np.ndarray]:
         """Errors towards the new level on each level after the first, overshoot positive."""
         n = self.at(LEVEL_TIME)
-        signed = self.error(angle) * np.sign(self.r)[:, self.model.controlled.index(angle)]
+        signed = self.error(angle) * np.sign(self.references)[:, self.model.controlled.index(angle)]
         return [signed[k : k + n] for k in range(n, len(signed) - n + 1, n)]
 
 
@@ -130,7 +122,7 @@ def close_loop(
     step, p, u = BufferedFunction(discrete.step), rig.parameters.values, np.zeros(model.n_u)
     x = discrete.initial(rig.rest() if x0 is None else x0, u)
     lower, upper = model.input_bounds()
-    ran, still = Ran(model, period), np.zeros(rig.n_w)
+    rows, commands, still = [], [], np.zeros(rig.n_w)
     for k in range(round(seconds / period)):
         w = still if torque is None else np.asarray(torque(k * period))
         told, full = (w if known else np.zeros(model.n_w)), x[: rig.n_x].copy()
@@ -141,8 +133,7 @@ def close_loop(
         )
         u = command.u
         assert np.all(u >= lower) and np.all(u <= upper)
-        for row, value in ((ran.x, full), (ran.u, u), (ran.r, r[0])):
-            row.append(value.copy())
-        ran.commands.append(command)
+        rows.append((full, u.copy(), r[0].copy()))
+        commands.append(command)
         x = step.evaluate(x, u, p, w)[0].copy()
-    return ran
+    return Ran(model, period, *(np.array(column) for column in zip(*rows, strict=True)), commands)

@@ -8,9 +8,6 @@ one configuration are equal and share nothing.
 from __future__ import annotations
 
 import copy
-import importlib.util
-from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +23,9 @@ from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
 
 FOLDER = Path(__file__).parents[2] / "configs" / "controller"
-#: Overrides that a controller needs to be composed, and packages that it needs to run.
-NEEDS = {"played": ["controller.u_v.file={played}"]}
-PACKAGES = {"robust_mpc": "cvxpy"}
 #: A law that solves linear matrix inequalities at each sample takes its time.
-SLOW = {"robust_mpc"}
 NAMES = [
-    pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+    pytest.param(name, marks=[pytest.mark.slow] * (name == "robust_mpc"))
     for name in sorted(path.stem for path in FOLDER.glob("*.yaml"))
 ]
 SAMPLES = 8
@@ -40,37 +33,18 @@ LEVEL = {"alpha_v": 0.2, "alpha_h": 0.4}
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def name(request: pytest.FixtureRequest) -> Iterator[str]:
-    package = PACKAGES.get(request.param)
-    if package is not None and importlib.util.find_spec(package) is None:
-        pytest.skip(f"{package} is not installed")
-    yield request.param
-
-
-@pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("played") / "u.csv"
-    path.write_text(
-        "t[s],u_v[V],u_h[V]\n0.0,1.0,0.5\n0.5,2.0,-0.5\n10.0,0.0,0.0\n", encoding="utf-8"
-    )
-    return path
-
-
-@pytest.fixture(scope="module")
-def made(name: str, played: Path) -> tuple[Controller, Model]:
-    return built(name, str(played))
-
-
-@cache
-def built(name: str, played: str, *more: str) -> tuple[Controller, Model]:
+def made(request: pytest.FixtureRequest, tmp_path_factory: Any) -> tuple[Controller, Model]:
     """A controller and the model that it is composed with."""
-    needs = [need.format(played=played) for need in NEEDS.get(name, [])]
-    experiment = experiment_of(compose([f"controller={name}", *needs, *more]).config)
+    overrides = [f"controller={request.param}"]
+    if request.param == "robust_mpc":
+        pytest.importorskip("cvxpy")
+    if request.param == "played":
+        path = tmp_path_factory.mktemp("played") / "u.csv"
+        rows = "0.0,1.0,0.5\n0.5,2.0,-0.5\n10.0,0.0,0.0\n"
+        path.write_text("t[s],u_v[V],u_h[V]\n" + rows, encoding="utf-8")
+        overrides.append(f"controller.u_v.file={path}")
+    experiment = experiment_of(compose(overrides).config)
     return experiment.controller, experiment.model
-
-
-def period_of(controller: Controller) -> float:
-    return getattr(controller, "sample_time", None) or 0.02
 
 
 class Runner:
@@ -78,7 +52,7 @@ class Runner:
 
     def __init__(self, controller: Controller, model: Model) -> None:
         self.controller, self.model = controller, model
-        self.setup = ControlSetup(model, period_of(controller), np.zeros(model.n_u))
+        self.setup = ControlSetup(model, controller.sample_time or 0.02, np.zeros(model.n_u))
         self.preview = controller.preview(self.setup)
         self.state: Any = controller.init(self.setup)
         self.u = np.zeros(model.n_u)

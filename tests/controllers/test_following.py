@@ -134,8 +134,8 @@ def test_an_input_at_its_limit_does_not_wind_up(law, start, short, long, after, 
         return ran, float(np.abs(ran.error("alpha_h"))[-ran.at(last) :].max())
 
     (_, after_short), (ran, after_long) = pushed_for(short), pushed_for(long)
-    held = ran.u[ran.at(start + long - 10) : ran.at(start + long - 1)]
-    assert np.all(np.array(held)[:, 1] == 2.5)
+    held = ran.inputs[ran.at(start + long - 10) : ran.at(start + long - 1)]
+    assert np.all(held[:, 1] == 2.5)
     assert after_long < after_short + 0.02
     assert after_long < left
 
