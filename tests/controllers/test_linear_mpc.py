@@ -11,8 +11,7 @@ from trms_cli.controllers.linear_mpc import LinearMpc
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.models.discretisation import discretise
 
-from .closed_loop_case import sample_of, setup_of
-from .linear_model import DoubleMass, matrices
+from .closed_loop_case import DoubleMass, matrices, sample_of, setup_of
 
 PERIOD = 0.1
 WAYS = ["fixed", "target", "current"]

@@ -17,8 +17,7 @@ from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.steady_state import SteadyState
 
-from .closed_loop_case import close_loop, constant, sample_of, setup_of
-from .linear_model import DoubleMass, matrices
+from .closed_loop_case import DoubleMass, close_loop, constant, matrices, sample_of, setup_of
 
 MPC = NewtonMpc(prediction_horizon=12, move_blocks=(1, 1, 2, 3, 5))
 

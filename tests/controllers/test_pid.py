@@ -147,13 +147,6 @@ def steady() -> SteadyState:
     return SteadyState(BOTH)
 
 
-def test_a_table_is_linear_between_its_points_and_ends_with_them() -> None:
-    table = PiecewiseLinear([0.0, 1.0, 3.0], [0.0, 2.0, 4.0])
-    assert [table.at(v) for v in (-1.0, 0.5, 2.0, 9.0)] == [0.0, 1.0, 3.0, 4.0]
-    assert table.inverse().at(3.0) == 2.0
-    assert table.slope(0.5) == 2.0 and table.slope(7.0) == 1.0
-
-
 @pytest.mark.parametrize(("axis", "channel", "lever"), [("pitch", 0, 0.246), ("yaw", 1, 0.282)])
 def test_the_curve_is_the_thrust_of_the_rotor(steady, axis, channel, lever) -> None:
     """Against the rotor's equations: B ω + k_t ω|ω| = kφ (k_u u − kφ ω)/R, F = k_f ω|ω|."""
@@ -177,12 +170,18 @@ def test_the_curve_is_the_thrust_of_the_rotor(steady, axis, channel, lever) -> N
     assert (curve.y[0], curve.y[-1]) == pytest.approx((-2.5, 2.5))
 
 
-def test_an_axis_is_held_by_the_input_of_its_steady_state(steady: SteadyState) -> None:
+def test_a_table_is_linear_and_an_axis_is_held_by_the_input_of_its_steady_state(
+    steady: SteadyState,
+) -> None:
     curve = torque_curve(BOTH, "yaw", 1, steady)
     holding = holding_torques(BOTH, "yaw", 1, steady, curve.inverse())
     for angle in (-1.0, -0.25, 0.5, 1.25):
         exact = steady.solve(np.array([0.0, angle])).u[1]
         assert curve.at(holding.at(angle)) == pytest.approx(exact, abs=1e-6)
+    table = PiecewiseLinear([0.0, 1.0, 3.0], [0.0, 2.0, 4.0])
+    assert [table.at(v) for v in (-1.0, 0.5, 2.0, 9.0)] == [0.0, 1.0, 3.0, 4.0]
+    assert table.inverse().at(3.0) == 2.0
+    assert table.slope(0.5) == 2.0 and table.slope(7.0) == 1.0
 
 
 def test_the_tables_are_kept_by_model(steady, tmp_path, monkeypatch) -> None:

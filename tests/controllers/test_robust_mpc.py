@@ -78,13 +78,11 @@ def offline() -> RobustMpcOfflineState:
 
 
 class TestOnline:
-    def test_a_start_from_rest_is_regulated(self) -> None:
+    def test_a_start_from_rest_is_regulated_and_a_known_torque_leaves_no_error(self) -> None:
         controller = ONLINE(redesign_below=0.8)
         ran = close_loop(controller, BOTH, STILL, 7.0, x0=started(-0.65, -0.35))
         assert np.all(np.abs(ran.angles[-15:]) < [0.02, 0.05])
         assert sum(command.status is Status.FAILED for command in ran.commands) <= 3
-
-    def test_a_known_torque_leaves_no_error(self) -> None:
         ran = close_loop(
             OFFLINE, BOTH, constant(0.1, 0.3), 25.0,
             torque=lambda time: [0.004, 0.003, 0.0, 0.0], known=True,
@@ -122,11 +120,6 @@ class TestOnline:
         command = controller.step(state, sample, want_prediction=False)
         assert command.status is Status.FAILED and state.law is None
         assert "certificate" in command.message
-
-    def test_a_model_without_a_law_is_refused(self) -> None:
-        """Its Coulomb friction has coefficients without bound near rest."""
-        with pytest.raises(ConfigurationError, match="no law"):
-            ONLINE().init(setup_of(FeedbackManual()))
 
     @pytest.mark.slow
     @pytest.mark.parametrize("start", STARTS)
@@ -285,13 +278,16 @@ class TestCoordinates:
             assert (one.n, one.m) == (3, 1)
             assert bool(one.demands) == (freedom == "horizontal")
 
-    def test_memory_and_unknown_names_are_refused(self) -> None:
+    def test_memory_unknown_names_and_a_model_without_a_law_are_refused(self) -> None:
         with pytest.raises(ConfigurationError, match="memory"):
             regulation_of(extend_model(BOTH, {"late": InputDelay(rotor="main", delay=0.1)}))
         with pytest.raises(ConfigurationError, match="u_x"):
             regulation_of(thrust_inputs=("u_x",))
         with pytest.raises(ConfigurationError, match="alpha_x"):
             regulation_of(state_weights={"alpha_x": 1.0})
+        # Its Coulomb friction has coefficients without bound near rest.
+        with pytest.raises(ConfigurationError, match="no law"):
+            ONLINE().init(setup_of(FeedbackManual()))
 
 
 class TestDemand:

@@ -46,15 +46,13 @@ def plain(value: Any) -> list[Any]:
     return [value]
 
 
-def test_equal_content_is_computed_once() -> None:
+def test_equal_content_is_computed_once_and_an_object_that_was_changed_is_another_input() -> None:
     assert plain(1) is not call_memoised(plain, 1)
     _calls.clear()
     assert call_memoised(plain, {"a": 0.1}) is call_memoised(plain, {"a": 0.1})
     assert call_memoised(plain, np.arange(3.0)) is call_memoised(plain, np.arange(3.0))
     assert len(_calls) == 2
-
-
-def test_an_object_that_was_changed_is_another_input() -> None:
+    _calls.clear()
     weights = Weights({"a": 1.0, "b": 2.0})
     assert call_memoised(total, weights) == 3.0
     weights.values["b"] = 5.0

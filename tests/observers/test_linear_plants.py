@@ -325,7 +325,7 @@ def test_the_covariance_stays_positive_definite_in_long_runs() -> None:
     assert np.linalg.eigvalsh(P / np.outer(scale, scale)).min() > 0
 
 
-def test_it_starts_from_measurements_and_from_rotors_that_turn_as_commanded() -> None:
+def test_it_starts_from_measurements_of_declared_noise_and_rotors_that_turn_as_commanded() -> None:
     model = Newtonian()
     first = np.array([0.1, 0.2])
     state = Ukf().init(
@@ -339,10 +339,6 @@ def test_it_starts_from_measurements_and_from_rotors_that_turn_as_commanded() ->
     speeds = rates(model, state.prior_mean[:6], [1.413, 0.5])
     moving = [model.state_index(name) for name in ("omega_h", "omega_v", "alpha_h", "alpha_v")]
     np.testing.assert_allclose(speeds[moving], 0.0, atol=1e-6)
-
-
-def test_a_channel_without_declared_noise_is_refused() -> None:
-    model = Newtonian()
     setup = ObserverSetup(model, SAMPLE_TIME, ("alpha_v",), {}, np.zeros(1), np.zeros(2))
     with pytest.raises(ConfigurationError, match="noise of 'alpha_v'"):
         Ukf().init(setup)

@@ -40,15 +40,10 @@ def steps(n):
     return np.repeat(rng.uniform(-1.5, 1.5, (n // 10 + 1, 2)), 10, axis=0)[:n]
 
 
-class TestKinds:
-    def test_of_states_are_read_off_the_step(self):
-        kinds = kinds_of_states(rig_like((1, 2), (1, 2)))
-        assert kinds == ("angle",) * 2 + ("speed",) * 2 + ("past",) * 6
-
-    @pytest.mark.parametrize(
-        ("model", "kind"), [(rig_like(), "acceleration"), (Newtonian(), "disturbance")]
-    )
-    def test_of_what_pushes_follow_from_its_units(self, model, kind):
+def test_kinds_of_states_are_read_off_the_step_and_of_what_pushes_off_its_units():
+    kinds = kinds_of_states(rig_like((1, 2), (1, 2)))
+    assert kinds == ("angle",) * 2 + ("speed",) * 2 + ("past",) * 6
+    for model, kind in ((rig_like(), "acceleration"), (Newtonian(), "disturbance")):
         assert kinds_of_disturbances(model) == (kind,) * 2 + (f"rotor_{kind}",) * 2
 
 
@@ -139,7 +134,7 @@ TRUTH = {
 SETUP = setup_for(Newtonian(), ("alpha_v", "omega_h"))
 
 
-def test_truth_is_mapped_by_name_also_from_a_rig_with_more_states() -> None:
+def test_truth_is_mapped_by_name_also_from_a_rig_with_more_states_and_nothing_is_shared() -> None:
     observer = FullState()
     state = observer.init(SETUP)
     estimate = observer.step(state, np.zeros(2), np.array([0.31, np.nan]), TRUTH)
@@ -148,10 +143,6 @@ def test_truth_is_mapped_by_name_also_from_a_rig_with_more_states() -> None:
     np.testing.assert_allclose(estimate.innovation, [0.01, np.nan], atol=1e-15)
     np.testing.assert_array_equal(estimate.innovation_sd, [5e-4, 1.6])
     assert not estimate.disturbance.any() and not estimate.sd.any()
-
-
-def test_two_states_share_nothing() -> None:
-    observer = FullState()
     first, second = observer.init(SETUP), observer.init(SETUP)
     x = observer.step(first, np.zeros(2), np.zeros(2), TRUTH).x
     before = x.copy()

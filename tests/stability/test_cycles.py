@@ -180,7 +180,7 @@ def test_of_both_axes_none_is_found_but_that_is_left_open():
     assert not findings.results["proof"]["no_cycle"]
 
 
-def test_what_an_open_block_drives_is_open_too():
+def test_nothing_is_proved_of_what_cycles_nor_of_what_that_drives_but_where_areas_shrink():
     """x, y cycle as van der Pol's, z settles towards x: a limit cycle in z too."""
 
     class Driven(Planar):
@@ -196,9 +196,6 @@ def test_what_an_open_block_drives_is_open_too():
         (("z",), False),
     ]
     assert proof.blocks[1].driven
-
-
-def test_nothing_is_proved_of_an_oscillator_that_cycles_but_where_areas_shrink():
     assert not absence(van_der_pol(), np.zeros(2), np.zeros(1), 3 * np.ones(2)).proved
     # Within |x| < 1 the divergence 1 − x² is positive: no cycle lies there.
     inner = absence(van_der_pol(), np.zeros(2), np.zeros(1), 0.9 * np.ones(2))
@@ -227,15 +224,6 @@ def test_no_box_that_is_proved_empty_holds_a_known_cycle(u, width):
     radius = np.sqrt((1 - np.sqrt(1 + 4 * u)) / 2)  # of the unstable cycle, to the lag's 1e-3
     assert 0 < block.share <= 1 and not block.constant
     assert block.share * width < radius + 0.01
-
-
-def test_impulses_are_told():
-    model = Newtonian()
-    assert not has_impulses(model)
-    friction = {"f": CoulombFriction(axis="pitch", torque=0.01)}
-    assert has_impulses(extend_model(model, friction))
-    damping = {"d": QuadraticDamping(axis="pitch", coefficient=0.01)}
-    assert not has_impulses(extend_model(model, damping))
 
 
 def test_starts_fill_the_box_and_nothing_else():
@@ -333,9 +321,10 @@ def test_on_the_cable_s_switch_the_hopf_point_is_that_of_the_mean():
 
 
 def test_with_dry_friction_motions_alone_are_looked_at():
-    rig = extend_model(
-        Newtonian(freedom="vertical"), {"friction": CoulombFriction(axis="pitch", torque=0.01)}
-    )
+    model = Newtonian(freedom="vertical")
+    rig = extend_model(model, {"friction": CoulombFriction(axis="pitch", torque=0.01)})
+    damped = extend_model(model, {"d": QuadraticDamping(axis="pitch", coefficient=0.01)})
+    assert [has_impulses(one) for one in (model, rig, damped)] == [False, True, False]
     findings = asked(rig)
     assert not findings.results["proof"]["no_cycle"] and "over" not in findings.results
     assert findings.results["motions"]["rest"] == 6

@@ -130,7 +130,7 @@ def test_what_rests_in_closed_form_and_by_the_table_of_the_page_is_proved(model:
         assert np.all(lowest.x.width < 1e-6)
 
 
-def test_rest_and_hover() -> None:
+def test_rest_hover_and_yaw_at_hover() -> None:
     rest, hover = named_points(NEWTONIAN, {})[0]
     assert abs(rest.x[NEWTONIAN.state_index("alpha_v")] + 0.6194) < 5e-5
     assert abs(hover.u[0] - 1.413) < 5e-4
@@ -138,6 +138,13 @@ def test_rest_and_hover() -> None:
     assert abs(hover.quantities["thrust_main"] - 0.624) < 5e-4
     assert abs(hover.quantities["current_main"] - 1.01) < 5e-3
     assert not rest.unstable and not hover.unstable
+    yaws = {0.2: 0.10, 0.5: 0.50, 1.0: 1.56, -0.5: -0.85}
+    proofs = proofs_at(prover_of(NEWTONIAN, "u_h", {"alpha_v": 0.0}), yaws)
+    row = NEWTONIAN.state_index("alpha_h")
+    for proof, yaw in zip(proofs, yaws.values(), strict=True):
+        assert proof.count == 1
+        assert abs(proof.enclosed[0].x.middle[row] - yaw) < 6e-3
+        assert abs(proof.enclosed[0].u.middle[0] - 1.413) < 5e-4
 
 
 def test_curves_over_u_v_agree_with_proofs_up_to_the_fold_where_gravity_is_exhausted() -> None:
@@ -188,16 +195,6 @@ def test_a_number_over_an_interval_is_never_wrong(centre: float, width: float) -
 
 
 SHARED = prover_of(NEWTONIAN, "u_v")
-
-
-def test_yaw_at_hover() -> None:
-    hover = {0.2: 0.10, 0.5: 0.50, 1.0: 1.56, -0.5: -0.85}
-    proofs = proofs_at(prover_of(NEWTONIAN, "u_h", {"alpha_v": 0.0}), hover)
-    row = NEWTONIAN.state_index("alpha_h")
-    for proof, yaw in zip(proofs, hover.values(), strict=True):
-        assert proof.count == 1
-        assert abs(proof.enclosed[0].x.middle[row] - yaw) < 6e-3
-        assert abs(proof.enclosed[0].u.middle[0] - 1.413) < 5e-4
 
 
 def test_main_reaction_on_yaw_asks_for_the_tail_rotor() -> None:
@@ -399,15 +396,12 @@ def test_a_circle_and_a_line_have_two_roots_and_a_tangent_is_left_undecided() ->
     np.testing.assert_allclose(found.box.middle[0], [1.0, 0.0], atol=1e-4)
 
 
-def test_no_bounds_at_all() -> None:
+def test_no_bounds_at_all_and_what_is_given_as_an_interval() -> None:
     far = solved(Z * ca.fabs(Z) + Z - 1e8, Z, (-np.inf, np.inf))
     assert far.unique.tolist() == [True] and not far.open_ended
     assert abs(far.box.middle[0, 0] - 9999.5) < 0.1
     beyond = solved(Z - 1e7, Z, (-np.inf, np.inf))
     assert len(beyond.owner) == 0 and beyond.open_ended
-
-
-def test_what_is_given_as_an_interval_is_proved_for_all_of_it() -> None:
     given_ = Interval.of([[0.9], [-0.1], [-2.0]], [[1.1], [0.1], [-1.0]])
     found = solved(Z**2 - Q, Z, (-3.0, 3.0), given_)
     assert found.owner[found.unique].tolist() == [0, 0]
@@ -460,13 +454,18 @@ def test_special_points_and_ranges_of_ones_own_and_rest_and_hover_outside_the_bo
     assert "held at α_v = 0 rad, outside the box" in told
 
 
-def test_a_beam_driven_by_its_rotors_speeds() -> None:
+def test_a_beam_driven_by_its_rotors_speeds_and_an_upright_one_in_the_box() -> None:
     model = DrivenModel(NEWTONIAN, ("omega_v", "omega_h"))
     with pytest.raises(ModelError, match="have no limits"):
         asked(model)
     found = asked(model, over=("omega_v",), range={"omega_v": (0.0, 300.0)})
     fold = next(one for one in found.results["surveys"][0]["landmarks"] if one["kind"] == "fold")
     assert abs(fold["input"] - 257.654) < 1e-2
+    with pytest.raises(ModelError, match="may be singular"):
+        asked(Lagrangian(), box={"alpha_v": (-1.6, 1e9)}, over=("u_v",))
+    with pytest.raises(ModelError, match="beam upright") as refused:
+        asked(QuanserAero(), box={"alpha_v": (-3.0, 3.0)})
+    assert refused.value.where == "study.box.alpha_v"
 
 
 @pytest.mark.parametrize(
@@ -488,11 +487,3 @@ def test_what_makes_no_sense_is_refused(keys: dict[str, object], where: str) -> 
         asked(Newtonian(freedom="vertical"), **keys)
     assert refused.value.where == where
     assert refused.value.remedy
-
-
-def test_an_upright_beam_in_the_box_is_told() -> None:
-    with pytest.raises(ModelError, match="may be singular"):
-        asked(Lagrangian(), box={"alpha_v": (-1.6, 1e9)}, over=("u_v",))
-    with pytest.raises(ModelError, match="beam upright") as refused:
-        asked(QuanserAero(), box={"alpha_v": (-3.0, 3.0)})
-    assert refused.value.where == "study.box.alpha_v"

@@ -257,13 +257,19 @@ def test_the_study_answers_with_names_verdict_and_range():
     assert any("study.over=alpha_v" in sentence for sentence in findings.lead)
 
 
-def test_states_of_effects_are_named_after_the_effect():
+def test_states_of_effects_are_named_after_the_effect_and_its_size_can_be_varied():
     hysteresis = CableHysteresis(axis="yaw", torque=0.004, width=0.1)
     model = extend_model(Newtonian(), {"yaw_cable_hysteresis": hysteresis})
     assert parts_of(model)[-1] == RigPart("yaw cable hysteresis")
     # Of all memories that it may rest with, that of a rig without a past.
     point = TrimSolver(model).first({"alpha_v": 0.0})
     assert abs(point.x[-1]) < 1e-6 and abs(point.u[model.n_u - 1]) < 1e-6
+    model = extend_model(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=10.0)})
+    path, sweep, _ = locus({"alpha_v": 0.0}, "main_inflow.coefficient", (0.0, 60.0), model=model)
+    assert path.unit == "rad/m"
+    pitch = np.argmax(np.abs(sweep.eigenvalues[0].imag))
+    damping = sweep.eigenvalues[:, pitch].real
+    assert np.all(np.diff(damping) < 0)  # inflow damps
 
 
 def growth_in_simulation(alpha_v, duration=240.0):
@@ -492,15 +498,6 @@ def test_gains_of_loops_are_those_of_masons_rule():
     assert len(loop.states) == 3 and loop.gain == pytest.approx(1.0)
 
 
-def test_the_size_of_an_effect_can_be_varied():
-    model = extend_model(Newtonian(), {"main_inflow": Inflow(rotor="main", coefficient=10.0)})
-    path, sweep, _ = locus({"alpha_v": 0.0}, "main_inflow.coefficient", (0.0, 60.0), model=model)
-    assert path.unit == "rad/m"
-    pitch = np.argmax(np.abs(sweep.eigenvalues[0].imag))
-    damping = sweep.eigenvalues[:, pitch].real
-    assert np.all(np.diff(damping) < 0)  # inflow damps
-
-
 def test_the_map_has_the_boundary_of_the_loci_and_holes_where_there_is_no_operating_point():
     path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
     found = stability_map(path, "alpha_v", RANGE, (0.3, 0.5), (7, 5), silent)
@@ -543,7 +540,7 @@ def test_the_study_says_where_and_why():
     assert "At u_v = 1 V, k_g" in commands.lead[0]
 
 
-def test_at_a_kink_it_is_said_where_and_what_the_growth_rate_does_over_the_range():
+def test_where_nothing_crosses_the_lead_tells_the_closest_place_and_what_moves_nothing():
     findings = answer(RootLocus(points=41), Newtonian(freedom="horizontal"))
     sentences = " ".join(findings.lead)
     assert "does not move the growth rate" not in sentences
@@ -551,15 +548,17 @@ def test_at_a_kink_it_is_said_where_and_what_the_growth_rate_does_over_the_range
     assert "between −3.45 and −1.69 1/s" in sentences
     # The table of shares would be one of rounding.
     assert not [t for s in findings.sections if s.heading == "Why" for t in s.blocks[:-1]]
-
-
-def test_at_an_extreme_rounding_is_no_cause():
+    # At an extreme rounding is no cause.
     findings = answer(RootLocus(points=21), QuanserAero())
     assert abs(findings.results["why"][0]["dlambda"][0]) < 1e-6
     sentences = " ".join(findings.lead)
     assert "comes closest to the axis at alpha_v = 0 rad" in sentences and "e-" not in sentences
     (why,) = [s for s in findings.sections if s.heading == "Why"]
     assert all(type(block).__name__ == "Chart" for block in why.blocks)
+    # The cable's stiffness on the other side of the yaw.
+    findings = answer(RootLocus(over="k_chp", at={"alpha_h": -0.3}, points=5))
+    assert "k_chp moves no growth rate" in " ".join(findings.lead)
+    assert findings.results["why"] == []
 
 
 @pytest.mark.parametrize(
@@ -570,13 +569,6 @@ def test_what_cancels_but_for_rounding_moves_nothing(parts, moved):
     shares = tuple(EntryShare(0, k, 1.0, complex(part)) for k, part in enumerate(parts))
     total = complex(sum(parts))
     assert moves(Sensitivity(total, total, shares)) is moved
-
-
-def test_a_number_that_moves_nothing_is_told_as_such():
-    # The cable's stiffness on the other side of the yaw.
-    findings = answer(RootLocus(over="k_chp", at={"alpha_h": -0.3}, points=5))
-    assert "k_chp moves no growth rate" in " ".join(findings.lead)
-    assert findings.results["why"] == []
 
 
 def test_the_chart_of_a_jump_breaks_its_curves_there():

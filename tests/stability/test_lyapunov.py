@@ -86,14 +86,11 @@ HOVER = (("alpha_v", 0.0),)
 VERTICAL = Newtonian(freedom="vertical")
 
 
-def test_horizontal_is_globally_stable_at_any_command() -> None:
+def test_horizontal_is_globally_stable_and_the_vertical_well_ends_at_its_saddle() -> None:
     for yaw in (0.0, 0.3, -0.8):
         found = certificate_of("horizontal", (("alpha_h", yaw),))
         assert found.holds and found.everywhere and math.isinf(found.outer)
         assert found.bounded_by.startswith("the stop alpha_h")
-
-
-def test_vertical_well_ends_at_the_saddle_that_the_balance_gives() -> None:
     found = certificate_of("vertical", HOVER)
     assert found.holds and not found.everywhere
     # docs/model.md: G sin(α + 0.6194) = l_m F, so that the other side of the crest is α_s.
@@ -595,15 +592,11 @@ def test_two_axes_lagrangian_coriolis_terms_have_no_power() -> None:
     M = sp.Matrix([[J1 * sp.cos(a_v) ** 2 + J2 * sp.sin(a_v) ** 2 + m11, off], [off, J1 + J2]])
     # Christoffel's symbols of that M; C q̇ is what model.md prints.
     q, rates = (a_h, a_v), (r_h, r_v)
-    C = sp.zeros(2, 2)
-    for i in range(2):
-        for j in range(2):
-            C[i, j] = sum(
-                (sp.diff(M[i, j], q[k]) + sp.diff(M[i, k], q[j]) - sp.diff(M[j, k], q[i]))
-                * rates[k]
-                / 2
-                for k in range(2)
-            )
+
+    def christoffel(i: int, j: int, k: int) -> sp.Expr:
+        return sp.diff(M[i, j], q[k]) + sp.diff(M[i, k], q[j]) - sp.diff(M[j, k], q[i])
+
+    C = sp.Matrix(2, 2, lambda i, j: sum(christoffel(i, j, k) * rates[k] / 2 for k in range(2)))
     velocity = sp.Matrix(rates)
     printed = sp.Matrix(
         [

@@ -275,13 +275,6 @@ class TestDryFriction:
             gained = stuck.results["loops"][name]["gain_up"]
             assert gained == pytest.approx(loop["gain_up"], rel=1e-6)
 
-    def test_a_loop_that_does_not_answer_has_no_margins(self):
-        """Whatever holds the rig: a loop that gives nothing back is not called robust."""
-        findings = STUDY.run(subject_of(Changed(lqr(), gain=(1.0, 1e-6))), silent)
-        assert findings.results["holds"]
-        assert any(said.startswith("u_h: no loop to speak of") for said in findings.lead)
-        assert any("the loop of u_h does not answer" in said for said in findings.warnings)
-
 
 SLOW = Lqr(operating_point=AT, sample_time=3.0)
 BLIND = OpenLoop(u_v=Constant(offset=1.4), u_h=Constant(offset=0.3))
@@ -307,7 +300,7 @@ def test_what_makes_no_sense_is_refused(keys, controller, clock, says):
 
 
 class TestLoopsWithoutMargins:
-    def test_a_loop_that_does_not_hold(self):
+    def test_a_loop_that_does_not_hold_or_does_not_answer_or_a_rotor_that_stands_still(self):
         law = Changed(lqr(), late=4)
         found = COARSE.measure(MODEL, loop_of(law), POINT, silent)
         assert isinstance(found, NoResponse)
@@ -316,8 +309,11 @@ class TestLoopsWithoutMargins:
         assert findings.results["holds"] is False
         assert "does not hold this point" in findings.lead[0]
         assert [chart.name for chart in findings.charts] == ["margins_departure"]
-
-    def test_yaw_where_the_tail_rotor_stands_still(self):
+        # Whatever holds the rig: a loop that gives nothing back is not called robust.
+        findings = STUDY.run(subject_of(Changed(lqr(), gain=(1.0, 1e-6))), silent)
+        assert findings.results["holds"]
+        assert any(said.startswith("u_h: no loop to speak of") for said in findings.lead)
+        assert any("the loop of u_h does not answer" in said for said in findings.warnings)
         level = replace(STUDY, at={"alpha_v": 0.0}, periods=3)
         findings = level.run(subject_of(lqr()), silent)
         assert any("study.at.alpha_h=0.3" in words for words in findings.warnings)
