@@ -233,7 +233,7 @@ def test_hankel_values_do_not_depend_on_the_states():
     )
 
 
-def test_usual_sets_of_sensors():
+def test_usual_sets_of_sensors_and_those_that_do_not_exist():
     model = Newtonian()
     sets = sensor_sets(model, None)
     assert [set_words(model, one) for one in sets] == [
@@ -241,9 +241,12 @@ def test_usual_sets_of_sensors():
         *("alpha_v", "alpha_h", "omega_v", "omega_h"),
     ]
     assert sensor_sets(model, [["alpha_h"]]) == (("alpha_h",),)
+    for sensors in ((("alpha_z",),), ((),)):
+        with pytest.raises(ConfigurationError, match=r"study\.sensors"):
+            answer(Controllability(sensors=sensors))
 
 
-def test_the_study_reports_everything():
+def test_the_study_reports_everything_and_varies_the_pitch_where_yaw_is_free():
     findings = answer(Controllability(points=7))
     results = findings.results
     assert results["at"]["x"]["alpha_h"] == pytest.approx(0.3)
@@ -255,17 +258,8 @@ def test_the_study_reports_everything():
     assert {chart.name for chart in findings.charts} == drawn
     angles = next(t for t in results["torques"] if t["sensors"] == ["alpha_v", "alpha_h"])
     assert angles["together"] == 2
-
-
-def test_where_yaw_is_free_the_pitch_is_varied():
     findings = answer(Controllability(points=7), QuanserAero())
     found = findings.results["range"]
     assert found["over"] == "alpha_v"
     moved = np.array(found["moved_per_unit_rms"]["alpha_v"]["u_v"])
     assert np.argmin(moved) == np.argmin(np.abs(found["values"]))  # level, the rotors stand still
-
-
-@pytest.mark.parametrize("sensors", [(("alpha_z",),), ((),)])
-def test_sensors_that_do_not_exist_are_refused(sensors):
-    with pytest.raises(ConfigurationError, match=r"study\.sensors"):
-        answer(Controllability(sensors=sensors))

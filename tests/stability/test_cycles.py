@@ -332,18 +332,15 @@ def test_with_dry_friction_motions_alone_are_looked_at():
     assert "Without the dry friction none exists, whatever the start: proved" in findings.lead[0]
 
 
-def test_another_point_than_the_usual_one_is_told():
+def test_what_makes_no_sense_and_another_point_than_the_usual_one_are_told():
+    model = Newtonian()
+    for keys, where in (({"over": "u_x"}, "over"), ({"box": {"q": 1.0}}, "box.q")):
+        with pytest.raises(ConfigurationError) as told:
+            LimitCycles(**keys).run(Subject(model, "m"), silent)
+        assert told.value.where == where and told.value.remedy
     model = Newtonian(freedom="vertical")
     rest = operating_point(model, {})
     level = operating_point(model, {"alpha_v": 0.0})
     assert not_level(model, {}, level) == () and not_level(model, {"u_v": 0.0}, rest) == ()
     (words,) = not_level(model, {}, rest)
     assert "no equilibrium at alpha_v = 0 rad" in words and "rest without command" in words
-
-
-def test_what_makes_no_sense_is_told():
-    model = Newtonian()
-    for keys, where in (({"over": "u_x"}, "over"), ({"box": {"q": 1.0}}, "box.q")):
-        with pytest.raises(ConfigurationError) as told:
-            LimitCycles(**keys).run(Subject(model, "m"), silent)
-        assert told.value.where == where and told.value.remedy

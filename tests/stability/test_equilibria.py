@@ -210,7 +210,7 @@ def test_main_reaction_on_yaw_asks_for_the_tail_rotor() -> None:
     assert abs(hover.u[1] + 0.776) < 5e-4
 
 
-def test_each_change_of_stability_along_a_curve_is_told() -> None:
+def test_each_change_of_stability_is_told_and_no_fold_moves_with_what_pitch_does_not_know() -> None:
     drag = RotorReaction(rotor="main", drag=1.5e-7, inertia=0.0)
     found = surveyed(ExtendedModel(NEWTONIAN, "reaction", drag), "u_v", 3)
     (curve,) = found.curves
@@ -220,6 +220,10 @@ def test_each_change_of_stability_along_a_curve_is_told() -> None:
     for one in told:
         rightmost = one.at.eigenvalues[np.argsort(np.abs(one.at.eigenvalues.real))[0]]
         assert abs(rightmost.real) < 1e-6
+    drift = Disturbance(axis="yaw", torque=0.005, time=1.0)
+    found = surveyed(ExtendedModel(NEWTONIAN, "drift", drift), "u_v", 3)
+    (fold,) = [one for one in found.landmarks if one.kind == "fold"]
+    assert abs(fold.y[-1] - analytic_fold()) < 1e-8
 
 
 def test_changes_of_stability_on_the_switch_are_those_of_the_local_study() -> None:
@@ -278,13 +282,6 @@ def test_a_dead_zone_is_part_of_rest_and_a_curve_goes_around_its_corners() -> No
     assert all(check.agree and check.proof.complete for check in found.checks)
     assert found.late == 0 and len(found.curves) == 1
     assert not [one for one in found.landmarks if one.kind == "level"]
-
-
-def test_a_fold_does_not_move_with_a_state_that_pitch_knows_nothing_of() -> None:
-    drift = Disturbance(axis="yaw", torque=0.005, time=1.0)
-    found = surveyed(ExtendedModel(NEWTONIAN, "drift", drift), "u_v", 3)
-    (fold,) = [one for one in found.landmarks if one.kind == "fold"]
-    assert abs(fold.y[-1] - analytic_fold()) < 1e-8
 
 
 def test_coulomb_friction_holds_a_band_and_that_of_the_makers_model_its_free_yaw() -> None:

@@ -367,7 +367,7 @@ def test_beyond_the_fold_it_is_the_pitch_that_diverges():
     assert modes["pitch divergence"]["real"] > 0 > modes["yaw swing"]["real"]
 
 
-def test_no_two_modes_look_alike_in_a_figure():
+def test_no_two_modes_look_alike_in_a_figure_and_a_map_draws_no_value_on_its_frame():
     def mode(name: str, value: complex) -> EigenMode:
         return EigenMode(name, value, np.ones(1), np.ones(1, complex), np.ones(1, complex))
 
@@ -380,8 +380,6 @@ def test_no_two_modes_look_alike_in_a_figure():
     styles = styles_of(colours)
     assert len({(colours[name], styles[name]) for name in names}) == len(names)
 
-
-def test_the_models_own_value_is_not_drawn_on_the_frame_of_a_map():
     def lines(span: tuple[float, float]) -> list[Line]:
         path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
         over, against = np.linspace(*span, 3), np.array([0.3, 0.5])
@@ -405,16 +403,7 @@ def locus(at, over, span, side="mean", points=21, model=None):
     return path, sweep, crossings(path, sweep)
 
 
-def test_the_thesis_value_of_k_g_destabilises_pitch_above_the_published_angle():
-    # model.md: above 0.34 rad. The slopes of the upper side give it exactly, the mean 0.347.
-    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "upper", 31, RAHIDEH)
-    assert found[0].value == pytest.approx(0.3396, abs=5e-4)
-    assert found[0].unstable_above and found[0].kind == "Hopf"
-    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "mean", 31, RAHIDEH)
-    assert found[0].value == pytest.approx(0.3468, abs=5e-4)
-
-
-def test_the_crossing_over_k_g_is_on_the_axis_and_between_the_sides():
+def test_crossings_are_on_the_axis_between_the_sides_and_at_the_published_angle():
     values = {}
     for side in ("lower", "mean", "upper"):
         path, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE, side)
@@ -425,6 +414,12 @@ def test_the_crossing_over_k_g_is_on_the_axis_and_between_the_sides():
         assert found.frequency == pytest.approx(abs(pair.imag))
     assert values["upper"] < values["mean"] < values["lower"]
     assert values["mean"] == pytest.approx(0.148, abs=1e-3)
+    # model.md: above 0.34 rad. The slopes of the upper side give it exactly, the mean 0.347.
+    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "upper", 31, RAHIDEH)
+    assert found[0].value == pytest.approx(0.3396, abs=5e-4)
+    assert found[0].unstable_above and found[0].kind == "Hopf"
+    _, _, found = locus({}, "alpha_v", (-0.5, 0.8), "mean", 31, RAHIDEH)
+    assert found[0].value == pytest.approx(0.3468, abs=5e-4)
 
 
 @pytest.mark.parametrize(
@@ -498,7 +493,7 @@ def test_gains_of_loops_are_those_of_masons_rule():
     assert len(loop.states) == 3 and loop.gain == pytest.approx(1.0)
 
 
-def test_the_map_has_the_boundary_of_the_loci_and_holes_where_there_is_no_operating_point():
+def test_the_map_has_the_boundary_of_the_loci_and_ends_where_there_is_no_operating_point():
     path = OperatingPath(Newtonian(), {"alpha_v": 0.4}, "k_g")
     found = stability_map(path, "alpha_v", RANGE, (0.3, 0.5), (7, 5), silent)
     assert found.largest_growth_1_s.shape == (5, 7)
@@ -509,9 +504,6 @@ def test_the_map_has_the_boundary_of_the_loci_and_holes_where_there_is_no_operat
     found = stability_map(path, "alpha_v", (0.01, 0.05), (-0.4, 0.2), (3, 5), silent)
     assert np.isfinite(found.largest_growth_1_s[0]).all()
     assert np.isnan(found.largest_growth_1_s[-1]).all()
-
-
-def test_a_locus_over_a_command_ends_at_the_fold_and_so_does_its_map():
     asked = RootLocus(over="u_v", range=(1.5, 2.5), against="u_h", points=9, map_points=3)
     findings = answer(asked)
     values = findings.results["locus"]["values"]

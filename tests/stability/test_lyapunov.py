@@ -156,17 +156,6 @@ def test_v_falls_at_random_states_of_the_outer_set() -> None:
         assert np.all(candidate.derivative(candidate.states(y)) < 0.0)
 
 
-def test_dry_friction_only_helps_and_the_conclusion_is_a_set_of_rests() -> None:
-    friction = {"pitch_coulomb_friction": CoulombFriction(axis="pitch", torque=0.002)}
-    found = run(extend_model(VERTICAL, friction), at={"alpha_v": 0.0})
-    assert found.results["holds"]
-    assert "friction holds it" in found.lead[1]
-    attracts = next(c for c in found.results["claims"] if c["name"] == "attracts")
-    assert "F_c" in attracts["detail"]
-    with pytest.raises(ConfigurationError, match="strict function"):
-        run(extend_model(Newtonian(), friction), at={"alpha_v": 0.0, "alpha_h": 0.3})
-
-
 def test_the_findings_carry_sets_claims_and_figures_and_sensors_change_nothing() -> None:
     bias = {"pitch_sensor_bias": SensorBias(axis="pitch", bias=0.1)}
     found, biased = (
@@ -184,12 +173,20 @@ def test_the_findings_carry_sets_claims_and_figures_and_sensors_change_nothing()
     assert all(real < 0 for real, _ in data["eigenvalues"])
 
 
-def test_an_unstable_point_is_told_from_a_function_that_fails() -> None:
+def test_what_an_unstable_point_a_failing_function_and_dry_friction_lead_to() -> None:
     unstable = run(Newtonian(parameter_set="rahideh"), at={"alpha_v": 0.4})
     assert any("No other function" in line for line in unstable.lead)
     assert unstable.results["N"]["level"] == 0.0 and not unstable.results["holds"]
     stable = run(Lagrangian(), at={"alpha_v": 0.0, "alpha_h": 0.3}, function="energy")
     assert any("region_of_attraction" in line for line in stable.lead)
+    friction = {"pitch_coulomb_friction": CoulombFriction(axis="pitch", torque=0.002)}
+    found = run(extend_model(VERTICAL, friction), at={"alpha_v": 0.0})
+    assert found.results["holds"]
+    assert "friction holds it" in found.lead[1]
+    attracts = next(c for c in found.results["claims"] if c["name"] == "attracts")
+    assert "F_c" in attracts["detail"]
+    with pytest.raises(ConfigurationError, match="strict function"):
+        run(extend_model(Newtonian(), friction), at={"alpha_v": 0.0, "alpha_h": 0.3})
 
 
 INFLOW = {"main_inflow": Inflow(rotor="main", coefficient=0.1)}
@@ -227,7 +224,7 @@ def test_beside_the_fold_the_saddle_ends_the_sets_and_not_a_stop_beyond_it(pitch
     assert found.outer == pytest.approx(barrier, rel=0.02)
 
 
-def test_the_derivation_is_checked_at_rest_and_a_wrong_one_fails() -> None:
+def test_the_derivation_is_checked_at_rest_and_a_wrong_one_fails_and_states_map_back() -> None:
     found = certificate_of("vertical", ())
     assert found.holds
     candidate = found.search.candidate
@@ -236,6 +233,11 @@ def test_the_derivation_is_checked_at_rest_and_a_wrong_one_fails() -> None:
     wrong = replace(candidate.weights, rotor_v=candidate.weights.rotor_v * (1 + 1e-6))
     other.derivative = candidate.weighted(wrong).derivative  # type: ignore[method-assign]
     assert identity_residual(other, 0) > 1e-8
+    model = Lagrangian()
+    point = operating_point(model, {"alpha_v": 0.1})
+    candidate = EnergyCandidate(Energy(model, point.u), point.x, EnergyWeights())
+    states = point.x + np.random.default_rng(0).normal(size=(20, 6)) * [30, 1, 1, 30, 1, 1]
+    assert np.allclose(candidate.states(candidate.motions(states)), states, atol=1e-10)
 
 
 def test_the_lead_says_first_what_does_not_hold_and_that_there_is_no_inner_set() -> None:
@@ -647,11 +649,3 @@ def test_a_saturated_interface_is_part_of_the_rotor_and_yaw_may_be_weighed() -> 
     assert energy.weighted and not Energy(Lagrangian(), point.u).weighted
     candidate = EnergyCandidate(energy, point.x, EnergyWeights(2e-3, 1e-3, 3.0, 0.05, 0.03))
     assert identity_residual(candidate, seed=3, states=60) < 1e-8
-
-
-def test_states_of_motion_and_states_of_the_model_are_inverse() -> None:
-    model = Lagrangian()
-    point = operating_point(model, {"alpha_v": 0.1})
-    candidate = EnergyCandidate(Energy(model, point.u), point.x, EnergyWeights())
-    states = point.x + np.random.default_rng(0).normal(size=(20, 6)) * [30, 1, 1, 30, 1, 1]
-    assert np.allclose(candidate.states(candidate.motions(states)), states, atol=1e-10)
