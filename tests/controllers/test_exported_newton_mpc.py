@@ -39,7 +39,7 @@ from trms_cli.observers.ukf import Ukf
 from trms_cli.references.square import Square
 from trms_cli.references.trajectory import ReferenceTrajectory
 
-from .closed_loop_case import sample_of, setup_of
+from .closed_loop_case import SAMPLE_TIME, sample_of, setup_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
@@ -400,7 +400,6 @@ def test_what_has_no_c_is_refused_by_name(options, where):
     assert caught.value.where == where
 
 
-SAMPLE_TIME = 0.02
 CHANNELS = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
 
 

@@ -63,9 +63,6 @@ def first_command(mpc: NewtonMpc, model: Any, x: np.ndarray, reference: list[flo
     return state, mpc.step(state, sample_of(model, reference, x), want_prediction=True)
 
 
-# -- against other solutions ------------------------------------------------------------------
-
-
 def test_equals_the_finite_horizon_lqr_without_constraints() -> None:
     model = DoubleMass()
     mpc = NewtonMpc(
@@ -201,9 +198,6 @@ def test_a_program_that_daqp_cannot_set_up_is_unsolved() -> None:
     assert not result.solved and result.message == "not convex"
 
 
-# -- the horizon ------------------------------------------------------------------------------
-
-
 def test_cost_equals_the_direct_sum() -> None:
     mpc = NewtonMpc(
         prediction_horizon=12,
@@ -293,9 +287,6 @@ def test_of_two_starts_the_better_end_is_kept() -> None:
     assert different > 0
 
 
-# -- constraints ------------------------------------------------------------------------------
-
-
 def test_terminal_equality_is_met_when_it_can_be_and_else_relaxed_and_reported() -> None:
     # Cheap moves from a tail rotor at rest take hundreds of iterations to the last digit.
     mpc = NewtonMpc(move_weights={"u_v": 0.1, "u_h": 0.2}, **CONVERGED)
@@ -346,9 +337,6 @@ def test_soft_limit_holds_when_it_can_also_beyond_it_and_else_gives_way() -> Non
     assert limited < 0.31 + 2e-3
 
 
-# -- the closed loop --------------------------------------------------------------------------
-
-
 DELAYED = extend_model(MODEL, {"d": InputDelay(rotor="main", delay=0.13)})
 
 
@@ -370,7 +358,7 @@ def test_tracks_without_steady_state_error(options, model, goal, seconds, left) 
     assert ran.errors[-1] == pytest.approx(0.0, abs=left)
 
 
-def test_preview_lowers_the_tracking_error_and_a_reference_out_of_reach_is_projected() -> None:
+def test_preview_lowers_the_error_and_what_is_out_of_reach_or_not_to_be_held_is_told() -> None:
     blind, ahead = (
         np.square(close_loop(NewtonMpc(preview_horizon=n), MODEL, SQUARE, 20.0).errors[50:]).sum()
         for n in (0, 15)
@@ -379,9 +367,7 @@ def test_preview_lowers_the_tracking_error_and_a_reference_out_of_reach_is_proje
     ran = close_loop(NewtonMpc(), MODEL, constant(0.0, 9.0), 12.0)
     assert ran.angles[-1] == pytest.approx([0.0, MODEL.stops["alpha_h"]], abs=0.01)
     assert "out of reach" in ran.commands[-1].message
-
-
-def test_disturbance_that_no_input_holds_is_reported_and_survived() -> None:
+    # A disturbance that no input holds is reported and survived.
     mpc = NewtonMpc(**SHORT)
     state, first = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
     sample = sample_of(MODEL, [0.1, 0.2], u=first.u)
@@ -389,9 +375,6 @@ def test_disturbance_that_no_input_holds_is_reported_and_survived() -> None:
     command = mpc.step(state, sample, want_prediction=False)
     assert np.isfinite(command.u).all()
     assert "no input holds" in command.message or "out of reach" in command.message
-
-
-# -- the reference ahead ----------------------------------------------------------------------
 
 
 def test_a_sine_is_followed_as_if_it_were_known_and_a_step_the_same_without_forecast() -> None:
@@ -409,9 +392,6 @@ def test_a_sine_is_followed_as_if_it_were_known_and_a_step_the_same_without_fore
         for periods in (15, 0)
     )
     np.testing.assert_array_equal(with_it, without)
-
-
-# -- the quasi-infinite horizon -------------------------------------------------------------------
 
 
 GOALS = ([0.2, 0.4], [-0.3, -0.5], [0.0, 0.1], [0.0, 0.0], [0.35, 0.02])
@@ -455,9 +435,6 @@ def on_shell(region: TerminalRegion, seed: int, count: int, share: float = 1.0) 
     zetas = np.random.default_rng(seed).standard_normal((count, len(region.root)))
     zetas *= np.sqrt(share * region.level) / np.linalg.norm(zetas, axis=1)[:, None]
     return np.linalg.solve(region.root, zetas.T).T
-
-
-# -- against the textbook -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("horizon", [2, 5, 15])
@@ -521,9 +498,6 @@ def test_gradient_and_slopes_are_those_of_the_objective() -> None:
         objective, distance = ((ends[0][i] - ends[1][i]) / 2e-6 for i in range(2))
         assert gradient[k] == pytest.approx(objective, rel=1e-4, abs=1e-4)
         assert slope.ravel()[k] == pytest.approx(distance, rel=1e-4, abs=1e-5)
-
-
-# -- the region ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("goal", GOALS)
@@ -593,10 +567,7 @@ def test_terminal_cost_is_no_less_than_what_the_law_costs_and_serves_the_targets
         assert max(gap(xi) for xi in on_shell(region, 5, 1000)) < 0.0
 
 
-# -- where there is none --------------------------------------------------------------------------
-
-
-def test_yaw_keeps_the_equality_where_nothing_drives_it_nor_a_cable_pulls_back() -> None:
+def test_yaw_that_nothing_drives_nor_pulls_back_and_a_target_at_a_bound_keep_the_equality() -> None:
     # Without the cable yaw rests anywhere at ω_h = 0, where u_h moves it by second order only.
     model = Newtonian(parameters={"k_chp": 0.0, "k_chn": 0.0})
     mpc = NewtonMpc(**QUASI)
@@ -617,9 +588,7 @@ def test_yaw_keeps_the_equality_where_nothing_drives_it_nor_a_cable_pulls_back()
     driven = begun(NewtonMpc(**QUASI), Newtonian(), [0.0, 0.4])
     gains = [abs(begun_at.regions.region.gain[1, 2]) for begun_at in (state, driven)]
     assert gains[0] < 0.2 * gains[1]
-
-
-def test_a_target_at_a_bound_keeps_the_equality() -> None:
+    # Nor has a target at a bound a region.
     model = DoubleMass(limit=0.5)
     weights = {"state_weights": {"p1": 1.0, "p2": 1.0}, "rate_weights": {}, "move_weights": {}}
     mpc = NewtonMpc(**QUASI, **weights, input_weights={"f1": 0.1, "f2": 0.1})
@@ -627,9 +596,6 @@ def test_a_target_at_a_bound_keeps_the_equality() -> None:
     state = begun(mpc, model, [1.0, 0.1])
     assert np.abs(state.target.u).max() == pytest.approx(0.5)
     assert state.regions.region is None
-
-
-# -- the controller -------------------------------------------------------------------------------
 
 
 def test_region_is_entered_and_the_steady_state_reached_also_with_memory_and_with_currents() -> (

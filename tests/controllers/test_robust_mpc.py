@@ -57,10 +57,6 @@ STILL = constant(0.0, 0.0)
 STARTS = [(1.2, 0.65), (-0.65, -0.35), (-1.27, -0.47), (0.64, 0.43)]
 
 
-def sample_at(x: np.ndarray) -> ControlSample:
-    return sample_of(BOTH, [0.0, 0.0], x)
-
-
 def started(yaw: float, pitch: float) -> np.ndarray:
     return state_with(BOTH, alpha_h=yaw, alpha_v=pitch)
 
@@ -69,7 +65,7 @@ def beside_target(state: Any, angle: str) -> ControlSample:
     """At rest at the target, but for an angle of 0.2 rad."""
     x = state.regulation.aim_at(np.zeros(2)).steady.x.copy()
     x[BOTH.state_index(angle)] += 0.2
-    return sample_at(x)
+    return sample_of(BOTH, [0.0, 0.0], x)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +196,7 @@ class TestOffline:
     def test_a_step_is_fast(self, offline: RobustMpcOfflineState) -> None:
         from time import process_time
 
-        sample = sample_at(started(0.3, 0.1))
+        sample = sample_of(BOTH, [0.0, 0.0], started(0.3, 0.1))
         times = []
         for k in range(300):
             sample.estimate.disturbance = np.array([1e-7 * k, 0.0, 0.0, 0.0])
@@ -511,7 +507,9 @@ def test_limits_that_cannot_be_kept_show_and_what_nothing_stabilises_is_not_cert
     assert solution is None or not certify(hopeless, solution).stable
 
 
-def test_the_problem_is_parametrised_once_and_the_size_of_the_state_does_not_matter() -> None:
+def test_the_problem_is_parametrised_once_for_any_size_and_its_decrease_is_the_certificates() -> (
+    None
+):
     for lyapunov in ("common", "parameter_dependent"):
         assert inequalities(2, lyapunov).problem.is_dcp(dpp=True)
     task = task_of(5, 2, 0.03)
@@ -519,9 +517,6 @@ def test_the_problem_is_parametrised_once_and_the_size_of_the_state_does_not_mat
     assert large is not None and small is not None
     assert small.gamma == pytest.approx(1e-6 * large.gamma, rel=1e-3)
     np.testing.assert_allclose(small.K, large.K, rtol=0.05, atol=0.02)
-
-
-def test_decrease_elsewhere_is_that_of_the_certificate_at_the_vertices() -> None:
     task = task_of(7, 3, 0.05)
     solution = inequalities(3).solve(task)
     assert isinstance(solution, LmiSolution)

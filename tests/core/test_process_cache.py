@@ -79,7 +79,7 @@ def test_functions_of_equal_inputs_and_casadi_functions_are_told_apart_by_what_t
     assert call_memoised(plain, one) is not call_memoised(plain, other)
 
 
-def test_a_class_defined_anew_is_another_class() -> None:
+def test_a_class_defined_anew_and_a_model_with_parameters_assigned_are_other_inputs() -> None:
     def defined(factor: float) -> Any:
         space: dict[str, Any] = {"__name__": "notebook"}
         exec(f"class Cell:\n    def of(self):\n        return {factor}", space)
@@ -87,6 +87,13 @@ def test_a_class_defined_anew_is_another_class() -> None:
 
     found = [call_memoised(_what_a_cell_says, defined(factor)) for factor in (1.0, 2.0)]
     assert found == [1.0, 2.0]
+    model = Newtonian()
+    before = call_memoised(_coupling, model)
+    assert call_memoised(_coupling, Newtonian()) == before and len(_calls) == 1
+    model.parameters = model.parameters.replaced({"k_g": 0.05})
+    assert call_memoised(_coupling, model) == 0.05 != before
+    model.parameters = Newtonian().parameters
+    assert call_memoised(_coupling, model) == before
 
 
 def _what_a_cell_says(cell: Any) -> float:
@@ -126,16 +133,6 @@ def test_the_longest_unused_goes_first() -> None:
         assert call_memoised(plain, "first") is first
     assert len(process_cache._kept) == MOST_RESULTS
     assert call_memoised(plain, 0) is not None and _calls.count(0) == 2  # it had gone
-
-
-def test_a_model_with_parameters_assigned_is_another_model() -> None:
-    model = Newtonian()
-    before = call_memoised(_coupling, model)
-    assert call_memoised(_coupling, Newtonian()) == before and len(_calls) == 1
-    model.parameters = model.parameters.replaced({"k_g": 0.05})
-    assert call_memoised(_coupling, model) == 0.05 != before
-    model.parameters = Newtonian().parameters
-    assert call_memoised(_coupling, model) == before
 
 
 def _coupling(model: Newtonian) -> float:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -32,27 +35,17 @@ def test_a_failure_leaves_the_old_and_nothing_else(tmp_path, monkeypatch, step, 
     file.write_bytes(b"old")
     fdopen = os.fdopen
 
-    class Full:
-        """A disk that takes a byte and no more."""
-
-        def __init__(self, handle: int, mode: str) -> None:
-            self.stream = fdopen(handle, mode)
-
-        def __enter__(self) -> Full:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            self.stream.close()
-
-        def write(self, content: bytes) -> None:
-            self.stream.write(content[:1])
-            raise reason
-
     def failing(*_: object) -> None:
         raise reason
 
+    @contextmanager
+    def full(handle: int, mode: str) -> Iterator[SimpleNamespace]:
+        """A disk that takes a byte and no more."""
+        with fdopen(handle, mode) as stream:
+            yield SimpleNamespace(write=lambda content: failing(stream.write(content[:1])))
+
     with monkeypatch.context() as patch:
-        patch.setattr(os, *(("fdopen", Full) if step == "write" else ("replace", failing)))
+        patch.setattr(os, *(("fdopen", full) if step == "write" else ("replace", failing)))
         with pytest.raises(type(reason)):
             replace_whole(file, b"new")
     assert file.read_bytes() == b"old"

@@ -267,12 +267,17 @@ def test_integrals_of_the_rates_hold_the_potential_energy():
     assert found == pytest.approx(by_hand, abs=2e-4)
 
 
-def test_shares_and_their_confidence():
+def test_shares_and_their_confidence_are_told_with_enough_digits():
     assert share_of(0, 100).lower == 0.0
     assert share_of(0, 100).upper == pytest.approx(0.0362, abs=1e-4)  # 1 - 0.025^(1/100)
     assert share_of(100, 100).lower == pytest.approx(0.9638, abs=1e-4)
     half = share_of(50, 100)
     assert (half.lower, half.upper) == pytest.approx((0.398, 0.602), abs=1e-3)
+    for hits in (2000, 1999, 1990, 1500, 3):
+        share = share_of(hits, 2000)
+        low, high = percent(share).split("(")[1].removesuffix(" %)").split("–")
+        assert low != high
+        assert float(low) < 100.0 and (high == "100") == (share.upper == 1.0)
 
 
 def test_a_kink_is_covered_and_gives_no_integral():
@@ -331,18 +336,6 @@ def test_the_answer_for_pitch_and_its_figure():
     assert not near & {"with integrals of the rates", "saddle", "motions that do not"}
 
 
-@pytest.mark.slow
-def test_rotors_may_deviate_too_and_a_box_that_is_given_is_kept_to():
-    found = answered(PITCH, "study.states=all", "study.methods=[inclusion]", *FEW)
-    assert found.results["states"] == ["omega_v", "S_v", "alpha_v"]
-    estimate = found.results["estimates"][0]
-    assert estimate["proved"] and estimate["half_widths"]["omega_v"] > 3.0
-    assert estimate["failed"] == 0
-    found = answered(PITCH, LYAPUNOV, "study.box={alpha_v: 0.05, S_v: 0.6}", *FEW)
-    assert found.results["box"] == {"S_v": 0.6, "alpha_v": 0.05}
-    assert found.results["estimates"][0]["half_widths"]["alpha_v"] <= 0.05
-
-
 #: The eigenvalue is that of the mean of both sides of yaw zero, as study=local has it.
 UNSTABLE = r"unstable.*0\.0234 \+ 1\.27j.*no region of attraction"
 
@@ -379,7 +372,7 @@ def test_the_lqr_law_as_equations_moves_as_the_sampled_loop():
 
 
 @pytest.mark.slow
-def test_an_lqr_loop_is_proved_and_run():
+def test_an_lqr_loop_is_proved_and_run_rotors_may_deviate_too_and_a_given_box_is_kept_to():
     found = answered(
         PITCH,
         "controller=lqr",
@@ -394,6 +387,14 @@ def test_an_lqr_loop_is_proved_and_run():
     assert best["proved"] and best["failed"] == 0 and best["half_widths"]["alpha_v"] > 0.1
     assert all(found.results["runs_in_proved_set"]["recovered"])
     assert len(found.results["runs"]["recovered"]) == 3
+    found = answered(PITCH, "study.states=all", "study.methods=[inclusion]", *FEW)
+    assert found.results["states"] == ["omega_v", "S_v", "alpha_v"]
+    estimate = found.results["estimates"][0]
+    assert estimate["proved"] and estimate["half_widths"]["omega_v"] > 3.0
+    assert estimate["failed"] == 0
+    found = answered(PITCH, LYAPUNOV, "study.box={alpha_v: 0.05, S_v: 0.6}", *FEW)
+    assert found.results["box"] == {"S_v": 0.6, "alpha_v": 0.05}
+    assert found.results["estimates"][0]["half_widths"]["alpha_v"] <= 0.05
 
 
 def test_another_controller_is_only_run():
@@ -419,16 +420,6 @@ def test_another_controller_is_only_run():
 )
 def test_a_share_is_told_with_what_is_known_of_it(share, words):
     assert percent(share) == words
-
-
-@pytest.mark.parametrize("hits", [2000, 1999, 1990, 1500, 3, 0])
-def test_intervals_have_enough_digits(hits):
-    share = share_of(hits, 2000)
-    told = percent(share)
-    if share.value >= 1e-3:
-        low, high = told.split("(")[1].removesuffix(" %)").split("–")
-        assert low != high
-        assert (float(low) < 100.0) and (high == "100") == (share.upper == 1.0)
 
 
 def test_a_cut_duration_is_told_and_proofs_and_simulations_are_of_the_same_rig():

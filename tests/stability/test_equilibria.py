@@ -301,18 +301,17 @@ def test_coulomb_friction_holds_a_band_and_that_of_the_makers_model_its_free_yaw
     assert yaw.command[0] == "u_h" and yaw.command[1] < 0.0 < yaw.command[2]
 
 
-def test_a_range_cut_no_further_is_told_as_unknown() -> None:
-    prover, index = SHARED
-    pieces = over_range(prover, np.zeros(len(prover.system.given)), index, (2.0, 2.4), 0.4)
-    assert any(piece.count is None for piece in pieces)
-
-
-def test_settings_hold_the_pitch_over_the_tail_rotor() -> None:
+def test_settings_hold_the_pitch_over_the_tail_rotor_and_a_range_cut_no_further_is_unknown() -> (
+    None
+):
     assert setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {}) == SurveySetting(
         "u_h", (-1.0, 1.0), {}, {"alpha_v": 0.0}
     )
     given_ = setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {"u_v": 1.0})
     assert (given_.inputs, given_.held) == ({"u_v": 1.0}, {})
+    prover, index = SHARED
+    pieces = over_range(prover, np.zeros(len(prover.system.given)), index, (2.0, 2.4), 0.4)
+    assert any(piece.count is None for piece in pieces)
 
 
 class Equations:
@@ -381,7 +380,8 @@ def test_roots_on_borders_outside_at_kinks_and_double_ones() -> None:
     assert thrust.exists.tolist() == [True] and thrust.unique.tolist() == [False]
 
 
-def test_a_circle_and_a_line_have_two_roots_and_a_tangent_is_left_undecided() -> None:
+def test_two_unknowns_no_bounds_at_all_and_what_is_given_as_an_interval() -> None:
+    # A circle and a line have two roots, and a tangent is left undecided.
     circle = ZZ[0] ** 2 + ZZ[1] ** 2 - 1
     found = solved(ca.vertcat(circle, ZZ[0] - ZZ[1] * 2), ZZ, (-2.0, 2.0))
     assert found.unique.tolist() == [True, True]
@@ -391,9 +391,7 @@ def test_a_circle_and_a_line_have_two_roots_and_a_tangent_is_left_undecided() ->
     assert len(found.owner) >= 1
     assert not found.unique.any()
     np.testing.assert_allclose(found.box.middle[0], [1.0, 0.0], atol=1e-4)
-
-
-def test_no_bounds_at_all_and_what_is_given_as_an_interval() -> None:
+    # Without bounds.
     far = solved(Z * ca.fabs(Z) + Z - 1e8, Z, (-np.inf, np.inf))
     assert far.unique.tolist() == [True] and not far.open_ended
     assert abs(far.box.middle[0, 0] - 9999.5) < 0.1

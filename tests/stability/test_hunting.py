@@ -112,7 +112,7 @@ def test_a_slip_of_a_mass_on_a_spring(force, over):
     assert end == pytest.approx([(2 - over) * reach, 0.0], abs=1e-7 * over * reach + 1e-12)
 
 
-def test_a_stick_lasts_until_the_integral_has_reached_the_breakaway_moment():
+def test_a_stick_lasts_until_the_breakaway_moment_and_slips_lie_between_sticks():
     """ẍ = −q + τ, q̇ = x: stuck at x, the moment q reaches F_s after (F_s − q_0)/x."""
     loop = loop_of([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     events = StickSlip(loop, FrictionLaw(1.0, 0.5, 0.1))
@@ -121,6 +121,13 @@ def test_a_stick_lasts_until_the_integral_has_reached_the_breakaway_moment():
     assert broken == pytest.approx([0.2, 0.0, 1.5], rel=1e-9)
     assert events.stick(np.zeros(3)) is None
     assert events.ramp(0.2) == pytest.approx([0.2, 0.0, 1.5], rel=1e-9)
+    time = np.arange(10) * 0.1
+    angle = np.array([0.0, 0.0, 0.1, 0.2, 0.2, 0.2, 0.1, 0.0, 0.0, 0.0])
+    stuck = np.array([1, 1, 0, 0, 1, 1, 0, 0, 1, 1], dtype=bool)
+    assert slips(time, angle, stuck) == [
+        (pytest.approx(0.1), pytest.approx(0.2)),
+        (pytest.approx(0.5), pytest.approx(-0.2)),
+    ]
 
 
 def test_coulomb_friction_alone_does_not_hunt():
@@ -160,16 +167,6 @@ def test_the_predicted_cycle_attracts_and_stiction_hunts_as_predicted_above_its_
     )
     assert not below.hunts and below.swing < 0.1 * cycle.swing
     assert above.hunts and above.swing == pytest.approx(cycle.swing, rel=0.03)
-
-
-def test_slips_between_sticks():
-    time = np.arange(10) * 0.1
-    angle = np.array([0.0, 0.0, 0.1, 0.2, 0.2, 0.2, 0.1, 0.0, 0.0, 0.0])
-    stuck = np.array([1, 1, 0, 0, 1, 1, 0, 0, 1, 1], dtype=bool)
-    assert slips(time, angle, stuck) == [
-        (pytest.approx(0.1), pytest.approx(0.2)),
-        (pytest.approx(0.5), pytest.approx(-0.2)),
-    ]
 
 
 def test_the_study_says_it_all_and_of_another_controller_simulates_only():

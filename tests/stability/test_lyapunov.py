@@ -256,25 +256,22 @@ def test_the_lead_says_first_what_does_not_hold_and_that_there_is_no_inner_set()
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "stability-lyapunov.md"
+LEVEL = {"alpha_v": 0.0}
 #: The first cell of each row: the model, where it rests.
 ROWS: dict[str, tuple[Any, dict[str, Any], dict[str, float]]] = {
     "horizontal, α_h = 0.3": (Newtonian, {"freedom": "horizontal"}, {"alpha_h": 0.3}),
     "vertical, rest (−0.619)": (Newtonian, {"freedom": "vertical"}, {}),
-    "vertical, hover": (Newtonian, {"freedom": "vertical"}, {"alpha_v": 0.0}),
+    "vertical, hover": (Newtonian, {"freedom": "vertical"}, LEVEL),
     "vertical, u_v = 2.2 V": (Newtonian, {"freedom": "vertical"}, {"u_v": 2.2}),
-    "Lagrangian, hover": (Lagrangian, {}, {"alpha_v": 0.0}),
+    "Lagrangian, hover": (Lagrangian, {}, LEVEL),
     "Lagrangian, hover, α_h = 0.3": (Lagrangian, {}, {"alpha_v": 0.0, "alpha_h": 0.3}),
-    "Lagrangian, `tastemirov`, level": (
-        Lagrangian,
-        {"parameter_set": "tastemirov"},
-        {"alpha_v": 0.0},
-    ),
-    "Newtonian, hover": (Newtonian, {}, {"alpha_v": 0.0}),
+    "Lagrangian, `tastemirov`, level": (Lagrangian, {"parameter_set": "tastemirov"}, LEVEL),
+    "Newtonian, hover": (Newtonian, {}, LEVEL),
     "Newtonian, rest": (Newtonian, {}, {}),
     "Newtonian, hover, α_h = 0.3": (Newtonian, {}, {"alpha_v": 0.0, "alpha_h": 0.3}),
-    "Newtonian, `rahideh`, hover": (Newtonian, {"parameter_set": "rahideh"}, {"alpha_v": 0.0}),
+    "Newtonian, `rahideh`, hover": (Newtonian, {"parameter_set": "rahideh"}, LEVEL),
     "Newtonian, `rahideh`, α_v = 0.4": (Newtonian, {"parameter_set": "rahideh"}, {"alpha_v": 0.4}),
-    "Lagrangian, `rahideh`, hover": (Lagrangian, {"parameter_set": "rahideh"}, {"alpha_v": 0.0}),
+    "Lagrangian, `rahideh`, hover": (Lagrangian, {"parameter_set": "rahideh"}, LEVEL),
 }
 #: Rows that take more than a second or two.
 LONG = ("Newtonian", "Lagrangian")
@@ -408,13 +405,9 @@ def disc(boxes: Interval) -> Interval:
 
 def diagonal(boxes: Interval) -> Interval:
     """Q = [[1, y1], [y1, 1]]: definite where |y1| < 1."""
-    one = Interval.point(np.ones(len(boxes.lower)))
-    rows = [one, boxes[:, 0], boxes[:, 0], one]
-    shape = (len(boxes.lower), 2, 2)
-    return Interval(
-        np.stack([r.lower for r in rows], -1).reshape(shape),
-        np.stack([r.upper for r in rows], -1).reshape(shape),
-    )
+    swap = np.array([[0.0, 1.0], [1.0, 0.0]])
+    lower, upper = (np.eye(2) + y[:, :1, None] * swap for y in (boxes.lower, boxes.upper))
+    return Interval(lower, upper)
 
 
 def test_the_level_up_to_which_a_matrix_is_definite_is_found_between_bounds() -> None:

@@ -743,7 +743,7 @@ def test_the_loop_rests_at_its_point_comes_back_to_it_goes_to_another_and_repeat
     assert np.array_equal(first.x, second.x) and np.array_equal(first.u, second.u)
 
 
-def test_what_reaches_the_motors_and_what_the_rig_is_may_differ_from_what_the_controller_knows():
+def test_what_reaches_the_motors_and_the_rig_may_be_unknown_and_a_run_may_end():
     run = run_loop(MODEL, LOOP, POINT, 1.0, path=lambda k, u: u + (0.1 if k == 10 else 0.0))
     assert run.applied[10] == pytest.approx(run.u[10] + 0.1)
     assert np.delete(run.applied, 10, 0) == pytest.approx(np.delete(run.u, 10, 0))
@@ -752,8 +752,6 @@ def test_what_reaches_the_motors_and_what_the_rig_is_may_differ_from_what_the_co
     known, other = (run_loop(model, LOOP, POINT, 20.0) for model in (MODEL, rig))
     assert np.abs(other.x - known.x).max() > 0.01
 
-
-def test_a_run_may_end_at_a_state_or_when_its_path_has_enough():
     def enough(k, u):
         if k == 20:
             raise Enough("seen")

@@ -197,13 +197,6 @@ def test_the_upper_rest_of_pitch_is_the_mirror_of_the_lower_one(command):
     assert low.in_section and high.in_section
 
 
-def test_hover_swings_and_decays_as_known(rests):
-    pair = rests[0].eigenvalues[1]
-    assert pair == pytest.approx(-0.047 + 1.830j, abs=1e-3)
-    assert period(pair) == pytest.approx(3.433, abs=2e-3)
-    assert halving_time(pair) == pytest.approx(14.85, abs=0.05)
-
-
 @pytest.mark.parametrize("inductance", [0.00086, 1.0, 2.8, 3.0, 6.4, 20.0, 30.0])
 def test_the_current_turns_the_node_of_the_motor_into_a_focus(inductance):
     motor = SingleRotor(rotor="main", currents="dynamic", parameters={"L": inductance})
@@ -282,7 +275,9 @@ def ends_from(section, c, duration=20.0):
     return ends_of(section, WINDOW, search(section, WINDOW), found)
 
 
-def test_the_window_holds_the_rest_points_and_it_alone_is_searched(hover):
+def test_the_window_holds_rest_points_it_alone_is_searched_and_a_motors_holds_what_it_reaches(
+    hover,
+):
     window = default_window(hover, {})
     for rest in search(hover, window):
         assert np.all(rest.c > window[:, 0]) and np.all(rest.c < window[:, 1])
@@ -291,9 +286,6 @@ def test_the_window_holds_the_rest_points_and_it_alone_is_searched(hover):
     assert default_window(hover, given)[1].tolist() == [-1.0, 0.5]
     assert len(search(hover, np.array([[-1.0, 1.5], [-1.0, 1.0]]))) == 1
     assert search(hover, np.array([[0.5, 1.5], [-1.0, 1.0]])) == ()
-
-
-def test_the_window_of_a_motor_holds_what_its_commands_reach():
     section = section_of(MOTOR, None, {"u_v": 1.0})
     window = default_window(section, {})
     for command in (-2.5, 2.5):
@@ -362,7 +354,7 @@ def test_a_fall_within_a_step_is_drawn_as_it_is():
     )
 
 
-def test_ends_tell_rest_from_turning_over_and_the_time_of_arrival_that_of_the_envelope(hover):
+def test_hover_swings_and_decays_as_known_and_ends_tell_rest_from_turning_over(hover, rests):
     ends = {end.what: end for end in ends_from(hover, [[0.1, 0.0], [2.2, 0.5]], 107.0)}
     assert set(ends) == {"rest", "turning"}
     assert ends["rest"].members == (0,) and ends["turning"].members == (1,)
@@ -372,6 +364,10 @@ def test_ends_tell_rest_from_turning_over_and_the_time_of_arrival_that_of_the_en
     # The swing decays as exp(−0.0467 t); the rate, 1.83 times as large, is the last to arrive.
     expected = np.log(1.83 * start / (NEAR * 5.0)) / 0.0467
     assert end.times[0] == pytest.approx(expected, abs=1.8)  # within half a swing
+    pair = rests[0].eigenvalues[1]
+    assert pair == pytest.approx(-0.047 + 1.830j, abs=1e-3)
+    assert period(pair) == pytest.approx(3.433, abs=2e-3)
+    assert halving_time(pair) == pytest.approx(14.85, abs=0.05)
 
 
 def test_the_separatrix_leads_into_the_saddle_and_divides_the_starts(hover, rests):
@@ -411,7 +407,7 @@ def test_the_separatrix_leads_into_the_saddle_and_divides_the_starts(hover, rest
     assert sticking_sets(hover, WINDOW, rests) == () and not has_impulses(VERTICAL)
 
 
-def test_motions_into_a_saddle_of_three_states_fill_a_surface():
+def test_motions_into_a_saddle_of_three_states_fill_a_surface_and_those_out_are_motions_of_all():
     section = section_of(VERTICAL, ("omega_v", "S_v", "alpha_v"), {"alpha_v": 0.0})
     window = np.array([[-300.0, 350.0], [-2.5, 2.5], [-2.5, 2.5]])
     saddle = search(section, window)[1]
@@ -421,9 +417,6 @@ def test_motions_into_a_saddle_of_three_states_fill_a_surface():
     x = next(path for path in paths if path.surface).c
     from_middle = trajectories(section, x[len(x) // 2][None], 3.0, 0.01)[0]
     assert (np.abs(from_middle.c - saddle.c) / np.ptp(window, axis=1)).max(axis=1).min() < 0.01
-
-
-def test_the_ways_out_of_a_saddle_of_more_states_are_motions_of_all_of_them():
     section = section_of(Newtonian(), ("alpha_v", "rate_v"), {"alpha_v": 0.0})
     saddle = search(section, WINDOW)[1]
     back, over = sorted(
@@ -451,16 +444,7 @@ def test_pitch_sticks_while_its_moment_is_within_the_friction(effect, torque, st
     assert held.reach == pytest.approx((rest - width, rest + width), abs=2e-4)
 
 
-def test_a_rotor_sticks_while_its_current_is_too_small():
-    motor = extend_model(MOTOR, {"rub": RotorFriction(rotor="main", torque=0.001)})
-    section = section_of(motor, ("omega_v", "i_v"), {})
-    window = np.array([[-20.0, 20.0], [-0.2, 0.2]])
-    (held,) = sticking_sets(section, window, search(section, window))
-    assert held.what == "ω_v"
-    assert held.reach == pytest.approx((-0.001 / 0.0202, 0.001 / 0.0202), rel=0.01)
-
-
-def test_trajectories_end_on_the_sticking_set():
+def test_trajectories_end_on_the_sticking_set_and_a_rotor_sticks_while_its_current_is_small():
     model = extend_model(VERTICAL, {"rub": CoulombFriction(axis="pitch", torque=F_C)})
     section = section_of(model, ("alpha_v", "rate_v"), {})
     window = np.array([[-0.8, -0.4], [-0.4, 0.4]])
@@ -474,6 +458,12 @@ def test_trajectories_end_on_the_sticking_set():
     assert np.all((finals[:, 0] >= low - 1e-3) & (finals[:, 0] <= high + 1e-3))
     assert np.ptp(finals[:, 0]) > 0.01  # anywhere on it, not at one point
     assert np.abs(finals[:, 1]).max() < 1e-6
+    motor = extend_model(MOTOR, {"rub": RotorFriction(rotor="main", torque=0.001)})
+    section = section_of(motor, ("omega_v", "i_v"), {})
+    window = np.array([[-20.0, 20.0], [-0.2, 0.2]])
+    (held,) = sticking_sets(section, window, search(section, window))
+    assert held.what == "ω_v"
+    assert held.reach == pytest.approx((-0.001 / 0.0202, 0.001 / 0.0202), rel=0.01)
 
 
 NAMES = {"controller": "lqr", "observer": "full_state"}
@@ -626,14 +616,11 @@ def test_a_loop_brings_every_start_to_the_goal_or_is_not_praised_and_bounds_are_
     assert 0 < np.isfinite(at_bound.x).mean() < 1
 
 
-def test_two_portraits_are_equal():
+def test_two_portraits_are_equal_and_more_points_than_can_be_held_are_refused():
     motor = SingleRotor(rotor="tail", currents="dynamic")
     first, second = (found(motor, at={"u_h": 1.0}, starts=3) for _ in "ab")
     assert first.results == second.results
     assert [as_data(chart) for chart in first.charts] == [as_data(c) for c in second.charts]
-
-
-def test_more_points_than_can_be_held_are_refused():
     with pytest.raises(ConfigurationError) as error:
         found(starts=400, duration=1000.0, step=1e-4)
     assert error.value.where == "step"

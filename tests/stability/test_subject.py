@@ -69,7 +69,7 @@ def test_the_equations_are_those_of_what_moves_with_values_changed_later_and_oth
     assert found["k_g"] == 0.05 and found["drag.drag"] == 1e-7
 
 
-def test_a_loop_keeps_its_delays_and_sensors():
+def test_a_loop_keeps_its_delays_and_sensors_and_one_that_plays_commands_is_none():
     loop = LoopParts(Newtonian(), None, None, 0.02, {"controller": "lqr"})  # type: ignore[arg-type]
     subject = Subject(MODEL, "newtonian", loop)
     assert subject.require_equations("a study") is MODEL
@@ -81,6 +81,10 @@ def test_a_loop_keeps_its_delays_and_sensors():
     for study in OF_A_MODEL:
         with pytest.raises(ConfigurationError, match="about the model alone"):
             study.run(Subject(Newtonian(), "newtonian", loop), silent)
+    loop = LoopParts(Newtonian(), OpenLoop(), None, 0.02, {"controller": "played"})  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match=r"controller=played .* there is no loop") as error:
+        Subject(MODEL, "newtonian", loop)
+    assert error.value.where == "controller"
 
 
 def test_a_model_that_only_steps():
@@ -92,13 +96,6 @@ def test_a_model_that_only_steps():
     for study in OF_EQUATIONS:
         with pytest.raises(ModelError, match="only steps from sample to sample"):
             study.run(Subject(model, "net"), silent)
-
-
-def test_a_controller_that_plays_commands_closes_no_loop():
-    loop = LoopParts(Newtonian(), OpenLoop(), None, 0.02, {"controller": "played"})  # type: ignore[arg-type]
-    with pytest.raises(ConfigurationError, match=r"controller=played .* there is no loop") as error:
-        Subject(MODEL, "newtonian", loop)
-    assert error.value.where == "controller"
 
 
 @pytest.mark.parametrize("name", STUDIES)
