@@ -52,9 +52,7 @@ def breaks(self: Any, workspace: Any, qp: Any) -> QpResult:
 
 @pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input", "stop"])
 @pytest.mark.parametrize("name", PREDICTIVE)
-def test_a_failed_solve_and_one_that_raises_fall_back_as_declared(
-    name, policy, monkeypatch
-) -> None:
+def test_a_failed_solve_falls_back_as_declared(name, policy, monkeypatch) -> None:
     kind, options = PREDICTIVE[name]
     law = kind(**options, fallback=policy)
     state = law.init(setup_of(BOTH))

@@ -190,9 +190,7 @@ def test_a_known_torque_leaves_no_offset(law, model, level, push, seconds, left)
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_linear_mpc_reckons_with_a_known_delay_and_a_rotor_at_rest_does_not_stop_it(
-    way: Any,
-) -> None:
+def test_a_linear_mpc_reckons_with_a_known_delay_and_a_rotor_at_rest(way: Any) -> None:
     """Believing in no delay swings more than knowing it: the memory is part of the state."""
     law = LinearMpc(
         linearisation=way, sample_time=SAMPLE_TIME, prediction_horizon=60, move_blocks=(6,) * 10

@@ -358,16 +358,18 @@ def test_tracks_without_steady_state_error(options, model, goal, seconds, left) 
     assert ran.errors[-1] == pytest.approx(0.0, abs=left)
 
 
-def test_preview_lowers_the_error_and_what_is_out_of_reach_or_not_to_be_held_is_told() -> None:
+def test_preview_lowers_the_tracking_error() -> None:
     blind, ahead = (
         np.square(close_loop(NewtonMpc(preview_horizon=n), MODEL, SQUARE, 20.0).errors[50:]).sum()
         for n in (0, 15)
     )
     assert ahead < 0.8 * blind
+
+
+def test_a_reference_out_of_reach_is_projected_and_a_disturbance_that_no_input_holds_told() -> None:
     ran = close_loop(NewtonMpc(), MODEL, constant(0.0, 9.0), 12.0)
     assert ran.angles[-1] == pytest.approx([0.0, MODEL.stops["alpha_h"]], abs=0.01)
     assert "out of reach" in ran.commands[-1].message
-    # A disturbance that no input holds is reported and survived.
     mpc = NewtonMpc(**SHORT)
     state, first = first_command(mpc, MODEL, MODEL.rest(), [0.1, 0.2])
     sample = sample_of(MODEL, [0.1, 0.2], u=first.u)
@@ -541,9 +543,7 @@ def test_local_law_keeps_limits_in_the_region(goal: list[float]) -> None:
     assert (target.x[5] + xi[:, 5]).max() <= 0.4
 
 
-def test_terminal_cost_is_no_less_than_what_the_law_costs_and_serves_the_targets_of_its_cell() -> (
-    None
-):
+def test_terminal_cost_is_no_less_than_what_the_law_costs_also_elsewhere_in_its_cell() -> None:
     mpc = NewtonMpc(**QUASI)
     state = begun(mpc, MODEL, [0.1, 0.3])
     region, target = state.regions.region, state.target
@@ -598,9 +598,7 @@ def test_yaw_that_nothing_drives_nor_pulls_back_and_a_target_at_a_bound_keep_the
     assert state.regions.region is None
 
 
-def test_region_is_entered_and_the_steady_state_reached_also_with_memory_and_with_currents() -> (
-    None
-):
+def test_region_is_entered_and_the_steady_state_reached_also_with_memory_and_currents() -> None:
     mpc = NewtonMpc(**QUASI, max_iterations=30, tolerance=1e-6)
     ran = close_loop(mpc, MODEL, constant(0.1, 0.2), 9.0)
     assert max(command.slack for command in ran.commands) < 1e-6

@@ -170,7 +170,7 @@ def test_the_curve_is_the_thrust_of_the_rotor(steady, axis, channel, lever) -> N
     assert (curve.y[0], curve.y[-1]) == pytest.approx((-2.5, 2.5))
 
 
-def test_a_table_is_linear_and_an_axis_is_held_by_the_input_of_its_steady_state(
+def test_tables_are_linear_and_hold_an_axis_by_the_input_of_its_steady_state(
     steady: SteadyState,
 ) -> None:
     curve = torque_curve(BOTH, "yaw", 1, steady)

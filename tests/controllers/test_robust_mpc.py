@@ -138,7 +138,7 @@ class TestOffline:
         assert {c.status for c in ran.commands} <= {Status.OK, Status.RELAXED}
         assert ran.commands[-1].status is Status.OK
 
-    def test_ellipsoids_lie_within_each_other_and_a_lookup_finds_the_smallest(
+    def test_ellipsoids_lie_within_each_other_and_the_smallest_is_found(
         self, offline: RobustMpcOfflineState
     ) -> None:
         family: Family = offline.family
@@ -507,9 +507,7 @@ def test_limits_that_cannot_be_kept_show_and_what_nothing_stabilises_is_not_cert
     assert solution is None or not certify(hopeless, solution).stable
 
 
-def test_the_problem_is_parametrised_once_for_any_size_and_its_decrease_is_the_certificates() -> (
-    None
-):
+def test_the_problem_is_parametrised_once_and_its_decrease_is_that_of_the_certificate() -> None:
     for lyapunov in ("common", "parameter_dependent"):
         assert inequalities(2, lyapunov).problem.is_dcp(dpp=True)
     task = task_of(5, 2, 0.03)

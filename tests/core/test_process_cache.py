@@ -140,9 +140,7 @@ def _coupling(model: Newtonian) -> float:
     return model.parameters["k_g"].value
 
 
-def test_second_call_finds_the_same_bits_of_the_same_inputs_and_code(
-    tmp_path: Path,
-) -> None:
+def test_equal_inputs_and_code_find_the_same_bits(tmp_path: Path) -> None:
     calls = []
 
     def compute() -> list[float]:

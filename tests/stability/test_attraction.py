@@ -81,9 +81,7 @@ def area(polygon):
     return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
 
 
-def test_estimates_of_van_der_pol_lie_inside_its_cycle_and_cover_as_much_as_is_known(
-    found, van_der_pol
-):
+def test_estimates_of_van_der_pol_cover_as_much_of_its_cycle_as_is_known(found, van_der_pol):
     from matplotlib.path import Path
 
     rim = cycle()
@@ -108,9 +106,7 @@ def test_estimates_of_van_der_pol_lie_inside_its_cycle_and_cover_as_much_as_is_k
     assert share.lower < whole / 36.0 < share.upper
 
 
-def test_a_wrong_estimate_is_caught_and_a_short_time_is_no_failure_of_a_right_one(
-    van_der_pol, found
-):
+def test_a_wrong_estimate_is_caught_and_a_short_time_no_failure_of_a_right_one(van_der_pol, found):
     right = next(e for e in found if e.method == "level_set")
     wrong = replace(right, level=3.0 * right.level, frame=2.0 * right.frame)
     tested = failures(van_der_pol, [right, wrong], 100, 60.0, 0)
@@ -372,7 +368,7 @@ def test_the_lqr_law_as_equations_moves_as_the_sampled_loop():
 
 
 @pytest.mark.slow
-def test_an_lqr_loop_is_proved_and_run_rotors_may_deviate_too_and_a_given_box_is_kept_to():
+def test_an_lqr_loop_is_proved_and_run():
     found = answered(
         PITCH,
         "controller=lqr",
@@ -387,6 +383,10 @@ def test_an_lqr_loop_is_proved_and_run_rotors_may_deviate_too_and_a_given_box_is
     assert best["proved"] and best["failed"] == 0 and best["half_widths"]["alpha_v"] > 0.1
     assert all(found.results["runs_in_proved_set"]["recovered"])
     assert len(found.results["runs"]["recovered"]) == 3
+
+
+@pytest.mark.slow
+def test_rotors_may_deviate_too_and_a_box_that_is_given_is_kept_to():
     found = answered(PITCH, "study.states=all", "study.methods=[inclusion]", *FEW)
     assert found.results["states"] == ["omega_v", "S_v", "alpha_v"]
     estimate = found.results["estimates"][0]

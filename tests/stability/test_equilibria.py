@@ -301,9 +301,7 @@ def test_coulomb_friction_holds_a_band_and_that_of_the_makers_model_its_free_yaw
     assert yaw.command[0] == "u_h" and yaw.command[1] < 0.0 < yaw.command[2]
 
 
-def test_settings_hold_the_pitch_over_the_tail_rotor_and_a_range_cut_no_further_is_unknown() -> (
-    None
-):
+def test_settings_hold_the_pitch_over_the_tail_rotor_and_slivers_are_told_as_unknown() -> None:
     assert setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {}) == SurveySetting(
         "u_h", (-1.0, 1.0), {}, {"alpha_v": 0.0}
     )

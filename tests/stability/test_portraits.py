@@ -279,9 +279,7 @@ def ends_from(section, c, duration=20.0):
     return ends_of(section, WINDOW, search(section, WINDOW), found)
 
 
-def test_the_window_holds_rest_points_it_alone_is_searched_and_a_motors_holds_what_it_reaches(
-    hover,
-):
+def test_the_window_holds_rest_points_or_what_commands_reach_and_is_searched_alone(hover):
     window = default_window(hover, {})
     for rest in search(hover, window):
         assert np.all(rest.c > window[:, 0]) and np.all(rest.c < window[:, 1])
@@ -621,11 +619,14 @@ def test_a_loop_brings_every_start_to_the_goal_or_is_not_praised_and_bounds_are_
     assert 0 < np.isfinite(at_bound.x).mean() < 1
 
 
-def test_two_portraits_are_equal_and_more_points_than_can_be_held_are_refused():
+def test_two_portraits_are_equal():
     motor = SingleRotor(rotor="tail", currents="dynamic")
     first, second = (found(motor, at={"u_h": 1.0}, starts=3) for _ in "ab")
     assert first.results == second.results
     assert [as_data(chart) for chart in first.charts] == [as_data(c) for c in second.charts]
+
+
+def test_more_points_than_can_be_held_are_refused():
     with pytest.raises(ConfigurationError) as error:
         found(starts=400, duration=1000.0, step=1e-4)
     assert error.value.where == "step"
