@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 import trms_cli.code_generation as code
-from trms_cli.code_generation.export import example_rows, rounding_difference
+from benchmarks.subjects.exported import rounding_difference
+from trms_cli.code_generation.export import example_rows
 from trms_cli.code_generation.newton_source import newton_source
 from trms_cli.code_generation.observer_source import ObserverSource, observer_source
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status

@@ -17,6 +17,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
+from experiments.chapter8.judgement import are_inside, decrease_on, independent_cube, remainder
 from trms_cli.controllers.controller import ControlSample, Status
 from trms_cli.controllers.robust.lmi import (
     Inequalities,
@@ -24,9 +25,8 @@ from trms_cli.controllers.robust.lmi import (
     Lyapunov,
     Task,
     certify,
-    decrease_on,
 )
-from trms_cli.controllers.robust.polytope import box, independent_cube
+from trms_cli.controllers.robust.polytope import box
 from trms_cli.controllers.robust.regulation import Regulation, RegulationDesign
 from trms_cli.controllers.robust_mpc import RobustMpc
 from trms_cli.controllers.robust_mpc_offline import Family, RobustMpcOffline, RobustMpcOfflineState
@@ -330,11 +330,11 @@ class TestPolytope:
         for components in (2, 3):
             polytope = box(coefficients, components, 0.05)
             assert polytope.vertices == 2**components
-            assert polytope.inside(others).mean() > 0.99
-        tighter = [box(coefficients, k, 0.05).remainder(others).max() for k in (1, 3, 5)]
+            assert are_inside(polytope, others).mean() > 0.99
+        tighter = [remainder(box(coefficients, k, 0.05), others).max() for k in (1, 3, 5)]
         assert tighter == sorted(tighter, reverse=True)
         flat = np.concatenate([polytope.A, polytope.B], axis=2)
-        assert polytope.remainder(flat).max() < 1e-9  # its own vertices
+        assert remainder(polytope, flat).max() < 1e-9  # its own vertices
         spreads = []
         for size in (1.0, 0.3, 0.1):
             region = regulation.region_of(aim.target, np.full(6, size))

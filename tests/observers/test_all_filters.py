@@ -323,7 +323,7 @@ def test_a_sensor_much_worse_than_declared_is_used_and_a_gate_changes_no_clean_s
 
 def test_the_gate_opens_after_its_patience_and_closes_after_as_long_an_agreement() -> None:
     squared, rejected = np.zeros(2), np.zeros(2)
-    gate = Gate.start(5.0, 0.06, 0.02, squared, rejected)
+    gate = Gate(5.0, 3, squared, rejected)
     assert squared.tolist() == [25.0, 25.0]
     assert gate.quiet()
     both, sd = np.ones(2, dtype=bool), np.ones(2)
