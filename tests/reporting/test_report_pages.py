@@ -20,7 +20,8 @@ import pytest
 
 from tests.reporting.conftest import logged, unpacked, with_columns
 from trms_cli.core.findings import Datum, Findings, Section, Table
-from trms_cli.library.report.sweeps import relative_link
+from trms_cli.library.report.pages import runs_of_rows
+from trms_cli.library.report.sweeps import read_sweep, relative_link
 from trms_cli.reporting.chart_plot import MOST_POINTS
 from trms_cli.reporting.page import page_html, policy
 from trms_cli.reporting.report_runs import findings_of_comparison, findings_of_run
@@ -35,8 +36,9 @@ from trms_cli.reporting.sweep_report import (
     SweepRun,
     pareto_optimal,
 )
+from trms_cli.runs.query import QueryResult
 from trms_cli.scoring.comparison.ranking import group, rank
-from trms_cli.scoring.comparison.runs import ComparisonRun, State
+from trms_cli.scoring.comparison.runs import ComparisonRun, State, complete_coordinates
 
 
 def plots_of(page):
@@ -426,6 +428,43 @@ class TestSweep:
             replace(sweep, runs=runs, objectives=[Objective(n) for n in ("rmse", "effort", "x")])
         )
         assert {"effort against rmse", "x against rmse", "x against effort"} <= set(plots_of(page))
+
+    def test_model_files_of_one_name_are_told_apart_as_a_comparison_does(self, tmp_path):
+        def row(number, path):
+            return {
+                "path": str(tmp_path / str(number)),
+                "log": str(tmp_path / str(number) / "run.mcap"),
+                "model": "fit",
+                "controller": "lqr",
+                "outcome": "completed",
+                "complete": True,
+                "overrides": json.dumps([f"model={path}", "controller=lqr"]),
+                "choices": json.dumps({"controller": "lqr", "model": "from_file"}),
+            }
+
+        typed = ["a/fit/model.yaml", "./b/fit", "b/fit/model.yaml"]
+        rows = [row(i, path) for i, path in enumerate(typed)]
+        found = QueryResult(runs=rows, columns={}, matching=3, of=3, folders=(), unreadable=())
+        logs = [
+            ComparisonRun(
+                path=path,
+                coordinates={"controller": "lqr", "model": "fit"},
+                config={"model": {"path": path}},
+            )
+            for path in ("a/fit/model.yaml", "b/fit/model.yaml")
+        ]
+        names = group(complete_coordinates(logs)).entrants
+        assert names == ("fit + path=a/fit/model.yaml", "fit + path=b/fit/model.yaml")
+        assert group(runs_of_rows(found)).entrants == names
+        report = read_sweep([tmp_path], found, tmp_path)
+        assert [run.entrant for run in report.runs] == [names[0], names[1], names[1]]
+        assert report.keys == ["model.path"]
+        other = [{**row(3, "c/rig.yaml"), "model": "rig"}]
+        found = replace(found, runs=[rows[0], *other])
+        assert [run.entrant for run in read_sweep([tmp_path], found, tmp_path).runs] == [
+            "fit",
+            "rig",
+        ]
 
     def test_one_run_and_none(self):
         one = findings_of_sweep(SweepReport(name="one", runs=[swept(0)]))

@@ -287,15 +287,20 @@ def typed_models(choices: Mapping[str, Any], typed: Mapping[str, Any]) -> dict[s
 
     ``choices``: the option of each group. ``typed``: what was typed, by its key.
     """
-    names = {}
+    return {key: model_name(path) for key, path in typed_files(choices, typed).items()}
+
+
+def typed_files(choices: Mapping[str, Any], typed: Mapping[str, Any]) -> dict[str, str]:
+    """The files of models that were typed, by their keys; arguments as of :func:`typed_models`."""
+    files = {}
     for key, text in typed.items():
         if key.partition("@")[0] != "model" or not isinstance(text, str):
             continue
         if text.endswith((".yaml", ".yml")):
-            names[key] = model_name(text)
+            files[key] = text
         elif choices.get(key) == _FILE:  # the folder of a fit
-            names[key] = model_name(f"{text.rstrip('/')}/model.yaml")
-    return names
+            files[key] = f"{text.rstrip('/')}/model.yaml"
+    return files
 
 
 def _node(config: Mapping[str, Any], group: str) -> Any:

@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from trms_cli.core.data_file import absent
+from trms_cli.core.data_file import absent, json_or_none
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.wording import choice_labels
 from trms_cli.library.report.summary import drawn_keys
@@ -29,7 +28,7 @@ from trms_cli.library.report.sweeps import (
     read_sweep,
     rows_of,
     sweep_document,
-    typed_of,
+    typed_values,
     value_of,
 )
 from trms_cli.runs.run_folder import LOG_NAME
@@ -101,7 +100,7 @@ def _score_of_log(log: LoggedRun) -> Mapping[str, Any]:
 
 
 def _choices(texts: Mapping[str, str], config: str) -> dict[str, str]:
-    choices = _json(texts, "choices")
+    choices = json_or_none(texts.get("choices"))
     if not isinstance(choices, Mapping):
         return {}
     shown = choice_labels(choices, config)
@@ -116,20 +115,13 @@ def _facts(log: LoggedRun, texts: Mapping[str, str], path: Path) -> dict[str, st
     if "begun" in facts:  # to the second
         facts["begun"] = re.sub(r"^(\S{10})T(\S{8})\.\d+\+00:00$", r"\1 \2 UTC", facts["begun"])
     facts["log"] = str(path)
-    versions = _json(texts, "versions")
+    versions = json_or_none(texts.get("versions"))
     if isinstance(versions, Mapping):
         told = [f"{name} {versions[name]}" for name in _PACKAGES if name in versions]
         if texts.get("git"):
             told.append(f"git {texts['git']}")
         facts["versions"] = ", ".join(told)[:_MOST_TEXT]
     return facts
-
-
-def _json(texts: Mapping[str, str], key: str) -> Any:
-    try:
-        return json.loads(texts.get(key, "null"))
-    except (ValueError, RecursionError):
-        return None
 
 
 #: Coordinates that every ranking looks at, also where runs do not differ in them.
@@ -156,7 +148,7 @@ def runs_of_rows(found: QueryResult, drawn: Sequence[str] = ()) -> list[Comparis
     """
     from trms_cli.scoring.comparison.runs import ComparisonRun
 
-    typed = [typed_of(row) for row in found.runs]
+    typed = typed_values(found.runs)
     keys = [key for key in keys_of(found.runs, typed) if key not in drawn]
     draws: dict[tuple[str, ...], str] = {}
 
@@ -441,6 +433,3 @@ def _names(logs: Sequence[Path]) -> list[str]:
     root = os.path.commonpath(paths)
     shown = [os.path.relpath(path, root) for path in paths]
     return [f"{name} ({i})" if shown.count(name) > 1 else name for i, name in enumerate(shown)]
-
-
-__all__ = ["MOST_OVERLAID", "PAGE_NAME", "Report", "report_of"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from trms_cli.core.wording import listing
+from trms_cli.core.data_file import json_or_none
+from trms_cli.core.wording import listing, typed_files
 from trms_cli.library.report.summary import (
     drawn_keys,
     draws_of,
@@ -49,7 +51,8 @@ _OPTIONS = (
 )
 #: Keys that tell where files go, and what is drawn: nothing of what was run.
 _NO_KEYS = frozenset({"out", "picture", "sim.prediction_every"})
-_NUMBERS = "number", "whole"
+#: The key of a model's file, by which models of one name are told apart.
+_MODEL_FILE = "model.path"
 
 
 def _page_figures() -> list[str]:
@@ -94,7 +97,7 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
     words = search_of(plan)
     objectives = objectives_of(words)
-    typed = [typed_of(row) for row in rows]
+    typed = typed_values(rows)
     keys = keys_of(rows, typed, drawn_keys(plan))
     drawn = [key for key in drawn_keys(plan) if key in keys]
     others = [key for key in keys if key not in drawn]
@@ -146,7 +149,7 @@ def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> SweepReport
         runs.append(
             SweepRun(
                 name=_relative(run.path, root),
-                entrant=controller_name(run, [key for key in by if key in keys]),
+                entrant=controller_name(run.coordinates, [key for key in by if key in keys]),
                 outcome={"done": "completed"}.get(run.state.value, run.state.value),
                 values={key: _number_or_text(run.coordinates.get(key)) for key in keys},
                 figures=figures,
@@ -221,10 +224,12 @@ def keys_of(
     return sorted(found, key=lambda key: places.get(key, 0))[:_MOST_KEYS]
 
 
-def _entrant_keys(keys: Sequence[str]) -> list[str]:
-    from trms_cli.scoring.comparison.ranking import OF_ENTRANTS
+def _entrant_keys(keys: Sequence[str]) -> tuple[str, ...]:
+    from trms_cli.scoring.comparison.ranking import OF_ENTRANTS, usual_entrants
 
-    return [key for key in keys if key.partition(".")[0].partition("@")[0] in OF_ENTRANTS]
+    # A setting with a number of its own for each run names no entrant, but a point in a range.
+    own = [key for key in keys if "." not in key or key == _MODEL_FILE]
+    return usual_entrants([key for key in own if re.split(r"[.@]", key)[0] in OF_ENTRANTS])
 
 
 def _swept(
@@ -233,6 +238,7 @@ def _swept(
 ) -> SweepRun:  # fmt: skip
     from trms_cli.reporting.sweep_report import SweepRun
     from trms_cli.runs.columns import ALIASES
+    from trms_cli.scoring.comparison.ranking import controller_name
 
     path = Path(str(row["path"]))
     own = (path if path.is_dir() else path.parent) / PAGE_NAME
@@ -242,14 +248,11 @@ def _swept(
         value = row.get(ALIASES.get(name, name))
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             told[name] = float(value)
-    values = {key: value_of(row, typed, key) for key in keys}
-    # A setting with a number of its own for each run names no entrant, but a point in a range.
-    named = [key for key in by if "." not in key]
     return SweepRun(
         name=_relative(str(path), root),
-        entrant=" + ".join(str(values[key] or "–") for key in named),
+        entrant=controller_name({key: str(value_of(row, typed, key) or "–") for key in by}, by),
         outcome=str(row.get("outcome") or "unfinished"),
-        values=values,
+        values={key: value_of(row, typed, key) for key in keys},
         figures=told,
         problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
         page=relative_link(str(own), str(page_folder)) if own_page else "",
@@ -288,14 +291,31 @@ def value_of(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> Valu
     return found if isinstance(found, (str, int, float)) or found is None else str(found)
 
 
-def typed_of(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Values that were typed for a run, by their dotted keys."""
+def typed_values(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Values that were typed for each run, by their dotted keys.
+
+    Where one name stands for several model files, their paths too, as a comparison has them.
+    """
+    from trms_cli.scoring.comparison.runs import differing_settings
+
+    typed = [_typed_of(row) for row in rows]
+    files = [_model_file(row, values) for row, values in zip(rows, typed, strict=True)]
+    settings = differing_settings(rows, files, [False] * len(files))
+    return [{**values, **own} for values, own in zip(typed, settings, strict=True)]
+
+
+def _model_file(row: Mapping[str, Any], typed: Mapping[str, Any]) -> dict[str, str]:
+    path = typed.get(_MODEL_FILE)
+    if path is None:
+        choices = json_or_none(row.get("choices"))
+        path = typed_files(choices if isinstance(choices, Mapping) else {}, typed).get("model")
+    return {} if path is None else {_MODEL_FILE: str(Path(path).expanduser())}
+
+
+def _typed_of(row: Mapping[str, Any]) -> dict[str, Any]:
     from trms_cli.runs.entry import typed_overrides
 
-    try:
-        words = json.loads(row.get("overrides") or "[]")
-    except (ValueError, RecursionError):
-        return {}
+    words = json_or_none(row.get("overrides"))
     return typed_overrides([str(word) for word in words]) if isinstance(words, list) else {}
 
 

@@ -120,7 +120,7 @@ def group(runs: Sequence[ComparisonRun], by: Sequence[str] = ()) -> ComparisonGr
     conditions: dict[tuple[str, ...], int] = {}
     cells: dict[tuple[int, int], list[ComparisonRun]] = {}
     for run in counted:
-        name = controller_name(run, chosen, given)
+        name = controller_name(run.coordinates, chosen, given)
         if name not in entrants:
             entrants[name] = len(entrants)
             outside.append(run.outside)
@@ -151,11 +151,13 @@ def usual_entrants(differ: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part for key in own for part in (_stem(key), key))) or tuple(differ)
 
 
-def controller_name(run: ComparisonRun, by: Sequence[str], given: Sequence[str] = ()) -> str:
+def controller_name(
+    coordinates: Mapping[str, str], by: Sequence[str], given: Sequence[str] = ()
+) -> str:
     """``newton_mpc + ukf``, and the settings in which it differs: ``max_iterations=1``."""
     parts = []
     for key in by:
-        value = run.coordinates.get(key, "")
+        value = coordinates.get(key, "")
         if "." not in key:
             parts.append(value if key in OF_ENTRANTS or not given else f"{key} {value}")
         elif value not in ("", "–"):

@@ -198,12 +198,28 @@ def _with_settings(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
     flats = [flat(run.config) if run.config else _as_flat(run.typed) for run in runs]
     # of a job without a log only what was typed is known, and nothing can be said of the rest
     partial = [not run.config for run in runs]
+    settings = differing_settings([run.coordinates for run in runs], flats, partial)
+    return [
+        replace(run, coordinates={**run.coordinates, **added})
+        for run, added in zip(runs, settings, strict=True)
+    ]
+
+
+def differing_settings(
+    choices: Sequence[Mapping[str, Any]],
+    flats: Sequence[Mapping[str, str]],
+    partial: Sequence[bool],
+) -> list[dict[str, str]]:
+    """Of each run the dotted keys in which it differs from runs of the same options.
+
+    ``choices``: the option of each group. ``flats``: dotted keys with their values. ``partial``:
+    whether other keys of a run are not known, so that it is not said to have none.
+    """
     groups: dict[tuple[str, str], list[int]] = {}
-    for i, run in enumerate(runs):
+    for i, chosen in enumerate(choices):
         for group in dict.fromkeys(key.partition(".")[0] for key in flats[i]):
-            chosen = run.coordinates.get(group, "")
-            groups.setdefault((group, chosen), []).append(i)
-    settings: list[dict[str, str]] = [{} for _ in runs]
+            groups.setdefault((group, str(chosen.get(group, ""))), []).append(i)
+    settings: list[dict[str, str]] = [{} for _ in choices]
     for (group, _), members in groups.items():
         keys = dict.fromkeys(
             key for i in members for key in flats[i] if key.startswith(f"{group}.")
@@ -214,10 +230,7 @@ def _with_settings(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
             if len(values) > 1 and key not in _NO_COORDINATES and not key.startswith(_COPIES):
                 for i in known:
                     settings[i][key] = flats[i].get(key, _NONE)
-    return [
-        replace(run, coordinates={**run.coordinates, **added})
-        for run, added in zip(runs, settings, strict=True)
-    ]
+    return settings
 
 
 def _as_flat(typed: Mapping[str, str]) -> dict[str, str]:
