@@ -34,11 +34,11 @@ from trms_cli.reporting.sweep_report import (
     Objective,
     SweepReport,
     SweepRun,
-    pareto_optimal,
 )
 from trms_cli.runs.query import QueryResult
 from trms_cli.scoring.comparison.ranking import group, rank
 from trms_cli.scoring.comparison.runs import ComparisonRun, State, complete_coordinates
+from trms_cli.sweeps.samplers.objectives import front
 
 
 def plots_of(page):
@@ -500,7 +500,7 @@ class TestSweep:
 
 def test_undominated_keeps_equals_and_drops_what_is_beaten():
     costs = np.array([[1, 2], [2, 1], [2, 2], [1, 2], [0.5, 3]])
-    assert pareto_optimal(costs).tolist() == [True, True, False, True, True]
+    assert front(costs).tolist() == [0, 1, 3, 4]
 
 
 class TestSafety:

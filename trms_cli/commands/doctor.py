@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -52,15 +52,7 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigurationError(
             f"cannot use {unknown[0]!r}", where="trms doctor", remedy="usage: trms doctor [--json]"
         )
-    checks: list[Callable[[], list[Check]]] = [
-        _python,
-        _packages,
-        _compiler,
-        _cache,
-        _disk,
-        _cores,
-        _terminal,
-    ]
+    checks = [_python, _packages, _compiler, _cache, _disk, _cores, _terminal]
     findings = [finding for check in checks for finding in check()]
     usable = all(finding.state != BROKEN for finding in findings)
     if "--json" in argv:

@@ -50,14 +50,15 @@ def main(argv: Sequence[str]) -> int:
     if len(words) >= 2:
         option = find_option(groups, *words[:2])
         if as_json:
-            _print_json({option.group: {option.name: option}}, about(config_dirs))
+            found = {option.group: {option.name: option}}
+            print_json(document_of(found, about(config_dirs)))
         else:
             sys.stdout.write(f"# {option.file}\n{option.file.read_text(encoding='utf-8')}")
         return EXIT_OK
     if words:
         groups = {words[0]: find_group(groups, words[0])}
     if as_json:
-        _print_json(groups, about(config_dirs))
+        print_json(document_of(groups, about(config_dirs)))
     else:
         sys.stdout.write(_table(groups, about(config_dirs), config_dirs))
     return EXIT_OK
@@ -101,11 +102,6 @@ def document_of(groups: Groups, purposes: dict[str, str]) -> dict[str, Any]:
             for group, options in groups.items()
         },
     }
-
-
-def _print_json(groups: Groups, purposes: dict[str, str]) -> None:
-    document = document_of(groups, purposes)
-    print_json(document)
 
 
 def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:

@@ -6,7 +6,7 @@ import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError
@@ -15,11 +15,8 @@ from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.scene import scene_of_log
 from trms_cli.recordings.foxglove.scene_log import scene_messages
 from trms_cli.recordings.foxglove.types import ARROWS, BODIES, TRANSFORMS
-from trms_cli.recordings.log_reader import LoggedRun
+from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.runs.run_folder import LOG_NAME, log_of
-
-if TYPE_CHECKING:
-    from trms_cli.recordings.log_reader import LoggedRun
 
 SUMMARY = "figures of logs for a paper, slides or a page: PNG, SVG, PDF"
 
@@ -93,8 +90,6 @@ def main(argv: list[str]) -> int:
 
 
 def _main(given: Any) -> int:
-    from trms_cli.recordings.log_reader import read_log
-
     paths = [_log_of(path) for path in given.logs]
     kinds = [word.strip() for word in given.what.split(",") if word.strip()]
     if SCENE in kinds:

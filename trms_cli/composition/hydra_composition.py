@@ -178,10 +178,7 @@ def check_interpolations(config: Mapping[str, Any]) -> None:
 
     ``config``: plain and unresolved. Raises ConfigurationError: it names the key.
     """
-    measure = _Measure(config)
-    for key, text in _references(config, ()):
-        measure.text(text, key, 0)
-    measure.node(config, (), 0)
+    _Measure(config).node(config, (), 0)
 
 
 def refuse_outward(text: str, where: str) -> None:
@@ -242,18 +239,6 @@ class _Measure:
                 target = _absolute(name, key)
                 size += self.node(_at(self._config, target), target, depth + 1)
         return size
-
-
-def _references(node: Any, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
-    if isinstance(node, str):
-        if "${" in node:
-            yield key, node
-    elif isinstance(node, Mapping):
-        for name, item in node.items():
-            yield from _references(item, (*key, str(name)))
-    elif isinstance(node, (list, tuple)):
-        for index, item in enumerate(node):
-            yield from _references(item, (*key, str(index)))
 
 
 def _absolute(name: str, key: tuple[str, ...]) -> tuple[str, ...]:

@@ -196,7 +196,15 @@ def space_of(request: ComposeRequest, primary: str) -> Space:
         return Space(fixed, choices)
 
     keys = DeclaredKeys(declared, groups, plain)
-    ranges = {each.key: _suited(each.interval, keys) for each in typed if each.interval}
+    # Whole numbers only where the key does not hold a fraction by default.
+    ranges = {
+        each.key: replace(
+            each.interval,
+            whole=each.interval.whole and not isinstance(keys.value(each.key), float),
+        )
+        for each in typed
+        if each.interval
+    }
     composer = _Composer(request, primary, typed)
     tables = PriorTables(composer, fixed, choices, groups)
     continuous: list[Range | PriorOfKey] = []
@@ -275,13 +283,8 @@ def _last_of_each(typed: Sequence[_Typed]) -> list[_Typed]:
 
 def _read(text: str, declared: Primary, groups: Groups) -> _Typed:
     override = parse(text, groups)
-    first = override.key.split(".")[0].split("/")[0]
-    if first == "hydra":
-        raise ConfigurationError(
-            f"{text!r}: sweeps have samplers and launchers of their own",
-            where=override.key,
-            remedy="choose with sampler=… and launcher=… (`trms list sampler`)",
-        )
+    if override.key.split("/")[0].split(".")[0] == "hydra":
+        raise _of_hydra(text)
     value = (override.value or "").strip()
     if override.prefix == "~" or not value:
         return _Typed(text, override)
@@ -382,15 +385,6 @@ def _range(text: str, override: Override, sweep: Any) -> Range:
             remedy=f"write {form}, or a LOW above zero",
         )
     return Range(key, low, high, logarithmic, whole)
-
-
-def _suited(given: Range | None, keys: DeclaredKeys) -> Range:
-    """A range of whole numbers only where the key does not hold a fraction by default."""
-    assert given is not None
-    fractional = isinstance(keys.value(given.key), float)
-    return Range(
-        given.key, given.low, given.high, given.logarithmic, given.whole and not fractional
-    )
 
 
 PRIOR = "prior"

@@ -16,13 +16,8 @@ _LEFT = "text-align:left"
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]], caption: str = "") -> str:
     """A table; the first column stands left, numbers are rounded to three digits."""
-    top = "".join(f'<th style="{_LEFT if i == 0 else ""}">{_cell(h)}</th>' for i, h in _at(head))
-    body = "".join(
-        "<tr>"
-        + "".join(f'<td style="{_LEFT if i == 0 else ""}">{_cell(c)}</td>' for i, c in _at(row))
-        + "</tr>"
-        for row in rows
-    )
+    top = _row("th", head)
+    body = "".join(f"<tr>{_row('td', row)}</tr>" for row in rows)
     title = f'<caption style="{_LEFT}">{escape(caption)}</caption>' if caption else ""
     return f"<table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
 
@@ -46,8 +41,10 @@ def files(paths: Mapping[str, Path | None]) -> str:
     return f"<p>{lines}</p>"
 
 
-def _at(items: Sequence[Any]) -> Iterable[tuple[int, Any]]:
-    return enumerate(items)
+def _row(tag: str, cells: Sequence[Any]) -> str:
+    styles = [_LEFT, *[""] * len(cells)]
+    pairs = zip(styles, cells, strict=False)
+    return "".join(f'<{tag} style="{style}">{_cell(cell)}</{tag}>' for style, cell in pairs)
 
 
 def _cell(value: Any) -> str:

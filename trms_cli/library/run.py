@@ -120,10 +120,10 @@ class Run(Result):
     def figure(self) -> NotebookFigure:
         """The picture of the run, to be changed or saved: ``run.figure().savefig("run.pdf")``."""
         from trms_cli.reporting.run_picture import figure_of_run
+        from trms_cli.scoring.score import limits_of
 
-        return figure_of_run(
-            self.logged.tables, self.score, title=self.headline, limits=self._limits()
-        )
+        limits = limits_of(self.logged)
+        return figure_of_run(self.logged.tables, self.score, title=self.headline, limits=limits)
 
     def again(
         self,
@@ -187,12 +187,6 @@ class Run(Result):
         from trms_cli.reporting.style import small_png
 
         return small_png(drawn.read_bytes(), width=_WIDTH)
-
-    def _limits(self) -> dict[str, tuple[float, float]]:
-        from trms_cli.scoring.score import LIMITS_KEY
-
-        found = json.loads(self.logged.run.get(LIMITS_KEY, "{}"))
-        return {name: (low, high) for name, (low, high) in found.items()}
 
 
 def _three(value: float | None) -> str:

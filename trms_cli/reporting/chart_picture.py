@@ -254,19 +254,10 @@ def _set_decades(axes: Any, name: str) -> None:
 
 
 def _one_legend_serves(legends: Sequence[dict[str, Handle]]) -> bool:
-    """Whether no look means two things in different panels."""
-    looks: dict[object, str] = {}
-    for legend in legends:
-        for label, handle in legend.items():
-            if looks.setdefault(handle.look, label) != label:
-                return False
-    labels = {label for legend in legends for label in legend}
-    same: dict[str, object] = {}
-    for legend in legends:
-        for label, handle in legend.items():
-            if same.setdefault(label, handle.look) != handle.look:
-                return False
-    return len(labels) <= 10
+    """Whether no look means two things in different panels, and nothing has two looks."""
+    pairs = {(label, handle.look) for legend in legends for label, handle in legend.items()}
+    labels, looks = {label for label, _ in pairs}, {look for _, look in pairs}
+    return len(labels) == len(looks) == len(pairs) <= 10
 
 
 def _columns(labels: Sequence[str], width: float) -> int:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from trms_cli.core import chart as charts
 from trms_cli.core import wording
+from trms_cli.core.findings import json_data, round_significant
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -295,7 +296,7 @@ class _Drawing:
                                 "arrayminus": left, "color": f"@{mark.colour}"}  # fmt: skip
         if mark.values is not None:
             trace["marker"] |= {
-                "color": [significant(float(value)) for value in mark.values],
+                "color": [round_significant(float(value), 6) for value in mark.values],
                 "coloraxis": "coloraxis",
             }
             self.more["coloraxis"] = _SCALE
@@ -357,7 +358,10 @@ class _Drawing:
         colours = list(mark.colours) * (len(mark.places) if len(mark.colours) == 1 else 1)
         for place, quantiles, colour in zip(mark.places, mark.quantiles, colours, strict=True):
             ends = ("lowerfence", "q1", "median", "q3", "upperfence")
-            known = {key: [significant(float(v))] for key, v in zip(ends, quantiles, strict=True)}
+            known = {
+                key: [round_significant(float(value), 6)]
+                for key, value in zip(ends, quantiles, strict=True)
+            }
             self.traces.append(
                 {
                     "type": "box", "orientation": "h" if mark.across else "v", own: [float(place)],
@@ -369,7 +373,8 @@ class _Drawing:
             )  # fmt: skip
 
     def _heat(self, mark: charts.Heat) -> None:
-        rows = [[significant(v) for v in row] for row in np.asarray(mark.values, float).tolist()]
+        values = np.asarray(mark.values, float).tolist()
+        rows = [[round_significant(value, 6) for value in row] for row in values]
         across, up = ([plot_text(name) for name in axis.categories]
                       for axis in (self.panel.x, self.panel.y))  # fmt: skip
         self.more = {
@@ -426,7 +431,8 @@ def _axis(axis: charts.Axis) -> dict[str, Any]:
         told |= {"type": "log", "exponentformat": "none" if axis.ticks else "power"}
     if axis.limits is not None:
         told["range"] = [
-            None if edge is None else significant(_place(edge, axis), 9) for edge in axis.limits
+            None if edge is None else round_significant(_place(edge, axis), 9)
+            for edge in axis.limits
         ]
     return told
 
@@ -582,7 +588,7 @@ def script_json(value: Any) -> str:
     Nothing in it ends the element or opens a comment, and it is valid JavaScript too. What is not
     finite is null.
     """
-    text = json.dumps(_plain(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    text = json.dumps(json_data(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for sign, code in (
         ("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026"),
         ("\u2028", "\\u2028"), ("\u2029", "\\u2029"),
@@ -590,23 +596,6 @@ def script_json(value: Any) -> str:
         text = text.replace(sign, code)
     # A lone surrogate, as a damaged text may hold, cannot be written as UTF-8.
     return text.encode("utf-8", "replace").decode("utf-8")
-
-
-def significant(value: float, digits: int = 6) -> float:
-    """Rounded to significant digits."""
-    return float(f"{value:.{digits}g}") if math.isfinite(value) else value
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _outline(

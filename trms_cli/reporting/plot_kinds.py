@@ -106,7 +106,9 @@ def inputs(runs: Runs, look: Look = curve_look) -> list[Panel]:
         raise Absent("no log has a command")
     panels = []
     for name in names:
-        marks, seen, unit = curves_of(runs, _command, name, look, held=True)
+        marks, seen, unit = curves_of(
+            runs, lambda run, name: run.signal("/command", name), name, look, held=True
+        )
         limits, lines = with_limits(runs, [name], axis_range(seen), of_commands=True)
         label = f"{label_of(name)}\ncommand" if label_of(name) != name else name
         axis = Axis(label, unit or "V", limits)
@@ -129,10 +131,6 @@ def rates(runs: Runs) -> list[Panel]:
     if not panels:
         raise Absent("no log has an angle or a rotor's speed")
     return panels
-
-
-def _command(run: RunSignals, name: str) -> TimeSeries | None:
-    return run.signal("/command", name)
 
 
 def _rate(run: RunSignals, name: str) -> TimeSeries | None:

@@ -324,6 +324,4 @@ def _facts_of_all(runs: Sequence[RunReport]) -> dict[str, str]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    if len(names) > 4:
-        return f"{', '.join(names[:3])} and {len(names) - 3} more"
-    return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
+    return wording.listing(names, most=4 if len(names) == 4 else 3)

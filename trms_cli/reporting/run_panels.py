@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,9 +31,6 @@ from trms_cli.core.chart import (
 )
 from trms_cli.reporting.signals import FloatArray, RunSignals, TimeSeries
 from trms_cli.scoring.figures import of_group
-
-if TYPE_CHECKING:
-    pass
 
 Runs = Sequence[RunSignals]
 #: Colour and dashes of the n-th of several runs.
@@ -481,13 +478,11 @@ def iteration_panels(runs: Runs, look: Look = curve_look) -> list[Panel]:
     counts = [run.numbers("/controller", "iterations") for run in runs]
     if not any(np.any(count > 1) for count in counts):
         return []
-    marks, _, _ = curves_of(runs, _of_controller, "iterations", look, held=True)
+    marks, _, _ = curves_of(
+        runs, lambda run, name: run.signal("/controller", name), "iterations", look, held=True
+    )
     axis = Axis("iterations", limits=(0.0, None))
     return [Panel(time_axis(*runs), axis, marks, "iterations of the solver", row_height=0.6)]
-
-
-def _of_controller(run: RunSignals, name: str) -> TimeSeries | None:
-    return run.signal("/controller", name)
 
 
 def curves_of(

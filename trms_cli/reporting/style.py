@@ -53,6 +53,7 @@ ALARM = "#c1272d"
 
 #: pixels per inch of a PNG: sharp on a page of normal width, small on disk.
 DPI = 110
+#: Of a picture's palette: curves on white need no more.
 _COLOURS_OF_A_PNG = 96
 #: Longest line drawn with every sample; a longer one is thinned, which no eye sees.
 MOST_POINTS = 20_000
@@ -236,8 +237,6 @@ def save_figure(figure: Figure, **how: Any) -> bytes:
 
 #: Dots per inch: sharp enough beside text, and small enough to be kept in a notebook.
 _DPI = 72
-#: Of a picture's palette: curves on white need no more.
-_COLOURS = 96
 
 
 class NotebookFigure(Figure):
@@ -266,5 +265,5 @@ def small_png(png: bytes, *, width: int | None = None) -> bytes:
         height = round(image.height * width / image.width)
         image = image.resize((width, height), Image.Resampling.LANCZOS)
     content = io.BytesIO()
-    image.quantize(_COLOURS, dither=Image.Dither.NONE).save(content, "PNG", optimize=True)
+    image.quantize(_COLOURS_OF_A_PNG, dither=Image.Dither.NONE).save(content, "PNG", optimize=True)
     return content.getvalue()

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
+
+from trms_cli.sweeps.samplers.objectives import front
 
 #: What a key or figure may be of a run.
 Value = str | float | int | bool | None
@@ -157,7 +158,7 @@ class SweepReport:
             return []
         names = [objective.figure for objective in self.objectives]
         costs = np.array([[run.figures[name] for name in names] for run in known]) * signs
-        return [run for run, kept in zip(known, pareto_optimal(costs), strict=True) if kept]
+        return [known[i] for i in front(costs)]
 
     def _is_numeric(self, key: str) -> bool:
         present = [run.values[key] for run in self.runs if run.values.get(key) is not None]
@@ -165,18 +166,3 @@ class SweepReport:
             isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)
             for v in present
         )
-
-
-def pareto_optimal(costs: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-    """Which rows no other row dominates: as small in all columns, smaller in one.
-
-    Parameters
-    ----------
-    costs : (n, objectives) array
-    """
-    kept = np.ones(len(costs), dtype=bool)
-    for i in np.lexsort(costs.T[::-1]):
-        if kept[i]:
-            beaten = (costs[i] <= costs).all(axis=1) & (costs[i] < costs).any(axis=1)
-            kept &= ~beaten
-    return kept

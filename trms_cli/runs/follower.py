@@ -427,13 +427,14 @@ _DERIVED = ("sd_", "predicted_", "innovation_")
 _WRITER_EVERY = 0.2  # s between two questions whether the run is still there
 
 
-class RunFollower:
+class RunFollower(RunSamples):
     """A run's log, followed as it grows.
 
     Raises RecordingError when the log cannot be read, also from :meth:`look`.
     """
 
     def __init__(self, path: Path) -> None:
+        super().__init__()
         self.path = path
         self.ended = False  #: Nothing more will come, and all that there is has been read
         self.heard = monotonic()  #: Wall time when the log last grew
@@ -444,7 +445,6 @@ class RunFollower:
         #: ``died``: no end, and nobody writes; ``unfinished``: no end, and the system does not
         #: tell whether anybody writes
         self.state = outcome or self._of_writer()
-        self._samples = RunSamples()
 
     @property
     def run(self) -> dict[str, str]:
@@ -466,11 +466,6 @@ class RunFollower:
         """The option of each group; empty for what is no run of the loop."""
         found = json_or_none(self.run.get("choices"))
         return found if isinstance(found, dict) else {}
-
-    @property
-    def latest(self) -> float:
-        """Time of the last sample so far (s); 0 before the first one."""
-        return self._samples.latest
 
     @property
     def total(self) -> float | None:
@@ -509,7 +504,7 @@ class RunFollower:
         if piece is not None:
             self._check_origin()
             try:
-                self._samples.add(piece, self.run)
+                self.add(piece, self.run)
             except (TypeError, ValueError, KeyError) as error:  # a stranger's log may hold anything
                 raise RecordingError(
                     f"its messages are not as trms writes them ({error})", where=str(self.path)
@@ -535,10 +530,6 @@ class RunFollower:
     def close(self) -> None:
         """Close the log."""
         self._tail.close()
-
-    def at(self, time: float, span: float, events: int = 8) -> Moment:
-        """The run at a moment; see :meth:`~trms_cli.runs.follower.RunSamples.at`."""
-        return self._samples.at(time, span, events)
 
     def _check_origin(self) -> None:
         if not self._tail.of_trms:

@@ -15,7 +15,6 @@ MERIT = "merit"
 _MISSPELT = 0.85
 #: Likeness from which on a figure may have been meant, and how many of those are told.
 _NEAR, _MOST_NEAR = 0.6, 3
-_MERIT_ABOUT = "the command's own figure of merit"
 
 
 def canonical(name: str, where: str) -> str:
@@ -87,11 +86,3 @@ def unit_of(name: str) -> str:
     """Unit of a figure; "" for counts and for what is not known."""
     column = COLUMNS.get(name)
     return column.unit if column is not None else ""
-
-
-def about(name: str) -> str:
-    """What a figure is, in a few words; "" for what is not known."""
-    if name == MERIT:
-        return _MERIT_ABOUT
-    column = COLUMNS.get(name)
-    return column.about if column is not None else ""

@@ -5,20 +5,18 @@ from __future__ import annotations
 import os
 import select
 import shutil
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from time import monotonic
-from types import FrameType
 from typing import Any, Protocol, Self
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from trms_cli.core.errors import Termination
+from trms_cli.reporting.progress import termination
 
 #: s between two pictures: ten a second are a motion, more are only work.
 _FRAME = 0.1
@@ -148,11 +146,10 @@ class Keyboard:
         self.there = False
         self._descriptor = -1
         self._before: list[Any] | None = None
-        self._handler: Any = None
+        self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            self._handler = signal.signal(signal.SIGTERM, _terminate)
+        self._stack.enter_context(termination())
         try:
             import termios
             import tty
@@ -173,9 +170,7 @@ class Keyboard:
 
     def __exit__(self, *_: object) -> None:
         self._restore()
-        if self._handler is not None:
-            signal.signal(signal.SIGTERM, self._handler)
-            self._handler = None
+        self._stack.close()
 
     def wait(self, seconds: float) -> list[str]:
         """The keys that were pressed, waiting up to `seconds` for one; "q" when input has ended."""
@@ -235,7 +230,3 @@ def is_plain() -> bool:
     except (UnicodeEncodeError, LookupError):
         return True
     return False
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Termination

@@ -119,7 +119,9 @@ def identification_of(composition: Composition) -> Identification:
     Raises TrmsError for the first key, recording or parameter that is wrong.
     """
     config = composition.config
-    options = _options(config)
+    own = {key: value for key, value in config.items() if key not in _GROUPS}
+    options = build({TARGET: f"{__name__}.IdentifyOptions", **own})
+    assert isinstance(options, IdentifyOptions)
     method = build(config["method"], "method")
     if not isinstance(method, Method):
         raise ConfigurationError(
@@ -154,13 +156,6 @@ def identification_of(composition: Composition) -> Identification:
         jobs=options.jobs,
     )
     return Identification(options, model, problem, method, recordings, idle, admission)
-
-
-def _options(config: Mapping[str, Any]) -> IdentifyOptions:
-    own = {key: value for key, value in config.items() if key not in _GROUPS}
-    options = build({TARGET: f"{__name__}.IdentifyOptions", **own})
-    assert isinstance(options, IdentifyOptions)
-    return options
 
 
 def _parts(
@@ -311,7 +306,9 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         result = request.method.fit(request.problem, progress)
     if again:  # now that it is known to be the same search
         files.write_config(composition, folder)
-    _require_simulated(result)
+    if result.outcome is Ended.FAILED:  # it could simulate nothing: there is no model to write
+        problem, _, remedy = result.outcome.value.partition(": ")
+        raise SimulationError(problem, where="model", remedy=remedy)
     fitted = assess(request.problem, result)
     model = write_fitted_model(
         request, fitted.result, fitted.deviations, origin, folder / MODEL_NAME
@@ -381,13 +378,6 @@ def network_of(result: FitResult, file: Path) -> Model | None:
     from trms_cli.effects.model_file import load_model
 
     return load_model(str(file))
-
-
-def _require_simulated(result: FitResult) -> None:
-    """A fit that could simulate nothing has no model to write."""
-    if result.outcome is Ended.FAILED:
-        problem, _, remedy = result.outcome.value.partition(": ")
-        raise SimulationError(problem, where="model", remedy=remedy)
 
 
 def _words(composition: Composition, request: Identification) -> str:
@@ -470,7 +460,7 @@ def document_of(
     composition: Composition, request: Identification, fitted: Assessment, seconds: float
 ) -> dict[str, Any]:
     """The document of a command that took `seconds`; figures that do not exist are null."""
-    result, problem = fitted.result, request.problem
+    result, problem, matrix = fitted.result, request.problem, fitted.correlation
     content = {
         "schema": SCHEMA,
         "command": command_line(),
@@ -495,7 +485,7 @@ def document_of(
         "seconds": {"fit": result.seconds, "whole": seconds},
         "history": [list(point) for point in result.history],
         "parameters": _parameters(request.problem, fitted),
-        "correlation": _correlation(fitted),
+        "correlation": None if matrix is None else {"names": list(result.values), "matrix": matrix},
         **fitted.statistics,
         "errors": {
             part: {
@@ -545,13 +535,6 @@ def _parameters(problem: FitProblem, fitted: Assessment) -> dict[str, Any]:
         for p in problem.free
         if p.name in values
     }
-
-
-def _correlation(fitted: Assessment) -> dict[str, Any] | None:
-    matrix = fitted.correlation
-    if matrix is None:
-        return None
-    return {"names": list(fitted.result.values), "matrix": matrix}
 
 
 def _errors(runs: Sequence[WindowRuns] | None) -> dict[str, Any] | None:

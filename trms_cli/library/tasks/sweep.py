@@ -25,7 +25,7 @@ from trms_cli.composition.composer import Composition, Task, compose
 from trms_cli.composition.overrides import ComposeRequest
 from trms_cli.composition.sweep_space import Settings, settings_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
-from trms_cli.core.invocation import note
+from trms_cli.core.invocation import command_line, note
 from trms_cli.core.plugins import TARGET
 from trms_cli.sweeps.record import SweepPlan
 from trms_cli.sweeps.space import Space
@@ -62,17 +62,13 @@ class SweepOutcome:
 Tell = Callable[["SweepProgress", "RunResult | None"], None]
 
 
-def _silent(progress: SweepProgress, result: RunResult | None) -> None:
-    """Tells nobody."""
-
-
 def make_sweep(
     overrides: Sequence[str],
     primary: str,
     task: Task,
     *,
     config_dirs: Sequence[Path] = (),
-    tell: Tell = _silent,
+    tell: Tell = lambda progress, result: None,
     begun: Callable[[Path], None] = lambda folder: None,
 ) -> SweepOutcome:
     """Begin a sweep and drive it to its end.
@@ -86,6 +82,8 @@ def make_sweep(
     ran has ended, and `go_on` goes on.
     """
     from trms_cli.composition.sweep_space import divide_overrides, sampler_and_launcher
+    from trms_cli.core.versions import versions
+    from trms_cli.library.tasks.git_revision import GitRevision
     from trms_cli.runs.run_folder import new_folder
     from trms_cli.sweeps.record import Record, drive_sweep
 
@@ -99,7 +97,21 @@ def make_sweep(
     record = Record(folder)
     with drive_sweep(folder):
         try:
-            plan = _plan(mine, settings, space, primary, task, config_dirs)
+            plan = SweepPlan(
+                primary=primary,
+                task=f"{task.__module__}:{getattr(task, '__qualname__', '')}",
+                overrides=mine.runs,
+                settings=mine.settings,
+                space=space,
+                sampler=settings.sampler,
+                launcher=settings.launcher,
+                retries=settings.retries,
+                config_dirs=tuple(str(Path(place).resolve()) for place in config_dirs),
+                directory=os.getcwd(),
+                command=command_line(),
+                versions=versions(),
+                git=GitRevision.ask().answer(),
+            )
             record.begin(plan)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)  # nothing has been run
@@ -114,7 +126,7 @@ def go_on(
     task: Task | None = None,
     settings: Sequence[str] = (),
     retry_failed: bool = False,
-    tell: Tell = _silent,
+    tell: Tell = lambda progress, result: None,
     begun: Callable[[Path], None] = lambda folder: None,
 ) -> SweepOutcome:
     """Go on with a sweep where it stopped.
@@ -161,31 +173,6 @@ def _checked(
     request = ComposeRequest(tuple(overrides), config_dirs, show=False, multirun=True)
     space = space_of(request, primary)
     return space, compose(first_of(space), primary, config_dirs=config_dirs)
-
-
-def _plan(
-    mine: Any, settings: Any, space: Any, primary: str, task: Task, config_dirs: Sequence[Path]
-) -> SweepPlan:
-    from trms_cli.core.invocation import command_line
-    from trms_cli.core.versions import versions
-    from trms_cli.library.tasks.git_revision import GitRevision
-
-    revision = GitRevision.ask()
-    return SweepPlan(
-        primary=primary,
-        task=f"{task.__module__}:{getattr(task, '__qualname__', '')}",
-        overrides=mine.runs,
-        settings=mine.settings,
-        space=space,
-        sampler=settings.sampler,
-        launcher=settings.launcher,
-        retries=settings.retries,
-        config_dirs=tuple(str(Path(place).resolve()) for place in config_dirs),
-        directory=os.getcwd(),
-        command=command_line(),
-        versions=versions(),
-        git=revision.answer(),
-    )
 
 
 def _driven(

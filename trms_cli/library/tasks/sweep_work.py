@@ -14,7 +14,7 @@ import shlex
 import threading
 import traceback
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -95,9 +95,7 @@ class MakeRun:
             return RunResult(point.number, kind, problem=problem)  # type: ignore[arg-type]
         result = result_of(status, point.number)
         assert result is not None
-        return RunResult(
-            result.number, result.state, result.figures, result.objective, result.problem, notes
-        )
+        return replace(result, notes=notes)
 
     def _made(self, attempt: Attempt, run: RunFolder) -> dict[str, Any]:
         """Keys of the status that the run ends with."""

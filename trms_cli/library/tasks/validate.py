@@ -127,11 +127,6 @@ def calibrate_validations(
     return done, notes
 
 
-def warnings_of(request: ValidationRequest) -> list[dict[str, str]]:
-    """What the recordings are not as good for as they might be, for the document."""
-    return Admission(request.admission.warnings).as_data()
-
-
 def notes_on(request: ValidationRequest) -> list[str]:
     """What a reader should know of how the figures came about."""
     return list(dict.fromkeys(_notes(request)))
@@ -193,7 +188,7 @@ def perform(
         line.tell("figures")
         document = document_of(validations)
         document["notes"] = [*notes_on(request), *notes]
-        document["warnings"] = warnings_of(request)
+        document["warnings"] = Admission(request.admission.warnings).as_data()
         document["versions"] = versions()
         folder = compositions[0].folder("validate")
         files = {"figures": folder / DOCUMENT_NAME}

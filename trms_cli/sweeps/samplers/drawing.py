@@ -35,20 +35,10 @@ class Robustness:
     over the values of ``seed``. All groups have seen the same draws.
     """
 
-    #: Names of figures, as ``trms runs`` has them; those that the runs do not have are left out
+    #: Names of figures, as scores have them; those that the runs do not have are left out
     figures: tuple[str, ...] = ()
     #: Largest allowed value of some figures: a run beyond one is a failure
     limits: Mapping[str, float] = field(default_factory=dict)
-
-    def checked(self) -> Robustness:
-        """The same with the names that scores have.
-
-        Raises ConfigurationError for a figure that runs do not have.
-        """
-        return Robustness(
-            canonical_all(self.figures, "sampler.figures"),
-            canonical_limits(self.limits, "sampler.limits"),
-        )
 
     def told(
         self, space: Space, points: Sequence[SweepPoint], results: Mapping[int, RunResult]
@@ -416,7 +406,8 @@ class DrawingSampler:
     def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> PlannedPoints:
         """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`.
 
-        Raises ConfigurationError for a space in which there is nothing to draw.
+        Raises ConfigurationError for a space in which there is nothing to draw, and for a figure
+        that runs do not have.
         """
         if not space.continuous:
             keys = ", ".join(choice.key for choice in space.choices) or "what was typed"
@@ -426,5 +417,8 @@ class DrawingSampler:
                 remedy=f"give {self.NAME} something: plant.parameters=prior or "
                 "KEY=interval(LOW,HIGH); choices alone are tried one by one by sampler=grid",
             )
-        told = Robustness(self.figures, self.limits).checked()
+        told = Robustness(
+            canonical_all(self.figures, "sampler.figures"),
+            canonical_limits(self.limits, "sampler.limits"),
+        )
         return plan_points(space, self.shares(len(space.continuous)), known, told)

@@ -116,11 +116,12 @@ def front(losses: FloatArray) -> npt.NDArray[np.intp]:
 
     ``losses``: (n, k) array. Returns (m,) array; their positions; of equal rows all.
     """
-    if not len(losses):
-        return np.zeros(0, dtype=np.intp)
-    no_worse = (losses[:, None, :] <= losses[None, :, :]).all(axis=2)
-    better = (losses[:, None, :] < losses[None, :, :]).any(axis=2)
-    return np.flatnonzero(~(no_worse & better).any(axis=0))
+    kept = np.ones(len(losses), dtype=bool)
+    for i in np.lexsort(losses.T[::-1]):
+        if kept[i]:
+            beaten = (losses[i] <= losses).all(axis=1) & (losses[i] < losses).any(axis=1)
+            kept &= ~beaten
+    return np.flatnonzero(kept)
 
 
 def hypervolumes(losses: FloatArray) -> list[float] | None:

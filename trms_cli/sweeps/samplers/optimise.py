@@ -75,7 +75,7 @@ class Optimise:
                 remedy="write what may change, as "
                 "'controller.state_weights.alpha_v=tag(log,interval(0.1,10))'",
             )
-        if self.method == "nsga2" and self._batch() < 2:
+        if self.method == "nsga2" and self.batch_size() < 2:
             raise ConfigurationError(
                 f"{self.batch} given", where="sampler.batch", remedy="a population has two or more"
             )
@@ -85,20 +85,16 @@ class Optimise:
         """Trials of each batch in turn."""
         if self.method == "random":
             return [self.trials]
-        first = self._batch()
+        first = self.batch_size()
         if self.method == "tpe":
             first = self.startup_trials + int(self.baseline)
         sizes = [min(first, self.trials)]
         while sum(sizes) < self.trials:
-            sizes.append(min(self._batch(), self.trials - sum(sizes)))
+            sizes.append(min(self.batch_size(), self.trials - sum(sizes)))
         return sizes
 
-    @property
-    def population(self) -> int:
-        """Of ``nsga2``."""
-        return self._batch()
-
-    def _batch(self) -> int:
+    def batch_size(self) -> int:
+        """Trials of a batch; of ``nsga2`` the population."""
         return self.batch or _BATCHES.get(self.method, self.trials)
 
     def _aims(self) -> Aims:
@@ -144,7 +140,12 @@ class Trials:
         self._given = len(self._known)
         self._sizes = config.batches()
         self._search = OptimisationSearch(
-            self._ranges, aims, config.method, config.seed, config.startup_trials, config.population
+            self._ranges,
+            aims,
+            config.method,
+            config.seed,
+            config.startup_trials,
+            config.batch_size(),
         )
         self._startup = self._latin_hypercube()
         self.parts: list[Part] = []  #: what each trial sets, of those that are proposed
@@ -168,7 +169,7 @@ class Trials:
         """The next points: the rest of a batch at once, nothing while one is at work."""
         self._results |= {r.number: r for r in results if r.state != "interrupted"}
         self._check_figures()
-        while not self._confirming and self._all_ended():
+        while not self._confirming and all(p.number in self._results for p in self._points):
             if self._told < self._batches_proposed():
                 self._tell()
             if len(self.parts) < self._config.trials:
@@ -186,9 +187,6 @@ class Trials:
         told |= {"method": self._config.method, "baseline": 0 if self._config.baseline else None}
         self._add_confirmed(told, results)
         return told
-
-    def _all_ended(self) -> bool:
-        return all(point.number in self._results for point in self._points)
 
     def _batches_proposed(self) -> int:
         ends = np.cumsum([0, *self._sizes])
@@ -286,19 +284,15 @@ class Trials:
         ended = [r for r in own if r is not None and r.state != "interrupted"]
         return ended if len(ended) == width else []
 
-    def _candidates(self, results: Mapping[int, RunResult]) -> list[int]:
-        """Trials that are run again: the best, and the first to compare with."""
-        tried = self._tried(results)
-        best = best_trials(self.aims, tried)
-        first = [0] if self._config.baseline else []
-        return list(dict.fromkeys([*first, *best]))
-
     def _confirm(self) -> None:
+        """Propose the best trials again, and the first to compare with."""
         self._confirming = True
         if not self._config.confirm:
             return
         fresh = fresh_conditions(self._space, self._config.confirm, self._config.seed)
-        for number in self._candidates(self._results):
+        first = [0] if self._config.baseline else []
+        best = best_trials(self.aims, self._tried(self._results))
+        for number in dict.fromkeys([*first, *best]):
             for condition in fresh:
                 replaced = tuple(f"{key}=" for key in condition.values or {})
                 fixed = tuple(t for t in self._space.fixed if not t.startswith(replaced))
