@@ -9,19 +9,10 @@ from pathlib import Path
 
 from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.catalogue import take_config_dirs
+from trms_cli.core import trust
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.invocation import program
 from trms_cli.core.printable import print_json
-from trms_cli.core.trust import (
-    ENVIRONMENT,
-    SCHEMA,
-    allowed_file,
-    allowed_for_good,
-    allowed_for_now,
-    check_name,
-    place_of,
-    write_allowed,
-)
 
 SUMMARY = "let the classes of a package of yours, or of somebody else's, run"
 
@@ -68,7 +59,7 @@ def main(argv: Sequence[str]) -> int:
         raise ConfigurationError(
             "no package named", where=_REMOVE, remedy=f"{program()} allow {_REMOVE} PACKAGE"
         )
-    packages = allowed_for_good()
+    packages = trust.allowed_for_good()
     for name in names:
         if removing:
             _remove(name, packages)
@@ -82,8 +73,8 @@ def main(argv: Sequence[str]) -> int:
 
 def _found(name: str, folders: Sequence[Path]) -> Path | None:
     """Where a package lies; None for an installed one."""
-    check_name(name)
-    place = place_of(name, folders)
+    trust.check_name(name)
+    place = trust.place_of(name, folders)
     if place is not None:
         return place
     if folders:
@@ -114,20 +105,20 @@ def _remove(name: str, packages: dict[str, Path | None]) -> None:
 
 def _keep(packages: dict[str, Path | None]) -> None:
     try:
-        write_allowed(packages)
+        trust.write_allowed(packages)
     except OSError as error:
         raise TrmsError(
             f"the list cannot be written: {error.strerror or error}",
-            where=str(allowed_file()),
-            remedy=f"allow it for one call: --allow PACKAGE, or {ENVIRONMENT}=PACKAGE",
+            where=str(trust.allowed_file()),
+            remedy=f"allow it for one call: --allow PACKAGE, or {trust.ENVIRONMENT}=PACKAGE",
         ) from error
 
 
 def _tell(packages: dict[str, Path | None], *, as_json: bool) -> None:
-    now = sorted(allowed_for_now())
+    now = sorted(trust.allowed_for_now())
     if as_json:
         places = {name: None if at is None else str(at) for name, at in sorted(packages.items())}
-        document = {"schema": SCHEMA, "packages": places, "for_this_call": now}
+        document = {"schema": trust.SCHEMA, "packages": places, "for_this_call": now}
         print_json(document)
         return
     if not packages and not now:
@@ -137,4 +128,4 @@ def _tell(packages: dict[str, Path | None], *, as_json: bool) -> None:
     for name, place in sorted(packages.items()):
         sys.stdout.write(f"{name:{width}}{'installed' if place is None else f'in {place}'}\n")
     for name in now:
-        sys.stdout.write(f"{name:{width}}by {ENVIRONMENT}, wherever it lies\n")
+        sys.stdout.write(f"{name:{width}}by {trust.ENVIRONMENT}, wherever it lies\n")

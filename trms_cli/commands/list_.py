@@ -9,16 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.commands.plain_options import as_options
-from trms_cli.composition.catalogue import (
-    Groups,
-    about,
-    find_group,
-    find_option,
-    primary_file,
-    read_groups,
-    read_primary,
-    take_config_dirs,
-)
+from trms_cli.composition import catalogue
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.printable import print_json
 
@@ -42,25 +33,27 @@ examples
 
 def main(argv: Sequence[str]) -> int:
     """Print groups, one group, or one option."""
-    config_dirs, rest = take_config_dirs(as_options(argv, {"json": False, "config-dir": True}))
+    config_dirs, rest = catalogue.take_config_dirs(
+        as_options(argv, {"json": False, "config-dir": True})
+    )
     as_json = "--json" in rest
     words = [word for word in rest if word != "--json"]
     _refuse_options(words)
-    groups = read_groups(config_dirs)
+    groups = catalogue.read_groups(config_dirs)
     if len(words) >= 2:
-        option = find_option(groups, *words[:2])
+        option = catalogue.find_option(groups, *words[:2])
         if as_json:
             found = {option.group: {option.name: option}}
-            print_json(document_of(found, about(config_dirs)))
+            print_json(document_of(found, catalogue.about(config_dirs)))
         else:
             sys.stdout.write(f"# {option.file}\n{option.file.read_text(encoding='utf-8')}")
         return EXIT_OK
     if words:
-        groups = {words[0]: find_group(groups, words[0])}
+        groups = {words[0]: catalogue.find_group(groups, words[0])}
     if as_json:
-        print_json(document_of(groups, about(config_dirs)))
+        print_json(document_of(groups, catalogue.about(config_dirs)))
     else:
-        sys.stdout.write(_table(groups, about(config_dirs), config_dirs))
+        sys.stdout.write(_table(groups, catalogue.about(config_dirs), config_dirs))
     return EXIT_OK
 
 
@@ -74,7 +67,7 @@ def _refuse_options(words: Sequence[str]) -> None:
         )
 
 
-def _table(groups: Groups, purposes: dict[str, str], config_dirs: Sequence[Path]) -> str:
+def _table(groups: catalogue.Groups, purposes: dict[str, str], config_dirs: Sequence[Path]) -> str:
     width = max((len(name) for options in groups.values() for name in options), default=0) + 2
     blocks = []
     for group, options in groups.items():
@@ -87,7 +80,7 @@ def _table(groups: Groups, purposes: dict[str, str], config_dirs: Sequence[Path]
     return "\n".join(blocks)
 
 
-def document_of(groups: Groups, purposes: dict[str, str]) -> dict[str, Any]:
+def document_of(groups: catalogue.Groups, purposes: dict[str, str]) -> dict[str, Any]:
     """``trms.list/1``: groups with their options."""
     return {
         "schema": "trms.list/1",
@@ -106,15 +99,15 @@ def document_of(groups: Groups, purposes: dict[str, str]) -> dict[str, Any]:
 
 def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:
     """The part of a command's help that tells which groups and options its overrides choose."""
-    declared = read_primary(primary, config_dirs)
-    groups = read_groups(config_dirs)
+    declared = catalogue.read_primary(primary, config_dirs)
+    groups = catalogue.read_groups(config_dirs)
     lines = ["choices (the default is marked *; `trms list GROUP OPTION` shows an option's keys)"]
     for group, chosen in declared.defaults.items():
         lines.append(row(f"  {group:12}", declared.about.get(group, "")))
         for name, option in groups.get(group, {}).items():
             mark = "*" if name == chosen else " "
             lines.append(row(f"   {mark} {name:24} ", option.summary))
-    lines += ["", "other keys", *_key_lines(primary_file(primary, config_dirs))]
+    lines += ["", "other keys", *_key_lines(catalogue.primary_file(primary, config_dirs))]
     return "\n".join(lines) + "\n"
 
 

@@ -21,22 +21,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from trms_cli.composition.catalogue import (
-    Groups,
-    Primary,
-    make_importable,
-    read_groups,
-    read_primary,
-    read_yaml,
-    roots,
-)
-from trms_cli.composition.checks import (
-    DeclaredKeys,
-    check_composed,
-    defaults_list,
-    prepare,
-    prepared_value,
-)
+from trms_cli.composition import catalogue, checks
 from trms_cli.composition.overrides import ComposeRequest, Override, parse, read_request
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
@@ -149,7 +134,7 @@ class _Base:
 
     config: dict[str, Any]  #: Unresolved, plain
     choices: Mapping[Any, Any]  #: Hydra's record of them
-    keys: DeclaredKeys  #: Tells which mappings are open
+    keys: checks.DeclaredKeys  #: Tells which mappings are open
     #: Keys that a choice sets by itself (the path of ``model=fit.yaml``)
     fixed_keys: frozenset[str]
     #: Places where another option than the usual one is chosen, with the keys of that option:
@@ -164,8 +149,8 @@ class Composer:
 
     def __init__(self, primary: str, config_dirs: Sequence[Path] = ()) -> None:
         self.primary, self.config_dirs = primary, tuple(config_dirs)
-        self._declared: Primary = read_primary(primary, self.config_dirs)
-        self._groups: Groups = read_groups(self.config_dirs)
+        self._declared = catalogue.read_primary(primary, self.config_dirs)
+        self._groups = catalogue.read_groups(self.config_dirs)
         self._bases: OrderedDict[tuple[str, ...], _Base] = OrderedDict()
 
     def compose(self, overrides: Sequence[str], job: int | None = None) -> Composition:
@@ -182,7 +167,7 @@ class Composer:
 
     def from_start(self, request: ComposeRequest) -> Composition:
         """Compose by Hydra alone."""
-        overrides = prepare(request, self._declared, self._groups)
+        overrides = checks.prepare(request, self._declared, self._groups)
 
         from omegaconf import OmegaConf
 
@@ -213,7 +198,7 @@ class Composer:
         """The unresolved ``DictConfig`` without what is foreign to it, and Hydra's choices."""
         from trms_cli.composition.hydra_composition import compose_by_hydra
 
-        make_importable(self.config_dirs)
+        catalogue.make_importable(self.config_dirs)
         composed, choices = compose_by_hydra(self.primary, prepared, self.config_dirs)
         _drop_foreign_keys(composed, self._declared, choices, typed, self.config_dirs)
         return composed, choices
@@ -225,7 +210,7 @@ class Composer:
         several = [group for group, o in self._declared.defaults.items() if isinstance(o, list)]
         for group in several:
             config.setdefault(group, {})
-        check_composed(config, self._declared)
+        checks.check_composed(config, self._declared)
         ours = {str(k): name for k, name in choices.items() if not str(k).startswith("hydra/")}
         chosen = ours | {group: list(config[group]) for group in several}
         return Composition(config, request.overrides, chosen, self.config_dirs)
@@ -270,7 +255,7 @@ class Composer:
         from omegaconf.errors import OmegaConfBaseException
 
         request = ComposeRequest(choices, self.config_dirs, show=False, multirun=False)
-        prepared = prepare(request, self._declared, self._groups)
+        prepared = checks.prepare(request, self._declared, self._groups)
         try:
             composed, record = self._by_hydra(prepared, choices)
             config = OmegaConf.to_container(composed, resolve=False)
@@ -281,7 +266,7 @@ class Composer:
         return _Base(
             config={str(key): value for key, value in config.items()},
             choices=record,
-            keys=DeclaredKeys(self._declared, self._groups, choices),
+            keys=checks.DeclaredKeys(self._declared, self._groups, choices),
             fixed_keys=frozenset(override.key for override in mine if self._is_value(override)),
             replaced={
                 place: own for place, own, _ in _replaced(self._declared, record, self.config_dirs)
@@ -299,7 +284,7 @@ class Composer:
                 raise _Unusual
         prefix = base.prepared.get(key)
         if prefix is None:
-            prefix = base.prepared[key] = prepared_value(override, base.keys, False).prefix
+            prefix = base.prepared[key] = checks.prepared_value(override, base.keys, False).prefix
         path, _, last = key.rpartition(".")
         node = value_at(config, path)
         if not isinstance(node, dict):
@@ -309,7 +294,7 @@ class Composer:
                 raise _Unusual
         elif prefix != "++" or not path:
             raise _Unusual
-        node[last] = _typed(prepared_value(override, base.keys, False).value or "", last)
+        node[last] = _typed(checks.prepared_value(override, base.keys, False).value or "", last)
 
 
 @functools.lru_cache(maxsize=4)
@@ -402,7 +387,7 @@ def _at(key: str, root: dict[str, Any]) -> Any:
 
 def _drop_foreign_keys(
     composed: Any,
-    declared: Primary,
+    declared: catalogue.Primary,
     choices: Mapping[Any, Any],
     typed: Sequence[str],
     config_dirs: Sequence[Path],
@@ -432,7 +417,7 @@ def _drop_foreign_keys(
 
 
 def _replaced(
-    declared: Primary, choices: Mapping[Any, Any], config_dirs: Sequence[Path]
+    declared: catalogue.Primary, choices: Mapping[Any, Any], config_dirs: Sequence[Path]
 ) -> Iterator[tuple[str, set[str], Mapping[str, Any] | str]]:
     """Places with a choice that is not the including option's own.
 
@@ -441,22 +426,22 @@ def _replaced(
     """
     for group in declared.defaults:
         content = _content(group, choices.get(group), config_dirs)
-        for inner, place, default in defaults_list(content):
+        for inner, place, default in checks.defaults_list(content):
             chosen = choices.get(f"{inner}@{group}.{place}")
             if chosen in (None, default):
                 continue
             body = value_at(content, place)
             own = _content(inner, chosen, config_dirs)
-            kept = {*own, *(key.split(".")[0] for _, key, _ in defaults_list(own))}
+            kept = {*own, *(key.split(".")[0] for _, key, _ in checks.defaults_list(own))}
             if isinstance(body, Mapping) or (isinstance(body, str) and "${" in body):
                 yield f"{group}.{place}", kept, body
 
 
 def _content(group: str, option: Any, config_dirs: Sequence[Path]) -> dict[str, Any]:
     """An option's YAML, with the options of its group that it builds on (``plant=ideal``)."""
-    for root in roots(config_dirs) if isinstance(option, str) else ():
+    for root in catalogue.roots(config_dirs) if isinstance(option, str) else ():
         file = root / group / f"{option}.yaml"
-        content = read_yaml(file) if file.is_file() else None
+        content = catalogue.read_yaml(file) if file.is_file() else None
         if isinstance(content, dict):
             merged: dict[str, Any] = {"defaults": []}
             entries = content.get("defaults") or []

@@ -123,14 +123,9 @@ def write_page(
 ) -> Path | None:
     """Write the page, whole or not at all; None, and a note, if that fails: the numbers are safe.
 
-    Parameters
-    ----------
-    subject : str
-        What was studied, behind the title.
-    pictures : bool
-        Whether each chart is written beside it as a PNG too.
-    interactive : bool
-        Whether a reader can zoom in; else charts are drawings, and the page carries no script.
+    `subject`: what was studied, behind the title. `pictures`: whether each chart is written beside
+    it as a PNG too. `interactive`: whether a reader can zoom in; else charts are drawings, and the
+    page carries no script.
     """
     folder = path.parent if pictures else None
     try:

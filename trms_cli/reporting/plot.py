@@ -44,27 +44,22 @@ class PlottedLog(Protocol):
     @property
     def path(self) -> Path:
         """Its file."""
-        ...
 
     @property
     def tables(self) -> Mapping[str, Any]:
         """:class:`~trms_cli.scoring.metrics.Columns` by topic."""
-        ...
 
     @property
     def config(self) -> str:
         """The resolved configuration as YAML."""
-        ...
 
     @property
     def run(self) -> Mapping[str, str]:
         """What the run says of itself."""
-        ...
 
     @property
     def score(self) -> Mapping[str, Any]:
         """``trms.score/1``, or empty."""
-        ...
 
 
 _Panels = Callable[[Sequence[RunReport]], list[Panel]]

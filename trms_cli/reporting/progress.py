@@ -108,25 +108,19 @@ class _Bar:
             self._bar = None
 
     def _made(self) -> Any:
+        from rich import progress
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
 
         words = [
-            TextColumn(f"{{task.fields[{name}]}}", style=style)
+            progress.TextColumn(f"{{task.fields[{name}]}}", style=style)
             for name, style in self._columns.items()
         ]
-        return Progress(
-            TextColumn(self._head),
-            BarColumn(bar_width=20),
+        return progress.Progress(
+            progress.TextColumn(self._head),
+            progress.BarColumn(bar_width=20),
             *words,
-            *((TimeElapsedColumn(), TextColumn("left")) if self._elapsed else ()),
-            TimeRemainingColumn(compact=True),
+            *((progress.TimeElapsedColumn(), progress.TextColumn("left")) if self._elapsed else ()),
+            progress.TimeRemainingColumn(compact=True),
             console=Console(file=sys.stderr, force_jupyter=False),
             transient=True,
         )

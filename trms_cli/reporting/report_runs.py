@@ -206,14 +206,8 @@ def findings_of_comparison(
 ) -> Findings:
     """What a page tells of two runs or more, with names that differ.
 
-    Parameters
-    ----------
-    differences : sequence of (str, sequence of str)
-        Settings in which the runs differ, with the value of each run.
-    left_out : sequence of (str, str)
-        Files that could not be read, with the reason.
-    title : str
-        Default: the names of the runs.
+    `differences`: settings in which the runs differ, with the value of each run. `left_out`: files
+    that could not be read, with the reason. `title`: by default the names of the runs.
     """
     names = [run.name for run in runs]
     boxes = plot_kinds.time_boxes(runs)

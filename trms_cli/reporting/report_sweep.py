@@ -23,13 +23,7 @@ from trms_cli.reporting.page import MOST_ROWS
 from trms_cli.reporting.report_runs import plot_section, ranking_section
 from trms_cli.reporting.run_panels import histogram
 from trms_cli.reporting.signals import FloatArray
-from trms_cli.reporting.sweep_report import (
-    Draws,
-    FailureShare,
-    Objective,
-    SweepReport,
-    SweepRun,
-)
+from trms_cli.reporting.sweep_report import Draws, FailureShare, Objective, SweepReport, SweepRun
 from trms_cli.scoring.comparison.ranking import Ranking
 
 #: More entrants than this are not told apart by colour; their boxes still stand side by side.

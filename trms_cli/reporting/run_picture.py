@@ -36,10 +36,7 @@ _CHANNEL, _COMMANDS, _TORQUES, _OTHER, _ROW = 2.1, 1.4, 1.0, 0.75, 1.5
 class Painter:
     """Who draws the pictures of a run; leave its ``with`` block to let it go.
 
-    Parameters
-    ----------
-    beside : bool
-        Start the process now; else each picture is drawn in line.
+    `beside`: start the process now; else each picture is drawn in line.
     """
 
     _PATIENCE = 60.0  # s
@@ -117,34 +114,21 @@ def figure_of_run(
 ) -> NotebookFigure:
     """The picture of a run, not yet on any paper.
 
-    Parameters
-    ----------
-    tables : mapping of str to Columns
-        By topic, as a log or a history has them.
-    score : dict
-        ``trms.score/1`` of the run.
-    title : str
-    limits : dict of str to (float, float)
-        Lower and upper limit by channel and input.
+    `tables`: by topic, as a log or a history has them. `score`: ``trms.score/1`` of the run.
+    `limits`: lower and upper limit by channel and input.
     """
     from trms_cli.core.chart import Events
-    from trms_cli.reporting.run_panels import (
-        channel_panel,
-        command_panel,
-        score_note,
-        solver_panel,
-        torque_panels,
-    )
+    from trms_cli.reporting import run_panels
     from trms_cli.reporting.signals import RunSignals
 
     run = RunSignals(tables=tables, limits=limits or {})
     panels = []
     for name in run.channels():
-        note = score_note(score["channels"].get(name, {}))
-        panels.append(replace(channel_panel(run, name), row_height=_CHANNEL, note=note))
-    commands, steps = command_panel(run), solver_panel(run)
+        note = run_panels.score_note(score["channels"].get(name, {}))
+        panels.append(replace(run_panels.channel_panel(run, name), row_height=_CHANNEL, note=note))
+    commands, steps = run_panels.command_panel(run), run_panels.solver_panel(run)
     panels += [replace(commands, row_height=_COMMANDS)] if commands is not None else []
-    for number, panel in enumerate(torque_panels(run)):
+    for number, panel in enumerate(run_panels.torque_panels(run)):
         panels.append(replace(panel, row_height=_OTHER if number else _TORQUES))
     if steps is not None:
         times = [
@@ -163,34 +147,21 @@ def draw_replay(
 ) -> None:
     """Draw a replay as a PNG: a row a channel with its innovations, then commands and torques.
 
-    Parameters
-    ----------
-    tables : mapping of str to Columns
-        By topic.
-    figures : dict
-        ``trms.innovations/1``.
-    path : Path
-        File to write.
-    title : str
+    `tables`: by topic. `figures`: ``trms.innovations/1``. `path`: the file to write.
     """
-    from trms_cli.reporting.run_panels import (
-        channel_panel,
-        command_panel,
-        innovation_panels,
-        torque_panel,
-    )
+    from trms_cli.reporting import run_panels
     from trms_cli.reporting.signals import RunSignals
     from trms_cli.reporting.style import house_style, save_png
 
     run = RunSignals(tables=tables)
     panels = []
-    innovations = iter(innovation_panels(run, figures["channels"]))
+    innovations = iter(run_panels.innovation_panels(run, figures["channels"]))
     for name in figures["channels"]:
-        panels += [channel_panel(run, name), _labelled(next(innovations), "innovation")]
-    commands = command_panel(run)
+        panels += [run_panels.channel_panel(run, name), _labelled(next(innovations), "innovation")]
+    commands = run_panels.command_panel(run)
     torques = [name for names in run.torques().values() for name in names]
     panels += [_labelled(commands, "recorded command")] if commands is not None else []
-    panels += [torque_panel(run, "rig", torques)] if torques else []
+    panels += [run_panels.torque_panel(run, "rig", torques)] if torques else []
     span = (run.begin, max(run.end, run.begin + 1e-3))
     figure = _sheet(
         [replace(panel, row_height=_ROW) for panel in panels], title, _REPLAY_WIDTH, span, 2

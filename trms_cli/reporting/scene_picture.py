@@ -44,10 +44,7 @@ class Shot:
 def frames_of(transforms: Mapping[str, Any]) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Rotation (3, 3) and origin (3,) in ``base`` of every frame, composed up the tree.
 
-    Parameters
-    ----------
-    transforms : mapping
-        foxglove.FrameTransforms, parents before children.
+    `transforms`: foxglove.FrameTransforms, parents before children.
     """
     frames = {"base": (np.eye(3), np.zeros(3))}
     for link in transforms["transforms"]:
@@ -67,22 +64,11 @@ def draw_scene(
 ) -> Figure:
     """Draw a moment.
 
-    Parameters
-    ----------
-    bodies : mapping
-        foxglove.SceneUpdate with the parts, decoded.
-    shot : Shot
-    width : float
-        mm; the height is three quarters of it.
-    style : {"paper", "slides", "screen"}
-    title : str
-        Above it; time and angles stand there by default.
+    `bodies`: foxglove.SceneUpdate with the parts, decoded. `width`: mm; the height is three
+    quarters of it. `title`: above it; time and angles stand there by default.
     """
     # The library has no types.
-    from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
-        Line3DCollection,
-        Poly3DCollection,
-    )
+    from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
 
     frames = frames_of(shot.transforms)
     faces = [
@@ -101,9 +87,9 @@ def draw_scene(
         axes.computed_zorder = False
         axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
         axes.add_collection3d(
-            Line3DCollection(_floor(reach), colors=PALE, linewidths=0.5, zorder=0)
+            art3d.Line3DCollection(_floor(reach), colors=PALE, linewidths=0.5, zorder=0)
         )
-        solid = Poly3DCollection(
+        solid = art3d.Poly3DCollection(
             [corners for corners, _ in faces], linewidths=0.0, zsort="average", zorder=1
         )
         solid.set_facecolor([colour for _, colour in faces])

@@ -97,15 +97,9 @@ def show(
 ) -> None:
     """Print findings.
 
-    Parameters
-    ----------
-    findings : Findings
-    command : str
-        First word of the first line: ``stability``; empty where that line stands already.
-    subject : str
-        What was studied: ``newtonian with pitch_coulomb_friction, under pid``.
-    rows : int
-        Of each table, at most; the documents have them all.
+    `command`: the first word of the first line; empty where that line stands already. `subject`:
+    what was studied: ``newtonian with pitch_coulomb_friction, under pid``. `rows`: of each table,
+    at most; the documents have them all.
     """
     out = terminal(stream)
     title = " · ".join(part for part in (findings.title, subject) if part)
@@ -207,21 +201,10 @@ def show_table(out: Terminal, table: Table, rows: int = _MOST_ROWS) -> None:
 def split_columns(
     columns: Sequence[str], rows: Sequence[Sequence[str]], heads: int, width: int
 ) -> list[dict[int, int]]:
-    """Which columns stand in which part of a table, with the width of each.
+    """Which columns stand in which part of a table: for each part the width of each, by its number.
 
-    Parameters
-    ----------
-    columns, rows
-        As text.
-    heads : int
-        Columns on the left that each part repeats.
-    width : int
-        Letters that a part may take.
-
-    Returns
-    -------
-    list of dict of int to int
-        A part a mapping: number of a column, its width.
+    `columns`, `rows`: as text. `heads`: columns on the left that each part repeats. `width`:
+    letters that a part may take.
     """
     cells = [[row[i] for row in rows] for i in range(len(columns))]
     whole = [

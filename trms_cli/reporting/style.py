@@ -131,12 +131,8 @@ VARIANTS: tuple[Variant, ...] = tuple(_VARIANTS)
 def house_style(variant: Variant = "screen", *, svg_text: bool = False) -> Iterator[None]:
     """The look of the house, for all that is drawn and saved inside.
 
-    Parameters
-    ----------
-    variant : {"screen", "paper", "slides"}
-    svg_text : bool
-        Letters of an SVG as text, which can be edited where the font is installed; as outlines
-        otherwise, which look alike everywhere.
+    `svg_text`: letters of an SVG as text, which can be edited where the font is installed; as
+    outlines otherwise, which look alike everywhere.
     """
     fonts: Any = {"svg.fonttype": "none"} if svg_text else {}
     with rc_context({**_SETTINGS, **_VARIANTS[variant], **fonts}):

@@ -19,18 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from trms_cli.core.data_file import absent, json_or_none
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.wording import choice_labels
+from trms_cli.library.report import sweeps
 from trms_cli.library.report.summary import drawn_keys
-from trms_cli.library.report.sweeps import (
-    PAGE_NAME,
-    SWEEP_NAME,
-    from_scores,
-    keys_of,
-    read_sweep,
-    rows_of,
-    sweep_document,
-    typed_values,
-    value_of,
-)
 from trms_cli.runs.run_folder import LOG_NAME
 
 if TYPE_CHECKING:
@@ -49,17 +39,8 @@ _PACKAGES = ("trms", "python", "numpy", "casadi")
 def read_run(path: Path, *, name: str = "") -> RunReport:
     """Read a log, complete or not.
 
-    Parameters
-    ----------
-    path : Path
-        The log's file.
-    name : str
-        What the run is called; by default its folder, or the file where that has another name.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be read, is no log of a run, or is larger than what is read.
+    `name`: what the run is called; by default its folder, or the file where that has another name.
+    Raises RecordingError if it cannot be read, is no log of a run, or is larger than what is read.
     """
     from trms_cli.recordings.log_reader import read_log
     from trms_cli.reporting.signals import RunReport, limits_in
@@ -148,8 +129,8 @@ def runs_of_rows(found: QueryResult, drawn: Sequence[str] = ()) -> list[Comparis
     """
     from trms_cli.scoring.comparison.runs import ComparisonRun
 
-    typed = typed_values(found.runs)
-    keys = [key for key in keys_of(found.runs, typed) if key not in drawn]
+    typed = sweeps.typed_values(found.runs)
+    keys = [key for key in sweeps.keys_of(found.runs, typed) if key not in drawn]
     draws: dict[tuple[str, ...], str] = {}
 
     def coordinates(row: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, str]:
@@ -172,7 +153,7 @@ def runs_of_rows(found: QueryResult, drawn: Sequence[str] = ()) -> list[Comparis
 
 
 def _coordinate(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> str:
-    value = value_of(row, typed, key)
+    value = sweeps.value_of(row, typed, key)
     if value in (None, ""):
         return "none" if key in row or key in typed else "–"
     return str(value)
@@ -246,7 +227,7 @@ def write_report(
     from trms_cli.reporting.page import page_html
 
     report = report_of(paths, title=title, out=out, quiet=quiet)
-    path = out if out is not None else report.folder / PAGE_NAME
+    path = out if out is not None else report.folder / sweeps.PAGE_NAME
     if not force:
         refuse_overwrite(path, remedy)
     with whole_file(path, force=force) as temporary:
@@ -261,24 +242,12 @@ def report_of(
     out: Path | None = None,
     quiet: bool = False,
 ) -> Report:
-    """The report of logs and folders.
+    """The report of logs, folders of a run, or folders of many, however deep.
 
-    Parameters
-    ----------
-    paths : sequence of path
-        Logs, folders of a run, or folders of many, however deep.
-    title : str
-        By default what ran.
-    out : Path or None
-        File that the page will be written to, for links in it; None: ``report.html`` in the run's
-        folder, in that of the sweep, or in the working folder for several paths.
-    quiet : bool
-        Show no progress.
-
-    Raises
-    ------
-    RecordingError
-        If a path does not exist, or there is nothing to report.
+    `title`: by default what ran. `out`: the file that the page will be written to, for links in it;
+    by default ``report.html`` in the run's folder, in that of the sweep, or in the working folder
+    for several paths. `quiet`: show no progress. Raises RecordingError if a path does not exist, or
+    there is nothing to report.
     """
     given = [Path(path).expanduser() for path in paths]
     for path in given:
@@ -288,7 +257,7 @@ def report_of(
     logs = [log for path in given if (log := _own_log(path)) is not None]
     if len(logs) == len(given) and len(_distinct(logs)) <= MOST_OVERLAID:
         return _of_logs(_distinct(logs), folder, title, [])
-    found = rows_of(
+    found = sweeps.rows_of(
         [
             path if path.is_dir() else path.parent if path.name == LOG_NAME else path
             for path in given
@@ -300,7 +269,7 @@ def report_of(
     rows = [str(row["log"]) for row in found.runs]
     overlaid = all(log.endswith(".mcap") for log in rows) and len(rows) <= MOST_OVERLAID
     # Few runs of a sweep are a sweep still: each may be of another drawn rig, or a trial.
-    if overlaid and not any(map(sweep_document, given)):
+    if overlaid and not any(map(sweeps.sweep_document, given)):
         return _of_logs([Path(log) for log in rows], folder, title, found.unreadable)
     page_folder = (out.parent if out is not None else folder).resolve()
     return _of_sweep(given, found, folder, page_folder, title)
@@ -339,9 +308,9 @@ def _of_sweep(
 ) -> Report:
     from trms_cli.reporting.report_sweep import findings_of_sweep
 
-    sweep = read_sweep(given, found, page_folder)
+    sweep = sweeps.read_sweep(given, found, page_folder)
     # A search tries each set of weights once or a few times: its own objectives say which is best.
-    drawn = drawn_keys(sweep_document(given[0])) if len(given) == 1 else []
+    drawn = drawn_keys(sweeps.sweep_document(given[0])) if len(given) == 1 else []
     ranking = None if sweep.objectives else ranking_of(runs_of_rows(found, drawn))
     findings = findings_of_sweep(sweep, ranking=ranking, title=title)
     runs = tuple(str(row["path"]) for row in found.runs)
@@ -359,7 +328,7 @@ def _of_scores(given: Sequence[Path], found: QueryResult, folder: Path, title: s
             f"no run here can be read: {problem}", where=file, remedy="a report is drawn from logs"
         )
     gathered = gather(given)
-    sweep, ranking = from_scores(gathered, given), ranking_of(gathered.runs)
+    sweep, ranking = sweeps.from_scores(gathered, given), ranking_of(gathered.runs)
     runs = tuple(run.path for run in gathered.runs)
     findings = findings_of_sweep(sweep, ranking=ranking, title=title)
     return Report(findings, "sweep", runs, folder, tuple(gathered.left_out))
@@ -411,7 +380,7 @@ def _own_log(path: Path) -> Path | None:
         return path
     # a score stands beside the log that it is of
     log = (path if path.is_dir() else path.parent) / LOG_NAME
-    return log if log.is_file() and not (path / SWEEP_NAME).is_file() else None
+    return log if log.is_file() and not (path / sweeps.SWEEP_NAME).is_file() else None
 
 
 def _folder(given: Sequence[Path]) -> Path:

@@ -14,16 +14,7 @@ from urllib.parse import quote
 
 from trms_cli.core.data_file import json_or_none
 from trms_cli.core.wording import listing, typed_files
-from trms_cli.library.report.summary import (
-    drawn_keys,
-    draws_of,
-    history_of,
-    objectives_of,
-    pareto_of,
-    search_of,
-    short_names,
-    trials_of,
-)
+from trms_cli.library.report import summary
 
 if TYPE_CHECKING:
     from trms_cli.reporting.sweep_report import Objective, SweepReport, SweepRun, Value
@@ -80,29 +71,22 @@ def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
 
 
 def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -> SweepReport:
-    """Many runs as a report sees them.
+    """Many runs in folders, `found` by their rows, as a report sees them.
 
-    Parameters
-    ----------
-    folders : sequence of Path
-        Where they lie.
-    found : QueryResult
-        Their rows.
-    page_folder : Path
-        Where the page will be, for links to reports of single runs.
+    `page_folder`: where the page will be, for links to reports of single runs.
     """
     from trms_cli.reporting.sweep_report import SweepReport
 
     rows = found.runs
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
-    words = search_of(plan)
-    objectives = objectives_of(words)
+    words = summary.search_of(plan)
+    objectives = summary.objectives_of(words)
     typed = typed_values(rows)
-    keys = keys_of(rows, typed, drawn_keys(plan))
-    drawn = [key for key in drawn_keys(plan) if key in keys]
+    keys = keys_of(rows, typed, summary.drawn_keys(plan))
+    drawn = [key for key in summary.drawn_keys(plan) if key in keys]
     others = [key for key in keys if key not in drawn]
     by = _entrant_keys(others)
-    named = short_names(drawn, others)
+    named = summary.short_names(drawn, others)
     root = _root(rows, folders)
     figures = _figures(rows, objectives)
     runs = [
@@ -116,11 +100,11 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
         keys=[*others, *named.values()],
         figures=figures,
         objectives=objectives,
-        pareto=pareto_of(words),
-        trials=trials_of(words),
-        history=history_of(words),
+        pareto=summary.pareto_of(words),
+        trials=summary.trials_of(words),
+        history=summary.history_of(words),
         asked=planned_runs(plan),
-        draws=draws_of(plan, named),
+        draws=summary.draws_of(plan, named),
         left_out=[*found.unreadable],
         facts=_facts(folders, plan, rows),
     )

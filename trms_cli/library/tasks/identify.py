@@ -20,18 +20,11 @@ from trms_cli.core.findings import NextCommand, json_data
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.plugins import TARGET, build
 from trms_cli.core.versions import versions
+from trms_cli.identification import free_runs
 from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.findings import findings, in_short
-from trms_cli.identification.free_runs import (
-    Assessment,
-    WindowRuns,
-    add_free_runs,
-    assess,
-    at_bounds,
-    error_figures,
-)
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import FitOutcome as Ended
 from trms_cli.identification.problem import (
@@ -309,11 +302,11 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     if result.outcome is Ended.FAILED:  # it could simulate nothing: there is no model to write
         problem, _, remedy = result.outcome.value.partition(": ")
         raise SimulationError(problem, where="model", remedy=remedy)
-    fitted = assess(request.problem, result)
+    fitted = free_runs.assess(request.problem, result)
     model = write_fitted_model(
         request, fitted.result, fitted.deviations, origin, folder / MODEL_NAME
     )
-    add_free_runs(request.problem, fitted, network_of(result, model))
+    free_runs.add_free_runs(request.problem, fitted, network_of(result, model))
     document = document_of(composition, request, fitted, perf_counter() - begin)
     written = {"model": model, "numbers": folder / DOCUMENT_NAME}
     write_document(document, written["numbers"])
@@ -457,7 +450,7 @@ def _more(method: Mapping[str, Any]) -> str:
 
 
 def document_of(
-    composition: Composition, request: Identification, fitted: Assessment, seconds: float
+    composition: Composition, request: Identification, fitted: free_runs.Assessment, seconds: float
 ) -> dict[str, Any]:
     """The document of a command that took `seconds`; figures that do not exist are null."""
     result, problem, matrix = fitted.result, request.problem, fitted.correlation
@@ -517,9 +510,9 @@ def _recording(dataset: Dataset, part: str) -> dict[str, Any]:
     }
 
 
-def _parameters(problem: FitProblem, fitted: Assessment) -> dict[str, Any]:
+def _parameters(problem: FitProblem, fitted: free_runs.Assessment) -> dict[str, Any]:
     values = fitted.result.values
-    bounds = at_bounds(problem, values) if values else {}
+    bounds = free_runs.at_bounds(problem, values) if values else {}
     return {
         p.name: {
             "value": values[p.name],
@@ -537,5 +530,5 @@ def _parameters(problem: FitProblem, fitted: Assessment) -> dict[str, Any]:
     }
 
 
-def _errors(runs: Sequence[WindowRuns] | None) -> dict[str, Any] | None:
-    return error_figures(runs) if runs else None
+def _errors(runs: Sequence[free_runs.WindowRuns] | None) -> dict[str, Any] | None:
+    return free_runs.error_figures(runs) if runs else None

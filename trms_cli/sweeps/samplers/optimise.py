@@ -17,14 +17,7 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.sweeps.figures import MERIT, canonical_all, canonical_limits, unit_of
-from trms_cli.sweeps.samplers.drawing import (
-    Part,
-    another_point,
-    as_data,
-    choice_parts,
-    quantiles,
-    sample_part,
-)
+from trms_cli.sweeps.samplers import drawing
 from trms_cli.sweeps.samplers.latin_hypercube import hypercube
 from trms_cli.sweeps.samplers.objectives import Aims, TrialOutcome, front, hypervolumes
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space, SweepPoint
@@ -148,7 +141,7 @@ class Trials:
             config.batch_size(),
         )
         self._startup = self._latin_hypercube()
-        self.parts: list[Part] = []  #: what each trial sets, of those that are proposed
+        self.parts: list[drawing.Part] = []  #: what each trial sets, of those that are proposed
         self._asked: list[optuna.Trial | None] = []
         self._points: list[SweepPoint] = []
         self._results: dict[int, RunResult] = {}
@@ -198,9 +191,9 @@ class Trials:
             self.parts.append(part)
             self._asked.append(asked)
             for condition in self.conditions:
-                self._add(Part(self._space.fixed) + condition + part, number)
+                self._add(drawing.Part(self._space.fixed) + condition + part, number)
 
-    def _trial(self, number: int) -> tuple[Part, optuna.Trial | None]:
+    def _trial(self, number: int) -> tuple[drawing.Part, optuna.Trial | None]:
         """What a trial sets, and the trial of the study (None: outside of it)."""
         if number == 0 and self._config.baseline:
             now = {each.key: each.now for each in self._ranges}
@@ -208,12 +201,12 @@ class Trials:
             inside = all(
                 each.now is not None and each.low <= each.now <= each.high for each in self._ranges
             )
-            given = {each.key: as_data(each, now[each.key] or 0.0) for each in self._ranges}
-            return Part((), values), self._search.ask(0, given) if inside else None
+            given = {each.key: drawing.as_data(each, now[each.key] or 0.0) for each in self._ranges}
+            return drawing.Part((), values), self._search.ask(0, given) if inside else None
         given_values = self._known_values(number) or self._startup.get(number)
         asked = self._search.ask(number, given_values)
         row = [asked.params[each.key] for each in self._ranges]
-        return sample_part(self._ranges, row), asked
+        return drawing.sample_part(self._ranges, row), asked
 
     def _known_values(self, number: int) -> dict[str, Any] | None:
         """Values that a trial had before the interruption."""
@@ -230,18 +223,18 @@ class Trials:
         if self._config.method == "random" or count < 1:
             return {}
         shares = hypercube(count, len(self._ranges), [self._config.seed, _STARTUP])
-        columns = [quantiles(each, shares[:, i]) for i, each in enumerate(self._ranges)]
+        columns = [drawing.quantiles(each, shares[:, i]) for i, each in enumerate(self._ranges)]
         rows = zip(*columns, strict=True)
         return {
-            begin + i: dict(sample_part(self._ranges, row).values or {})
+            begin + i: dict(drawing.sample_part(self._ranges, row).values or {})
             for i, row in enumerate(rows)
         }
 
-    def _add(self, part: Part, trial: int) -> None:
+    def _add(self, part: drawing.Part, trial: int) -> None:
         number = len(self._points)
         point = SweepPoint(number, part.overrides, part.values or {}, trial)
         if number < len(self._known) and self._known[number].overrides != point.overrides:
-            raise another_point(self._known[number], "the keys of the sampler")
+            raise drawing.another_point(self._known[number], "the keys of the sampler")
         self._points.append(point)
 
     def _check_figures(self) -> None:
@@ -296,7 +289,7 @@ class Trials:
             for condition in fresh:
                 replaced = tuple(f"{key}=" for key in condition.values or {})
                 fixed = tuple(t for t in self._space.fixed if not t.startswith(replaced))
-                self._add(Part(fixed) + condition + self.parts[number], number)
+                self._add(drawing.Part(fixed) + condition + self.parts[number], number)
 
     def _add_confirmed(self, told: dict[str, Any], results: Mapping[int, RunResult]) -> None:
         """Figures under fresh conditions, beside those that the trials were chosen by."""
@@ -331,7 +324,7 @@ def best_trials(aims: Aims, tried: Sequence[TrialOutcome | None]) -> list[int]:
 
 def outcome(
     aims: Aims,
-    parts: Sequence[Part],
+    parts: Sequence[drawing.Part],
     tried: Sequence[TrialOutcome | None],
     conditions: int,
     fixed: Sequence[str],
@@ -368,7 +361,7 @@ def outcome(
 
 
 def _record(
-    aims: Aims, number: int, part: Part, tried: TrialOutcome, conditions: int
+    aims: Aims, number: int, part: drawing.Part, tried: TrialOutcome, conditions: int
 ) -> dict[str, Any]:
     record: dict[str, Any] = {
         "trial": number,
@@ -404,16 +397,16 @@ _SEEDS = ("seed", "plant.prior_seed")
 _FRESH = 0x46524553  # another stream of draws than that of the trials
 
 
-def conditions_of(space: Space, draws: int, seed: int) -> list[Part]:
+def conditions_of(space: Space, draws: int, seed: int) -> list[drawing.Part]:
     """All conditions: every combination of choices with every draw.
 
     ``draws``: draws from the priors; one and the same for all trials. Without priors there is none.
     """
     rigs = _rigs(space, draws, [seed])
-    return [rig + choice for rig in rigs for choice in choice_parts(space.choices)]
+    return [rig + choice for rig in rigs for choice in drawing.choice_parts(space.choices)]
 
 
-def fresh_conditions(space: Space, count: int, seed: int) -> list[Part]:
+def fresh_conditions(space: Space, count: int, seed: int) -> list[drawing.Part]:
     """Conditions that no trial has seen: `count` seeds not used, each with a rig of its own.
 
     Seeds that were choices (``seed=1,2``, ``plant.prior_seed=range(5)``) are replaced, all other
@@ -428,18 +421,18 @@ def fresh_conditions(space: Space, count: int, seed: int) -> list[Part]:
     parts = []
     for i in range(count):
         values = {choice.key: column[i] for choice, column in zip(seeded, columns, strict=True)}
-        drawn = Part(tuple(f"{key}={value}" for key, value in values.items()), values)
-        parts += [rigs[i % len(rigs)] + drawn + choice for choice in choice_parts(kept)]
+        drawn = drawing.Part(tuple(f"{key}={value}" for key, value in values.items()), values)
+        parts += [rigs[i % len(rigs)] + drawn + choice for choice in drawing.choice_parts(kept)]
     return parts
 
 
-def _rigs(space: Space, draws: int, seed: Sequence[int]) -> list[Part]:
+def _rigs(space: Space, draws: int, seed: Sequence[int]) -> list[drawing.Part]:
     priors = [varied for varied in space.continuous if isinstance(varied, PriorOfKey)]
     if not priors:
-        return [Part()]
+        return [drawing.Part()]
     shares = hypercube(draws, len(priors), list(seed))
-    columns = [quantiles(prior, shares[:, i]) for i, prior in enumerate(priors)]
-    return [sample_part(priors, row) for row in zip(*columns, strict=True)]
+    columns = [drawing.quantiles(prior, shares[:, i]) for i, prior in enumerate(priors)]
+    return [drawing.sample_part(priors, row) for row in zip(*columns, strict=True)]
 
 
 def _unused(choice: Choice, fixed: Sequence[str], count: int) -> list[str]:
