@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
-
-from msgspec import Meta
+from typing import TYPE_CHECKING
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import TARGET, build, nearest
+from trms_cli.core.plugins import nearest
 
 if TYPE_CHECKING:
     from trms_cli.composition.composer import Task
@@ -47,60 +44,8 @@ options of each of the three
   --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
-Options = TypeVar("Options")
 #: Values that are paths, or hold some: quoted, so that an ``=`` in them is not read as a key.
 _PATHS = ("in", "out", "key", "diagnoses")
-
-
-@dataclass(frozen=True, kw_only=True)
-class MakeOptions:
-    """The keys of ``configs/blind_make.yaml``."""
-
-    set: str  #: What the set holds
-    out: str  #: folder of the recordings
-    seed: Annotated[int, Meta(ge=0)] = 0
-    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: as many as the set has
-    #: ``duration``, ``sample_time``, ``fresh``: s; ``fresh`` is the length of the second recordings
-    duration: Annotated[float, Meta(ge=1, le=3600)] = 120.0
-    sample_time: Annotated[float, Meta(ge=0.002, le=0.1)] = 0.02
-    fresh: Annotated[float, Meta(ge=0, le=3600)] = 60.0
-    jobs: Annotated[int, Meta(ge=1)] = 2
-    key: str | None = None  #: Folder of the key
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunOptions:
-    """The keys of ``configs/blind_run.yaml``."""
-
-    #: ``source``, ``out``: Folders of the set (``in``) and of the diagnoses
-    source: str
-    out: str
-    overrides: tuple[str, ...] = ()  #: Of each diagnosis (``with``)
-    effort: Literal["quick", "normal", "thorough"] = "normal"
-    jobs: Annotated[int, Meta(ge=1)] = 2  #: Recordings at once
-    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: all
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScoreOptions:
-    """The keys of ``configs/blind_score.yaml``."""
-
-    source: str  #: Folder of the set (``in``)
-    diagnoses: str | tuple[str, ...]  #: FOLDER or NAME=FOLDER
-    key: str | None = None
-    oracle: str | None = None  #: Name of the one that was told the effects
-    fresh: bool = True  #: Whether models run on the second recordings
-    bootstrap: Annotated[int, Meta(ge=100)] = 2000
-    seed: Annotated[int, Meta(ge=0)] = 0
-    jobs: Annotated[int, Meta(ge=1)] = 2
-    out: str | None = None
-
-
-def options_of(kind: type[Options], node: Mapping[str, Any]) -> Options:
-    """Keys, checked as those of a plugin are."""
-    options = build({TARGET: f"{__name__}.{kind.__name__}", **node})
-    assert isinstance(options, kind)
-    return options
 
 
 #: Its words, each a module of the proof with a function ``perform``.

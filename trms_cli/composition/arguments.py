@@ -69,7 +69,13 @@ def arguments_of(
     """
     places = folders_of(config_dir, "config_dir")
     for word in typed:
-        _require_word(word)
+        if not isinstance(word, str) or word.startswith("-"):
+            raise ConfigurationError(
+                f"{word!r} given",
+                where="the arguments",
+                remedy='give overrides as text: "sim.duration=20"; options of the command line are '
+                "arguments here: config_dir=, out=, and sweep(…) for -m",
+            )
     layout = _Layout(read_primary(primary, places), read_groups(places))
     for key, value in keys.items():
         if value is not None:
@@ -79,16 +85,6 @@ def arguments_of(
     words = (*layout.words, *typed)
     _refuse_keys_of_objects(words, layout.objects)
     return Arguments(words, layout.objects, places)
-
-
-def _require_word(word: Any) -> None:
-    if not isinstance(word, str) or word.startswith("-"):
-        raise ConfigurationError(
-            f"{word!r} given",
-            where="the arguments",
-            remedy='give overrides as text: "sim.duration=20"; options of the command line are '
-            "arguments here: config_dir=, out=, and sweep(…) for -m",
-        )
 
 
 class _Layout:

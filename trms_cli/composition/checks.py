@@ -46,7 +46,12 @@ def prepare(request: ComposeRequest, primary: Primary, groups: Groups) -> list[s
     keys = DeclaredKeys(primary, groups, request.overrides)
     for override in _last_of_each_choice(request, primary, groups):
         if override.key.split(".")[0].split("/")[0] == "hydra":
-            raise _hydra_key(override)
+            raise ConfigurationError(
+                f"{override}: keys of Hydra's own are not taken",
+                where=override.key,
+                remedy="a sweep has a sampler and a launcher of its own (`trms list sampler`); the "
+                "folder of a run is out=FOLDER",
+            )
         if override.package:
             placed = _placed_choice(override, primary, groups)
             if (placed.key, placed.package[1:]) in keys.places():
@@ -73,15 +78,6 @@ def _last_of_each_choice(
             kept = [other for other in kept if other[1:3] != override[1:3]]
         kept.append(override)
     return kept
-
-
-def _hydra_key(override: Override) -> ConfigurationError:
-    return ConfigurationError(
-        f"{override}: keys of Hydra's own are not taken",
-        where=override.key,
-        remedy="a sweep has a sampler and a launcher of its own (`trms list sampler`); the folder "
-        "of a run is out=FOLDER",
-    )
 
 
 def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Override:

@@ -217,17 +217,12 @@ def space_of(request: ComposeRequest, primary: str) -> Space:
     if not any(each.prior for each in typed):
         tables.compose()  # a misspelt key of a range is told now, with those that are near
     if ranges:
-        present = _without_ranges(composer)
+        try:
+            present = composer({}, ranges=False).config
+        except ConfigurationError:  # it needs a value that only a range gives
+            present = {}
         continuous = [_with_present(each, present) for each in continuous]
     return Space(fixed, choices, tuple(continuous))
-
-
-def _without_ranges(composer: _Composer) -> Mapping[str, Any]:
-    """The configuration without the sweep; empty where it needs a value that only a range gives."""
-    try:
-        return composer({}, ranges=False).config
-    except ConfigurationError:
-        return {}
 
 
 def _with_present(varied: Range | PriorOfKey, config: Mapping[str, Any]) -> Range | PriorOfKey:

@@ -17,9 +17,9 @@ import re
 import traceback
 import types
 import typing
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Union
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union
 
 import msgspec
 
@@ -27,6 +27,7 @@ from trms_cli.core import trust
 from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
 from trms_cli.core.invocation import whole_trace
 
+_T = TypeVar("_T")
 TARGET = "_target_"
 #: Largest size of a number that is not infinite.
 _LARGEST = 1e20
@@ -134,9 +135,14 @@ def build(node: Any, where: str = "") -> Any:
         )
     target = locate(str(node[TARGET]), where)
     given = {key: value for key, value in node.items() if key not in _IGNORED_KEYS}
-    arguments = _checked_arguments(target, given, where)
+    return construct(target, given, where)
+
+
+def construct(kind: Callable[..., _T], keys: Mapping[str, Any], where: str = "") -> _T:
+    """What a class makes of keys, checked as those of a plugin are; see :func:`build`."""
+    arguments = _checked_arguments(kind, keys, where)
     try:
-        return target(**arguments)
+        return kind(**arguments)
     except TrmsError as error:
         if where and not error.where.startswith(where):
             error.where = f"{where}.{error.where}" if error.where else where

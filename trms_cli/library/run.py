@@ -134,13 +134,20 @@ class Run(Result):
     ) -> Run:
         """The same run, but for what is given; the arguments are those of :func:`trms_cli.run`.
 
+        It is made from its log, or where it had objects from its own arguments.
+
         Examples
         --------
         >>> lqr = run(controller="lqr", seed=3)
         >>> pid = lqr.again(controller="pid")    # the same reference, rig and noise
         """
-
-        return run_again(self, overrides, changes, out=out, verbose=verbose)
+        folders = changes.pop("config_dir", ())
+        more = arguments_of("run", overrides, changes, out=out, config_dir=folders)
+        if self.asked is not None and (self.asked.objects or more.objects):
+            mine = tuple(word for word in self.asked.words if not word.startswith("out="))
+            before = Arguments(mine, self.asked.objects, self.asked.config_dirs)
+            return run_as(before.with_more(more), verbose)
+        return _repeated(self, more, verbose)
 
     @property
     def headline(self) -> str:
@@ -300,25 +307,6 @@ def run_as(asked: Arguments, verbose: bool) -> Run:
 
 def _run_of(made: Done, asked: Arguments | None = None) -> Run:
     return Run(made.folder, made.folder / "run.mcap", text=made.text, asked=asked)
-
-
-def run_again(
-    run: Run,
-    typed: Sequence[str],
-    changes: Mapping[str, Any],
-    *,
-    out: str | PathLike[str] | None,
-    verbose: bool,
-) -> Run:
-    """A run again, with changes; from its log, or where it had objects from its own arguments."""
-    folders = changes.get("config_dir", ())
-    rest = {key: value for key, value in changes.items() if key != "config_dir"}
-    more = arguments_of("run", typed, rest, out=out, config_dir=folders)
-    if run.asked is not None and (run.asked.objects or more.objects):
-        mine = tuple(word for word in run.asked.words if not word.startswith("out="))
-        before = Arguments(mine, run.asked.objects, run.asked.config_dirs)
-        return run_as(before.with_more(more), verbose)
-    return _repeated(run, more, verbose)
 
 
 def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:

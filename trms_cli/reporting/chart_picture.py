@@ -59,13 +59,21 @@ def picture_of(chart: charts.Chart) -> Figure:
         max(panel.row_height or 1.0 for panel in chart.panels[columns * i : columns * (i + 1)])
         for i in range(rows)
     ]
-    figure = new_figure(width, chart.height * sum(heights))
+    height = chart.height * sum(heights)
+    figure = new_figure(width, height)
     margins: dict[str, float] = {}
     crowded = len(chart.panels) > _CROWDED
     if crowded:  # to arrange themselves takes such panels longer than to draw them
         figure.set_layout_engine("none")
         titled = any(panel.title for panel in chart.panels)
-        margins = _margins(width, chart.height * sum(heights), titled=titled)
+        margins = {
+            "left": 0.75 / width,
+            "right": 1 - 0.1 / width,
+            "bottom": 0.75 / height,
+            "top": 1 - 0.4 / height,
+            "wspace": 0.36,
+            "hspace": 0.6 if titled else 0.25,
+        }
     grid = figure.add_gridspec(rows, columns, height_ratios=heights, **margins)
     legends: list[dict[str, Handle]] = []
     places: list[Axes] = []
@@ -167,18 +175,6 @@ def _title_lines(title: str, width: float) -> list[str]:
         for part in title.split(" · ")
     )
     return textwrap.wrap(" · ".join(parts), most, break_on_hyphens=False) or [""]
-
-
-def _margins(width: float, height: float, *, titled: bool) -> dict[str, float]:
-    """Of a grid of many panels, as shares of the figure: room for labels and one legend."""
-    return {
-        "left": 0.75 / width,
-        "right": 1 - 0.1 / width,
-        "bottom": 0.75 / height,
-        "top": 1 - 0.4 / height,
-        "wspace": 0.36,
-        "hspace": 0.6 if titled else 0.25,
-    }
 
 
 def draw_panel(axes: Any, panel: charts.Panel) -> dict[str, Handle]:

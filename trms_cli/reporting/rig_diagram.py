@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
@@ -102,20 +103,14 @@ def _draw(panel: Axes, box: _Box, place: Share | None, seen: bool) -> None:
         )
     )
     ink = PAPER if share > 0.6 else (INK if place is not None else GREY)
+    look: dict[str, Any] = {"ha": "center", "va": "center", "color": ink, "zorder": 4}
     if place is None:
-        panel.text(box.x, box.y, box.title, ha="center", va="center", color=ink, size=8, zorder=4)
+        panel.text(box.x, box.y, box.title, size=8, **look)
         return
-    panel.text(
-        box.x, box.y + 0.24, box.title, ha="center", va="center", color=ink, size=8, zorder=4
-    )
-    panel.text(
-        box.x, box.y - 0.02, wording.gap_share(place[0]), ha="center", va="center",
-        color=ink, size=11, weight="bold" if share >= 0.1 else "normal", zorder=4,
-    )  # fmt: skip
-    panel.text(
-        box.x, box.y - 0.28, wording.gap_interval(place[1:]), ha="center", va="center",
-        color=ink, size=7, zorder=4,
-    )  # fmt: skip
+    weight = "bold" if share >= 0.1 else "normal"
+    panel.text(box.x, box.y + 0.24, box.title, size=8, **look)
+    panel.text(box.x, box.y - 0.02, wording.gap_share(place[0]), size=11, weight=weight, **look)
+    panel.text(box.x, box.y - 0.28, wording.gap_interval(place[1:]), size=7, **look)
 
 
 def _mixed(part: float) -> tuple[float, float, float]:

@@ -3,16 +3,35 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
+from typing import Annotated
 
-from trms_cli.commands.blind import MakeOptions, options_of
+from msgspec import Meta
+
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import construct, nearest
 
 #: s. A rig is integrated in steps of this length, of which a sample is a whole number.
 _STEP = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeOptions:
+    """The keys of ``configs/blind_make.yaml``."""
+
+    set: str  #: What the set holds
+    out: str  #: folder of the recordings
+    seed: Annotated[int, Meta(ge=0)] = 0
+    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: as many as the set has
+    #: ``duration``, ``sample_time``, ``fresh``: s; ``fresh`` is the length of the second recordings
+    duration: Annotated[float, Meta(ge=1, le=3600)] = 120.0
+    sample_time: Annotated[float, Meta(ge=0.002, le=0.1)] = 0.02
+    fresh: Annotated[float, Meta(ge=0, le=3600)] = 60.0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+    key: str | None = None  #: Folder of the key
 
 
 def perform(composition: Composition) -> int:
@@ -23,7 +42,7 @@ def perform(composition: Composition) -> int:
     from trms_cli.runs.run_folder import new_folder
 
     begin = perf_counter()
-    options = options_of(MakeOptions, composition.config)
+    options = construct(MakeOptions, composition.config)
     if options.set not in SETS:
         raise ConfigurationError(
             f"there is no set {options.set!r}", where="set", remedy=nearest(options.set, SETS)

@@ -10,12 +10,16 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Annotated, Literal
 
-from trms_cli.commands.blind import RunOptions, options_of
+from msgspec import Meta
+
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
+from trms_cli.core.plugins import construct
 from trms_cli.runs.run_folder import hold, in_use
 
 #: In the folder of a diagnosis: what it says, what was printed on the way, how long it took.
@@ -24,11 +28,24 @@ DOCUMENT_NAME, LOG_NAME, TIMING_NAME = "diagnosis.json", "printed.txt", "blind.j
 EXIT_SOME_FAILED = 1
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """The keys of ``configs/blind_run.yaml``."""
+
+    #: ``source``, ``out``: Folders of the set (``in``) and of the diagnoses
+    source: str
+    out: str
+    overrides: tuple[str, ...] = ()  #: Of each diagnosis (``with``)
+    effort: Literal["quick", "normal", "thorough"] = "normal"
+    jobs: Annotated[int, Meta(ge=1)] = 2  #: Recordings at once
+    cases: Annotated[int, Meta(ge=1)] | None = None  #: None: all
+
+
 def perform(composition: Composition) -> int:
     """Diagnose what a configuration asks for, and what is not diagnosed yet."""
     keys = dict(composition.config)
     node = {"source": keys.pop("in"), "overrides": keys.pop("with"), **keys}
-    options = options_of(RunOptions, node)
+    options = construct(RunOptions, node)
     recordings = recordings_of(Path(options.source).expanduser())[: options.cases]
     out = Path(options.out).expanduser()
     _make_folder(out)

@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from trms_cli.commands.blind import ScoreOptions, options_of
+from msgspec import Meta
+
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import construct, nearest
 
 if TYPE_CHECKING:
     from experiments.gap.blind.measures import Table
 
 DOCUMENT_NAME, PAGE_NAME = "score.json", "score.md"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreOptions:
+    """The keys of ``configs/blind_score.yaml``."""
+
+    source: str  #: Folder of the set (``in``)
+    diagnoses: str | tuple[str, ...]  #: FOLDER or NAME=FOLDER
+    key: str | None = None
+    oracle: str | None = None  #: Name of the one that was told the effects
+    fresh: bool = True  #: Whether models run on the second recordings
+    bootstrap: Annotated[int, Meta(ge=100)] = 2000
+    seed: Annotated[int, Meta(ge=0)] = 0
+    jobs: Annotated[int, Meta(ge=1)] = 2
+    out: str | None = None
 
 
 def perform(composition: Composition) -> int:
@@ -27,7 +44,7 @@ def perform(composition: Composition) -> int:
     from trms_cli.runs.run_folder import new_folder, write_document
 
     keys = dict(composition.config)
-    options = options_of(ScoreOptions, {"source": keys.pop("in"), **keys})
+    options = construct(ScoreOptions, {"source": keys.pop("in"), **keys})
     source = Path(options.source).expanduser()
     methods = methods_of(options.diagnoses)
     if options.oracle is not None and options.oracle not in methods:

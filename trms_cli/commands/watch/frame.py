@@ -331,18 +331,10 @@ def _strip(axis: AxisMoment, view: View, width: int, rows: int, plain: bool) -> 
     for number, row in enumerate(cells):
         style = "" if number == middle else "dim"
         line = Text(f"{labels.get(number, ''):>{_MARGIN - 1}}", style).append("┤", "dim")
-        for sign, looks in _joined_cells(row):
-            line.append(sign, looks)
+        for looks, alike in groupby(row, key=lambda cell: cell.style):
+            line.append("".join(cell.sign for cell in alike), looks)
         lines.append(line)
     return lines
-
-
-def _joined_cells(row: list[TerminalCell]) -> list[tuple[str, str]]:
-    """Neighbours that look the same, as one."""
-    return [
-        ("".join(cell.sign for cell in cells), style)
-        for style, cells in groupby(row, key=lambda cell: cell.style)
-    ]
 
 
 def _time_axis(view: View, width: int) -> Text:
@@ -428,14 +420,10 @@ def fit_line(line: Text, width: int, plain: bool) -> Text:
     line.plain = text
     line.truncate(width, overflow="ellipsis")
     if plain:
-        line.plain = _ascii(line.plain, width)
+        text = line.plain.translate(_PLAIN).encode("ascii", "replace").decode()
+        line.plain = set_cell_size(text, width) if len(text) > width else text
     line.no_wrap = True
     return line
-
-
-def _ascii(text: str, width: int) -> str:
-    text = text.translate(_PLAIN).encode("ascii", "replace").decode()
-    return set_cell_size(text, width) if len(text) > width else text
 
 
 def tail_of(text: str, width: int) -> str:

@@ -88,9 +88,9 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
     by = _entrant_keys(others)
     named = summary.short_names(drawn, others)
     root = _root(rows, folders)
-    figures = _figures(rows, objectives)
+    figures, total = _figures(rows, objectives), plan.get("total")
     runs = [
-        _renamed(_swept(row, values, keys, by, figures, root, page_folder), named)
+        _swept(row, values, keys, by, figures, named, root, page_folder)
         for row, values in zip(rows, typed, strict=True)
     ]
     runs.sort(key=lambda run: (run.number is None, run.number or 0))
@@ -103,7 +103,7 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
         pareto=summary.pareto_of(words),
         trials=summary.trials_of(words),
         history=summary.history_of(words),
-        asked=planned_runs(plan),
+        asked=total if isinstance(total, int) and not isinstance(total, bool) else None,
         draws=summary.draws_of(plan, named),
         left_out=[*found.unreadable],
         facts=_facts(folders, plan, rows),
@@ -166,12 +166,6 @@ def sweep_document(folder: Path) -> Mapping[str, Any]:
     return document if str(document.get("schema", "")).startswith(_SWEEP_SCHEMA) else {}
 
 
-def planned_runs(plan: Mapping[str, Any]) -> int | None:
-    """How many runs a sweep was to have; None where it does not say."""
-    total = plan.get("total")
-    return total if isinstance(total, int) and not isinstance(total, bool) else None
-
-
 def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective]) -> dict[str, str]:
     """Figures that some run has, with their units."""
     from trms_cli.runs.columns import ALIASES, COLUMNS
@@ -183,10 +177,6 @@ def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective])
         if any(row.get(column) is not None for row in rows):
             found[name] = COLUMNS[column].unit if column in COLUMNS else ""
     return found
-
-
-def _renamed(run: SweepRun, names: Mapping[str, str]) -> SweepRun:
-    return replace(run, values={names.get(key, key): v for key, v in run.values.items()})
 
 
 def keys_of(
@@ -218,7 +208,7 @@ def _entrant_keys(keys: Sequence[str]) -> tuple[str, ...]:
 
 def _swept(
     row: Mapping[str, Any], typed: Mapping[str, Any], keys: Sequence[str], by: Sequence[str],
-    figures: Mapping[str, str], root: Path, page_folder: Path,
+    figures: Mapping[str, str], named: Mapping[str, str], root: Path, page_folder: Path,
 ) -> SweepRun:  # fmt: skip
     from trms_cli.reporting.sweep_report import SweepRun
     from trms_cli.runs.columns import ALIASES
@@ -236,7 +226,7 @@ def _swept(
         name=_relative(str(path), root),
         entrant=controller_name({key: str(value_of(row, typed, key) or "–") for key in by}, by),
         outcome=str(row.get("outcome") or "unfinished"),
-        values={key: value_of(row, typed, key) for key in keys},
+        values={named.get(key, key): value_of(row, typed, key) for key in keys},
         figures=told,
         problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
         page=relative_link(str(own), str(page_folder)) if own_page else "",

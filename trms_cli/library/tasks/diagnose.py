@@ -19,7 +19,7 @@ from trms_cli.composition.plain_values import model_of_choice
 from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_TERMINATED, ConfigurationError, ModelError, RecordingError
 from trms_cli.core.invocation import command_line, program
-from trms_cli.core.plugins import TARGET, build, nearest
+from trms_cli.core.plugins import TARGET, build, construct, nearest
 from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
@@ -96,8 +96,7 @@ def request_of(composition: Composition) -> DiagnosisRequest:
     """
     config = composition.config
     own = {key: value for key, value in config.items() if key not in _GROUPS}
-    options = build({TARGET: f"{__name__}.DiagnoseOptions", **own})
-    assert isinstance(options, DiagnoseOptions)
+    options = construct(DiagnoseOptions, own)
     data = build(config["data"], "data")
     assert isinstance(data, DataOptions)
     model = model_of(config)

@@ -15,7 +15,7 @@ from trms_cli.core import wording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import NextCommand
 from trms_cli.core.invocation import program
-from trms_cli.core.plugins import build
+from trms_cli.core.plugins import build, construct
 from trms_cli.library.tasks.task import Done, Listener
 
 #: Files of an excitation in its folder.
@@ -31,7 +31,13 @@ def perform(composition: Composition, listener: Listener) -> Done:
 
     begin = perf_counter()
     config = composition.config
-    _check_files(config)
+    check_files(config)
+    if config["out"] is not None and Path(config["out"]).joinpath(TABLE_NAME).exists():
+        raise ConfigurationError(
+            f"{Path(config['out']) / TABLE_NAME} exists",
+            where="out",
+            remedy="name another folder",
+        )
     request, noise = _request(config), _noise(config)
     model = build(config["model"], "model")
     excitation = build(config["excitation"], "excitation")
@@ -62,38 +68,28 @@ def perform(composition: Composition, listener: Listener) -> Done:
     return Done(folder, replace(told, facts=spent, files=files))
 
 
-def _check_files(config: Mapping[str, Any]) -> None:
-    check_files(config)
-    out = config["out"]
-    if out is not None and Path(out).joinpath(TABLE_NAME).exists():
-        raise ConfigurationError(
-            f"{Path(out) / TABLE_NAME} exists", where="out", remedy="name another folder"
-        )
-
-
 def _request(config: Mapping[str, Any]) -> Any:
     """The keys outside the groups, checked as a plugin's are."""
+    from trms_cli.identification.excitation.design import ExcitationRequest
+
     plain = ("lead_in", "operating_point", "reversals", "amplitude", "bounds", "share", "rigs")
     for key in ("duration", "lead_in", "sample_time", "share"):
         number(config[key], key)
     whole_number(config["rigs"], "rigs")
-    for key, least in (("duration", 0.0), ("sample_time", 0.0), ("share", 0.0)):
-        if not config[key] > least:
-            raise ConfigurationError(f"{config[key]!r} given", where=key, remedy="above 0")
-    if config["share"] > 1 or config["lead_in"] < 0 or config["duration"] < config["sample_time"]:
-        key, remedy = {
-            config["share"] > 1: ("share", "at most 1"),
-            config["duration"] < config["sample_time"]: ("duration", "at least one sample_time"),
-            config["lead_in"] < 0: ("lead_in", "0 s or more"),
-        }[True]
-        raise ConfigurationError(f"{config[key]!r} given", where=key, remedy=remedy)
+    for key, holds, remedy in (
+        *((key, config[key] > 0, "above 0") for key in ("duration", "sample_time", "share")),
+        ("lead_in", config["lead_in"] >= 0, "0 s or more"),
+        ("duration", config["duration"] >= config["sample_time"], "at least one sample_time"),
+        ("share", config["share"] <= 1, "at most 1"),
+    ):
+        if not holds:
+            raise ConfigurationError(f"{config[key]!r} given", where=key, remedy=remedy)
     samples = (config["duration"] + config["lead_in"]) / config["sample_time"]
     if samples > _MOST_SAMPLES:
         raise ConfigurationError(
             f"{samples:.3g} samples", where="duration", remedy=f"at most {_MOST_SAMPLES} samples"
         )
-    node = {
-        "_target_": "trms_cli.identification.excitation.design.ExcitationRequest",
+    keys = {
         "duration": config["duration"],
         "sample_time": config["sample_time"],
         "lowest": config["band"]["lowest"],
@@ -101,17 +97,14 @@ def _request(config: Mapping[str, Any]) -> Any:
         "seed": whole_number(config["seed"], "seed"),
         **{key: config[key] for key in plain if config[key] is not None},
     }
-    return build(node)
+    return construct(ExcitationRequest, keys)
 
 
 def _noise(config: Mapping[str, Any]) -> dict[str, float]:
     """Standard deviation of each output's noise, the quantum's share included."""
-    node = {
-        "_target_": "trms_cli.plants.sensors.Sensors",
-        "noise_sd": config["noise_sd"],
-        "quantum": config["quantum"],
-    }
-    sensors = build(node)
+    from trms_cli.plants.sensors import Sensors
+
+    sensors = construct(Sensors, {key: config[key] for key in ("noise_sd", "quantum")})
     return dict(sensors.declared_noise(tuple({*config["noise_sd"], *config["quantum"]})))
 
 

@@ -18,7 +18,7 @@ from trms_cli.core import wording
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, SimulationError, TrmsError
 from trms_cli.core.findings import NextCommand, json_data
 from trms_cli.core.invocation import command_line, program
-from trms_cli.core.plugins import TARGET, build
+from trms_cli.core.plugins import TARGET, build, construct
 from trms_cli.core.versions import versions
 from trms_cli.identification import free_runs
 from trms_cli.identification.admission import Admission, admit
@@ -113,8 +113,7 @@ def identification_of(composition: Composition) -> Identification:
     """
     config = composition.config
     own = {key: value for key, value in config.items() if key not in _GROUPS}
-    options = build({TARGET: f"{__name__}.IdentifyOptions", **own})
-    assert isinstance(options, IdentifyOptions)
+    options = construct(IdentifyOptions, own)
     method = build(config["method"], "method")
     if not isinstance(method, Method):
         raise ConfigurationError(
@@ -257,9 +256,7 @@ def _prior(name: str, node: Any) -> Prior:
             where=where,
             remedy=f"in quotes: '{where}={{mean: …, sd: …}}', or {{relative_sd: …}}, or null",
         )
-    prior = build({TARGET: "trms_cli.identification.problem.Prior", **node}, where)
-    assert isinstance(prior, Prior)
-    return prior
+    return construct(Prior, node, where)
 
 
 def _bounds(name: str, node: Any) -> tuple[float | None, float | None]:

@@ -42,6 +42,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
     from trms_cli.library.tasks import experiment as assembly
     from trms_cli.library.tasks.git_revision import GitRevision
     from trms_cli.library.tasks.scene import RunScene
+    from trms_cli.reporting.run_picture import Painter
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
 
@@ -53,6 +54,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
         for what in never_begun(experiment.plant, experiment.duration):
             note(f"note   {what}")
     revision = GitRevision.ask()
+    wanted = bool(composition.config["picture"])
     logs: list[Any] = []
 
     def make_history(plant: Any) -> History:
@@ -76,7 +78,8 @@ def perform(composition: Composition, listener: Listener) -> Done:
     # What is not finite is looked for and told in words: NumPy's warnings would only repeat it.
     with (
         np.errstate(over="ignore", invalid="ignore", divide="ignore"),
-        _painter(composition) as painter,
+        # beside the run, which hides the plotting library's start; in a sweep, in line
+        Painter(beside=wanted and composition.job is None) as painter,
     ):
         try:
             loop = Loop.start(experiment, make_history)
@@ -106,7 +109,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
             raise
         write_document(score, log.path.with_name(SCORE_NAME))
         files = {"log": log.path}
-        if composition.config["picture"]:
+        if wanted:
             picture = log.path.with_name(PICTURE_NAME)
             try:
                 limits = assembly.limits_of(loop.plant, experiment.model)
@@ -181,14 +184,6 @@ def _tell_of_missing_compiler(composition: Composition) -> None:
             "note   no C compiler: runs are two to three times slower; "
             "`trms doctor` tells what to install"
         )
-
-
-def _painter(composition: Composition) -> Any:
-    """Who draws: beside the run, which hides the plotting library's start; in a sweep, in line."""
-    from trms_cli.reporting.run_picture import Painter
-
-    wanted = bool(composition.config["picture"])
-    return Painter(beside=wanted and composition.job is None)
 
 
 def _follows(experiment: Experiment) -> bool:

@@ -13,7 +13,7 @@ from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import check_out, model_of_choice, truth
 from trms_cli.core import wording
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import TARGET, build
+from trms_cli.core.plugins import build, construct
 from trms_cli.core.versions import versions
 from trms_cli.identification.admission import Admission, admit, merge_admissions
 from trms_cli.identification.data import DataOptions, load_datasets
@@ -27,7 +27,6 @@ from trms_cli.models.model import Model
 if TYPE_CHECKING:
     from trms_cli.identification.validation.validate import ModelValidation
 
-_OPTIONS = "trms_cli.identification.validation.validate.ValidationOptions"
 #: What a channel without declared noise is given, so that filters stay invertible.
 _NO_NOISE = 1e-6
 #: Keys of the configuration that make up a :class:`ValidationOptions`.
@@ -54,7 +53,7 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
     Raises TrmsError for the first key or recording that is wrong.
     """
     config = compositions[0].config
-    options = build({TARGET: _OPTIONS, **{key: config[key] for key in _OPTION_KEYS}})
+    options = construct(ValidationOptions, {key: config[key] for key in _OPTION_KEYS})
     data = build(config["data"], "data")
     real = several(config["real"], "real")
     driven = several(config["driven"], "driven")
