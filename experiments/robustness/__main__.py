@@ -15,8 +15,9 @@ from experiments.page_tables import write_tables
 from experiments.robustness.tables import table_of
 from experiments.study_file import read_as
 from trms_cli.commands.run import perform
-from trms_cli.library.tasks.sweep import SweepOutcome, go_on, make_sweep
+from trms_cli.library.tasks.sweep import go_on, make_sweep
 from trms_cli.reporting.sweep_screen import draw_summary
+from trms_cli.sweeps.driver import SweepOutcome
 from trms_cli.sweeps.outcome import outcome_of
 
 ROOT = Path(__file__).resolve().parents[2]

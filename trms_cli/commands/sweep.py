@@ -19,7 +19,7 @@ from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.sweep import go_on, make_sweep
 
 if TYPE_CHECKING:
-    from trms_cli.library.tasks.sweep import SweepOutcome
+    from trms_cli.sweeps.driver import SweepOutcome
 
 SUMMARY = "go on with a sweep that was interrupted, or tell how one stands"
 COMPOSES = "sweep"

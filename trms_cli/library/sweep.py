@@ -21,7 +21,7 @@ from trms_cli.library.studies import Diagnosis, Excitation, Fit, Stability, Vali
 if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped,unused-ignore]
 
-    from trms_cli.library.tasks.sweep import SweepOutcome
+    from trms_cli.sweeps.driver import SweepOutcome
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -23,7 +23,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -36,6 +35,7 @@ from trms_cli.reporting.chart_picture import Handle, draw_panel
 from trms_cli.reporting.plot_kinds import Absent
 from trms_cli.reporting.signals import RunReport, limits_in
 from trms_cli.reporting.style import VARIANTS, Variant, house_style, letter_size, new_figure
+from trms_cli.runs.run_folder import name_of
 
 
 class PlottedLog(Protocol):
@@ -225,9 +225,14 @@ def _plotted(
         raise ConfigurationError(
             f"{len(chosen)} names for {len(given)} logs", where="names", remedy="one name a log"
         )
-    spans = [_span(log) for log in given]
-    if not any(begin <= high and low <= finish for begin, finish in spans):
-        first, last = min(span[0] for span in spans), max(span[1] for span in spans)
+    runs = [
+        RunReport(name=name, tables=log.tables, limits=limits_in(log), score=log.score)
+        for log, name in zip(given, chosen, strict=True)
+    ]
+    held = [run for run in runs if not run.is_empty]
+    if not any(run.begin <= high and low <= run.end for run in held):
+        first = min((run.begin for run in held), default=0.0)
+        last = max((run.end for run in held), default=0.0)
         told = f"the logs go from {first:g} to {last:g} s" if first < last else "they are empty"
         raise ConfigurationError(
             "the logs have no sample"
@@ -235,13 +240,7 @@ def _plotted(
             where="start, end",
             remedy=told,
         )
-    return [
-        RunReport(
-            name=name, tables=log.tables, limits=limits_in(log), score=log.score,
-            window=(low, high),
-        )
-        for log, name in zip(given, chosen, strict=True)
-    ]  # fmt: skip
+    return [replace(run, window=(low, high)) for run in runs]
 
 
 def _kinds(what: str | Sequence[str]) -> list[str]:
@@ -345,20 +344,6 @@ def _settle(axes: Axes, panel: Panel, width: float, style: Variant) -> None:
         axes.yaxis.set_major_locator(MaxNLocator(count, steps=_STEPS, min_n_ticks=2, integer=whole))
 
 
-def _span(log: PlottedLog) -> tuple[float, float]:
-    """From a log's first sample to the end of its last one, s; (inf, −inf) for an empty one."""
-    tables = [t for name, t in log.tables.items() if name != "/event" and len(t.time)]
-    return (
-        min((float(table.time[0]) for table in tables), default=math.inf),
-        max((float(table.time[-1]) + _interval(table.time) for table in tables), default=-math.inf),
-    )
-
-
-def _interval(time: Any) -> float:
-    """How long the last sample holds, s."""
-    return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-
-
 def _legend(
     figure: Figure, handles: Mapping[str, Handle], width: float, style: Variant, title: str
 ) -> None:
@@ -391,7 +376,7 @@ def _wrapped(title: str, width: float, style: Variant) -> list[str]:
 def names_of(logs: Sequence[PlottedLog]) -> list[str]:
     """What tells logs apart: the options and values in which they differ, else their folders."""
     if len(logs) == 1:
-        return [_place(logs[0])]
+        return [name_of(logs[0].path)]
     told = [_told(log) for log in logs]
     keys = dict.fromkeys(key for one in told for key in one)
     differing = [key for key in keys if len({one.get(key) for one in told}) > 1]
@@ -405,7 +390,7 @@ def names_of(logs: Sequence[PlottedLog]) -> list[str]:
         names.append(", ".join(parts))
     if len(set(names)) == len(names) and all(names):
         return names
-    places = [_place(log) for log in logs]
+    places = [name_of(log.path) for log in logs]
     if len(set(places)) < len(places):
         places = [str(log.path) for log in logs]
     return places
@@ -437,9 +422,3 @@ def _told(log: PlottedLog) -> dict[str, str]:
 def _names_itself(key: str) -> bool:
     """Whether an option is told by its name alone: `lqr` is a controller, `3` may be anything."""
     return key in ("controller", "observer", "model", "effect", "fault", "recording")
-
-
-def _place(log: PlottedLog) -> str:
-    """Where a log lies: its folder's name for ``run.mcap``, its own otherwise."""
-    path = Path(log.path)
-    return path.resolve().parent.name if path.name == "run.mcap" else path.stem

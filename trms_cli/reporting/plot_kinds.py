@@ -13,22 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from trms_cli.core import chart as draw
 from trms_cli.core import wording
-from trms_cli.core.chart import (
-    Axis,
-    Band,
-    Bars,
-    Boxes,
-    Curve,
-    Line,
-    Mark,
-    Marker,
-    Panel,
-    Points,
-    curve_look,
-    page_look,
-    signal_colour,
-)
 from trms_cli.reporting.run_panels import (
     Look,
     Pick,
@@ -51,7 +37,7 @@ from trms_cli.reporting.signals import FloatArray, RunReport, RunSignals, TimeSe
 from trms_cli.scoring.figures import finite, part
 
 if TYPE_CHECKING:
-    from trms_cli.core.chart import Values
+    from trms_cli.core import chart as draw
 
 _ANGLES, _SPEEDS = ("alpha_v", "alpha_h"), ("omega_v", "omega_h")
 
@@ -60,7 +46,7 @@ class Absent(Exception):
     """Why something cannot be drawn, as a sentence."""
 
 
-def tracking(runs: Runs, look: Look = curve_look) -> list[Panel]:
+def tracking(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """What was asked of each controlled axis, and what the rig did."""
     found = _in_order(
         name for run in runs for name in [*run.names("/reference"), *_angles(run)]
@@ -74,8 +60,10 @@ def tracking(runs: Runs, look: Look = curve_look) -> list[Panel]:
         marks, seen, unit = curves_of(runs, RunSignals.truth, name, look)
         references = _references(runs, name, look)
         limits, lines = with_limits(runs, [name], axis_range([*seen, *(c.y for c in references)]))
-        axis = Axis(label_of(name), unit or "rad", limits)
-        panels.append(Panel(time_axis(*runs), axis, [*references, *marks, *lines], label_of(name)))
+        axis = draw.Axis(label_of(name), unit or "rad", limits)
+        panels.append(
+            draw.Panel(time_axis(*runs), axis, [*references, *marks, *lines], label_of(name))
+        )
     return panels
 
 
@@ -85,7 +73,7 @@ def _no_angle(runs: Runs) -> str:
     return "no log holds a sample: the run ended, or was cut off, before the first one"
 
 
-def errors(runs: Runs, look: Look = curve_look) -> list[Panel]:
+def errors(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """Reference minus what the rig did."""
     names = _in_order(name for run in runs for name in run.names("/reference"))
     if not names:
@@ -99,7 +87,7 @@ def errors(runs: Runs, look: Look = curve_look) -> list[Panel]:
     ]  # fmt: skip
 
 
-def inputs(runs: Runs, look: Look = curve_look) -> list[Panel]:
+def inputs(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """The commands as they were applied, held from sample to sample."""
     names = _in_order(name for run in runs for name in run.inputs())
     if not names:
@@ -111,13 +99,13 @@ def inputs(runs: Runs, look: Look = curve_look) -> list[Panel]:
         )
         limits, lines = with_limits(runs, [name], axis_range(seen), of_commands=True)
         label = f"{label_of(name)}\ncommand" if label_of(name) != name else name
-        axis = Axis(label, unit or "V", limits)
-        panels.append(Panel(time_axis(*runs), axis, [*marks, *lines], symbol_label(name),
-                            row_height=0.8))  # fmt: skip
+        axis = draw.Axis(label, unit or "V", limits)
+        panels.append(draw.Panel(time_axis(*runs), axis, [*marks, *lines], symbol_label(name),
+                                 row_height=0.8))  # fmt: skip
     return panels
 
 
-def rates(runs: Runs) -> list[Panel]:
+def rates(runs: Runs) -> list[draw.Panel]:
     """How fast the axes turn, and the rotors."""
     panels = [
         _over_time(runs, f"{label_of(name)} rate\n", _rate, name, height=0.8)
@@ -138,7 +126,7 @@ def _rate(run: RunSignals, name: str) -> TimeSeries | None:
     return smooth.rate if smooth is not None else None
 
 
-def estimate(runs: Runs) -> list[Panel]:
+def estimate(runs: Runs) -> list[draw.Panel]:
     """Estimated minus true, with two standard deviations; without a true state, innovations."""
     names = {run.name: [n for n in run.names("/estimate") if not n.endswith(("_moment", "_motor"))
                         and run.estimated(n) is not None] for run in runs}  # fmt: skip
@@ -156,8 +144,8 @@ def estimate(runs: Runs) -> list[Panel]:
     return [_off_panel(runs, name) for name in known]
 
 
-def _off_panel(runs: Runs, name: str) -> Panel:
-    marks: list[Mark] = [Line(y=0.0, colour="sky", style="solid")]
+def _off_panel(runs: Runs, name: str) -> draw.Panel:
+    marks: list[draw.Mark] = [draw.Line(y=0.0, colour="sky", style="solid")]
     what, unit = "", ""
     for i, run in enumerate(runs):
         found = _off(run, name)
@@ -168,17 +156,19 @@ def _off_panel(runs: Runs, name: str) -> Panel:
         settled = len(deviation) // 20  # an observer that finds its feet hides the rest
         band = 2 * factor * deviation[settled:]
         alone = len(runs) == 1
-        look: dict[str, Any] = {"colour": "green"} if alone else curve_look(i)
+        look: dict[str, Any] = {"colour": "green"} if alone else draw.curve_look(i)
         if len(band):
             label = "±2 standard deviations" if alone else ""
             colour = "measured" if alone else look["colour"]
             marks.append(
-                Band(off.time[settled:], -band, band, label, colour, 0.44 if alone else 0.15)  # type: ignore[arg-type]
+                draw.Band(off.time[settled:], -band, band, label, colour, 0.44 if alone else 0.15)  # type: ignore[arg-type]
             )
         label = what if alone else run.name
-        marks.append(Curve(off.time, factor * off.values, label, **look))
+        marks.append(draw.Curve(off.time, factor * off.values, label, **look))
     kind = "innovation" if what == "innovation" else "error"
-    return Panel(time_axis(*runs), Axis(f"{_symbol(name)}\n{kind}", unit), marks, row_height=0.8)
+    return draw.Panel(
+        time_axis(*runs), draw.Axis(f"{_symbol(name)}\n{kind}", unit), marks, row_height=0.8
+    )
 
 
 def _off(run: RunSignals, name: str) -> tuple[str, TimeSeries, FloatArray] | None:
@@ -193,7 +183,7 @@ def _off(run: RunSignals, name: str) -> tuple[str, TimeSeries, FloatArray] | Non
     return "innovation", innovation, run.numbers("/estimate", f"innovation_sd_{name}")
 
 
-def torques(runs: Runs) -> list[Panel]:
+def torques(runs: Runs) -> list[draw.Panel]:
     """Torques that the observer needs besides its model, with two standard deviations."""
     found = (names for run in runs for place, names in run.torques().items() if place != "pushes")
     names = _in_order(name for some in found for name in some)
@@ -201,7 +191,7 @@ def torques(runs: Runs) -> list[Panel]:
         raise Absent("no log has an estimated torque: its observer estimates none")
     panels = []
     for name in names:
-        marks: list[Mark] = [Line(y=0.0, colour="sky", style="solid")]
+        marks: list[draw.Mark] = [draw.Line(y=0.0, colour="sky", style="solid")]
         unit = ""
         for i, run in enumerate(runs):
             guess = run.estimated(name)
@@ -211,42 +201,42 @@ def torques(runs: Runs) -> list[Panel]:
             guess[1][: len(guess[1]) // 20] = np.nan  # an observer that finds its feet
             unit = torque.unit
             alone = len(runs) == 1
-            look = {"colour": signal_colour(name)} if alone else curve_look(i)
+            look = {"colour": draw.signal_colour(name)} if alone else draw.curve_look(i)
             label = f"{name.replace('_', ' ')}, estimate" if alone else run.name
             marks += with_band(torque, factor * guess[1], label, look.pop("colour"), 1.4, **look)
-        axis = Axis(f"{name.replace('_', ' ')}\n", unit)
-        panels.append(Panel(time_axis(*runs), axis, marks, row_height=0.8))
+        axis = draw.Axis(f"{name.replace('_', ' ')}\n", unit)
+        panels.append(draw.Panel(time_axis(*runs), axis, marks, row_height=0.8))
     return panels
 
 
-def solver(runs: Runs, look: Look = curve_look) -> list[Panel]:
+def solver(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """Time of each control step against its deadline, and the solver's iterations."""
     timed = [
         (i, run, times) for i, run in enumerate(runs) if (times := run.step_times()) is not None
     ]
     if not timed:
         raise Absent("no log has a controller's times: no controller ran (a recording has none)")
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     deadlines: dict[float, list[int]] = {}  # ms, and whose
-    shapes: Sequence[Marker] = ("dot", "square", "triangle", "diamond", "down")
+    shapes: Sequence[draw.Marker] = ("dot", "square", "triangle", "diamond", "down")
     for i, run, times in timed:
         colour, marker = look(i)["colour"], shapes[i % len(shapes)]
         label = run.name if len(runs) > 1 else "time of a step"
-        marks.append(Points(run.time("/controller"), times, label, marker, colour, size=1.6))
+        marks.append(draw.Points(run.time("/controller"), times, label, marker, colour, size=1.6))
         if run.deadline is not None:
             deadlines.setdefault(run.deadline, []).append(i)
     for deadline, whose in deadlines.items():
         if len(deadlines) == 1:
-            marks.append(Line(y=deadline, label="deadline", colour="alarm"))
+            marks.append(draw.Line(y=deadline, label="deadline", colour="alarm"))
         else:
             named = ", ".join(runs[i].name for i in whose)
-            marks.append(Line(y=deadline, label=f"deadline of {named}, {deadline:g} ms",
-                              colour=look(whose[0])["colour"]))  # fmt: skip
-    panel = Panel(time_axis(*runs), step_axis(), marks, "time of a control step")
+            marks.append(draw.Line(y=deadline, label=f"deadline of {named}, {deadline:g} ms",
+                                   colour=look(whose[0])["colour"]))  # fmt: skip
+    panel = draw.Panel(time_axis(*runs), step_axis(), marks, "time of a control step")
     return [panel, *iteration_panels(runs, look)]
 
 
-def time_boxes(runs: Runs) -> Panel | None:
+def time_boxes(runs: Runs) -> draw.Panel | None:
     """Times of a control step of several runs beside one another."""
     timed = [(run, times) for run in runs if (times := run.step_times()) is not None]
     if not timed:
@@ -254,18 +244,18 @@ def time_boxes(runs: Runs) -> Panel | None:
     shares = (0.01, 0.25, 0.5, 0.75, 0.99)
     quantiles = [np.quantile(times[np.isfinite(times)], shares).tolist() for _, times in timed]
     deadlines = [(i, run.deadline) for i, (run, _) in enumerate(timed) if run.deadline is not None]
-    colours = [page_look(i)["colour"] for i in range(len(timed))]
-    marks: list[Mark] = [Boxes(range(len(timed)), quantiles, colours=colours)]
+    colours = [draw.page_look(i)["colour"] for i in range(len(timed))]
+    marks: list[draw.Mark] = [draw.Boxes(range(len(timed)), quantiles, colours=colours)]
     marks.append(
-        Points([d for _, d in deadlines], [i for i, _ in deadlines], "", "diamond", "alarm")
+        draw.Points([d for _, d in deadlines], [i for i, _ in deadlines], "", "diamond", "alarm")
     )
     caption = "Box: quartiles and median; whiskers: 1st and 99th percentile; diamond: deadline."
-    names = Axis("", categories=[run.name for run, _ in timed])
-    return Panel(step_axis(), names, marks, "times of a control step", caption=caption,
-                 row_height=(60 + 44 * len(timed)) / 240)  # fmt: skip
+    names = draw.Axis("", categories=[run.name for run, _ in timed])
+    return draw.Panel(step_axis(), names, marks, "times of a control step", caption=caption,
+                      row_height=(60 + 44 * len(timed)) / 240)  # fmt: skip
 
 
-def phase(runs: Runs, look: Look = curve_look) -> list[Panel]:
+def phase(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """Each axis's rate over its angle."""
     names = [n for n in _ANGLES if any(run.truth(n) is not None for run in runs)]
     if not names:
@@ -273,11 +263,13 @@ def phase(runs: Runs, look: Look = curve_look) -> list[Panel]:
     return phase_panels(runs, names, look)
 
 
-def phase_panels(runs: Runs, names: Sequence[str], look: Look = curve_look) -> list[Panel]:
+def phase_panels(
+    runs: Runs, names: Sequence[str], look: Look = draw.curve_look
+) -> list[draw.Panel]:
     """Each channel's rate over it; the rate is the central difference of the smoothest there is."""
     panels = []
     for name in names:
-        marks: list[Mark] = []
+        marks: list[draw.Mark] = []
         unit = ""
         for i, run in enumerate(runs):
             found = _rising(run.smooth(name))
@@ -285,21 +277,21 @@ def phase_panels(runs: Runs, names: Sequence[str], look: Look = curve_look) -> l
                 unit = found.unit
                 alone = len(runs) == 1
                 label = f"{label_of(name)}, {found.source}" if alone else run.name
-                own = {"colour": signal_colour(name), "style": "solid"} if alone else look(i)
+                own = {"colour": draw.signal_colour(name), "style": "solid"} if alone else look(i)
                 marks += _trajectory(found.values, found.rate.values, label, own, alone=alone)
         words = label_of(name)
         if marks:
-            across, up = Axis(words, unit), Axis(f"{words} rate", f"{unit}/s")
+            across, up = draw.Axis(words, unit), draw.Axis(f"{words} rate", f"{unit}/s")
             panels.append(
-                Panel(across, up, marks, f"{words} against its rate", half=len(names) > 1,
-                      row_height=1.9)
+                draw.Panel(across, up, marks, f"{words} against its rate", half=len(names) > 1,
+                           row_height=1.9)
             )  # fmt: skip
     return panels
 
 
-def path_panel(runs: Runs, yaw: str, pitch: str, look: Look = curve_look) -> Panel | None:
+def path_panel(runs: Runs, yaw: str, pitch: str, look: Look = draw.curve_look) -> draw.Panel | None:
     """Two channels against each other, with the places where they were to be."""
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     for i, run in enumerate(runs):
         one, other = run.smooth(yaw), run.smooth(pitch)
         if one is not None and other is not None and len(one.values) == len(other.values):
@@ -312,10 +304,10 @@ def path_panel(runs: Runs, yaw: str, pitch: str, look: Look = curve_look) -> Pan
     )
     places = np.unique(path[np.isfinite(path).all(axis=1)], axis=0)
     if 0 < len(places) <= 40:  # places to be at, not a course that moves all the time
-        marks.append(Points(places[:, 0], places[:, 1], "reference", "cross", "ink"))
+        marks.append(draw.Points(places[:, 0], places[:, 1], "reference", "cross", "ink"))
     title = f"{label_of(pitch)} against {label_of(yaw)}"
-    across, up = Axis(label_of(yaw), "rad"), Axis(label_of(pitch), "rad")
-    return Panel(across, up, marks, title, half=True, row_height=1.9)
+    across, up = draw.Axis(label_of(yaw), "rad"), draw.Axis(label_of(pitch), "rad")
+    return draw.Panel(across, up, marks, title, half=True, row_height=1.9)
 
 
 def _rising(signal: TimeSeries | None) -> TimeSeries | None:
@@ -331,14 +323,16 @@ def _rising(signal: TimeSeries | None) -> TimeSeries | None:
 
 
 def _trajectory(
-    x: Values, y: Values, label: str, look: Mapping[str, Any], *, alone: bool
-) -> list[Mark]:
-    marks: list[Mark] = [Curve(x, y, label, width=1.2, **look)]
-    marks.append(Points(x[:1], y[:1], "begin" if alone else "", "unstable", look["colour"]))
-    return [*marks, Points(x[-1:], y[-1:], "end", "stable", look["colour"])] if alone else marks
+    x: draw.Values, y: draw.Values, label: str, look: Mapping[str, Any], *, alone: bool
+) -> list[draw.Mark]:
+    marks: list[draw.Mark] = [draw.Curve(x, y, label, width=1.2, **look)]
+    marks.append(draw.Points(x[:1], y[:1], "begin" if alone else "", "unstable", look["colour"]))
+    return (
+        [*marks, draw.Points(x[-1:], y[-1:], "end", "stable", look["colour"])] if alone else marks
+    )
 
 
-def prediction(runs: Runs) -> list[Panel]:
+def prediction(runs: Runs) -> list[draw.Panel]:
     """What the controller foretold, again and again, over what came."""
     panels = []
     for run in runs:
@@ -353,7 +347,7 @@ def prediction(runs: Runs) -> list[Panel]:
     return panels
 
 
-def comparison(runs: Sequence[RunReport]) -> list[Panel]:
+def comparison(runs: Sequence[RunReport]) -> list[draw.Panel]:
     """Scores beside each other, one bar a log."""
     if len(runs) < 2:
         raise Absent("one log compares with nothing: give two or more")
@@ -366,7 +360,7 @@ def comparison(runs: Sequence[RunReport]) -> list[Panel]:
         *((f"effort, {label_of(n)}", "V² s", ("inputs", n, "effort")) for n in names["inputs"]),
         ("step time, median", "ms", ("solver", "time_ms", "median")),
     ]
-    panels: list[Panel] = []
+    panels: list[draw.Panel] = []
     for words, unit, (first, second, last) in figures:
         found = [finite(part(part(run.score, first), second).get(last)) for run in runs]
         values = [math.nan if value is None else value for value in found]
@@ -374,13 +368,15 @@ def comparison(runs: Sequence[RunReport]) -> list[Panel]:
         if not known:
             continue
         named = len(panels) % 2 == 0
-        marks = [Bars([run.name if named else "" for run in runs], np.nan_to_num(values),
-                      [curve_look(i)["colour"] for i in range(len(runs))],
-                      notes=[f" {wording.number(value)}" for value in values])]  # fmt: skip
+        marks = [draw.Bars([run.name if named else "" for run in runs], np.nan_to_num(values),
+                           [draw.curve_look(i)["colour"] for i in range(len(runs))],
+                           notes=[f" {wording.number(value)}" for value in values])]  # fmt: skip
         limits = (0.0, 1.05 * max(known) if max(known) > 0 else 1.0)
         height = 0.35 + 0.17 * len(runs)
         panels.append(
-            Panel(Axis(words, unit, limits), Axis(""), marks, row_height=height, half=True)
+            draw.Panel(
+                draw.Axis(words, unit, limits), draw.Axis(""), marks, row_height=height, half=True
+            )
         )
     if not panels:
         raise Absent("the scores of these logs have no figure in common")
@@ -388,17 +384,17 @@ def comparison(runs: Sequence[RunReport]) -> list[Panel]:
 
 
 def _over_time(
-    runs: Runs, label: str, pick: Pick, name: str, look: Look = curve_look,
+    runs: Runs, label: str, pick: Pick, name: str, look: Look = draw.curve_look,
     *, title: str = "", height: float = 0.0,
-) -> Panel:  # fmt: skip
+) -> draw.Panel:  # fmt: skip
     """A panel into which each run draws one curve; a log alone is named by what its curve is."""
     marks, seen, unit = curves_of(runs, pick, name, look)
-    zero = [Line(y=0.0, colour="sky", style="solid")] if "error" in label else []
-    axis = Axis(label, unit, axis_range(seen))
-    return Panel(time_axis(*runs), axis, [*zero, *marks], title, row_height=height)
+    zero = [draw.Line(y=0.0, colour="sky", style="solid")] if "error" in label else []
+    axis = draw.Axis(label, unit, axis_range(seen))
+    return draw.Panel(time_axis(*runs), axis, [*zero, *marks], title, row_height=height)
 
 
-def _references(runs: Runs, name: str, look: Look) -> list[Curve]:
+def _references(runs: Runs, name: str, look: Look) -> list[draw.Curve]:
     """One dashed line for a reference that all share, else one each in the run's colour."""
     told = [(i, wanted) for i, run in enumerate(runs)
             if (wanted := run.signal("/reference", name)) is not None]  # fmt: skip

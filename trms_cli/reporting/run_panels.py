@@ -14,21 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from trms_cli.core import chart as draw
 from trms_cli.core import wording
-from trms_cli.core.chart import (
-    Axis,
-    Band,
-    Curve,
-    Events,
-    Fans,
-    Line,
-    Mark,
-    Panel,
-    Points,
-    Span,
-    curve_look,
-    signal_colour,
-)
 from trms_cli.reporting.signals import FloatArray, RunSignals, TimeSeries
 from trms_cli.scoring.figures import of_group
 
@@ -65,10 +52,10 @@ def symbol_label(name: str) -> str:
     return name if label_of(name) == name else f"{label_of(name)} {name}"
 
 
-def time_axis(*runs: RunSignals) -> Axis:
+def time_axis(*runs: RunSignals) -> draw.Axis:
     """The time of runs, from the first to the last sample; linked with all others."""
     begin, end = min(run.begin for run in runs), max(run.end for run in runs)
-    return Axis("time", "s", (begin, max(end, begin + 1e-3)), linked="time")
+    return draw.Axis("time", "s", (begin, max(end, begin + 1e-3)), linked="time")
 
 
 def axis_range(seen: Iterable[Any], margin: float = 0.08) -> tuple[float, float] | None:
@@ -88,7 +75,7 @@ def axis_range(seen: Iterable[Any], margin: float = 0.08) -> tuple[float, float]
 # --- one run
 
 
-def channel_panel(run: RunSignals, name: str, *, detail: bool = False) -> Panel:
+def channel_panel(run: RunSignals, name: str, *, detail: bool = False) -> draw.Panel:
     """A channel: reference, rig, estimate with its band, limits.
 
     ``detail``: what was measured of a rig whose true state is known, and when it was not normal.
@@ -96,52 +83,52 @@ def channel_panel(run: RunSignals, name: str, *, detail: bool = False) -> Panel:
     truth, wanted = run.truth(name), run.signal("/reference", name)
     measured = run.signal("/measurement", name) if detail else None
     guess = run.estimated(name)
-    marks: list[Mark] = _not_normal(run) if detail else []
+    marks: list[draw.Mark] = _not_normal(run) if detail else []
     estimated = with_band(*guess, "estimate ± 2 sd", "vermilion", 0.9) if guess is not None else []
     marks += estimated if detail else []
     if measured is not None and truth is not None and truth.source == "rig":
-        marks.append(Curve(measured.time, measured.values, "measured", "measured", width=0.9))
+        marks.append(draw.Curve(measured.time, measured.values, "measured", "measured", width=0.9))
     if truth is not None and truth.source == "rig":
         wide = {"width": 1.8} if detail else {"width": 2.6, "opacity": 0.6}
-        marks.append(Curve(truth.time, truth.values, "rig", **wide))  # type: ignore[arg-type]
+        marks.append(draw.Curve(truth.time, truth.values, "rig", **wide))  # type: ignore[arg-type]
     elif truth is not None and truth.source == "measured":
-        marks.append(Curve(truth.time, truth.values, "measured", width=1.2))
+        marks.append(draw.Curve(truth.time, truth.values, "measured", width=1.2))
     if wanted is not None:
         marks.append(reference_curve(wanted))
     marks += [] if detail else estimated
     if guess is None and truth is not None and truth.source == "estimate":
-        marks.append(Curve(truth.time, truth.values, "estimate", "vermilion"))
+        marks.append(draw.Curve(truth.time, truth.values, "estimate", "vermilion"))
     told = truth if truth is not None and (truth.source != "estimate" or guess is None) else None
     seen = [each.values for each in (told, wanted, measured) if each is not None]
     limits, lines = with_limits([run], [name], axis_range(seen))
     unit = next((each.unit for each in (truth, wanted) if each is not None and each.unit), "")
-    axis = Axis(label_of(name), unit, limits)
-    return Panel(time_axis(run), axis, [*marks, *lines], label_of(name))
+    axis = draw.Axis(label_of(name), unit, limits)
+    return draw.Panel(time_axis(run), axis, [*marks, *lines], label_of(name))
 
 
-def command_panel(run: RunSignals) -> Panel | None:
+def command_panel(run: RunSignals) -> draw.Panel | None:
     """The commands with their limits; shaded where one is saturated."""
     names = run.inputs()
     if not names:
         return None
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     seen = []
     for number, name in enumerate(names):
-        colour, values = signal_colour(name, number), run.numbers("/command", name)
+        colour, values = draw.signal_colour(name, number), run.numbers("/command", name)
         spans = list(run.saturated(name))[:_MOST_SPANS]
-        marks += [Span(*span, colour=colour, opacity=0.18) for span in spans]
+        marks += [draw.Span(*span, colour=colour, opacity=0.18) for span in spans]
         time = run.time("/command")
-        marks.append(Curve(time, values, symbol_label(name), colour, width=1.0, held=True))
+        marks.append(draw.Curve(time, values, symbol_label(name), colour, width=1.0, held=True))
         seen.append(values)
     limits, lines = with_limits([run], names, axis_range(seen), of_commands=True)
-    axis = Axis("command", run.unit("/command", names[0]), limits)
+    axis = draw.Axis("command", run.unit("/command", names[0]), limits)
     caption = (
         "As applied to the rig, after limits. Dotted: limits; shaded: an input asked for more."
     )
-    return Panel(time_axis(run), axis, [*marks, *lines], "commands", caption=caption)
+    return draw.Panel(time_axis(run), axis, [*marks, *lines], "commands", caption=caption)
 
 
-def torque_panels(run: RunSignals) -> list[Panel]:
+def torque_panels(run: RunSignals) -> list[draw.Panel]:
     """Torques that the observer estimates at all, with light bands of two standard deviations.
 
     A panel reaches as far as most of the lines and of their bands do: neither an observer that
@@ -150,17 +137,19 @@ def torque_panels(run: RunSignals) -> list[Panel]:
     return [torque_panel(run, place, names) for place, names in run.torques().items()]
 
 
-def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> Panel:
+def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> draw.Panel:
     """The torques of some names."""
-    marks: list[Mark] = [Line(y=0.0, colour="pale", style="solid")]
+    marks: list[draw.Mark] = [draw.Line(y=0.0, colour="pale", style="solid")]
     reach, unit = [], ""
     for number, name in enumerate(names):
         torque, deviation = _estimated(run, name)
         torque, factor = in_small_unit(torque)
         deviation, unit = factor * deviation, torque.unit
-        again = any(signal_colour(other) == signal_colour(name) for other in names[:number])
+        again = any(
+            draw.signal_colour(other) == draw.signal_colour(name) for other in names[:number]
+        )
         marks += with_band(
-            torque, deviation, name.replace("_", " "), signal_colour(name, number), 0.9,
+            torque, deviation, name.replace("_", " "), draw.signal_colour(name, number), 0.9,
             opacity=0.12,
             style="dashed" if again else "solid",
         )  # fmt: skip
@@ -168,8 +157,8 @@ def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> Panel:
         reach.append(_reach(torque.values[begin:], deviation[begin:]))
     limits = axis_range(reach)
     title = f"estimated {'pushes' if place == 'pushes' else f'torques on the {place}'}"
-    return Panel(time_axis(run), Axis(f"torque on\n{place}" if place != "pushes" else "push", unit,
-                                      limits), marks, title)  # fmt: skip
+    axis = draw.Axis(f"torque on\n{place}" if place != "pushes" else "push", unit, limits)
+    return draw.Panel(time_axis(run), axis, marks, title)
 
 
 def _estimated(run: RunSignals, name: str) -> tuple[TimeSeries, FloatArray]:
@@ -194,7 +183,7 @@ def _reach(values: FloatArray, deviation: FloatArray) -> tuple[float, float]:
     return min(float(low), middle - typical, 0.0), max(float(high), middle + typical, 0.0)
 
 
-def state_panels(run: RunSignals) -> list[Panel]:
+def state_panels(run: RunSignals) -> list[draw.Panel]:
     """Rotor speeds, rates, currents, and what else the rig's state or the estimate has."""
     topics = ("/plant/state", "/measurement", "/estimate")
     groups: dict[str, list[str]] = {}
@@ -208,40 +197,42 @@ def state_panels(run: RunSignals) -> list[Panel]:
         unit = next((unit for topic in topics if (unit := run.unit(topic, members[0]))), "")
         marks, seen = [], []
         for number, name in enumerate(members[:6]):
-            own, values = _state(run, name, signal_colour(name, number))
+            own, values = _state(run, name, draw.signal_colour(name, number))
             marks += own
             seen += values
-        caption = "S is the rate less what the other rotor's momentum gives the axis."
+        caption = ""
+        if any(name.startswith("S_") for name in members):
+            caption = "S is the rate less what the other rotor's momentum gives the axis."
         if marks:
-            panels.append(
-                Panel(time_axis(run), Axis(words, unit, axis_range(seen)), marks, words, half=True,
-                      caption=caption if any(name.startswith("S_") for name in members) else "")
-            )  # fmt: skip
+            axis, time = draw.Axis(words, unit, axis_range(seen)), time_axis(run)
+            panels.append(draw.Panel(time, axis, marks, words, half=True, caption=caption))
     return panels
 
 
-def _state(run: RunSignals, name: str, colour: Any) -> tuple[list[Mark], list[FloatArray]]:
+def _state(run: RunSignals, name: str, colour: Any) -> tuple[list[draw.Mark], list[FloatArray]]:
     """A state as it was, as measured where nothing truer is known, and as estimated."""
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     truth, label = run.signal("/plant/state", name), label_of(name)
     if truth is None:
         truth = run.signal("/measurement", name)
-        marks += [Curve(truth.time, truth.values, f"{label} measured", colour)] if truth else []
+        marks += (
+            [draw.Curve(truth.time, truth.values, f"{label} measured", colour)] if truth else []
+        )
     else:
-        marks.append(Curve(truth.time, truth.values, label, colour, width=1.6))
+        marks.append(draw.Curve(truth.time, truth.values, label, colour, width=1.6))
     guess = run.estimated(name)
     if guess is not None:
         marks += with_band(*guess, f"{label} estimate", colour, 1.1, style="dotted")
     elif truth is None and (alone := run.signal("/estimate", name)) is not None:
         truth = alone
-        marks.append(Curve(alone.time, alone.values, f"{label} estimate", colour, "dotted"))
+        marks.append(draw.Curve(alone.time, alone.values, f"{label} estimate", colour, "dotted"))
     seen = truth or (guess[0] if guess is not None else None)
     return marks, [] if seen is None else [seen.values]
 
 
 def innovation_panels(
     run: RunSignals, figures: Mapping[str, Mapping[str, Any]] | None = None
-) -> list[Panel]:
+) -> list[draw.Panel]:
     """Measured minus foretold, against two of the deviations that the observer expects.
 
     ``figures``: of a replay, by channel, which then has a panel each.
@@ -256,15 +247,15 @@ def innovation_panels(
             continue
         deviation = run.numbers("/estimate", f"innovation_sd_{channel}")
         band = 2 * deviation if len(deviation) else np.full(len(found.time), np.nan)
-        marks: list[Mark] = [
-            Band(found.time, -band, band, "±2σ expected", "vermilion", 0.3),
-            Curve(found.time, found.values, "innovation", width=0.7),
+        marks: list[draw.Mark] = [
+            draw.Band(found.time, -band, band, "±2σ expected", "vermilion", 0.3),
+            draw.Curve(found.time, found.values, "innovation", width=0.7),
         ]
         words = label_of(channel)
-        axis = Axis(f"innovation\nof {words}", found.unit, _around_band(found.values, band))
+        axis = draw.Axis(f"innovation\nof {words}", found.unit, _around_band(found.values, band))
         panels.append(
-            Panel(time_axis(run), axis, marks, f"innovation of {words}", half=True,
-                  note=_foretold(figures[channel]) if figures else "")
+            draw.Panel(time_axis(run), axis, marks, f"innovation of {words}", half=True,
+                       note=_foretold(figures[channel]) if figures else "")
         )  # fmt: skip
     return panels
 
@@ -286,23 +277,23 @@ def _foretold(figures: Mapping[str, Any]) -> str:
     return ", ".join(words)
 
 
-def solver_panel(run: RunSignals) -> Panel | None:
+def solver_panel(run: RunSignals) -> draw.Panel | None:
     """Time of each step against its deadline; marks where a fall-back acted or a fault began."""
     times = run.step_times()
     if times is None:
         return None
     time, deadline = run.time("/controller"), run.deadline
     known = times[np.isfinite(times)]
-    marks: list[Mark] = _not_normal(run, named=True)
-    marks.append(Points(time, times, "", "dot", "grey", size=1.6))
+    marks: list[draw.Mark] = _not_normal(run, named=True)
+    marks.append(draw.Points(time, times, "", "dot", "grey", size=1.6))
     for rows, label, marker, colour in (
         (run.missed(), "deadline missed", "cross", "alarm"),
         (run.fell_back(), "fall-back", "down", "vermilion"),
     ):
         if rows.any():
             taken = np.where(np.isfinite(times[rows]), times[rows], known.min())
-            marks.append(Points(time[rows], taken, label, marker, colour, size=5))  # type: ignore[arg-type]
-    marks += [Line(y=deadline, colour="alarm")] if deadline is not None else []
+            marks.append(draw.Points(time[rows], taken, label, marker, colour, size=5))  # type: ignore[arg-type]
+    marks += [draw.Line(y=deadline, colour="alarm")] if deadline is not None else []
     top = 3 * max(deadline, float(known.max())) if deadline is not None else None
     axis = step_axis((0.5 * float(known.min()), top))
     failed, missed = int(run.fell_back().sum()), int(run.missed().sum())
@@ -316,14 +307,16 @@ def solver_panel(run: RunSignals) -> Panel | None:
         words += f"; the deadline is {deadline:.4g} ms (dotted), missed {missed} times"
     note += f", {failed} fall-backs" if failed else ""
     words += f"; a fall-back acted on {failed} steps." if failed else "."
-    return Panel(time_axis(run), axis, marks, "time of a control step", note=note, caption=words)
+    return draw.Panel(
+        time_axis(run), axis, marks, "time of a control step", note=note, caption=words
+    )
 
 
-def step_axis(limits: tuple[float, float | None] | None = None) -> Axis:
-    return Axis("step time", "ms", limits, log=True, ticks=_TICKS)
+def step_axis(limits: tuple[float, float | None] | None = None) -> draw.Axis:
+    return draw.Axis("step time", "ms", limits, log=True, ticks=_TICKS)
 
 
-def solver_panels(run: RunSignals) -> list[Panel]:
+def solver_panels(run: RunSignals) -> list[draw.Panel]:
     """Times over the run and their distribution, and iterations where a solver has some."""
     over_time, times = solver_panel(run), run.step_times()
     if over_time is None or times is None:
@@ -331,33 +324,33 @@ def solver_panels(run: RunSignals) -> list[Panel]:
     known = times[np.isfinite(times)]
     low, high = float(known.min()), float(known.max())
     edges = np.geomspace(low, max(high, 1.0001 * low), _BINS + 1)
-    marks: list[Mark] = [histogram(known, edges)]
-    marks += [Line(x=run.deadline, colour="alarm")] if run.deadline is not None else []
+    marks: list[draw.Mark] = [histogram(known, edges)]
+    marks += [draw.Line(x=run.deadline, colour="alarm")] if run.deadline is not None else []
     return [
         over_time,
         *(replace(panel, half=True) for panel in iteration_panels([run])),
-        Panel(step_axis(), Axis("steps"), marks, "distribution of the times", half=True),
+        draw.Panel(step_axis(), draw.Axis("steps"), marks, "distribution of the times", half=True),
     ]
 
 
 def histogram(
     values: FloatArray, edges: FloatArray, label: str = "", colour: Any = "blue",
     opacity: float = 0.8,
-) -> Curve:  # fmt: skip
+) -> draw.Curve:  # fmt: skip
     """How many values lie between the edges."""
     counts = np.histogram(values[np.isfinite(values)], edges)[0]
-    return Curve(edges, np.append(counts, 0.0), label, colour, width=0.6, held=True,
-                 opacity=opacity, filled=True)  # fmt: skip
+    return draw.Curve(edges, np.append(counts, 0.0), label, colour, width=0.6, held=True,
+                      opacity=opacity, filled=True)  # fmt: skip
 
 
-def event_marks(run: RunSignals) -> list[Events]:
+def event_marks(run: RunSignals) -> list[draw.Events]:
     """Triangles at the top, told when pointed at: what alarms, and the rest."""
     events = [e for e in run.events if not e.kind.startswith(_TOLD_ELSEWHERE)]
     events = [e for e in events if math.isfinite(e.time)][:_MOST_MARKS]
     parts = [("alarm", [e for e in events if e.alarming]),
              ("grey", [e for e in events if not e.alarming])]  # fmt: skip
     return [
-        Events(
+        draw.Events(
             [e.time for e in some], "event", colour,  # type: ignore[arg-type]
             [": ".join(p for p in (e.kind, e.source, e.message) if p) for e in some],
         )
@@ -366,7 +359,7 @@ def event_marks(run: RunSignals) -> list[Events]:
     ]  # fmt: skip
 
 
-def fan_panels(run: RunSignals, most: int = MOST_FANS) -> list[Panel]:
+def fan_panels(run: RunSignals, most: int = MOST_FANS) -> list[draw.Panel]:
     """All predictions of a controller, of which a page draws one bold, over what happened."""
     made = run.time("/prediction")
     ahead = run.column("/prediction", "time")
@@ -380,7 +373,7 @@ def fan_panels(run: RunSignals, most: int = MOST_FANS) -> list[Panel]:
     return [panel for name in known if (panel := _fan_panel(run, name, step)) is not None]
 
 
-def _fan_panel(run: RunSignals, name: str, step: int) -> Panel | None:
+def _fan_panel(run: RunSignals, name: str, step: int) -> draw.Panel | None:
     made, ahead = run.time("/prediction"), run.column("/prediction", "time")
     values = run.column("/prediction", name)
     xs: list[Any] = []
@@ -398,18 +391,18 @@ def _fan_panel(run: RunSignals, name: str, step: int) -> Panel | None:
     is_input = name in run.inputs()
     happened = run.signal("/command", name) if is_input else run.truth(name)
     wanted = run.signal("/reference", name)
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     if happened is not None:
         look: dict[str, Any] = {"width": 3.0, "opacity": 0.5, "held": is_input}
-        marks.append(Curve(happened.time, happened.values, "what happened", **look))
+        marks.append(draw.Curve(happened.time, happened.values, "what happened", **look))
     marks += [reference_curve(wanted)] if wanted is not None else []
-    marks.append(Fans(times, np.concatenate(xs), np.concatenate(ys), held=is_input))
+    marks.append(draw.Fans(times, np.concatenate(xs), np.concatenate(ys), held=is_input))
     seen = [each.values for each in (happened, wanted) if each is not None]
     label = symbol_label(name) if is_input else label_of(name)
-    axis = Axis(
+    axis = draw.Axis(
         label, happened.unit if happened is not None else "", axis_range(seen) or axis_range(ys)
     )
-    return Panel(time_axis(run), axis, marks, f"predictions of {label}")
+    return draw.Panel(time_axis(run), axis, marks, f"predictions of {label}")
 
 
 def score_note(score: Mapping[str, Any]) -> str:
@@ -422,28 +415,27 @@ def score_note(score: Mapping[str, Any]) -> str:
     )
 
 
-def reference_curve(wanted: TimeSeries, **look: Any) -> Curve:
+def reference_curve(wanted: TimeSeries, **look: Any) -> draw.Curve:
     usual: dict[str, Any] = {"label": "reference", "colour": "ink", "style": "dashed"}
-    return Curve(wanted.time, wanted.values, **(usual | look), width=1.0, held=True)
+    return draw.Curve(wanted.time, wanted.values, **(usual | look), width=1.0, held=True)
 
 
 def with_band(
     signal: TimeSeries, deviation: FloatArray, label: str, colour: Any, width: float,
     *, opacity: float = 0.22, **look: Any,
-) -> list[Mark]:  # fmt: skip
+) -> list[draw.Mark]:  # fmt: skip
     """A curve and its band of two deviations, which a click on its name hides together."""
     low, high = signal.values - 2 * deviation, signal.values + 2 * deviation
     return [
-        Band(signal.time, low, high, label, colour, opacity),
-        Curve(signal.time, signal.values, label, colour, width=width, **look),
+        draw.Band(signal.time, low, high, label, colour, opacity),
+        draw.Curve(signal.time, signal.values, label, colour, width=width, **look),
     ]
 
 
-def _not_normal(run: RunSignals, *, named: bool = False) -> list[Mark]:
-    """Shaded times in which the loop was not normal."""
-    spans: list[Mark] = []
+def _not_normal(run: RunSignals, *, named: bool = False) -> list[draw.Mark]:
+    spans: list[draw.Mark] = []
     for mode, colour in (("degraded", "pale"), ("landing", "orange")):
-        spans += [Span(*span, mode if named else "", colour, 0.45) for span in run.mode(mode)]  # type: ignore[arg-type]
+        spans += [draw.Span(*span, mode if named else "", colour, 0.45) for span in run.mode(mode)]  # type: ignore[arg-type]
     return spans[:_MOST_SPANS]
 
 
@@ -453,7 +445,7 @@ def with_limits(
     frame: tuple[float, float] | None,
     *,
     of_commands: bool = False,
-) -> tuple[tuple[float, float] | None, list[Line]]:
+) -> tuple[tuple[float, float] | None, list[draw.Line]]:
     """The frame with the limits that the curves come near, and lines at them."""
     if frame is None:
         return None, []
@@ -466,14 +458,14 @@ def with_limits(
         if (abs(bound) < reach if of_commands else low - room < bound < high + room)
     ]
     lines = [
-        Line(y=bound, label="limit" if len(runs) > 1 else "", colour="alarm") for bound in near
+        draw.Line(y=bound, label="limit" if len(runs) > 1 else "", colour="alarm") for bound in near
     ]
     margin = 0.04 * (high - low)
     ends = [bound + side * margin for bound in near for side in (-1, 1)]
     return (min([low, *ends]), max([high, *ends])), lines
 
 
-def iteration_panels(runs: Runs, look: Look = curve_look) -> list[Panel]:
+def iteration_panels(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """Iterations over the time, where a solver has some."""
     counts = [run.numbers("/controller", "iterations") for run in runs]
     if not any(np.any(count > 1) for count in counts):
@@ -481,15 +473,15 @@ def iteration_panels(runs: Runs, look: Look = curve_look) -> list[Panel]:
     marks, _, _ = curves_of(
         runs, lambda run, name: run.signal("/controller", name), "iterations", look, held=True
     )
-    axis = Axis("iterations", limits=(0.0, None))
-    return [Panel(time_axis(*runs), axis, marks, "iterations of the solver", row_height=0.6)]
+    axis = draw.Axis("iterations", limits=(0.0, None))
+    return [draw.Panel(time_axis(*runs), axis, marks, "iterations of the solver", row_height=0.6)]
 
 
 def curves_of(
     runs: Runs, pick: Pick, name: str, look: Look, *, held: bool = False
-) -> tuple[list[Mark], list[FloatArray], str]:
+) -> tuple[list[draw.Mark], list[FloatArray], str]:
     """A curve a run of one of its signals, their values, and their unit."""
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     seen, unit = [], ""
     for i, run in enumerate(runs):
         signal = pick(run, name)
@@ -499,7 +491,7 @@ def curves_of(
         seen.append(signal.values)
         own, label = look(i), run.name
         if len(runs) == 1:  # the colour says which axis it is
-            own = {"colour": signal_colour(name), "style": "solid"}
+            own = {"colour": draw.signal_colour(name), "style": "solid"}
             label = f"{label_of(name)}, {signal.source}" if signal.source else ""
-        marks.append(Curve(signal.time, signal.values, label, **own, held=held))
+        marks.append(draw.Curve(signal.time, signal.values, label, **own, held=held))
     return marks, seen, unit

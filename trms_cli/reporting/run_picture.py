@@ -96,13 +96,12 @@ def draw_run(
     tables: Mapping[str, Columns], score: Mapping[str, Any], path: Path, **words: Any
 ) -> None:
     """Draw a run as a PNG; arguments as of :func:`figure_of_run`, and the file to write."""
-    from trms_cli.reporting.style import DPI, house_style
+    from trms_cli.reporting.style import DPI, house_style, save_figure
 
     figure = figure_of_run(tables, score, **words)
     with house_style():
-        content = io.BytesIO()
-        figure.savefig(content, dpi=DPI, format="png", pil_kwargs={"compress_level": 3})
-    path.write_bytes(content.getvalue())  # whole, or an error of the disk
+        content = save_figure(figure, dpi=DPI, format="png", pil_kwargs={"compress_level": 3})
+    path.write_bytes(content)  # whole, or an error of the disk
 
 
 def figure_of_run(

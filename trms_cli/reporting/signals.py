@@ -220,6 +220,11 @@ class RunSignals:
         return result
 
     @property
+    def is_empty(self) -> bool:
+        """Whether no topic but that of events has a sample."""
+        return not any(self._times())
+
+    @property
     def begin(self) -> float:
         """The first sample's time, s."""
         return min((time[0] for time in self._times()), default=0.0)

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from trms_cli.core import wording
 from trms_cli.sweeps.samplers.objectives import front
 
 #: What a key or figure may be of a run.
@@ -126,8 +127,7 @@ class SweepReport:
 
     def title(self, figure: str) -> str:
         """``rmse_yaw [rad]``."""
-        unit = self.figures.get(figure, "")
-        return f"{figure} [{unit}]" if unit not in ("", "1") else figure
+        return wording.with_unit(figure, self.figures.get(figure, ""))
 
     def of(self, entrant: str) -> list[SweepRun]:
         """Runs of an entrant that ended well, or go on."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 from trms_cli.core import wording
 from trms_cli.core.errors import TrmsError
@@ -20,7 +20,7 @@ from trms_cli.sweeps.findings import rate, sweep_findings
 from trms_cli.sweeps.outcome import outcome_of
 
 if TYPE_CHECKING:
-    from trms_cli.sweeps.driver import SweepProgress
+    from trms_cli.sweeps.driver import SweepOutcome, SweepProgress
     from trms_cli.sweeps.space import RunResult
 
 _MOST_NOTES = 10
@@ -29,15 +29,7 @@ _MOST_LINES = 30
 _EVERY = 0.2  # s between two lines
 
 
-class _HasFolder(Protocol):
-    @property
-    def folder(self) -> Path: ...
-
-
-_Outcome = TypeVar("_Outcome", bound=_HasFolder)
-
-
-def on_screen(drive: Callable[..., _Outcome], *, as_json: bool = False) -> _Outcome:
+def on_screen(drive: Callable[..., SweepOutcome], *, as_json: bool = False) -> SweepOutcome:
     """Drive a sweep to its end; show how it goes and what came of it, or that as JSON.
 
     `drive` takes `tell` and `begun` of :func:`trms_cli.library.tasks.sweep.make_sweep`.

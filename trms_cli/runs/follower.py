@@ -438,7 +438,8 @@ class RunFollower(RunSamples):
         self.path = path
         self.ended = False  #: Nothing more will come, and all that there is has been read
         self.heard = monotonic()  #: Wall time when the log last grew
-        self._tail = LogTail(path, _wanted)
+        #: What the run says of itself, its configuration, and what of the log is damaged
+        self.tail = LogTail(path, _wanted)
         self._asked = -math.inf
         self._last, outcome = _last_words(path)
         #: ``running``; ``completed``, ``interrupted`` or ``failed``, as the run said at its end;
@@ -447,32 +448,19 @@ class RunFollower(RunSamples):
         self.state = outcome or self._of_writer()
 
     @property
-    def run(self) -> dict[str, str]:
-        """What the run says of itself."""
-        return self._tail.run
-
-    @property
-    def config(self) -> str:
-        """The resolved config as YAML."""
-        return self._tail.config
-
-    @property
-    def problems(self) -> list[str]:
-        """What of the log is damaged, as sentences."""
-        return self._tail.problems
-
-    @property
     def choices(self) -> dict[str, Any]:
         """The option of each group; empty for what is no run of the loop."""
-        found = json_or_none(self.run.get("choices"))
+        found = json_or_none(self.tail.run.get("choices"))
         return found if isinstance(found, dict) else {}
 
     @property
     def total(self) -> float | None:
         """How long the run is meant to last (s); for a recording, how long it does."""
-        if "recording.file" in self.run:  # `sim.duration` does not lengthen it
+        if "recording.file" in self.tail.run:  # `sim.duration` does not lengthen it
             return self._last
-        duration = re.search(r"^sim:\n(?: .*\n)*? +duration: +([\d.eE+-]+)\s", self.config, re.M)
+        duration = re.search(
+            r"^sim:\n(?: .*\n)*? +duration: +([\d.eE+-]+)\s", self.tail.config, re.M
+        )
         with contextlib.suppress(ValueError):
             if duration is not None:
                 return float(duration[1])
@@ -487,8 +475,8 @@ class RunFollower(RunSamples):
         """Take what is new; whether there was anything. The state is right once there is not."""
         if self.ended:
             return False
-        piece = self._tail.read()
-        if piece is None and not self._tail.finished:
+        piece = self.tail.read()
+        if piece is None and not self.tail.finished:
             now = monotonic()
             if now - self._asked < _WRITER_EVERY:
                 return False
@@ -497,21 +485,21 @@ class RunFollower(RunSamples):
             if state != "died":
                 self.state = state
                 return False
-            piece = self._tail.read()  # what came between the two
-            if piece is None and not self._tail.finished:
+            piece = self.tail.read()  # what came between the two
+            if piece is None and not self.tail.finished:
                 self.state, self.ended = state, True
                 return False
         if piece is not None:
             self._check_origin()
             try:
-                self.add(piece, self.run)
+                self.add(piece, self.tail.run)
             except (TypeError, ValueError, KeyError) as error:  # a stranger's log may hold anything
                 raise RecordingError(
                     f"its messages are not as trms writes them ({error})", where=str(self.path)
                 ) from error
             self.heard = monotonic()
-        if self._tail.finished:
-            self.ended, self.state = True, str(self.run.get("outcome") or "completed")
+        if self.tail.finished:
+            self.ended, self.state = True, str(self.tail.run.get("outcome") or "completed")
         return piece is not None
 
     def look_until(self, time: float, budget: float = math.inf) -> bool:
@@ -529,19 +517,19 @@ class RunFollower(RunSamples):
 
     def close(self) -> None:
         """Close the log."""
-        self._tail.close()
+        self.tail.close()
 
     def _check_origin(self) -> None:
-        if not self._tail.of_trms:
+        if not self.tail.of_trms:
             raise RecordingError(
-                f"this MCAP file is of another program ({self._tail.library or 'unnamed'})",
+                f"this MCAP file is of another program ({self.tail.library or 'unnamed'})",
                 where=str(self.path),
                 remedy="name a log that trms has written",
             )
 
     def _of_writer(self) -> str:
         """The state of a log without an end."""
-        return {True: "running", False: "died", None: "unfinished"}[self._tail.has_writer()]
+        return {True: "running", False: "died", None: "unfinished"}[self.tail.has_writer()]
 
 
 def _wanted(topic: str, column: str) -> bool:

@@ -86,6 +86,11 @@ def log_of(path: Path) -> Path:
     return path / LOG_NAME if (path / LOG_NAME).is_file() else path
 
 
+def name_of(log: Path) -> str:
+    """``…/first/run.mcap`` as ``first``, ``…/monday.mcap`` as ``monday``."""
+    return (log.resolve().parent.name or log.stem) if log.name == LOG_NAME else log.stem
+
+
 def _dated(what: str) -> Path:
     now = datetime.now()
     base = Path("outputs", now.strftime("%Y-%m-%d"), f"{now.strftime('%H-%M-%S')}-{what}")

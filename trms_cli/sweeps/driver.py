@@ -13,6 +13,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.sweeps.plugins import Attempt, EndedAttempt, Launcher, Proposals, Work, Workers
@@ -65,6 +67,23 @@ class SweepProgress:
         return (self.ended - self.before) / spent if spent > 0 else 0.0
 
 
+@dataclass(frozen=True)
+class SweepOutcome:
+    """A sweep that has been driving to its end."""
+
+    folder: Path
+    points: tuple[SweepPoint, ...]  #: That were proposed
+    results: dict[int, RunResult]  #: By the number of the point
+    counts: dict[str, int]  #: Runs ``done``, ``failed``, ``lost``, ``interrupted``
+    summary: dict[str, Any] = field(default_factory=dict)  #: What the sampler has to say
+
+    @property
+    def all_done(self) -> bool:
+        """Whether every run ended well."""
+        return len(self.points) == self.counts.get("done", 0)
+
+
+#: Called with the progress and, after each run, with its result.
 Tell = Callable[[SweepProgress, RunResult | None], None]
 
 

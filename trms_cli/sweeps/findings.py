@@ -189,7 +189,6 @@ def _search(summary: Mapping[str, Any], primary: str) -> Findings:
 
 
 def _alone(summary: Mapping[str, Any], primary: str) -> list[NextCommand]:
-    """How to run the best by itself."""
     chosen = trial_to_run(summary)
     if chosen is None or not chosen["overrides"]:
         return []

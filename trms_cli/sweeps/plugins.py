@@ -26,20 +26,11 @@ class Proposals(Protocol):
         """Points there will be in all; None where nobody knows."""
 
     def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
-        """The next points.
+        """The next points, numbered on from the last.
 
-        Parameters
-        ----------
-        results : sequence of RunResult
-            Those that came since the last call.
-        wanted : int
-            Points for which there are workers; more or fewer may be given.
-
-        Returns
-        -------
-        list of SweepPoint
-            Numbered on from the last. Empty while some are still at work: nothing until further
-            results come. Empty when none is at work: the sweep is complete.
+        `results`: those that came since the last call. `wanted`: points for which there are
+        workers; more or fewer may be given. None while some are still at work: nothing until
+        further results come. None when none is at work: the sweep is complete.
         """
 
     def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
@@ -56,18 +47,10 @@ class Sampler(Protocol):
     def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Proposals:
         """Begin, or go on.
 
-        Parameters
-        ----------
-        space : Space
-        known : sequence of SweepPoint
-            Those that were proposed before the sweep was interrupted, in their order. Their
-            results are told by the first call of `Proposals.more`; equal configuration and results
-            give equal points.
-
-        Raises
-        ------
-        ConfigurationError
-            If the space does not suit the sampler: a range under ``grid``, nothing to vary, …
+        `known`: points that were proposed before the sweep was interrupted, in their order. Their
+        results are told by the first call of `Proposals.more`; equal configuration and results give
+        equal points. Raises ConfigurationError if the space does not suit the sampler: a range
+        under ``grid``, nothing to vary, …
         """
 
 

@@ -532,14 +532,16 @@ class Player:
         elif keys and not self.live and not self.at_end:
             replay = f"replay {self.speed:g}×"
         return View(
-            about=about(named_files(run.choices, run.config), run.run, str(run.path), run.total),
+            about=about(
+                named_files(run.choices, run.tail.config), run.tail.run, str(run.path), run.total
+            ),
             moment=run.at(self.position, self._span),
             state=run.state,
             replay=replay,
             silent=monotonic() - run.heard,
             span=self._span,
             keys=(LIVE_KEYS if self.live else REPLAY_KEYS) if keys else "",
-            problem=run.problems[-1] if run.problems else "",
+            problem=run.tail.problems[-1] if run.tail.problems else "",
         )
 
     def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:

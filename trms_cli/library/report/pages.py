@@ -21,7 +21,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.core.wording import choice_labels
 from trms_cli.library.report import sweeps
 from trms_cli.library.report.summary import drawn_keys
-from trms_cli.runs.run_folder import LOG_NAME
+from trms_cli.runs.run_folder import LOG_NAME, name_of
 
 if TYPE_CHECKING:
     from trms_cli.core.findings import Findings
@@ -61,13 +61,6 @@ def read_run(path: Path, *, name: str = "") -> RunReport:
         repeat=f"trms run --from {shlex.quote(str(path))}" if log.config else "",
         config=log.config,
     )
-
-
-def name_of(path: Path) -> str:
-    """``…/first/run.mcap`` as ``first``, ``…/monday.mcap`` as ``monday``."""
-    if path.name == LOG_NAME:
-        return path.resolve().parent.name or path.stem
-    return path.stem
 
 
 def _score_of_log(log: LoggedRun) -> Mapping[str, Any]:

@@ -123,7 +123,6 @@ def _csv(designed: Any, kind: str) -> str:
 
 
 def _play(document: Mapping[str, Any], folder: Path, composition: Composition) -> str:
-    """The command that plays it."""
     table = shlex.quote(str(folder / TABLE_NAME))
     whole = document["duration_s"] + document["lead_in_s"]
     given = [o for o in composition.overrides if o.partition("=")[0].split(".")[0] == "model"]

@@ -143,7 +143,6 @@ def _topics(model: Model, rig: RecordedRun) -> list[Topic]:
 
 
 def _about(rig: RecordedRun) -> dict[str, str]:
-    """What the log says of the recording."""
     source = rig.recording.source
     about = {f"recording.{key}": text for key, text in rig.recording.metadata.items()}
     about |= {"recording.file": str(source), "recording.sha256": rig.sha256}

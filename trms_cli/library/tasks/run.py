@@ -200,7 +200,6 @@ def _objective(score: Mapping[str, Any]) -> float | None:
 
 
 def _title(composition: Composition, experiment: Experiment) -> str:
-    """Who runs on what."""
     rig = str(getattr(getattr(experiment.plant, "model", None), "name", ""))
     return headline(composition.choice_labels, follows=_follows(experiment), rig=rig)
 

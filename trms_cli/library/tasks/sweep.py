@@ -17,7 +17,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +31,8 @@ from trms_cli.sweeps.record import SweepPlan
 from trms_cli.sweeps.space import Space
 
 if TYPE_CHECKING:
-    from trms_cli.sweeps.driver import SweepProgress
-    from trms_cli.sweeps.space import RunResult, SweepPoint
+    from trms_cli.sweeps.driver import SweepOutcome, Tell
+    from trms_cli.sweeps.space import SweepPoint
 
 #: Values of one key that are looked at, from the first on; the last is, too.
 MOST_VALUES = 30
@@ -40,26 +40,6 @@ _OURS = "trms_cli."
 _NUMBERS = ("duration", "sample_time")
 #: Tasks of a record are looked for here only: a record is data, and names no other code.
 _TASKS = ("trms_cli.commands.", "trms_cli.library.tasks.")
-
-
-@dataclass(frozen=True)
-class SweepOutcome:
-    """A sweep that has been driving to its end."""
-
-    folder: Path
-    points: tuple[SweepPoint, ...]  #: That were proposed
-    results: dict[int, RunResult]  #: By the number of the point
-    counts: dict[str, int]  #: Runs ``done``, ``failed``, ``lost``, ``interrupted``
-    summary: dict[str, Any] = field(default_factory=dict)  #: What the sampler has to say
-
-    @property
-    def all_done(self) -> bool:
-        """Whether every run ended well."""
-        return len(self.points) == self.counts.get("done", 0)
-
-
-#: Called with the progress and, after each run, with its result.
-Tell = Callable[["SweepProgress", "RunResult | None"], None]
 
 
 def make_sweep(
@@ -188,7 +168,7 @@ def _driven(
     """Drive the sweep, and write down at the end, whatever it is, how it stands."""
     from trms_cli.core.trust import allowed_for_now
     from trms_cli.library.tasks.sweep_work import MakeRun
-    from trms_cli.sweeps.driver import Driver, counts_of
+    from trms_cli.sweeps.driver import Driver, SweepOutcome, counts_of
     from trms_cli.sweeps.record import now
 
     work = MakeRun(

@@ -143,7 +143,7 @@ class _Jobs:
         self._played = played
         self._jobs: list[Any] = []
         self._looked = time.monotonic()
-        self._in_vain = 0  # jobs that have ended since a run was finished
+        self.in_vain = 0  #: Jobs that have ended since a run was finished
 
     def submit(self, count: int) -> None:
         """Submit jobs as one array; raises TrmsError if SLURM does not take them."""
@@ -178,10 +178,6 @@ class _Jobs:
             remedy="see `squeue`; the sweep can be gone on with at any time",
         )
 
-    def finished_one(self) -> None:
-        """A run has been finished: the jobs work."""
-        self._in_vain = 0
-
     def replace(self) -> None:
         """Submit jobs for those that have ended, preempted, out of time or killed.
 
@@ -193,8 +189,8 @@ class _Jobs:
         ended = [job for job in self._jobs if job.done()]
         if not ended:
             return
-        self._in_vain += len(ended)
-        if self._in_vain > 3 * self._wanted:
+        self.in_vain += len(ended)
+        if self.in_vain > 3 * self._wanted:
             raise self._failed()
         self._jobs = [job for job in self._jobs if job not in ended]
         self.submit(len(ended))
@@ -238,7 +234,7 @@ class _SlurmCrew(DaskWorkers):
     def ended(self, timeout_s: float) -> list[EndedAttempt]:
         found = super().ended(timeout_s)
         if any(each.result is not None for each in found):
-            self._jobs.finished_one()
+            self._jobs.in_vain = 0
         self._jobs.replace()
         return found
 
