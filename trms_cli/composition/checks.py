@@ -95,7 +95,7 @@ def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Over
             remedy=f"there are: {', '.join(groups[override.key])}; what is left out of the command "
             "line is not chosen",
         )
-    given = [item.strip("[]") for item in _names(override.value or "") or []]
+    given = [item.strip("[]") for item in plain_names(override.value or "") or []]
     for name in (name.strip() for item in given for name in item.split(",")):
         if name and name != "null":
             _require_option(override.key, name, groups, override.package)
@@ -144,7 +144,7 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
     path = value.strip("'\"")
     if is_path(path) and not several and not (multirun and "," in value):
         return _from_file(override, [path], groups)
-    names = _names(value)
+    names = plain_names(value)
     if names is None:  # quotes, functions or interpolations: Hydra's to judge
         return [override]
     if value.count("[") != value.count("]"):
@@ -154,7 +154,7 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
     if several:
         _refuse_twice(group, names)
         override = override._replace(value=_as_lists(group, value, names, multirun))
-        names = [name for item in names for name in _names(item.strip("[]")) or []]
+        names = [name for item in names for name in plain_names(item.strip("[]")) or []]
     elif any(is_path(name) for name in names):
         return _from_file(override, names, groups)
     for name in names:
@@ -168,7 +168,7 @@ def _require_option(group: str, name: str, groups: Groups, package: str = "") ->
     require_known(name, groups.get(group, {}), problem, group + package)
 
 
-def _names(value: str) -> list[str] | None:
+def plain_names(value: str) -> list[str] | None:
     """The alternatives of a value at its outer commas; None if it is more than plain names."""
     if re.search(r"[\"'(){}$]", value):
         return None
@@ -179,7 +179,7 @@ def _names(value: str) -> list[str] | None:
 def _refuse_twice(group: str, lists: Sequence[str]) -> None:
     """The second of two equal names would replace the first in silence."""
     for item in lists:
-        names = _names(item.strip("[]")) or []
+        names = plain_names(item.strip("[]")) or []
         twice = [name for i, name in enumerate(names) if name in names[:i]]
         if twice:
             raise ConfigurationError(

@@ -363,8 +363,14 @@ def _refused(
     if bad:
         name, _, value = bad[1].partition("=")
         where = name.lstrip("+~")
-        cause = error.__context__ or error.__cause__
-        return _cannot_be_set(where, value, cause, overrides, declared, compose)
+        node = value_at(_with_choices_only(overrides, declared, compose), where.rpartition(".")[0])
+        if node is not None and not isinstance(node, Mapping | list):
+            return _unknown_key(where, overrides, declared, compose)
+        return ConfigurationError(
+            f"{value} cannot be set: {first_line(error.__context__ or error.__cause__)}",
+            where=where,
+            remedy="`--cfg job` without this override shows what stands there",
+        )
     if message.startswith(("no viable alternative", "missing ", "mismatched input")):
         return ConfigurationError(
             f"cannot read {' '.join(overrides)!r}: a bracket or a quote is not closed, or a sign "
@@ -416,24 +422,6 @@ def _unknown_key(
         )
     public = [str(name) for name in node if not str(name).startswith("_")]
     return unknown_key(parts[depth], value, key, public)
-
-
-def _cannot_be_set(
-    key: str,
-    value: str,
-    cause: BaseException | None,
-    overrides: Sequence[str],
-    declared: Primary,
-    compose: Compose,
-) -> ConfigurationError:
-    node = value_at(_with_choices_only(overrides, declared, compose), key.rpartition(".")[0])
-    if node is not None and not isinstance(node, Mapping | list):
-        return _unknown_key(key, overrides, declared, compose)
-    return ConfigurationError(
-        f"{value} cannot be set: {first_line(cause)}",
-        where=key,
-        remedy="`--cfg job` without this override shows what stands there",
-    )
 
 
 def _with_choices_only(

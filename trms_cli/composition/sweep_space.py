@@ -28,14 +28,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from trms_cli.composition.catalogue import (
-    Groups,
-    Primary,
-    make_importable,
-    read_groups,
-    read_primary,
-)
-from trms_cli.composition.checks import DeclaredKeys, prepare
+from trms_cli.composition import catalogue
+from trms_cli.composition.checks import DeclaredKeys, plain_names, prepare
 from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse
 from trms_cli.composition.plain_values import value_at, whole_number
@@ -82,8 +76,8 @@ def divide_overrides(
 
     Raises ConfigurationError for Hydra's own keys; it tells what to write instead.
     """
-    groups = read_groups(config_dirs)
-    own = read_primary(PRIMARY, config_dirs).names
+    groups = catalogue.read_groups(config_dirs)
+    own = catalogue.read_primary(PRIMARY, config_dirs).names
     runs: list[str] = []
     settings: list[str] = []
     out: str | None = None
@@ -125,11 +119,11 @@ def sampler_and_launcher(settings: Settings) -> tuple[Any, Any]:
 
 
 def _added(
-    typed: Sequence[str], primary: str, groups: Groups, config_dirs: Sequence[Path]
+    typed: Sequence[str], primary: str, groups: catalogue.Groups, config_dirs: Sequence[Path]
 ) -> list[str]:
     """What is laid under the typed overrides of the runs."""
     keys = {parse(text, groups).key for text in typed}
-    declared = read_primary(primary, config_dirs)
+    declared = catalogue.read_primary(primary, config_dirs)
     found = []
     for key, value in _OF_RUNS.get(primary, {}).items():
         if value_at(declared.body, key) is not None and key not in keys:
@@ -147,8 +141,6 @@ def _of_hydra(text: str) -> ConfigurationError:
 
 
 _WHOLE = re.compile(r"interval\(\s*[+-]?\d+\s*,\s*[+-]?\d+\s*\)")
-_PLAIN_NAMES = re.compile(r"[^\"'(){}$]*")
-_ITEMS = re.compile(r"\[[^\]]*\]|[^,\[\]]+")
 _LOG_TAG = "log"
 #: Significant digits of a number that ``range(0,1,0.1)`` gives, and of the bounds of a prior.
 _DIGITS = 12
@@ -182,13 +174,13 @@ def space_of(request: ComposeRequest, primary: str) -> Space:
     ConfigurationError for a key or an option that does not exist, a value that cannot be read, a
     prior of what has none.
     """
-    declared = read_primary(primary, request.config_dirs)
-    groups = read_groups(request.config_dirs)
+    declared = catalogue.read_primary(primary, request.config_dirs)
+    groups = catalogue.read_groups(request.config_dirs)
     typed = _last_of_each([_read(text, declared, groups) for text in request.overrides])
     # Names of keys and options are checked before anything is composed.
     plain = tuple(each.text for each in typed if not (each.interval or each.prior))
     prepare(request._replace(overrides=plain, multirun=True), declared, groups)
-    make_importable(request.config_dirs)
+    catalogue.make_importable(request.config_dirs)
 
     choices = tuple(Choice(each.key, each.values) for each in typed if each.values)
     fixed = tuple(each.text for each in typed if not each.varies)
@@ -276,7 +268,7 @@ def _last_of_each(typed: Sequence[_Typed]) -> list[_Typed]:
     return [each for each in typed if last[each.key] is each]
 
 
-def _read(text: str, declared: Primary, groups: Groups) -> _Typed:
+def _read(text: str, declared: catalogue.Primary, groups: catalogue.Groups) -> _Typed:
     override = parse(text, groups)
     if override.key.split("/")[0].split(".")[0] == "hydra":
         raise _of_hydra(text)
@@ -285,16 +277,17 @@ def _read(text: str, declared: Primary, groups: Groups) -> _Typed:
         return _Typed(text, override)
     if value == PRIOR:
         return _Typed(text, override, prior=True)
-    if override.key in declared.defaults and _PLAIN_NAMES.fullmatch(value):
-        # Names and paths: these may hold what Hydra's grammar forbids.
-        items = tuple(item.strip() for item in _ITEMS.findall(value) if item.strip())
-        return _Typed(text, override, _each_once(items) if len(items) > 1 else ())
+    names = plain_names(value) if override.key in declared.defaults else None
+    if names is not None:  # names and paths: these may hold what Hydra's grammar forbids
+        return _Typed(text, override, _each_once(names) if len(names) > 1 else ())
     if override.key.split(".")[-1] in PATH_KEYS and "," not in value and "(" not in value:
         return _Typed(text, override)
     return _swept(text, override, declared, groups)
 
 
-def _swept(text: str, override: Override, declared: Primary, groups: Groups) -> _Typed:
+def _swept(
+    text: str, override: Override, declared: catalogue.Primary, groups: catalogue.Groups
+) -> _Typed:
     """An override whose value may be a sweep in Hydra's grammar."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.core.override_parser.types import (
@@ -402,7 +395,7 @@ class PriorTables:
         composed: Callable[[Mapping[str, str]], Composition],
         fixed: Sequence[str],
         choices: Sequence[Choice],
-        groups: Groups,
+        groups: catalogue.Groups,
     ) -> None:
         self._composed = composed
         self._fixed = tuple(fixed)
@@ -451,7 +444,7 @@ class PriorTables:
         return found
 
 
-def _decides(key: str, groups: Groups) -> bool:
+def _decides(key: str, groups: catalogue.Groups) -> bool:
     name, _, place = key.partition("@")
     first = (place or name).split(".")[0]
     is_option = name in groups or name.split(".")[-1] in _DECIDING_KEYS

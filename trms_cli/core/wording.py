@@ -269,7 +269,9 @@ def choice_labels(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -
     """
     node: Any = config
     if isinstance(config, str):
-        node = _loaded(config) if _FILE in choices.values() else {}
+        from trms_cli.core.yaml_data import mapping_in
+
+        node = mapping_in(config) if _FILE in choices.values() else {}
     return {
         str(group): option(choice, _node(node, str(group))) if choice else ""
         for group, choice in choices.items()
@@ -309,15 +311,3 @@ def _node(config: Mapping[str, Any], group: str) -> Any:
     for name in group.rpartition("@")[2].split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
     return node
-
-
-def _loaded(text: str) -> Mapping[str, Any]:
-    import yaml
-
-    from trms_cli.core.yaml_data import load_yaml
-
-    try:
-        config = load_yaml(text)
-    except yaml.YAMLError:
-        return {}
-    return config if isinstance(config, Mapping) else {}

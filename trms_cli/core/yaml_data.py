@@ -43,6 +43,15 @@ class _Loader(_PARSER):  # type: ignore[misc, valid-type]
         return dict(super().construct_mapping(node, deep))
 
 
+def mapping_in(document: str) -> dict[Any, Any]:
+    """The mapping that a document is; empty for one that is none, or cannot be read."""
+    try:
+        content = load_yaml(document)
+    except yaml.YAMLError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def load_yaml(document: bytes | str) -> Any:
     """The plain data of a document.
 

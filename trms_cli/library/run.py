@@ -77,10 +77,9 @@ class Run(Result):
     @cached_property
     def config(self) -> dict[str, Any]:
         """The resolved configuration, every key with its value."""
-        import yaml
+        from trms_cli.core.yaml_data import load_yaml
 
-        config = yaml.load(self.logged.config, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        return dict(config or {})
+        return dict(load_yaml(self.logged.config) or {})
 
     @property
     def choices(self) -> dict[str, Any]:

@@ -262,22 +262,20 @@ def _asked(
     return Arguments((*words, *overrides), {}, plain.config_dirs)
 
 
-def _without_lists(keys: Mapping[str, Any], varied: dict[str, list[Any]]) -> dict[str, Any]:
+def _without_lists(
+    keys: Mapping[str, Any], varied: dict[str, list[Any]], prefix: str = ""
+) -> dict[str, Any]:
     """The keys without those that a list varies, which go to `varied` by their dotted names."""
-
-    def rest(node: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-        kept: dict[str, Any] = {}
-        for name, value in node.items():
-            place = f"{prefix}{name}"
-            if isinstance(value, Mapping):
-                kept[name] = rest(value, f"{place}.")
-            elif isinstance(value, list | tuple | range) or type(value).__name__ == "ndarray":
-                varied[place] = list(value)
-            else:
-                kept[name] = value
-        return kept
-
-    return rest(keys, "")
+    kept: dict[str, Any] = {}
+    for name, value in keys.items():
+        place = f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            kept[name] = _without_lists(value, varied, f"{place}.")
+        elif isinstance(value, list | tuple | range) or type(value).__name__ == "ndarray":
+            varied[place] = list(value)
+        else:
+            kept[name] = value
+    return kept
 
 
 def _value(key: str, value: Any, config_dir: Paths) -> str:

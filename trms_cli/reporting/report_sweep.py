@@ -436,7 +436,8 @@ def _objectives(sweep: SweepReport) -> Section:
         return Section("Objectives")
     front = sweep.front()
     names = [objective.figure for objective in sweep.objectives]
-    words = f"Sought: {', '.join(map(_sought, sweep.objectives))}."
+    sought = [f"the {'largest' if o.largest else 'least'} {o.figure}" for o in sweep.objectives]
+    words = f"Sought: {', '.join(sought)}."
     section = plot_section("Objectives", pareto_panels(sweep), words)
     front.sort(key=lambda run: run.figures.get(names[0], math.inf))
     keys = [key for key in sweep.keys if any(run.values.get(key) is not None for run in front)]
@@ -450,10 +451,6 @@ def _objectives(sweep: SweepReport) -> Section:
 
 def _kind(sweep: SweepReport) -> str:
     return "trial" if sweep.trials else "run"
-
-
-def _sought(objective: Objective) -> str:
-    return f"the {'largest' if objective.largest else 'least'} {objective.figure}"
 
 
 def _draws(draws: Draws) -> list[Section]:

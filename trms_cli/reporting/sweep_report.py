@@ -145,9 +145,8 @@ class SweepReport:
         """
         named = {run.number: run for run in self.tried if run.number is not None}
         told = [named[number] for number in self.pareto if number in named]
-        return told or self._worked_out()
-
-    def _worked_out(self) -> list[SweepRun]:
+        if told:
+            return told
         signs = [-1.0 if objective.largest else 1.0 for objective in self.objectives]
         known = [
             run

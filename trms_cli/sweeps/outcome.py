@@ -17,19 +17,7 @@ from typing import Any, NamedTuple
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.runs.entry import STATUS_NAME
-from trms_cli.sweeps.record import (
-    ENDED,
-    RECORD_NAME,
-    Claim,
-    Record,
-    RunFolder,
-    has_driver,
-    is_alive,
-    objective_of,
-    problem_of,
-    result_of,
-    status_of,
-)
+from trms_cli.sweeps import record
 
 SCHEMA = "trms.sweep-status/1"
 #: A number, or what a message says was given: one cause is not many because values differ.
@@ -56,9 +44,9 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     runs per second of late; ``best``: the run with the smallest objective; ``told``: what each run
     says of itself, for a sweep of few. Raises RecordingError if there is no sweep.
     """
-    record = Record(folder)
-    document = record.document()
-    points = record.points()
+    sweep = record.Record(folder)
+    document = sweep.document()
+    points = sweep.points()
     counts = dict.fromkeys(("done", "failed", "lost", "interrupted", "running", "left"), 0)
     failures: dict[tuple[str, ...], _Failure] = {}
     ends: list[float] = []
@@ -66,7 +54,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     best: tuple[float, int] | None = None
     shown: Sequence[str] = document["overrides"]
     for point in points:
-        run = RunFolder(folder, point.number)
+        run = record.RunFolder(folder, point.number)
         status = run.status()
         state = _state(run, status)
         counts[state] += 1
@@ -76,7 +64,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
             alike = tuple(_GIVEN.sub("…", words) for words in reason)
             failures.setdefault(alike, _Failure(reason, [], _of_input(status)))
             failures[alike].runs.append(point.number)
-        result = result_of(status, point.number)
+        result = record.result_of(status, point.number)
         if state == "done":
             ends.append(_seconds(status.get("end")))
             value = result.objective if result is not None else None
@@ -87,7 +75,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     if isinstance(total, int):
         counts["left"] += max(0, total - len(points))
     state = document["state"]
-    driven = has_driver(folder)
+    driven = record.has_driver(folder)
     return {
         "schema": SCHEMA,
         "folder": str(folder),
@@ -118,7 +106,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
 
 def _line(folder: Path, number: int, document: Mapping[str, Any]) -> str:
     """What a run says of itself, without what all runs share, on a line of a screen."""
-    status = RunFolder(folder, number).status()
+    status = record.RunFolder(folder, number).status()
     line = str(status.get("told") or "")
     space = document.get("space")
     fixed = set(space.get("fixed", ()) if isinstance(space, Mapping) else ())
@@ -154,12 +142,12 @@ def _readable(word: str) -> str:
     return f"{short}{sign}{value if whole or not math.isfinite(number) else f'{number:.6g}'}"
 
 
-def _state(run: RunFolder, status: Mapping[str, Any]) -> str:
+def _state(run: record.RunFolder, status: Mapping[str, Any]) -> str:
     if not status:
         return "left"
     if status["state"] == "running":
         holder = run.holder()
-        return "left" if holder is not None and is_alive(holder) is False else "running"
+        return "left" if holder is not None and record.is_alive(holder) is False else "running"
     return str(status["state"]) if status["state"] in ("done", "failed", "lost") else "interrupted"
 
 
@@ -253,7 +241,7 @@ class SweepState:
         """Seconds until the end if it goes on as of late; NaN if nobody knows."""
         if self.total is None or math.isnan(self.rate) or self.rate <= 0:
             return math.nan
-        return (self.total - self.count(*ENDED)) / self.rate
+        return (self.total - self.count(*record.ENDED)) / self.rate
 
     @property
     def best(self) -> list[Job]:
@@ -289,7 +277,7 @@ class SweepFollower:
     def now(self) -> SweepState:
         """The sweep as it is."""
         # The lock is looked at first: who drives the sweep writes its end before he lets go.
-        driven = has_driver(self.folder)
+        driven = record.has_driver(self.folder)
         self._look_at_plan()
         assert self._plan is not None
         for file, changed in _status_files(self.folder):
@@ -304,7 +292,7 @@ class SweepFollower:
             total = None  # not the sweep that the plan is of
         if state:
             state = "running" if driven else "done" if state == "done" else "interrupted"
-        ends = [job.changed for job in jobs if job.state in ENDED]
+        ends = [job.changed for job in jobs if job.state in record.ENDED]
         rate = rate_of(ends, latest=_RECENT, least=2)
         now = time.time()
         return SweepState(
@@ -314,7 +302,7 @@ class SweepFollower:
     def _look_at_plan(self) -> None:
         """Read the plan where it is new: what there is to be is written after it has begun."""
         try:
-            changed = (self.folder / RECORD_NAME).stat().st_mtime_ns
+            changed = (self.folder / record.RECORD_NAME).stat().st_mtime_ns
         except OSError:
             changed = 0
         if self._plan is None or changed != self._planned:
@@ -323,12 +311,12 @@ class SweepFollower:
 
 def is_sweep(folder: Path) -> bool:
     """Whether a folder holds jobs of a sweep."""
-    return any(status_of(Path(file)) for file, _ in _status_files(folder))
+    return any(record.status_of(Path(file)) for file, _ in _status_files(folder))
 
 
 def sweep_of(log: Path) -> Path | None:
     """The folder of the sweep that a run is a job of; None if it is none."""
-    return log.parent.parent if status_of(log.with_name(STATUS_NAME)) else None
+    return log.parent.parent if record.status_of(log.with_name(STATUS_NAME)) else None
 
 
 def _by_number(item: tuple[str, Any]) -> tuple[Any, ...]:
@@ -349,19 +337,19 @@ def _status_files(folder: Path) -> Iterator[tuple[str, int]]:
 
 
 def _job(file: Path, folder: Path, changed: int) -> Job | None:
-    status = status_of(file)
+    status = record.status_of(file)
     if not status:
         return None
     state = str(status.get("state"))
     if state == "running" and not _may_live(status.get("pid"), status.get("host")):
         state = "gone"
-    overrides, objective = status.get("overrides"), objective_of(status)
+    overrides, objective = status.get("overrides"), record.objective_of(status)
     return Job(
         name=str(file.parent.relative_to(folder)),
         state=state,
         overrides=tuple(map(str, overrides)) if isinstance(overrides, list) else (),
         objective=math.nan if objective is None else objective,
-        problem=problem_of(status),
+        problem=record.problem_of(status),
         changed=changed / 1e9,
     )
 
@@ -370,15 +358,15 @@ def _may_live(pid: Any, host: Any) -> bool:
     if not isinstance(pid, int) or isinstance(pid, bool) or not 0 < pid < 2**31:
         return True  # it does not say: believe it
     here = host if isinstance(host, str) and host else platform.node()
-    return is_alive(Claim(0, here, pid, "")) is not False
+    return record.is_alive(record.Claim(0, here, pid, "")) is not False
 
 
 def _plan(folder: Path) -> _Plan:
     """What was typed for a sweep, and how many jobs that makes, from the record of the sweep."""
-    if not (folder / RECORD_NAME).exists():
+    if not (folder / record.RECORD_NAME).exists():
         return _plan_of_hydra(folder)
     try:
-        document = Record(folder).document()
+        document = record.Record(folder).document()
     except RecordingError:
         return _Plan((), None)
     overrides, total = document.get("overrides"), document.get("total")

@@ -318,8 +318,7 @@ class Record:
 
     def begin(self, plan: SweepPlan) -> None:
         """Write down what is to be done; raises RecordingError if the disk does not take it."""
-        document = {"schema": SCHEMA, **asdict(plan), "state": "running", "begin": now()}
-        self._write(document)
+        self._write({"schema": SCHEMA, **asdict(plan), "state": "running", "begin": now()})
 
     def note(self, **words: Any) -> None:
         """Change top-level keys of ``sweep.json``: ``state``, ``total``, ``summary``, …

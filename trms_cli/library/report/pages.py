@@ -247,9 +247,10 @@ def report_of(
         if not path.exists():
             raise absent(path, "file or folder")
     folder = _folder(given)
-    logs = [log for path in given if (log := _own_log(path)) is not None]
-    if len(logs) == len(given) and len(_distinct(logs)) <= MOST_OVERLAID:
-        return _of_logs(_distinct(logs), folder, title, [])
+    own = [log for path in given if (log := _own_log(path)) is not None]
+    logs = list({log.resolve(): log for log in own}.values())
+    if len(own) == len(given) and len(logs) <= MOST_OVERLAID:
+        return _of_logs(logs, folder, title, [])
     found = sweeps.rows_of(
         [
             path if path.is_dir() else path.parent if path.name == LOG_NAME else path
@@ -271,13 +272,11 @@ def report_of(
 def _of_logs(
     logs: Sequence[Path], folder: Path, title: str, left_out: Sequence[tuple[str, str]]
 ) -> Report:
-    if len(logs) == 1:
-        from trms_cli.reporting.report_runs import findings_of_run
+    from trms_cli.reporting.report_runs import findings_of_comparison, findings_of_run
 
+    if len(logs) == 1:
         findings = findings_of_run(read_run(logs[0]), title=title)
         return Report(findings, "run", (str(logs[0]),), folder, tuple(left_out))
-    from trms_cli.reporting.report_runs import findings_of_comparison
-
     names = _names(logs)
     runs: list[RunReport] = []
     trouble = list(left_out)
@@ -339,9 +338,7 @@ def _ranking(logs: Sequence[Path]) -> Ranking | None:
 
 def _differences(runs: Sequence[RunReport]) -> list[tuple[str, list[str]]]:
     """Options and settings in which the runs differ, a value each."""
-    import yaml
-
-    from trms_cli.core.yaml_data import load_yaml
+    from trms_cli.core.yaml_data import mapping_in
     from trms_cli.scoring.comparison.runs import differences
 
     options = dict.fromkeys(key for run in runs for key in run.choices)
@@ -350,13 +347,7 @@ def _differences(runs: Sequence[RunReport]) -> list[tuple[str, list[str]]]:
     found = [(key, values) for key, values in rows if len(set(values)) > 1]
     told = {key for key, _ in rows}
     below = tuple(f"{key}." for key, _ in found)
-    configs = []
-    for run in runs:
-        try:
-            config = load_yaml(run.config)
-        except yaml.YAMLError:
-            config = None
-        configs.append(config if isinstance(config, dict) else {})
+    configs = [mapping_in(run.config) for run in runs]
     settings: dict[str, dict[int, str]] = {}
     for i, config in enumerate(configs[1:], start=1):
         for key, first, other in differences(configs[0], config):
@@ -380,10 +371,6 @@ def _folder(given: Sequence[Path]) -> Path:
     if len(given) > 1:
         return Path()
     return given[0] if given[0].is_dir() else given[0].parent
-
-
-def _distinct(logs: Sequence[Path]) -> list[Path]:
-    return list({log.resolve(): log for log in logs}.values())
 
 
 def _names(logs: Sequence[Path]) -> list[str]:

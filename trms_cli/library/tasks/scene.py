@@ -110,11 +110,10 @@ def _lengths(log: LoggedRun) -> dict[str, float]:
     """Parameters of the rig, else of the model, by name; empty for an imported recording."""
     import yaml
 
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    from trms_cli.core.yaml_data import load_yaml
+
     try:
-        told = (
-            yaml.load(log.attachments.get(PARAMETERS_ATTACHMENT, b"").decode(), Loader=loader) or {}
-        )
+        told = load_yaml(log.attachments.get(PARAMETERS_ATTACHMENT, b"").decode()) or {}
         chosen = told.get("plant") or told.get("model") or {}
         return {name: float(parameter["value"]) for name, parameter in chosen.items()}
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:

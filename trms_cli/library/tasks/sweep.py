@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 #: Values of one key that are looked at, from the first on; the last is, too.
 MOST_VALUES = 30
 _OURS = "trms_cli."
-_NUMBERS = ("duration", "sample_time")
 #: Tasks of a record are looked for here only: a record is data, and names no other code.
 _TASKS = ("trms_cli.commands.", "trms_cli.library.tasks.")
 
@@ -335,7 +334,7 @@ def _check_run(config: Mapping[str, Any], seen: set[str]) -> None:
     if is_replay(config):
         return
     check_files(config)
-    for name in _NUMBERS:
+    for name in ("duration", "sample_time"):
         number(config["sim"][name], f"sim.{name}")
     whole_number(config["seed"], "seed")
     whole_number(config["sim"]["prediction_every"], "sim.prediction_every")

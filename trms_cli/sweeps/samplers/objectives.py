@@ -59,16 +59,13 @@ class Aims:
             present = [value for value in values if value is not None]
             if len(present) < len(values):
                 return TrialOutcome(problem=f"a run has no {objective_name(name, self.typed)}")
-            if name in self.objectives:
-                figures[name] = self._over_conditions(name, present)
+            if name in self.objectives and not self.worst:
+                figures[name] = float(np.mean(present))
+            elif name in self.objectives:
+                figures[name] = min(present) if name in self.maximised else max(present)
             if name in self.limits:
                 figures[_limited(name)] = max(present)
         return TrialOutcome(figures)
-
-    def _over_conditions(self, name: str, values: Sequence[float]) -> float:
-        if self.worst:
-            return min(values) if name in self.maximised else max(values)
-        return float(np.mean(values))
 
     def losses(self, tried: TrialOutcome) -> list[float]:
         """Objectives of a trial that did not fail, as what is to be small."""
