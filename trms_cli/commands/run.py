@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from trms_cli.commands.execution import execute, help_of_options, study
+from trms_cli.composition.catalogue import take_option
 from trms_cli.composition.composer import Composition, Outcome
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.reporting.progress import termination
@@ -85,25 +86,21 @@ def take_log(argv: Sequence[str]) -> tuple[Path | None, list[str]]:
 
     Raises ConfigurationError if it names nothing, or stands twice.
     """
-    log: str | None = None
-    rest: list[str] = []
-    words = iter(argv)
-    for word in words:
-        if word != OPTION and not word.startswith(f"{OPTION}="):
-            rest.append(word)
-            continue
-        if log is not None:
-            raise ConfigurationError(
-                "given twice", where=OPTION, remedy="a run is repeated from one log"
-            )
-        log = word.partition("=")[2] if "=" in word else next(words, "")
-        if not log or (log.startswith("-") or ("=" in log and not Path(log).exists())):
-            raise ConfigurationError(
-                f"{log!r} given" if log else "no log given",
-                where=OPTION,
-                remedy=f"write {OPTION} outputs/…/run.mcap",
-            )
-    return (None if log is None else log_of(Path(log))), rest
+    logs, rest = take_option(argv, OPTION)
+    if not logs:
+        return None, rest
+    log = logs[0]
+    if not log or log.startswith("-") or ("=" in log and not Path(log).exists()):
+        raise ConfigurationError(
+            f"{log!r} given" if log else "no log given",
+            where=OPTION,
+            remedy=f"write {OPTION} outputs/…/run.mcap",
+        )
+    if len(logs) > 1:
+        raise ConfigurationError(
+            "given twice", where=OPTION, remedy="a run is repeated from one log"
+        )
+    return log_of(Path(log)), rest
 
 
 @contextmanager

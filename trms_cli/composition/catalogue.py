@@ -51,17 +51,8 @@ def take_config_dirs(argv: Sequence[str]) -> tuple[tuple[Path, ...], list[str]]:
     Returns (folders, rest); the folders as absolute paths in the order given, and what is left of
     `argv`.
     """
-    folders: list[Path] = []
-    rest: list[str] = []
-    words = iter(argv)
-    for word in words:
-        if word in ("--config-dir", "-cd"):
-            folders.append(_checked_folder(next(words, "")))
-        elif word.startswith("--config-dir="):
-            folders.append(_checked_folder(word.partition("=")[2]))
-        else:
-            rest.append(word)
-    return tuple(folders), rest
+    folders, rest = take_option(argv, "--config-dir", "-cd")
+    return tuple(map(_checked_folder, folders)), rest
 
 
 def take_allowed(argv: Sequence[str]) -> list[str]:
@@ -71,16 +62,25 @@ def take_allowed(argv: Sequence[str]) -> list[str]:
     """
     from trms_cli.core.trust import allow_for_now
 
+    packages, rest = take_option(argv, "--allow")
+    for named in packages:
+        for package in named.split(","):
+            allow_for_now(package.strip())
+    return rest
+
+
+def take_option(argv: Sequence[str], *names: str) -> tuple[list[str], list[str]]:
+    """Take every ``NAME VALUE`` and ``NAME=VALUE`` off `argv`: the values, and what is left."""
+    values: list[str] = []
     rest: list[str] = []
     words = iter(argv)
     for word in words:
-        if word != "--allow" and not word.startswith("--allow="):
+        name, equals, value = word.partition("=")
+        if name in names:
+            values.append(value if equals else next(words, ""))
+        else:
             rest.append(word)
-            continue
-        named = word.partition("=")[2] if "=" in word else next(words, "")
-        for package in named.split(",") or [""]:
-            allow_for_now(package.strip())
-    return rest
+    return values, rest
 
 
 def _checked_folder(text: str) -> Path:

@@ -142,9 +142,10 @@ def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> draw.Pane
     marks: list[draw.Mark] = [draw.Line(y=0.0, colour="pale", style="solid")]
     reach, unit = [], ""
     for number, name in enumerate(names):
-        torque, deviation = _estimated(run, name)
-        torque, factor = in_small_unit(torque)
-        deviation, unit = factor * deviation, torque.unit
+        found = run.estimated(name)
+        assert found is not None
+        torque, factor = in_small_unit(found[0])
+        deviation, unit = factor * found[1], torque.unit
         again = any(
             draw.signal_colour(other) == draw.signal_colour(name) for other in names[:number]
         )
@@ -159,12 +160,6 @@ def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> draw.Pane
     title = f"estimated {'pushes' if place == 'pushes' else f'torques on the {place}'}"
     axis = draw.Axis(f"torque on\n{place}" if place != "pushes" else "push", unit, limits)
     return draw.Panel(time_axis(run), axis, marks, title)
-
-
-def _estimated(run: RunSignals, name: str) -> tuple[TimeSeries, FloatArray]:
-    found = run.estimated(name)
-    assert found is not None
-    return found
 
 
 def in_small_unit(signal: TimeSeries) -> tuple[TimeSeries, float]:

@@ -23,7 +23,7 @@ from trms_cli.core.chart import (
     curve_look,
 )
 from trms_cli.scoring.figures import column_title
-from trms_cli.sweeps.findings import baseline_of, front_of
+from trms_cli.sweeps.findings import baseline_of, choices_of, front_of
 from trms_cli.sweeps.space import short_keys
 
 Trial = Mapping[str, Any]
@@ -270,8 +270,7 @@ def _side_by_side(name: str, panels: Sequence[Panel], height: float) -> list[Cha
 
 def _words(group: Mapping[str, Any]) -> str:
     """``pid``, or ``controller=pid ref=sine`` where several things were chosen."""
-    chosen = group["choices"]
+    chosen = list(group["choices"].values())
     if len(chosen) == 1:
-        return str(next(iter(chosen.values())))
-    keys = short_keys(list(chosen))
-    return " ".join(f"{keys[key]}={value}" for key, value in chosen.items()) or "all draws"
+        return str(chosen[0])
+    return choices_of(group) if chosen else "all draws"

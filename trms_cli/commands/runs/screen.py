@@ -97,7 +97,7 @@ def say_remarks(found: QueryResult, *, unreadable: bool) -> None:
     if found.unreadable and unreadable:
         log, problem = found.unreadable[0]
         count = len(found.unreadable)
-        logs = "1 log" if count == 1 else f"{count} logs"
+        logs = wording.count(count, "log")
         first = _cut(f"{_clean(_near(log))}: {_clean(problem)}", _MOST_TOLD)
         more = "" if count == 1 else " (all: trms runs --unreadable)"
         sys.stderr.write(f"note   {logs} could not be read: {first}{more}\n")
@@ -213,9 +213,7 @@ def _cut(text: str, most: int) -> str:
 
 
 def _count(found: QueryResult, filtered: bool) -> str:
-    count = f"{found.matching} of {found.of} runs" if filtered else f"{found.of} runs"
-    if found.of == 1 and not filtered:
-        count = "1 run"
+    count = f"{found.matching} of {found.of} runs" if filtered else wording.count(found.of, "run")
     if len(found.runs) < found.matching:
         return f"{len(found.runs)} of {count} (all: --limit 0)"
     return count

@@ -29,18 +29,15 @@ class GitRevision:
 
     _PATIENCE = 5.0  # s
 
-    def __init__(self, answering: subprocess.Popen[str] | None) -> None:
-        self._answering = answering
-        self._answer = ""
+    def __init__(self, answering: subprocess.Popen[str] | None, answer: str = "") -> None:
+        self._answering, self._answer = answering, answer
 
     @classmethod
     def ask(cls) -> Self:
         """Start to find out; no git or no checkout is no error."""
         known = _known.get()
         if known is not None:
-            told = cls(None)
-            told._answer = known
-            return told
+            return cls(None, known)
         root = Path(__file__).resolve().parents[3]
         if not (root / ".git").exists():
             return cls(None)
