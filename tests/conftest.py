@@ -1,7 +1,5 @@
 """For all tests: what they find the same wherever and however they are started."""
 
-from __future__ import annotations
-
 import signal
 
 from hypothesis import settings

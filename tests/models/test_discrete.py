@@ -1,7 +1,5 @@
 """Models that only step: longer steps are their composition, and what they are not is refused."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The maker's model: its published eigenvalues, its dry friction, its steady states."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from .simulate import rates, simulate, slopes
 EIGENVALUES = [-5.0, -1.0, -0.909, -0.5, -0.044 + 2.169j, -0.044 - 2.169j, 0.0]
 
 
-def test_eigenvalues_at_rest_are_the_published_ones() -> None:
+def test_eigenvalues_at_rest_are_the_published_ones():
     model = FeedbackManual()
     found = np.linalg.eigvals(slopes(model, model.rest())[0]).tolist()
     for value in EIGENVALUES:
@@ -24,14 +22,14 @@ def test_eigenvalues_at_rest_are_the_published_ones() -> None:
     assert not found
 
 
-def test_rests_hanging_with_the_pitch_below_level() -> None:
+def test_rests_hanging_with_the_pitch_below_level():
     model = FeedbackManual()
     x = model.rest()
     assert dict(zip(model.state_names, x, strict=True))["alpha_v"] == pytest.approx(-0.6194)
     assert rates(model, x) == pytest.approx(np.zeros(7), abs=1e-15)
 
 
-def test_a_command_raises_the_beam_to_where_its_moment_holds_it() -> None:
+def test_a_command_raises_the_beam_to_where_its_moment_holds_it():
     # Without dry friction, which would let it stop a little short.
     p = {q.name: q.value for q in FeedbackManual().parameters}
     states = simulate(FeedbackManual(dry_friction=False), lambda t: [0.6, 0.0], 200.0, 0.02)
@@ -47,7 +45,7 @@ def test_a_command_raises_the_beam_to_where_its_moment_holds_it() -> None:
     assert abs(states["alpha_v"][-1] - rest) < 0.1
 
 
-def test_the_reaction_leads_and_settles_as_its_transfer_function_says() -> None:
+def test_the_reaction_leads_and_settles_as_its_transfer_function_says():
     # M_R/τ_1 = k_c (T_0 s + 1)/(T_p s + 1): k_c T_0/T_p at once, k_c in the end.
     model = FeedbackManual(dry_friction=False)
     p = {q.name: q.value for q in model.parameters}
@@ -60,7 +58,7 @@ def test_the_reaction_leads_and_settles_as_its_transfer_function_says() -> None:
     assert in_the_end == pytest.approx(p["k_c"])
 
 
-def test_dry_friction_holds_yaw_against_less_than_its_torque() -> None:
+def test_dry_friction_holds_yaw_against_less_than_its_torque():
     p = {q.name: q.value for q in FeedbackManual().parameters}
     stuck = 0.9 * p["B_2phi"] / p["b_2"] / p["k_2"]  # moment a little below B_2φ
     held = simulate(FeedbackManual(), lambda t: [0.0, stuck], 10.0, 0.02)
@@ -74,12 +72,12 @@ def test_dry_friction_holds_yaw_against_less_than_its_torque() -> None:
     assert moving["S_h"][-1] == pytest.approx(driven / p["B_1phi"], rel=1e-4)
 
 
-def test_dry_friction_ends_a_free_swing_in_finite_time() -> None:
+def test_dry_friction_ends_a_free_swing_in_finite_time():
     states = simulate(FeedbackManual(), lambda t: [0.0, 0.0], 120.0, 0.02, start={"alpha_v": -0.5})
     assert np.all(states["S_v"][-50:] == states["S_v"][-1])
     assert abs(states["S_v"][-1]) < 1e-12
 
 
-def test_a_set_of_another_model_is_told() -> None:
+def test_a_set_of_another_model_is_told():
     with pytest.raises(ModelError, match="belongs to model 'newtonian'"):
         FeedbackManual(parameter_set="bench")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -21,19 +19,19 @@ YAW = {0.2: 0.10, 0.5: 0.50, 1.0: 1.56, -0.5: -0.85}
 
 
 @pytest.mark.parametrize(("u_v", "expected"), EQUILIBRIA.items())
-def test_equilibria_of_the_main_rotor(u_v: float, expected: tuple[float, float]) -> None:
+def test_equilibria_of_the_main_rotor(u_v, expected):
     found = settle(Newtonian(freedom="vertical"), [u_v])
     assert found["omega_v"] == pytest.approx(expected[0], abs=0.06)
     assert found["alpha_v"] == pytest.approx(expected[1], abs=6e-4)
 
 
 @pytest.mark.parametrize(("u_h", "expected"), YAW.items())
-def test_equilibria_of_yaw_with_the_beam_level(u_h: float, expected: float) -> None:
+def test_equilibria_of_yaw_with_the_beam_level(u_h, expected):
     found = settle(Newtonian(freedom="horizontal"), [u_h])
     assert found["alpha_h"] == pytest.approx(expected, abs=6e-3)
 
 
-def test_pitch_at_rest_and_hover() -> None:
+def test_pitch_at_rest_and_hover():
     assert settle(Newtonian(), [0.0, 0.0])["alpha_v"] == pytest.approx(-0.619, abs=6e-4)
     hover = settle(Newtonian(currents="dynamic"), [1.413, 0.0])
     assert hover["alpha_v"] == pytest.approx(0.0, abs=5e-4)
@@ -43,7 +41,7 @@ def test_pitch_at_rest_and_hover() -> None:
     assert thrust == pytest.approx(0.624, abs=6e-4)
 
 
-def test_gravity_moment_has_the_published_size_and_phase() -> None:
+def test_gravity_moment_has_the_published_size_and_phase():
     model = Newtonian()
     g = geometry({p.name: p.value for p in model.parameters})
     moment = model.parameters["g"].value * np.hypot(g["A"] - g["B"], g["C"])
@@ -51,7 +49,7 @@ def test_gravity_moment_has_the_published_size_and_phase() -> None:
     assert np.arctan2(g["B"] - g["A"], g["C"]) == pytest.approx(0.6194, abs=6e-5)
 
 
-def test_there_is_no_pitch_equilibrium_above_the_fold() -> None:
+def test_there_is_no_pitch_equilibrium_above_the_fold():
     # The largest moment of gravity is G = 0.2646 N m; beyond 2.23 V the thrust's is larger.
     model = Newtonian(freedom="vertical")
     arm, thrust = model.parameters["l_m"].value, model.parameters["k_fvp"].value
@@ -78,7 +76,7 @@ def thesis() -> Newtonian:
 
 
 @pytest.mark.parametrize("name", RAHIDEH)
-def test_eigenvalues_with_the_thesis_parameters(name: str) -> None:
+def test_eigenvalues_with_the_thesis_parameters(name):
     (u_v, expected), model = RAHIDEH[name], thesis()
     state = settle(model, [u_v, 0.0]) | {"alpha_h": 0.0}
     found = np.linalg.eigvals(slopes(model, list(state.values()), [u_v, 0.0])[0])
@@ -86,7 +84,7 @@ def test_eigenvalues_with_the_thesis_parameters(name: str) -> None:
         assert np.abs(found - value).min() < 2e-3
 
 
-def test_main_rotor_at_rest_decays_with_back_emf_and_bearing_alone() -> None:
+def test_main_rotor_at_rest_decays_with_back_emf_and_bearing_alone():
     # model.md prints −0.328 here; the exact slope at ω = 0, where the drag has none, is
     # −(kφ²/R + B_mr)/J_mr = −0.3200.
     model = Newtonian(parameter_set="rahideh")
@@ -97,7 +95,7 @@ def test_main_rotor_at_rest_decays_with_back_emf_and_bearing_alone() -> None:
     assert exact == pytest.approx(-0.3200, abs=5e-5)
 
 
-def test_thesis_gain_makes_pitch_unstable_above_the_published_angle() -> None:
+def test_thesis_gain_makes_pitch_unstable_above_the_published_angle():
     model = thesis()
     p = {parameter.name: parameter.value for parameter in model.parameters}
     g = geometry(p)
@@ -115,7 +113,7 @@ def test_thesis_gain_makes_pitch_unstable_above_the_published_angle() -> None:
 
 
 @pytest.mark.parametrize("kind", [Newtonian, Lagrangian])
-def test_currents_as_states_hardly_matter(kind: Any) -> None:
+def test_currents_as_states_hardly_matter(kind):
     # 4 s with steps on both inputs; the angles stay within 1e-4 rad.
     slow, fast = (
         simulate(kind(currents=c), square(1.6, 0.6), 4.0, 0.02, 8)
@@ -125,7 +123,7 @@ def test_currents_as_states_hardly_matter(kind: Any) -> None:
         assert 0 < np.abs(slow[angle] - fast[angle]).max() < 1e-4
 
 
-def test_linearised_yaw_is_uncontrollable_with_the_tail_rotor_at_rest() -> None:
+def test_linearised_yaw_is_uncontrollable_with_the_tail_rotor_at_rest():
     def rank(omega_h: float) -> int:
         a, b = slopes(Newtonian(freedom="horizontal"), [omega_h, 0.0, 0.0])
         return int(np.linalg.matrix_rank(np.hstack([b, a @ b, a @ a @ b]), tol=1e-9))
@@ -134,7 +132,7 @@ def test_linearised_yaw_is_uncontrollable_with_the_tail_rotor_at_rest() -> None:
     assert rank(50.0) == 3
 
 
-def test_free_pitch_without_friction_conserves_energy() -> None:
+def test_free_pitch_without_friction_conserves_energy():
     still = {"k_ov": 0.0, "k_t": 0.0}
     model = Newtonian(freedom="vertical", parameters=still)
     g = geometry({p.name: p.value for p in model.parameters})
@@ -160,9 +158,7 @@ APART = {"k_m": 0.0, "k_t": 0.0}
 @pytest.mark.parametrize(
     ("kind", "changed"), [(Newtonian, APART), (Lagrangian, APART | {"h": 0.0})]
 )
-def test_one_axis_is_the_whole_model_with_the_other_locked(
-    kind: Any, changed: dict[str, float], freedom: str
-) -> None:
+def test_one_axis_is_the_whole_model_with_the_other_locked(kind, changed, freedom):
     one, both = kind(freedom=freedom, parameters=changed), kind(parameters=changed)
     x = dict(zip(one.state_names, (60.0, 0.3, -0.2), strict=True))
     full = [x.get(name, 0.0) for name in both.state_names]
@@ -172,19 +168,19 @@ def test_one_axis_is_the_whole_model_with_the_other_locked(
     assert rates(one, list(x.values()), [1.0]) == pytest.approx(expected, rel=1e-9)
 
 
-def test_unknown_parameter_names_the_nearest() -> None:
+def test_unknown_parameter_names_the_nearest():
     with pytest.raises(ConfigurationError, match="k_fpv") as raised:
         Newtonian(parameters={"k_fpv": 1e-5})
     assert "k_fvp" in raised.value.remedy
 
 
-def test_unknown_set_names_the_sets() -> None:
+def test_unknown_set_names_the_sets():
     with pytest.raises(ConfigurationError) as raised:
         Newtonian(parameter_set="bensch")
     assert "bench" in raised.value.remedy
 
 
-def test_draws_from_the_priors_repeat_and_keep_known_constants() -> None:
+def test_draws_from_the_priors_repeat_and_keep_known_constants():
     parameters = Newtonian().parameters
     once, again, other = parameters.drawn(7), parameters.drawn(7), parameters.drawn(8)
     assert np.array_equal(once.values, again.values)

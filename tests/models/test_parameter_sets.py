@@ -1,7 +1,5 @@
 """The built-in sets: what their sources publish, and what they take from set bench."""
 
-from __future__ import annotations
-
 import pytest
 
 from trms_cli.core.plugins import build
@@ -22,7 +20,7 @@ TASTEMIROV = {
 }
 
 
-def test_tastemirov_is_bench_but_for_what_is_published() -> None:
+def test_tastemirov_is_bench_but_for_what_is_published():
     ours, bench = parameter_file("tastemirov"), parameter_file("bench")
     assert set(ours.parameters) == set(bench.parameters)
     for parameter in ours.parameter_set():
@@ -33,7 +31,7 @@ def test_tastemirov_is_bench_but_for_what_is_published() -> None:
         assert (parameter.unit, parameter.prior_sd) == (theirs.unit, theirs.prior_sd)
 
 
-def test_tastemirovs_inertia_comes_out_too_large_as_the_file_says() -> None:
+def test_tastemirovs_inertia_comes_out_too_large_as_the_file_says():
     import casadi as ca
 
     model = Lagrangian(parameter_set="tastemirov")
@@ -45,7 +43,7 @@ def test_tastemirovs_inertia_comes_out_too_large_as_the_file_says() -> None:
     assert "give 0.0654" in text
 
 
-def test_rahideh_differs_from_bench_in_the_gyroscopic_gain_alone() -> None:
+def test_rahideh_differs_from_bench_in_the_gyroscopic_gain_alone():
     ours, bench = (
         {p.name: p.value for p in parameter_file(name).parameter_set()}
         for name in ("rahideh", "bench")
@@ -61,7 +59,7 @@ def test_rahideh_differs_from_bench_in_the_gyroscopic_gain_alone() -> None:
         *("motor_main", "motor_tail", "propeller_main", "propeller_tail"),
     ],
 )
-def test_options_build_what_they_say(option: str) -> None:
+def test_options_build_what_they_say(option):
     import yaml
 
     text = (config_folder() / "model" / f"{option}.yaml").read_text(encoding="utf-8")

@@ -1,7 +1,5 @@
 """Rotors alone: the motor's equations, its curves, its step response in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from .simulate import simulate
 
 @pytest.mark.parametrize(("rotor", "axis"), [("main", "v"), ("tail", "h")])
 @pytest.mark.parametrize("currents", ["quasi_static", "dynamic"])
-def test_it_turns_as_on_the_rig(rotor, axis, currents) -> None:
+def test_it_turns_as_on_the_rig(rotor, axis, currents):
     # No motion of the beam acts back on a rotor.
     alone = simulate(SingleRotor(rotor=rotor, currents=currents), lambda t: [1.3], 3.0, 0.02, 4)
     rig = simulate(Newtonian(currents=currents), lambda t: [1.3, 1.3], 3.0, 0.02, 4)
@@ -23,7 +21,7 @@ def test_it_turns_as_on_the_rig(rotor, axis, currents) -> None:
 
 
 @pytest.mark.parametrize("command", [1.5, -1.5])
-def test_a_step_follows_the_closed_form(command: float) -> None:
+def test_a_step_follows_the_closed_form(command):
     # J ω̇ = a u − b ω − k ω² from rest: ω = ω_∞ tanh-like, by the roots of the quadratic.
     model = SingleRotor(rotor="main")
     p = {q.name: q.value for q in model.parameters}
@@ -39,7 +37,7 @@ def test_a_step_follows_the_closed_form(command: float) -> None:
     assert found == pytest.approx(sign * omega, abs=1e-5)
 
 
-def test_thrust_is_measured_on_request() -> None:
+def test_thrust_is_measured_on_request():
     cell = SingleRotor(rotor="tail", load_cell=True)
     assert [s.name for s in cell.outputs] == ["omega_h", "thrust_h"]
     x, u, p, _ = cell.symbols()
@@ -52,7 +50,7 @@ def test_thrust_is_measured_on_request() -> None:
         assert found == pytest.approx([omega, k * omega * abs(omega)])
 
 
-def test_a_speed_is_held_by_its_command() -> None:
+def test_a_speed_is_held_by_its_command():
     target = SteadyState(SingleRotor(rotor="main")).solve(np.array([196.3]))
     assert target.converged and not target.projected
     assert target.u[0] == pytest.approx(1.413, abs=1e-3)
@@ -60,6 +58,6 @@ def test_a_speed_is_held_by_its_command() -> None:
     assert beyond.projected and beyond.u[0] == pytest.approx(2.5)
 
 
-def test_a_set_without_electrical_motors_is_told() -> None:
+def test_a_set_without_electrical_motors_is_told():
     with pytest.raises(ModelError, match="has no 'k_uv'"):
         SingleRotor(rotor="main", parameter_set="tras")

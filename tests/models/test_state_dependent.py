@@ -68,9 +68,7 @@ def residual(form: StateDependentForm, x: np.ndarray, u: np.ndarray, p: np.ndarr
 @given(fractions=st.lists(st.floats(-1.0, 1.0), min_size=10, max_size=10))
 @example([-0.29, -0.44, 0.86, 1.0, 0.02, 1.0, 0.84, -0.13, 0.0, 0.0])
 @example([-0.71, -0.23, 0.84, 0.97, -0.95, 1.0, 0.81, -0.4, 0.0, 0.0])
-def test_the_form_is_the_model_wherever_the_rotors_start_at_rest(
-    name: str, fractions: list[float]
-) -> None:
+def test_the_form_is_the_model_wherever_the_rotors_start_at_rest(name, fractions):
     model, form, p = MODELS[name], FORMS[name], MODELS[name].parameters.values
     x = scale(model) * fractions[: model.n_x]
     u = 2.5 * np.array(fractions[model.n_x : model.n_x + model.n_u])
@@ -82,7 +80,7 @@ def test_the_form_is_the_model_wherever_the_rotors_start_at_rest(
     assert np.all(np.abs(residual(form, x, u, p)) <= error + 1e-12 * largest)
 
 
-def test_at_the_origin_it_is_the_jacobian() -> None:
+def test_at_the_origin_it_is_the_jacobian():
     model = MODELS["newtonian"]
     x_0, u_0 = model.rest() + 0.1, np.array([0.7, -0.3])
     form = state_dependent(model, x_0, u_0)
@@ -95,7 +93,7 @@ def test_at_the_origin_it_is_the_jacobian() -> None:
         np.testing.assert_allclose(given_part, ca.densify(wanted), rtol=1e-9, atol=1e-9)
 
 
-def test_a_ray_through_a_kink_leaves_a_small_residual_that_is_told() -> None:
+def test_a_ray_through_a_kink_leaves_a_small_residual_that_is_told():
     model = MODELS["newtonian"]
     x_0 = model.rest()
     x_0[model.state_index("omega_h")] = 100.0
@@ -111,7 +109,7 @@ def test_a_ray_through_a_kink_leaves_a_small_residual_that_is_told() -> None:
 
 
 @pytest.mark.parametrize("name", ["newtonian", "lagrangian"])
-def test_a_step_converges_to_the_integrator_with_second_order_local_error(name: str) -> None:
+def test_a_step_converges_to_the_integrator_with_second_order_local_error(name):
     model = MODELS[name]
     form, p, w = FORMS[name], model.parameters.values, np.zeros(model.n_w)
     x = model.rest() + 0.2 * scale(model)
@@ -126,7 +124,7 @@ def test_a_step_converges_to_the_integrator_with_second_order_local_error(name: 
     assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.25)
 
 
-def test_a_stiff_model_settles_its_currents_in_a_step() -> None:
+def test_a_stiff_model_settles_its_currents_in_a_step():
     model = MODELS["newtonian_full"]
     form, p = FORMS["newtonian_full"], model.parameters.values
     x = model.rest()
@@ -144,7 +142,7 @@ def test_a_stiff_model_settles_its_currents_in_a_step() -> None:
     assert after[i] == pytest.approx(settled[i, 0], rel=0.02)
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_what_cannot_be_is_refused():
     model = MODELS["newtonian"]
     with pytest.raises(ModelError, match="origin"):
         state_dependent(model, np.zeros(3))

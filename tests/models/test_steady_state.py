@@ -38,9 +38,7 @@ def is_steady(model: Model, target: Target, w: np.ndarray) -> None:
     warm=st.booleans(),
 )
 @settings(max_examples=200, deadline=None)
-def test_a_reachable_reference_is_reached(
-    pitch: float, yaw: float, torques: tuple[float, float], warm: bool
-) -> None:
+def test_a_reachable_reference_is_reached(pitch, yaw, torques, warm):
     reference, w = np.array([pitch, yaw]), np.array([*torques, 0.0, 0.0])
     guess = SOLVER.solve(np.array([0.1, 0.4])) if warm else None
     target = SOLVER.solve(reference, w, guess)
@@ -49,7 +47,7 @@ def test_a_reachable_reference_is_reached(
     np.testing.assert_allclose(target.reference_reached, reference, atol=1e-6)
 
 
-def test_the_equilibria_are_those_of_the_rig() -> None:
+def test_the_equilibria_are_those_of_the_rig():
     hover = SOLVER.solve(np.zeros(2))
     assert hover.u[0] == pytest.approx(1.413, abs=1e-3)
     assert hover.x[BOTH.state_index("omega_v")] == pytest.approx(196.3, abs=0.05)
@@ -59,7 +57,7 @@ def test_the_equilibria_are_those_of_the_rig() -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_the_double_root_is_left_and_entered(sign: float) -> None:
+def test_the_double_root_is_left_and_entered(sign):
     rest = SOLVER.solve(np.zeros(2))
     turned = SOLVER.solve(np.array([0.3, sign * 0.5]), None, rest)
     assert not turned.projected
@@ -68,7 +66,7 @@ def test_the_double_root_is_left_and_entered(sign: float) -> None:
     np.testing.assert_allclose(back.u, rest.u, atol=2e-4)
 
 
-def test_the_answer_depends_on_nothing_but_the_arguments() -> None:
+def test_the_answer_depends_on_nothing_but_the_arguments():
     solver = SteadyState(BOTH)
     reference, guess = np.array([0.2, -0.3]), solver.solve(np.zeros(2))
     first = solver.solve(reference, None, guess)
@@ -78,7 +76,7 @@ def test_the_answer_depends_on_nothing_but_the_arguments() -> None:
     np.testing.assert_array_equal(first.u, second.u)
 
 
-def test_out_of_reach_the_closest_is_found_and_flagged() -> None:
+def test_out_of_reach_the_closest_is_found_and_flagged():
     w = np.array([-0.1, 0.0, 0.0, 0.0])  # the main rotor cannot lift this to 0.9 rad
     target = SOLVER.solve(np.array([0.9, 0.5]), w)
     is_steady(BOTH, target, w)
@@ -99,7 +97,7 @@ def test_out_of_reach_the_closest_is_found_and_flagged() -> None:
 
 
 @pytest.mark.parametrize("pitch_weight", [1.0, 30.0])
-def test_what_is_out_of_reach_is_shared_as_the_weights_say(pitch_weight: float) -> None:
+def test_what_is_out_of_reach_is_shared_as_the_weights_say(pitch_weight):
     """Short of tail thrust, pitch is lowered for the cosine that it costs: against a search."""
     reference, w = np.array([0.2, 2.5]), np.array([0.0, -0.08, 0.0, 0.0])
     solver = SteadyState(BOTH, {"alpha_v": pitch_weight})
@@ -118,13 +116,13 @@ def test_what_is_out_of_reach_is_shared_as_the_weights_say(pitch_weight: float) 
     assert again.active == (0, 1)
 
 
-def test_references_beyond_a_stop_end_at_it() -> None:
+def test_references_beyond_a_stop_end_at_it():
     target = SOLVER.solve(np.array([1.4, 0.0]))
     assert target.projected
     assert target.reference_reached[0] == pytest.approx(1.05, abs=1e-6)
 
 
-def test_where_nothing_can_hold_the_rig_it_says_so() -> None:
+def test_where_nothing_can_hold_the_rig_it_says_so():
     w = np.array([-1.0, 0.0, 0.0, 0.0])
     target = SOLVER.solve(np.array([0.3, 0.0]), w)
     assert not target.converged and target.projected
@@ -142,7 +140,7 @@ def test_where_nothing_can_hold_the_rig_it_says_so() -> None:
     ],
     ids=["currents", "vertical", "horizontal", "delay"],
 )
-def test_every_model_has_its_steady_states(model: Model) -> None:
+def test_every_model_has_its_steady_states(model):
     solver = SteadyState(model)
     guess = None
     for angle in (0.3, -0.3, 0.0):
@@ -159,12 +157,12 @@ def test_every_model_has_its_steady_states(model: Model) -> None:
             assert found.x[model.state_index(name)] == pytest.approx(same.x[full[name]], rel=1e-6)
 
 
-def test_weights_are_positive() -> None:
+def test_weights_are_positive():
     with pytest.raises(ModelError, match="weights"):
         SteadyState(BOTH, {"alpha_v": 0.0})
 
 
-def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone() -> None:
+def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone():
     reference = np.array([-0.3, -0.5])
     push = np.array([0.0, 0.0, 0.0, 0.06])  # N m on the tail rotor: more than its motor has
     target = SOLVER.solve(reference, np.zeros(4))
@@ -177,7 +175,7 @@ def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone()
 
 
 @pytest.mark.parametrize("warm", [False, True])
-def test_a_path_memory_stays_and_the_inputs_hold_the_reference(warm: bool) -> None:
+def test_a_path_memory_stays_and_the_inputs_hold_the_reference(warm):
     model = extend_model(BOTH, {"h": CableHysteresis(axis="yaw", torque=0.005, width=0.15)})
     solver, reference = SteadyState(model), np.array([0.2, 0.3])
     guess = solver.solve(np.array([0.1, -0.4])) if warm else None

@@ -1,7 +1,5 @@
 """Wheel and source distribution: what is in them, and that they work where nothing else is."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import tarfile

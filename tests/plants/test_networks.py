@@ -1,7 +1,5 @@
 """A network in the place of the rig: where it starts, where it stops, what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import orjson
@@ -19,7 +17,7 @@ from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.read import read_recording
 
 
-def test_a_log_cut_anywhere_keeps_what_is_before(tmp_path, write_run) -> None:
+def test_a_log_cut_anywhere_keeps_what_is_before(tmp_path, write_run):
     data = write_run(tmp_path / "run.mcap", 250).read_bytes()
     whole = read_log(tmp_path / "run.mcap")
     cut = tmp_path / "cut.mcap"
@@ -53,7 +51,7 @@ def check_is_prefix(log: LoggedRun, whole: LoggedRun) -> int:
     return n
 
 
-def test_a_damaged_chunk_is_left_out_and_told(tmp_path, write_run) -> None:
+def test_a_damaged_chunk_is_left_out_and_told(tmp_path, write_run):
     path = write_run(tmp_path / "run.mcap", 300)
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -70,7 +68,7 @@ def test_a_damaged_chunk_is_left_out_and_told(tmp_path, write_run) -> None:
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_end_in_a_log_or_a_clear_error(tmp_path_factory, data) -> None:
+def test_any_bytes_end_in_a_log_or_a_clear_error(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("bytes") / "x.mcap"
     for content in (data, b"\x89MCAP0\r\n" + data):
         path.write_bytes(content)
@@ -80,8 +78,8 @@ def test_any_bytes_end_in_a_log_or_a_clear_error(tmp_path_factory, data) -> None
 
 @given(position=st.integers(8, 5000), flip=st.integers(1, 255))
 def test_any_flipped_byte_ends_in_a_log_or_a_clear_error(
-    tmp_path_factory: pytest.TempPathFactory, good_log: bytes, position: int, flip: int
-) -> None:
+    tmp_path_factory, good_log, position, flip
+):
     data = bytearray(good_log)
     data[position % len(data)] ^= flip
     path = tmp_path_factory.mktemp("flip") / "x.mcap"
@@ -116,21 +114,21 @@ def good_log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
         (b"\x89MCAP0\r\n", "another program"),
     ],
 )
-def test_files_that_are_no_logs(path: Path, content: bytes, problem: str) -> None:
+def test_files_that_are_no_logs(path, content, problem):
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=problem) as caught:
         read_log(path)
     assert str(path) in str(caught.value) and caught.value.remedy
 
 
-def test_no_such_file_and_folder(tmp_path: Path) -> None:
+def test_no_such_file_and_folder(tmp_path):
     with pytest.raises(RecordingError, match="no such file"):
         read_log(tmp_path / "none.mcap")
     with pytest.raises(RecordingError, match="no log of a run in it"):
         read_log(tmp_path)
 
 
-def test_a_log_of_another_program(path: Path) -> None:
+def test_a_log_of_another_program(path):
     writer = Writer(str(path))
     writer.start(library="robot 1.0")
     schema = writer.register_schema("x", "jsonschema", b"{}")
@@ -143,7 +141,7 @@ def test_a_log_of_another_program(path: Path) -> None:
 
 @pytest.mark.parametrize("chunked", [True, False])
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_a_log_rewritten_by_another_tool(tmp_path, write_run, chunked, compression) -> None:
+def test_a_log_rewritten_by_another_tool(tmp_path, write_run, chunked, compression):
     """`mcap compress` or `mcap recover` change the library's name, chunks and compression."""
     path = write_run(tmp_path / "run.mcap", 30)
     out = io.BytesIO()
@@ -170,7 +168,7 @@ def test_a_log_rewritten_by_another_tool(tmp_path, write_run, chunked, compressi
     )
 
 
-def test_only_the_topics_asked_for(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+def test_only_the_topics_asked_for(tmp_path, write_run):
     log = read_log(write_run(tmp_path / "run.mcap", 10), ["/command"])
     assert set(log.tables) == {"/command"}
     with pytest.raises(RecordingError, match="has no /reference") as caught:
@@ -178,7 +176,7 @@ def test_only_the_topics_asked_for(tmp_path: Path, write_run: Callable[..., Path
     assert "/command" in caught.value.remedy
 
 
-def test_messages_that_do_not_fit_are_a_clear_error(path: Path) -> None:
+def test_messages_that_do_not_fit_are_a_clear_error(path):
     writer = Writer(str(path))
     writer.start(library="trms 0")
     schema = orjson.dumps({"type": "object", "properties": {"x": {"type": "number"}}})
@@ -191,7 +189,7 @@ def test_messages_that_do_not_fit_are_a_clear_error(path: Path) -> None:
         read_log(path)
 
 
-def test_a_run_as_a_recording(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+def test_a_run_as_a_recording(tmp_path, write_run):
     recording = read_recording(write_run(tmp_path / "run.mcap", close=False))
     assert set(recording.channels) == {"u_v", "u_h", "alpha_v", "alpha_h", "r_v", "r_h"}
     assert recording.units["u_v"] == "V" and recording.metadata["seed"] == "3"

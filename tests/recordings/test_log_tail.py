@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -56,7 +53,7 @@ def check_same(tables: dict[str, TopicTable], log: LoggedRun) -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 1000, 20_000, 1 << 20])
-def test_a_finished_log_is_what_the_log_reader_reads(tmp_path, write_run, at_once) -> None:
+def test_a_finished_log_is_what_the_log_reader_reads(tmp_path, write_run, at_once):
     path = write_run(tmp_path / "run.mcap", 350)
     log = read_log(path)
     with LogTail(path) as tail:
@@ -71,7 +68,7 @@ def test_a_finished_log_is_what_the_log_reader_reads(tmp_path, write_run, at_onc
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(steps=st.lists(st.integers(0, 60), min_size=1, max_size=12))
-def test_a_log_that_grows(tmp_path_factory, topics, write_sample, steps: list[int]) -> None:
+def test_a_log_that_grows(tmp_path_factory, topics, write_sample, steps):
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     log, done, pieces = RunLog(path, topics, {"command": "trms run"}), 0, []
     with LogTail(path) as tail:
@@ -116,7 +113,7 @@ def last_chunk(tmp_path_factory) -> tuple[bytes, bytes]:
     return data[: sizes[1]], data[sizes[1] :]
 
 
-def test_a_chunk_cut_at_every_byte_is_left_for_the_next_look(tmp_path, last_chunk) -> None:
+def test_a_chunk_cut_at_every_byte_is_left_for_the_next_look(tmp_path, last_chunk):
     before, after = last_chunk
     path = tmp_path / "run.mcap"
     whole = 0
@@ -138,7 +135,7 @@ def test_a_chunk_cut_at_every_byte_is_left_for_the_next_look(tmp_path, last_chun
     assert 0 < whole < len(after) / 2
 
 
-def test_a_log_that_comes_byte_by_byte(tmp_path: Path, last_chunk: tuple[bytes, bytes]) -> None:
+def test_a_log_that_comes_byte_by_byte(tmp_path, last_chunk):
     data = b"".join(last_chunk)
     path = tmp_path / "run.mcap"
     path.touch()
@@ -151,7 +148,7 @@ def test_a_log_that_comes_byte_by_byte(tmp_path: Path, last_chunk: tuple[bytes, 
     check_same(joined(pieces), read_log(path))
 
 
-def test_only_what_is_wanted(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+def test_only_what_is_wanted(tmp_path, write_run):
     path = write_run(tmp_path / "run.mcap")
     with LogTail(path, lambda topic, column: (topic, column) == ("/command", "u_h")) as tail:
         tables = joined(read_all(tail))
@@ -159,7 +156,7 @@ def test_only_what_is_wanted(tmp_path: Path, write_run: Callable[..., Path]) -> 
     assert tail.units == {"/command": {"u_h": "V"}}
 
 
-def test_damage_is_left_out_and_told(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+def test_damage_is_left_out_and_told(tmp_path, write_run):
     path = write_run(tmp_path / "run.mcap")
     data = bytearray(path.read_bytes())
     position = 8
@@ -174,7 +171,7 @@ def test_damage_is_left_out_and_told(tmp_path: Path, write_run: Callable[..., Pa
         assert len(tail.problems) == len([p for p in log.problems if "damaged" in p]) == 1
 
 
-def test_progress_is_told_by_chunk(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+def test_progress_is_told_by_chunk(tmp_path, write_run):
     path = write_run(tmp_path / "run.mcap", 250)
     with LogTail(path) as tail:
         written = [pair for piece in read_all(tail) for pair in piece.written]
@@ -185,7 +182,7 @@ def test_progress_is_told_by_chunk(tmp_path: Path, write_run: Callable[..., Path
 class TestWriter:
     """Whether somebody writes the log."""
 
-    def test_a_run_has_one_until_it_closes(self, tmp_path, topics, write_sample) -> None:
+    def test_a_run_has_one_until_it_closes(self, tmp_path, topics, write_sample):
         log = RunLog(tmp_path / "run.mcap", topics, {})
         with LogTail(log.path) as tail:
             first = tail.has_writer()
@@ -198,7 +195,7 @@ class TestWriter:
             log.close("completed")
             assert tail.has_writer() is False
 
-    def test_a_reader_is_none(self, tmp_path: Path, write_run: Callable[..., Path]) -> None:
+    def test_a_reader_is_none(self, tmp_path, write_run):
         path = write_run(tmp_path / "run.mcap")
         with LogTail(path) as tail, LogTail(path) as other, path.open("rb"):
             assert tail.has_writer() in (False, None)
@@ -208,26 +205,26 @@ class TestWriter:
 class TestBadFiles:
     """What is no log."""
 
-    def test_none(self, tmp_path: Path) -> None:
+    def test_none(self, tmp_path):
         with pytest.raises(RecordingError, match="no such file"):
             LogTail(tmp_path / "none.mcap")
 
-    def test_no_mcap(self, path: Path) -> None:
+    def test_no_mcap(self, path):
         path.write_text("t[s],u_v[V]\n0,1\n")
         with LogTail(path) as tail, pytest.raises(RecordingError, match="not an MCAP file"):
             tail.read()
 
-    def test_a_folder(self, tmp_path: Path) -> None:
+    def test_a_folder(self, tmp_path):
         with pytest.raises(RecordingError), LogTail(tmp_path) as tail:
             tail.read()
 
     @pytest.mark.parametrize("length", range(9))
-    def test_one_that_has_just_begun(self, path, last_chunk, length) -> None:
+    def test_one_that_has_just_begun(self, path, last_chunk, length):
         path.write_bytes(last_chunk[0][:length])
         with LogTail(path) as tail:
             assert tail.read() is None and not tail.finished
 
-    def test_a_record_of_a_length_that_cannot_be(self, path, last_chunk) -> None:
+    def test_a_record_of_a_length_that_cannot_be(self, path, last_chunk):
         path.write_bytes(last_chunk[0] + b"\x06" + (2**60).to_bytes(8, "little") + bytes(100))
         with LogTail(path) as tail:
             pieces = read_all(tail)
@@ -239,8 +236,8 @@ class TestBadFiles:
     )
     @given(spoilt=st.lists(st.tuples(st.integers(8, 10**6), st.integers(0, 255)), min_size=1))
     def test_damage_anywhere_ends_in_a_message_or_in_fewer_samples(
-        self, tmp_path: Path, last_chunk: tuple[bytes, bytes], spoilt: list[tuple[int, int]]
-    ) -> None:
+        self, tmp_path, last_chunk, spoilt
+    ):
         data = bytearray(b"".join(last_chunk))
         for place, value in spoilt:
             data[8 + place % (len(data) - 8)] = value

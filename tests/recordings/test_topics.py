@@ -1,20 +1,18 @@
 """Topics and the schemas that travel in the log."""
 
-from __future__ import annotations
-
 import pytest
 
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 
 
-def test_absent_signals_make_no_topic() -> None:
+def test_absent_signals_make_no_topic():
     replayed = standard_topics(inputs=[Field("u_v", "V")], outputs=[Field("alpha_v", "rad")])
     names = [topic.name for topic in replayed]
     assert "/plant/state" not in names and "/reference" not in names
     assert names == ["/command", "/measurement", "/controller", "/event"]
 
 
-def test_all_topics_of_the_file_contract(topics: list[Topic]) -> None:
+def test_all_topics_of_the_file_contract(topics):
     assert {topic.name for topic in topics} == {
         "/reference",
         "/command",
@@ -33,7 +31,7 @@ def test_all_topics_of_the_file_contract(topics: list[Topic]) -> None:
     }
 
 
-def test_units_stand_in_descriptions(topics: list[Topic]) -> None:
+def test_units_stand_in_descriptions(topics):
     for topic in topics:
         for field in topic.fields:
             text = field.json_schema()["description"]
@@ -41,7 +39,7 @@ def test_units_stand_in_descriptions(topics: list[Topic]) -> None:
                 assert f"[{field.unit}]" in text
 
 
-def test_foxglove_accepts_the_schemas(topics: list[Topic]) -> None:
+def test_foxglove_accepts_the_schemas(topics):
     """Foxglove knows a subset of JSON schema: one type per property, typed array items."""
     for topic in topics:
         schema = topic.json_schema()
@@ -55,6 +53,6 @@ def test_foxglove_accepts_the_schemas(topics: list[Topic]) -> None:
                 assert property_["items"]["type"] == "number"
 
 
-def test_a_field_named_twice_is_refused() -> None:
+def test_a_field_named_twice_is_refused():
     with pytest.raises(ValueError, match="twice: x"):
         Topic("/t", (Field("x"), Field("x")))

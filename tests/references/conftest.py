@@ -1,7 +1,5 @@
 """What the tests of references share."""
 
-from __future__ import annotations
-
 import importlib.util
 import platform
 import sys

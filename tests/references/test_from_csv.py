@@ -19,7 +19,7 @@ def write(folder: Path, text: str) -> str:
     return str(path)
 
 
-def test_values_hold_or_are_joined_by_lines(tmp_path: Path) -> None:
+def test_values_hold_or_are_joined_by_lines(tmp_path):
     file = write(tmp_path, GOOD)
     times = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 99.0])
     held = FromCsv(file=file, column="r_v").sample(times)
@@ -28,18 +28,18 @@ def test_values_hold_or_are_joined_by_lines(tmp_path: Path) -> None:
     np.testing.assert_allclose(joined, [0.1, 0.1, 0.2, 0.3, 0.1, -0.1, -0.1])
 
 
-def test_it_is_moved_and_scaled(tmp_path: Path) -> None:
+def test_it_is_moved_and_scaled(tmp_path):
     signal = FromCsv(file=write(tmp_path, GOOD), column="r_v", start=5.0, scale=2.0, offset=1.0)
     np.testing.assert_allclose(signal.sample(np.array([5.0, 6.0])), [1.2, 1.6])
 
 
-def test_units_are_converted(tmp_path: Path) -> None:
+def test_units_are_converted(tmp_path):
     file = write(tmp_path, "t[ms],r_h[deg]\n0,0\n500,90\n")
     signal = FromCsv(file=file, column="r_h")
     np.testing.assert_allclose(signal.sample(np.array([0.49, 0.5])), [0.0, np.pi / 2])
 
 
-def test_a_recording_made_by_a_spreadsheet_is_read(tmp_path: Path) -> None:
+def test_a_recording_made_by_a_spreadsheet_is_read(tmp_path):
     path = tmp_path / "sheet.csv"
     path.write_bytes("\ufefft[s],r_v[rad]\r\n0,0.1\r\n1,0.2\r\n".encode())
     signal = FromCsv(file=str(path), column="r_v")
@@ -64,9 +64,7 @@ def test_a_recording_made_by_a_spreadsheet_is_read(tmp_path: Path) -> None:
         ("t[s],r_v[rad]\n0,1\n\n# note\n0,2\n", "time does not rise", ":5"),
     ],
 )
-def test_a_wrong_file_is_told_by_its_line(
-    tmp_path: Path, text: str, problem: str, line: str
-) -> None:
+def test_a_wrong_file_is_told_by_its_line(tmp_path, text, problem, line):
     file = write(tmp_path, text)
     with pytest.raises(RecordingError, match=problem) as caught:
         FromCsv(file=file, column="r_v")
@@ -74,7 +72,7 @@ def test_a_wrong_file_is_told_by_its_line(
     assert caught.value.remedy
 
 
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_told(tmp_path):
     with pytest.raises(RecordingError, match="there is no file"):
         FromCsv(file=str(tmp_path / "none.csv"), column="r_v")
     with pytest.raises(RecordingError, match="cannot be read"):

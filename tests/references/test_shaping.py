@@ -34,9 +34,7 @@ def shaping(given: tuple[float | None, float | None, float | None], **more: floa
 @given(
     limits, st.sampled_from(["square", "prbs", "sine"]), st.floats(0.01, 1.0), st.floats(-0.5, 0.5)
 )
-def test_limits_are_kept(
-    given_limits: tuple[float | None, ...], kind: str, amplitude: float, initial: float
-) -> None:
+def test_limits_are_kept(given_limits, kind, amplitude, initial):
     signal = {
         "square": Square(amplitude=amplitude, frequency=0.3),
         "prbs": Prbs(amplitude=amplitude, hold=0.37, bits=6),
@@ -56,9 +54,7 @@ def test_limits_are_kept(
 
 @settings(max_examples=60, deadline=None)
 @given(limits, st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-def test_a_constant_target_is_reached_without_overshoot(
-    given_limits: tuple[float | None, ...], target: float, initial: float
-) -> None:
+def test_a_constant_target_is_reached_without_overshoot(given_limits, target, initial):
     shaped = shaping(given_limits, initial=initial).apply(Constant(offset=target))
     values = shaped.sample(np.arange(0, 60, 0.01))
     assert values[-1] == pytest.approx(target, abs=1e-9)
@@ -67,7 +63,7 @@ def test_a_constant_target_is_reached_without_overshoot(
     assert np.all((target - values) * direction >= -1e-9)
 
 
-def test_a_step_takes_the_least_time_there_is() -> None:
+def test_a_step_takes_the_least_time_there_is():
     # bang-bang: a distance d within the acceleration a takes 2·sqrt(d/a)
     shaped = Shaping(max_acceleration=0.5).apply(Constant(offset=0.5))
     times = np.arange(0, 4, GRID)
@@ -75,7 +71,7 @@ def test_a_step_takes_the_least_time_there_is() -> None:
     assert arrival == pytest.approx(2.0, abs=2 * GRID)
 
 
-def test_a_slow_signal_is_followed_closely() -> None:
+def test_a_slow_signal_is_followed_closely():
     signal = Sine(amplitude=0.3, frequency=0.05)
     times = np.arange(0, 40, 0.01)
     rate_only = Shaping(max_rate=0.5).apply(signal)
@@ -89,7 +85,7 @@ def test_a_slow_signal_is_followed_closely() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(-1.0, 30.0), min_size=1, max_size=8))
-def test_the_answer_does_not_depend_on_what_was_asked_before(times: list[float]) -> None:
+def test_the_answer_does_not_depend_on_what_was_asked_before(times):
     shape = Shaping(max_rate=0.5, max_acceleration=1.0, max_jerk=5.0)
     signal = Square(amplitude=0.3, frequency=0.1)
     together = shape.apply(signal).sample(np.array(times))
@@ -98,21 +94,21 @@ def test_the_answer_does_not_depend_on_what_was_asked_before(times: list[float])
     assert shape.apply(signal).sample(np.zeros(0)).shape == (0,)
 
 
-def test_a_shaped_signal_travels_to_another_process() -> None:
+def test_a_shaped_signal_travels_to_another_process():
     shaped = Shaping(max_rate=0.5, max_jerk=3.0).apply(Step(amplitude=0.3))
     times = np.arange(0, 3, 0.1)
     before = shaped.sample(times)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(shaped)).sample(times), before)
 
 
-def test_it_begins_where_it_is_told_to() -> None:
+def test_it_begins_where_it_is_told_to():
     signal = Constant(offset=0.4)
     now = np.array([0.0])
     assert Shaping(max_rate=0.5, initial=-0.2).apply(signal).sample(now) == -0.2
     assert Shaping(max_rate=0.5, initial=None).apply(signal).sample(now) == 0.4
 
 
-def test_mistakes_are_named() -> None:
+def test_mistakes_are_named():
     class Broken:
         def sample(self, times: Array) -> Array:
             return np.full(times.shape, np.nan)

@@ -52,7 +52,7 @@ LONG = np.arange(0, 400, 0.01)
 
 
 @every_signal
-def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal: ReferenceSignal) -> None:
+def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal):
     together = signal.sample(TIMES)
     order = np.random.default_rng(0).permutation(TIMES.size)
     assert together.shape == TIMES.shape
@@ -62,9 +62,7 @@ def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal: Refere
 
 
 @every_signal
-def test_a_signal_stays_within_its_amplitude_and_rests_at_its_offset_before(
-    signal: ReferenceSignal,
-) -> None:
+def test_a_signal_stays_within_its_amplitude_and_rests_at_its_offset_before(signal):
     values = signal.sample(TIMES)
     assert np.all(np.abs(values - 0.2) <= 0.3 * 1.006)
     np.testing.assert_array_equal(values[TIMES < 1.999], 0.2)
@@ -72,12 +70,12 @@ def test_a_signal_stays_within_its_amplitude_and_rests_at_its_offset_before(
 
 
 @every_signal
-def test_no_times_give_no_values(signal: ReferenceSignal) -> None:
+def test_no_times_give_no_values(signal):
     assert signal.sample(np.zeros(0)).shape == (0,)
 
 
 @pytest.mark.parametrize("name", ["square", "sine", "sawtooth", "triangle", "multisine", "prbs"])
-def test_what_repeats_repeats(name: str) -> None:
+def test_what_repeats_repeats(name):
     period = {"multisine": 10.0, "prbs": 31 * 0.3}.get(name, 2.0)
     # away from edges, at which rounding of t + period may choose either side
     times = np.arange(200) * 0.0997 + 2.0013
@@ -90,9 +88,7 @@ def test_what_repeats_repeats(name: str) -> None:
     frequency=st.sampled_from([0.025, 0.05, 0.1, 0.125, 0.2, 0.25, 0.5, 1.0]),
     rate=st.sampled_from([10, 20, 50, 100, 1000]),
 )
-def test_a_square_has_its_edges_on_the_samples_they_were_meant_for(
-    frequency: float, rate: int
-) -> None:
+def test_a_square_has_its_edges_on_the_samples_they_were_meant_for(frequency, rate):
     half = rate / frequency / 2
     if half != int(half):
         return
@@ -103,20 +99,20 @@ def test_a_square_has_its_edges_on_the_samples_they_were_meant_for(
 
 
 @every_signal
-def test_a_piece_of_a_schedule_starts_on_its_sample(signal: ReferenceSignal) -> None:
+def test_a_piece_of_a_schedule_starts_on_its_sample(signal):
     # 3 · 0.1 − 0.3 is a rounding error away from the signal's own start of 2 s
     times = 0.1 * np.arange(60)
     piece = Schedule(pieces=[Piece(start=0.3, signal=signal)], offset=0.2).sample(times)
     np.testing.assert_allclose(piece[3:], signal.sample(times[:-3]), atol=1e-9)
 
 
-def test_a_step_comes_on_the_sample_nearest_to_its_time() -> None:
+def test_a_step_comes_on_the_sample_nearest_to_its_time():
     times = np.cumsum(np.full(100, 0.1))  # 0.1, 0.2, 0.30000000000000004, …
     values = Step(amplitude=1.0, start=0.8).sample(times)
     assert np.argmax(values) == 7
 
 
-def test_a_sawtooth_is_scipys_a_half_rise_later() -> None:
+def test_a_sawtooth_is_scipys_a_half_rise_later():
     times = np.append(0.0, np.arange(1000) * 0.00993 + 0.0013)
     for width in (1.0, 0.5, 0.2):
         ours = Sawtooth(amplitude=1.0, frequency=0.5, width=width).sample(times)
@@ -126,7 +122,7 @@ def test_a_sawtooth_is_scipys_a_half_rise_later() -> None:
 
 @pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
 @pytest.mark.parametrize(("first", "last"), [(0.1, 3.0), (3.0, 0.1), (1.0, 1.0)])
-def test_a_chirp_is_scipys(sweep: str, first: float, last: float) -> None:
+def test_a_chirp_is_scipys(sweep, first, last):
     times = np.linspace(0, 10, 500)
     ours = Chirp(
         amplitude=1.0,
@@ -140,7 +136,7 @@ def test_a_chirp_is_scipys(sweep: str, first: float, last: float) -> None:
     np.testing.assert_array_equal(ours.sample(np.array([11.0])), ours.sample(np.array([10.0])))
 
 
-def test_a_multisine_excites_its_band_evenly_and_nothing_else() -> None:
+def test_a_multisine_excites_its_band_evenly_and_nothing_else():
     signal = Multisine(amplitude=1.0, frequency=0.1, lowest=0.5, highest=3.0)
     times = np.arange(1000) * 0.01  # one period
     spectrum = np.abs(np.fft.rfft(signal.sample(times)))
@@ -151,7 +147,7 @@ def test_a_multisine_excites_its_band_evenly_and_nothing_else() -> None:
 
 
 @given(st.integers(8, 80))
-def test_a_multisine_has_a_low_crest_factor(harmonics: int) -> None:
+def test_a_multisine_has_a_low_crest_factor(harmonics):
     signal = Multisine(amplitude=1.0, frequency=0.1, lowest=0.1, highest=0.1 * harmonics)
     values = signal.sample(np.arange(40 * harmonics) * (10 / (40 * harmonics)))
     peak = np.max(np.abs(values))
@@ -161,20 +157,20 @@ def test_a_multisine_has_a_low_crest_factor(harmonics: int) -> None:
 
 
 @pytest.mark.parametrize("bits", range(2, 17))
-def test_a_prbs_is_the_shift_register_of_scipy(bits: int) -> None:
+def test_a_prbs_is_the_shift_register_of_scipy(bits):
     times = np.arange(2**bits - 1) * 0.5 + 0.25
     levels = Prbs(amplitude=1.0, hold=0.5, bits=bits).sample(times)
     np.testing.assert_array_equal(levels, 2.0 * scipy.signal.max_len_seq(bits)[0] - 1)
 
 
-def test_a_prbs_leads_by_its_phase() -> None:
+def test_a_prbs_leads_by_its_phase():
     times = np.arange(500) * 0.1
     plain = Prbs(amplitude=1.0, hold=0.5, bits=5)
     shifted = Prbs(amplitude=1.0, hold=0.5, bits=5, phase=10 / 31)
     np.testing.assert_array_equal(shifted.sample(times), plain.sample(times + 5.0))
 
 
-def test_pieces_count_their_own_time_or_that_of_the_run() -> None:
+def test_pieces_count_their_own_time_or_that_of_the_run():
     wave = Ramp(amplitude=1.0, duration=10.0)
     times = np.array([0.0, 4.0, 5.0, 7.0])
     pieces = [Piece(start=5.0, signal=wave)]
@@ -208,7 +204,7 @@ def test_any_value_of_a_multilevel_is_drawn_evenly_and_seeds_differ():
     assert abs(np.corrcoef(a, b)[0, 1]) < 0.02
 
 
-def test_mistakes_are_named() -> None:
+def test_mistakes_are_named():
     with pytest.raises(ConfigurationError, match="no multiple"):
         Multisine(amplitude=1.0, frequency=1.0, lowest=0.2, highest=0.7)
     with pytest.raises(ConfigurationError, match="below its begin"):

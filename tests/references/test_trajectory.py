@@ -44,9 +44,7 @@ def composed(tmp_path: Path) -> Compose:
 
 
 @pytest.mark.parametrize("name", REFERENCES)
-def test_every_reference_there_is_can_be_built_and_stays_in_reach(
-    composed: Compose, name: str
-) -> None:
+def test_every_reference_there_is_can_be_built_and_stays_in_reach(composed, name):
     trajectory = composed(f"+ref={name}")
     values = trajectory.sample(TIMES)
     if name == "speed":
@@ -60,7 +58,7 @@ def test_every_reference_there_is_can_be_built_and_stays_in_reach(
 
 
 @pytest.mark.parametrize("group", ["ref", "signal", "shaping"])
-def test_configurations_say_what_they_are_and_in_which_unit(group: str) -> None:
+def test_configurations_say_what_they_are_and_in_which_unit(group):
     texts = {path.name: path.read_text() for path in (CONFIGS / group).glob("*.yaml")}
     assert len(set(texts.values())) == len(texts)
     for name, text in texts.items():
@@ -73,14 +71,14 @@ def test_configurations_say_what_they_are_and_in_which_unit(group: str) -> None:
             assert bare or " # " in line, f"{name}: {line}"
 
 
-def test_the_benchmark_is_the_one_that_was_agreed(composed: Compose) -> None:
+def test_the_benchmark_is_the_one_that_was_agreed(composed):
     assert composed("+ref=square") == ReferenceTrajectory(
         alpha_v=Square(amplitude=0.3, frequency=0.025),
         alpha_h=Square(amplitude=0.5, frequency=0.025),
     )
 
 
-def test_axes_are_chosen_and_changed_from_the_command_line(composed: Compose) -> None:
+def test_axes_are_chosen_and_changed_from_the_command_line(composed):
     assert composed("+ref=square", "ref.alpha_h.amplitude=0.7").alpha_h == Square(
         amplitude=0.7, frequency=0.025
     )
@@ -103,16 +101,14 @@ def test_axes_are_chosen_and_changed_from_the_command_line(composed: Compose) ->
         ("+ref.shaping.max_rate=0", "ref.shaping"),
     ],
 )
-def test_mistakes_on_the_command_line_are_named_by_their_key(
-    composed: Compose, override: str, where: str
-) -> None:
+def test_mistakes_on_the_command_line_are_named_by_their_key(composed, override, where):
     with pytest.raises(ConfigurationError) as caught:
         composed("+ref=square", override)
     assert caught.value.where.startswith(where)
     assert caught.value.remedy
 
 
-def test_columns_are_the_axes_in_order() -> None:
+def test_columns_are_the_axes_in_order():
     both = ReferenceTrajectory(alpha_v=Constant(offset=0.1), alpha_h=Constant(offset=0.2))
     np.testing.assert_array_equal(both.sample(np.zeros(3)), [[0.1, 0.2]] * 3)
     yaw = both.restricted_to(["alpha_h"])
@@ -123,7 +119,7 @@ def test_columns_are_the_axes_in_order() -> None:
 
 
 @needs_planner
-def test_shaping_holds_on_every_axis() -> None:
+def test_shaping_holds_on_every_axis():
     shaped = ReferenceTrajectory(
         alpha_v=Step(amplitude=0.3), alpha_h=Step(amplitude=-0.5), shaping=Shaping(max_rate=0.1)
     )
@@ -132,7 +128,7 @@ def test_shaping_holds_on_every_axis() -> None:
     np.testing.assert_allclose(values[-1], [0.3, -0.5])
 
 
-def test_mistakes_are_named() -> None:
+def test_mistakes_are_named():
     with pytest.raises(ConfigurationError, match="no axis"):
         ReferenceTrajectory()
     with pytest.raises(ConfigurationError, match="is not a signal"):

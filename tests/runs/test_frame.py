@@ -1,7 +1,5 @@
 """Runs in a notebook, with and without pandas."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.util import find_spec

@@ -1,7 +1,5 @@
 """Ranking of runs: pairing, failures, intervals, and what names a run."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """NEES and the Ljung–Box test do on known processes what theory says."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -21,25 +19,25 @@ from trms_cli.scoring.metrics import (
 
 
 @given(st.floats(0, 2000), st.sampled_from([2, 4, 10, 20, 50]))
-def test_the_tail_is_scipys(statistic: float, degrees: int) -> None:
+def test_the_tail_is_scipys(statistic, degrees):
     assert chi_square_tail(statistic, degrees) == pytest.approx(
         float(scipy.stats.chi2.sf(statistic, degrees)), rel=1e-9, abs=1e-300
     )
 
 
-def test_odd_degrees_have_no_closed_form() -> None:
+def test_odd_degrees_have_no_closed_form():
     with pytest.raises(ValueError, match="even"):
         chi_square_tail(1.0, 3)
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 6, 9, 40])
 @pytest.mark.parametrize("share", [0.5, 0.95, 0.997])
-def test_the_interval_is_scipys(degrees: int, share: float) -> None:
+def test_the_interval_is_scipys(degrees, share):
     expected = scipy.stats.chi2.ppf([(1 - share) / 2, (1 + share) / 2], degrees)
     assert chi_square_interval(degrees, share) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_statistic_is_that_of_the_definition() -> None:
+def test_the_statistic_is_that_of_the_definition():
     values = np.random.default_rng(3).normal(size=300)
     centred = values - values.mean()
     n = values.size
@@ -52,7 +50,7 @@ def test_the_statistic_is_that_of_the_definition() -> None:
     )
 
 
-def test_white_noise_is_called_white_as_often_as_promised() -> None:
+def test_white_noise_is_called_white_as_often_as_promised():
     rng = np.random.default_rng(5)
     p = [whiteness_p(rng.normal(size=1000)) for _ in range(400)]
     assert 0.02 < np.mean(np.array(p) < 0.05) < 0.09
@@ -60,7 +58,7 @@ def test_white_noise_is_called_white_as_often_as_promised() -> None:
 
 
 @given(st.floats(0.15, 0.9))
-def test_correlated_noise_is_found_out(correlation: float) -> None:
+def test_correlated_noise_is_found_out(correlation):
     rng = np.random.default_rng(7)
     values = rng.normal(size=3000)
     for k in range(1, values.size):
@@ -68,14 +66,14 @@ def test_correlated_noise_is_found_out(correlation: float) -> None:
     assert whiteness_p(values) < 1e-4
 
 
-def test_whiteness_does_not_depend_on_scale_mean_or_missing_samples() -> None:
+def test_whiteness_does_not_depend_on_scale_mean_or_missing_samples():
     values = np.random.default_rng(2).normal(size=500)
     sparse = np.full(1500, np.nan)
     sparse[::3] = 1e-3 * values + 7.0
     assert whiteness_p(sparse) == pytest.approx(whiteness_p(values), rel=1e-6)
 
 
-def test_what_says_nothing_has_no_p() -> None:
+def test_what_says_nothing_has_no_p():
     assert math.isnan(whiteness_p(np.random.default_rng(0).normal(size=99)))
     assert math.isnan(whiteness_p(np.full(1000, 0.3)))
     assert math.isnan(whiteness_p(np.zeros(1000)))
@@ -85,7 +83,7 @@ def test_what_says_nothing_has_no_p() -> None:
     assert joint_p([0.9, 0.8]) == 1.0
 
 
-def test_the_mean_nees_is_the_number_of_states_also_for_correlated_ones() -> None:
+def test_the_mean_nees_is_the_number_of_states_also_for_correlated_ones():
     rng = np.random.default_rng(1)
     mixing = np.array([[1.0, 0.0, 0.0], [0.9, 0.3, 0.0], [0.5, 0.2, 2.0]])
     error = rng.normal(size=(200_000, 3)) @ mixing.T

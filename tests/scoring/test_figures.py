@@ -24,7 +24,7 @@ from trms_cli.scoring.comparison.runs import ComparisonRun
 from trms_cli.scoring.figures import Figure, FigureTolerance
 from trms_cli.scoring.score import score_tables
 
-from .conftest import LIMITS, MakeLog, MakeTables
+from .conftest import LIMITS
 
 
 @pytest.fixture
@@ -38,9 +38,7 @@ def ninth(monkeypatch: pytest.MonkeyPatch) -> Figure:
     return more
 
 
-def test_one_entry_is_a_figure_everywhere(
-    ninth: Figure, make_log: MakeLog, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_entry_is_a_figure_everywhere(ninth, make_log, capsys):
     log = str(make_log())
     score_command.main([log, "--json"])
     document = json.loads(capsys.readouterr().out)
@@ -68,7 +66,7 @@ def test_one_entry_is_a_figure_everywhere(
     assert worse.key == "channels.alpha_h.error_p95" and worse.unit == "rad"
 
 
-def test_keys_and_columns_are_told_once(make_tables: MakeTables) -> None:
+def test_keys_and_columns_are_told_once(make_tables):
     keys = [(figure.group, figure.key) for figure in figures.FIGURES]
     assert len(set(keys)) == len(keys)
     score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0)
@@ -78,7 +76,7 @@ def test_keys_and_columns_are_told_once(make_tables: MakeTables) -> None:
             assert name in columns, name
 
 
-def test_a_strangers_score_has_the_figures_that_are_numbers() -> None:
+def test_a_strangers_score_has_the_figures_that_are_numbers():
     odd = {"channels": {"alpha_v": {"rmse": "low", "iae": 1.0}, "x": 3}, "inputs": [], "solver": 0}
     found = {entry.key: entry.value for entry in figures.entries(odd)}
     assert found["channels.alpha_v.rmse"] is None and found["channels.alpha_v.iae"] == 1.0
@@ -91,7 +89,7 @@ NAMES = [f"newton_mpc + state_dependent_ekf + fits_of_november_{i}" for i in ran
 
 
 @pytest.mark.parametrize("width", [60, 80, 100])
-def test_a_comparison_of_long_names_loses_no_figure(width: int) -> None:
+def test_a_comparison_of_long_names_loses_no_figure(width):
     score = {
         "channels": {"alpha_v": {"rmse": 0.1234, "unit": "rad"}},
         "inputs": {"u_v": {"effort": 123.4, "total_variation": 56.7, "unit": "V"}},
@@ -115,7 +113,7 @@ def test_a_comparison_of_long_names_loses_no_figure(width: int) -> None:
     assert "fits_of_november_2" in text.replace("\n", "").replace(" ", "")
 
 
-def test_two_runs_are_told_with_what_differs() -> None:
+def test_two_runs_are_told_with_what_differs():
     one, other = (
         ComparisonRun(
             path=who, coordinates={"controller": who},
@@ -146,6 +144,6 @@ def test_two_runs_are_told_with_what_differs() -> None:
         ("a/b/tuned.yaml", "tuned"),
     ],
 )
-def test_a_fitted_model_is_called_by_its_file_or_fit(path: str, name: str) -> None:
+def test_a_fitted_model_is_called_by_its_file_or_fit(path, name):
     assert wording.option("from_file", {"path": path}) == name
     assert wording.option("newtonian", {"path": path}) == "newtonian"

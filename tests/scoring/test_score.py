@@ -1,7 +1,5 @@
 """The score's document: its keys, its nulls, and the same from a log as from memory."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess
@@ -13,10 +11,10 @@ import pytest
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.scoring.score import Series, score_log, score_tables
 
-from .conftest import LIMITS, MakeLog, MakeTables
+from .conftest import LIMITS
 
 
-def test_the_document_has_the_keys_of_the_schema(make_tables: MakeTables) -> None:
+def test_the_document_has_the_keys_of_the_schema(make_tables):
     score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0, log="run.mcap")
     assert list(score) == [
         "schema", "log", "complete", "duration_s", "channels", "inputs", "estimate", "solver",
@@ -37,7 +35,7 @@ def test_the_document_has_the_keys_of_the_schema(make_tables: MakeTables) -> Non
     json.dumps(score, allow_nan=False)
 
 
-def test_the_figures_are_those_of_the_run(make_tables: MakeTables) -> None:
+def test_the_figures_are_those_of_the_run(make_tables):
     score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0)
     pitch = score["channels"]["alpha_v"]
     overshoot = 100 * math.exp(-math.pi * 0.6 / 0.8)
@@ -68,7 +66,7 @@ def test_the_figures_are_those_of_the_run(make_tables: MakeTables) -> None:
     assert score["constraint_violations"]["u_v"] == {"samples": 0, "worst": 0.0, "unit": "V"}
 
 
-def test_a_log_scores_as_its_run_did_in_memory(make_tables: MakeTables, make_log: MakeLog) -> None:
+def test_a_log_scores_as_its_run_did_in_memory(make_tables, make_log):
     from_file = score_log(read_log(make_log()))
     tables = make_tables()
     from_memory = score_tables(
@@ -77,7 +75,7 @@ def test_a_log_scores_as_its_run_did_in_memory(make_tables: MakeTables, make_log
     assert from_file == from_memory
 
 
-def test_without_truth_the_measurement_is_scored(make_tables: MakeTables) -> None:
+def test_without_truth_the_measurement_is_scored(make_tables):
     tables = make_tables()
     del tables["/plant/state"]
     score = score_tables(tables, limits={}, duration_s=40.0)
@@ -88,9 +86,7 @@ def test_without_truth_the_measurement_is_scored(make_tables: MakeTables) -> Non
     assert score["constraint_violations"] == {}
 
 
-def test_a_replayed_recording_without_references_is_scored_by_its_predictions(
-    make_tables: MakeTables,
-) -> None:
+def test_a_replayed_recording_without_references_is_scored_by_its_predictions(make_tables):
     tables = make_tables()
     replay = {topic: tables[topic] for topic in ("/measurement", "/command", "/estimate")}
     score = score_tables(replay, limits={}, duration_s=40.0)
@@ -100,7 +96,7 @@ def test_a_replayed_recording_without_references_is_scored_by_its_predictions(
     assert score["estimate"]["prediction_rmse"]["alpha_v"] == pytest.approx(0.002, rel=0.05)
 
 
-def test_a_run_of_nothing_is_all_null() -> None:
+def test_a_run_of_nothing_is_all_null():
     score = score_tables({}, limits=LIMITS, duration_s=0.0, complete=False)
     assert score["channels"] == score["inputs"] == score["constraint_violations"] == {}
     assert score["solver"]["deadline_misses"] is None
@@ -110,7 +106,7 @@ def test_a_run_of_nothing_is_all_null() -> None:
     assert also == score
 
 
-def test_what_a_sine_does_not_have_is_null(make_tables: MakeTables) -> None:
+def test_what_a_sine_does_not_have_is_null(make_tables):
     tables = make_tables()
     time = tables["/reference"].time
     tables["/reference"] = Series(time, {"alpha_v": 0.3 * np.sin(time)})
@@ -121,7 +117,7 @@ def test_what_a_sine_does_not_have_is_null(make_tables: MakeTables) -> None:
     assert channel["rmse"] > 0
 
 
-def test_a_step_that_never_settles_makes_the_settling_time_null(make_tables: MakeTables) -> None:
+def test_a_step_that_never_settles_makes_the_settling_time_null(make_tables):
     tables = make_tables()
     time = tables["/reference"].time
     state = {
@@ -134,7 +130,7 @@ def test_a_step_that_never_settles_makes_the_settling_time_null(make_tables: Mak
     assert channel["unsettled_steps"] == 3
 
 
-def test_channels_of_different_rates_are_brought_together(make_tables: MakeTables) -> None:
+def test_channels_of_different_rates_are_brought_together(make_tables):
     tables = make_tables()
     whole = score_tables(tables, limits={}, duration_s=40.0)["channels"]["alpha_v"]
     reference = tables["/reference"]
@@ -145,7 +141,7 @@ def test_channels_of_different_rates_are_brought_together(make_tables: MakeTable
     assert coarse["steps"] == whole["steps"]
 
 
-def test_limits_are_counted_where_they_are_exceeded(make_tables: MakeTables) -> None:
+def test_limits_are_counted_where_they_are_exceeded(make_tables):
     limits = {"alpha_v": (-0.2, 0.2), "u_h": (-0.5, 0.5), "elsewhere": (0.0, 1.0)}
     found = score_tables(make_tables(), limits=limits, duration_s=40.0)["constraint_violations"]
     assert set(found) == {"alpha_v", "u_h"}
@@ -154,7 +150,7 @@ def test_limits_are_counted_where_they_are_exceeded(make_tables: MakeTables) -> 
     assert found["alpha_v"]["worst"] == pytest.approx(0.1 + 0.6 * math.exp(-math.pi * 0.75), 0.01)
 
 
-def test_scoring_needs_no_library_that_is_slow_to_import() -> None:
+def test_scoring_needs_no_library_that_is_slow_to_import():
     code = (
         "import sys, trms_cli.scoring.score, trms_cli.scoring.baseline;"
         "print([m for m in ('scipy', 'mcap', 'casadi', 'pyarrow', 'rich') if m in sys.modules])"
@@ -163,7 +159,7 @@ def test_scoring_needs_no_library_that_is_slow_to_import() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_units_are_those_of_the_schema_not_of_the_name(make_tables: MakeTables) -> None:
+def test_units_are_those_of_the_schema_not_of_the_name(make_tables):
     tables = make_tables()
     time = tables["/reference"].time
     spin = {"S_h": np.ones(time.size)}
@@ -181,7 +177,7 @@ def test_units_are_those_of_the_schema_not_of_the_name(make_tables: MakeTables) 
     assert score_tables(tables, limits={}, duration_s=40.0)["inputs"]["u_v"]["unit"] == ""
 
 
-def test_nis_is_what_a_consistent_filter_makes(make_tables: MakeTables) -> None:
+def test_nis_is_what_a_consistent_filter_makes(make_tables):
     tables = make_tables()
     random = np.random.default_rng(4)
     time = tables["/estimate"].time
@@ -202,7 +198,7 @@ def test_nis_is_what_a_consistent_filter_makes(make_tables: MakeTables) -> None:
     assert doubtful["nis_share_inside"] < 0.7
 
 
-def test_missing_and_rejected_samples_are_counted_and_left_out(make_tables: MakeTables) -> None:
+def test_missing_and_rejected_samples_are_counted_and_left_out(make_tables):
     tables = make_tables()
     before = score_tables(tables, limits=LIMITS, duration_s=40.0)["estimate"]
     time = tables["/estimate"].time

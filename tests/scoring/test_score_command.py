@@ -1,7 +1,5 @@
 """``trms score``: what it prints, writes and returns."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -15,12 +13,8 @@ from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, standard_topics
 from trms_cli.scoring.findings import innovation_sentences
 
-from .conftest import MakeLog
 
-
-def test_a_table_of_eighty_columns(
-    make_log: MakeLog, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_table_of_eighty_columns(make_log, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     log = make_log()
     assert score.main([str(log)]) == 0
@@ -33,9 +27,7 @@ def test_a_table_of_eighty_columns(
     assert "…" not in printed
 
 
-def test_the_json_has_the_printed_figures(
-    make_log: MakeLog, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_json_has_the_printed_figures(make_log, capsys):
     log = str(make_log())
     score.main([log, "--json"])
     document = json.loads(capsys.readouterr().out)
@@ -47,9 +39,7 @@ def test_the_json_has_the_printed_figures(
     assert both == {"schema": "trms.scores/1", "scores": [document, document]}
 
 
-def test_the_log_of_a_run_that_died_is_called_incomplete(
-    make_log: MakeLog, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_log_of_a_run_that_died_is_called_incomplete(make_log, capsys):
     log = make_log(killed=True)
     assert score.main([str(log)]) == 0
     printed = capsys.readouterr().out
@@ -58,9 +48,7 @@ def test_the_log_of_a_run_that_died_is_called_incomplete(
     assert json.loads(capsys.readouterr().out)["complete"] is False
 
 
-def test_a_slower_run_is_worse_than_the_baseline(
-    make_log: MakeLog, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_slower_run_is_worse_than_the_baseline(make_log, capsys, tmp_path):
     good, slow = str(make_log("good.mcap")), str(make_log("slow.mcap", frequency=1.5))
     baseline = str(tmp_path / "baseline.json")
     assert score.main([good, "--write-baseline", baseline, "--reason", "first"]) == 0
@@ -77,9 +65,7 @@ def test_a_slower_run_is_worse_than_the_baseline(
     assert "alpha_v rmse" in capsys.readouterr().out
 
 
-def test_a_printed_score_is_a_baseline_too(
-    make_log: MakeLog, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_printed_score_is_a_baseline_too(make_log, capsys, tmp_path):
     log = str(make_log())
     score.main([log, "--json"])
     saved = tmp_path / "score.json"
@@ -87,7 +73,7 @@ def test_a_printed_score_is_a_baseline_too(
     assert score.main([log, "--baseline", str(saved)]) == 0
 
 
-def test_a_baseline_is_not_overwritten_unasked(make_log: MakeLog, tmp_path: Path) -> None:
+def test_a_baseline_is_not_overwritten_unasked(make_log, tmp_path):
     log, baseline = str(make_log()), tmp_path / "baseline.json"
     baseline.write_text("mine")
     with pytest.raises(RecordingError, match="already"):
@@ -97,7 +83,7 @@ def test_a_baseline_is_not_overwritten_unasked(make_log: MakeLog, tmp_path: Path
     assert json.loads(baseline.read_text())["schema"] == "trms.baseline/1"
 
 
-def test_wrong_files_and_options_are_told(tmp_path: Path, make_log: MakeLog) -> None:
+def test_wrong_files_and_options_are_told(tmp_path, make_log):
     text = tmp_path / "text.mcap"
     text.write_text("no log")
     for path in (tmp_path / "none.mcap", text):
@@ -115,16 +101,14 @@ def test_wrong_files_and_options_are_told(tmp_path: Path, make_log: MakeLog) -> 
             score.main(wrong)
 
 
-def test_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_is_printed(capsys):
     with pytest.raises(SystemExit) as caught:
         score.main(["--help"])
     assert caught.value.code == 0
     assert capsys.readouterr().out == score.HELP
 
 
-def test_units_are_those_that_the_log_tells(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_units_are_those_that_the_log_tells(tmp_path, capsys):
     states = [Field("S_h", "rad/s"), Field("alpha_h", "rad")]
     topics = standard_topics(inputs=[Field("u_h", "V")], states=states, estimates=states)
     with RunLog(tmp_path / "run.mcap", topics, {}) as log:
@@ -148,8 +132,8 @@ def test_units_are_those_that_the_log_tells(
     ],
 )
 def test_innovations_are_doubted_by_size_not_by_number_of_samples(
-    p: float, correlation: float, square: float | None, said: str, warned: bool
-) -> None:
+    p, correlation, square, said, warned
+):
     estimate = {
         "innovation_whiteness_p": p,
         "innovations": {
@@ -162,7 +146,7 @@ def test_innovations_are_doubted_by_size_not_by_number_of_samples(
     assert any("misses something" in line for line in lines) is warned
 
 
-def test_without_innovations_nothing_is_said_of_them() -> None:
+def test_without_innovations_nothing_is_said_of_them():
     assert innovation_sentences({"innovation_whiteness_p": None, "innovations": {}}) == []
 
 
@@ -176,9 +160,9 @@ def test_without_innovations_nothing_is_said_of_them() -> None:
     ],
 )
 def test_a_place_that_is_wrong_is_told_with_what_to_do(
-    make_log: MakeLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    given: list[str], problem: str, remedy: str,
-) -> None:  # fmt: skip
+    make_log, tmp_path, monkeypatch,
+    given, problem, remedy
+):  # fmt: skip
     make_log("run.mcap").rename(tmp_path / "run.mcap")
     (tmp_path / "fit").mkdir()
     monkeypatch.chdir(tmp_path)

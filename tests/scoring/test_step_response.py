@@ -25,7 +25,7 @@ def second_order(time: np.ndarray, damping: float, frequency: float) -> np.ndarr
 
 
 @given(st.floats(0.1, 2.0), sizes, st.floats(-1, 1), st.floats(1.0, 5.0))
-def test_a_first_order_response(tau: float, size: float, offset: float, start: float) -> None:
+def test_a_first_order_response(tau, size, offset, start):
     start = round(start / 0.002) * 0.002
     after = np.maximum(TIME - start, 0.0)
     reference = offset + np.where(start - 1e-9 <= TIME, size, 0.0)
@@ -38,9 +38,7 @@ def test_a_first_order_response(tau: float, size: float, offset: float, start: f
 
 
 @given(st.floats(0.3, 0.85), st.floats(1.0, 6.0), sizes, st.floats(-1, 1))
-def test_a_second_order_response(
-    damping: float, frequency: float, size: float, offset: float
-) -> None:
+def test_a_second_order_response(damping, frequency, size, offset):
     reference = offset + np.where(TIME >= 2.0 - 1e-9, size, 0.0)
     response = offset + size * second_order(TIME - 2.0, damping, frequency)
     (step,) = steps(TIME, reference, response)
@@ -53,7 +51,7 @@ def test_a_second_order_response(
 
 
 @given(st.floats(0.3, 0.85), sizes)
-def test_size_sign_offset_and_start_do_not_matter(damping: float, size: float) -> None:
+def test_size_sign_offset_and_start_do_not_matter(damping, size):
     def metrics_of(size: float, offset: float, start: float) -> tuple[float, ...]:
         reference = offset + np.where(start - 1e-9 <= TIME, size, 0.0)
         response = offset + size * second_order(TIME - start, damping, 2.0)
@@ -68,7 +66,7 @@ def square(half: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     return time, np.where(np.floor(time / half + 1e-9) % 2 == 0, 0.3, -0.3)
 
 
-def test_a_square_has_a_step_at_each_edge_and_one_at_the_start_of_the_run() -> None:
+def test_a_square_has_a_step_at_each_edge_and_one_at_the_start_of_the_run():
     time, reference = square(5.0, 4)
     lagged = np.concatenate([np.zeros(1), reference[:-1]])
     found = steps(time, reference, lagged)
@@ -78,13 +76,13 @@ def test_a_square_has_a_step_at_each_edge_and_one_at_the_start_of_the_run() -> N
     assert len(steps(time, reference, np.concatenate([[0.3], reference[:-1]]))) == 3
 
 
-def test_a_hold_that_is_cut_short_by_the_end_is_not_judged() -> None:
+def test_a_hold_that_is_cut_short_by_the_end_is_not_judged():
     time, reference = square(5.0, 3)
     keep = time < 10.5
     assert len(steps(time[keep], reference[keep], np.zeros(keep.sum()))) == 2
 
 
-def test_what_never_arrives_is_infinitely_slow() -> None:
+def test_what_never_arrives_is_infinitely_slow():
     time, reference = square(5.0, 2)
     stuck = steps(time, reference, np.zeros(time.size))
     assert all(math.isinf(step.settling_time) and math.isinf(step.rise_time) for step in stuck)
@@ -92,7 +90,7 @@ def test_what_never_arrives_is_infinitely_slow() -> None:
     assert steady_state_error(time, reference, np.zeros(time.size)) == pytest.approx(0.3)
 
 
-def test_a_response_that_leaves_the_band_once_more_has_not_settled_before() -> None:
+def test_a_response_that_leaves_the_band_once_more_has_not_settled_before():
     time = np.arange(0, 10, 0.01)
     reference = np.where(time >= 1.0, 1.0, 0.0)
     response = reference.copy()
@@ -105,7 +103,7 @@ def test_a_response_that_leaves_the_band_once_more_has_not_settled_before() -> N
 
 
 @pytest.mark.parametrize("kind", ["sine", "ramp", "sawtooth", "prbs", "shaped"])
-def test_references_that_only_move_have_no_steps(kind: str) -> None:
+def test_references_that_only_move_have_no_steps(kind):
     time = np.arange(0, 20, 0.01)
     reference = {
         "sine": 0.5 * np.sin(time),
@@ -122,20 +120,20 @@ def test_references_that_only_move_have_no_steps(kind: str) -> None:
     assert math.isnan(error) != at_rest
 
 
-def test_the_end_of_a_coarse_ramp_is_no_step() -> None:
+def test_the_end_of_a_coarse_ramp_is_no_step():
     time = np.arange(0, 20, 0.1)
     reference = np.clip(0.2 * (time - 3), 0, 1.0)
     assert steps(time, reference, reference) == []
 
 
-def test_noise_makes_no_step() -> None:
+def test_noise_makes_no_step():
     time = np.arange(0, 10, 0.01)
     noise = np.random.default_rng(0).normal(0, 2e-3, time.size)
     assert steps(time, np.zeros(time.size), noise) == []
     assert steady_state_error(time, np.zeros(time.size), noise) < 1e-3
 
 
-def test_missing_samples_are_stepped_over() -> None:
+def test_missing_samples_are_stepped_over():
     reference = np.where(TIME >= 2.0, 1.0, 0.0)
     response = second_order(TIME - 2.0, 0.6, 2.0)
     (whole,) = steps(TIME, reference, response)
@@ -149,7 +147,7 @@ def test_missing_samples_are_stepped_over() -> None:
     assert steps(np.zeros(1), np.zeros(1), np.zeros(1)) == []
 
 
-def test_the_steady_state_error_is_that_of_the_worst_hold() -> None:
+def test_the_steady_state_error_is_that_of_the_worst_hold():
     time, reference = square(5.0, 4)
     response = reference - np.where(time >= 15.0, -0.02, 0.01)
     assert steady_state_error(time, reference, response) == pytest.approx(0.02)

@@ -55,9 +55,7 @@ def ran(*overrides: str) -> Ran:
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_ends_in_a_declared_mode_and_never_in_a_wild_input(
-    fault: str, controller: str
-) -> None:
+def test_a_fault_ends_in_a_declared_mode_and_never_in_a_wild_input(fault, controller):
     healthy = ran(f"controller={controller}")
     assert healthy.score["degraded"]["first_s"] is None
     hurt = Ran(f"controller={controller}", f"fault={fault}")
@@ -76,7 +74,7 @@ def test_a_fault_ends_in_a_declared_mode_and_never_in_a_wild_input(
         assert np.all(hurt.commands[-1] == 0.0)
 
 
-def test_a_solver_that_fails_for_long_lands_the_rig_and_for_short_does_not() -> None:
+def test_a_solver_that_fails_for_long_lands_the_rig_and_for_short_does_not():
     short = Ran("qp_solver@controller.qp=failing", "controller.qp.count=5")
     assert short.score["degraded"]["landings"] == 0
     assert short.score["solver"]["failures"] == 5
@@ -87,13 +85,13 @@ def test_a_solver_that_fails_for_long_lands_the_rig_and_for_short_does_not() -> 
 
 
 @pytest.mark.parametrize("controller", ["newton_mpc", "lqr"])
-def test_a_reference_out_of_reach_is_declared_and_approached(controller: str) -> None:
+def test_a_reference_out_of_reach_is_declared_and_approached(controller):
     far = Ran(f"controller={controller}", "ref=constant", "ref.alpha_v.offset=2.0")
     assert far.score["degraded"]["reasons_s"]["reference"] > 30.0
     assert far.score["degraded"]["landings"] == 0
     assert np.abs(far.commands).max() <= 2.5
 
 
-def test_without_a_supervisor_nothing_is_declared() -> None:
+def test_without_a_supervisor_nothing_is_declared():
     alone = Ran("supervisor=none", "fault=yaw_encoder_lost")
     assert alone.score["degraded"]["first_s"] is None

@@ -65,14 +65,14 @@ def with_friction_and_delay() -> Model:
 
 
 @pytest.mark.parametrize("model", [Newtonian(), with_friction_and_delay()], ids=["plain", "memory"])
-def test_it_is_the_discretised_model(model: Model) -> None:
+def test_it_is_the_discretised_model(model):
     rollout = Rollout(model, SAMPLE)
     x0 = starts(rollout)
     simulated = rollout.outputs(commands(), FIRST, COUNT, x0)
     np.testing.assert_allclose(simulated.y, step_by_step(rollout.model, x0), rtol=1e-12, atol=1e-13)
 
 
-def test_windows_join(plain: Rollout) -> None:
+def test_windows_join(plain):
     """The end of a window is the start of the next."""
     whole = plain.outputs(commands(), [0], [80], starts(plain)[:1])
     half = plain.outputs(commands(), [0], [40], starts(plain)[:1])
@@ -82,7 +82,7 @@ def test_windows_join(plain: Rollout) -> None:
 
 
 @pytest.mark.parametrize("column", range(6 + len(FREE)))
-def test_slopes_are_those_of_the_simulation(plain: Rollout, column: int) -> None:
+def test_slopes_are_those_of_the_simulation(plain, column):
     x0, p = starts(plain), plain.model.parameters.values
     exact = plain.sensitivities(commands(), FIRST, COUNT, x0)
     ends = []
@@ -106,7 +106,7 @@ def test_slopes_are_those_of_the_simulation(plain: Rollout, column: int) -> None
         assert np.quantile(np.abs(found - expected) / scale, 0.99) < 1e-4
 
 
-def test_with_and_without_a_compiler(plain: Rollout, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_and_without_a_compiler(plain, monkeypatch):
     if compilation.compiler() is None:
         pytest.skip("no C compiler here: nothing to compare with")
     monkeypatch.setenv("TRMS_COMPILE", "0")
@@ -127,7 +127,7 @@ def test_with_and_without_a_compiler(plain: Rollout, monkeypatch: pytest.MonkeyP
         compilation.compiler.cache_clear()
 
 
-def test_without_a_compiler_threads_do_not_mix(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_threads_do_not_mix(monkeypatch):
     """A search without gradients: slopes in the starts only, several points at a time."""
     monkeypatch.setenv("TRMS_COMPILE", "0")
     compilation.compiler.cache_clear()
@@ -148,7 +148,7 @@ def test_without_a_compiler_threads_do_not_mix(monkeypatch: pytest.MonkeyPatch) 
         np.testing.assert_array_equal(a, b)
 
 
-def test_threads_change_nothing(plain: Rollout) -> None:
+def test_threads_change_nothing(plain):
     n = 6000
     u = np.tile(commands(), (n // 100, 1))
     first, count = np.arange(0, n, 250), np.full(n // 250, 250)
@@ -162,7 +162,7 @@ def test_threads_change_nothing(plain: Rollout) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_state_that_blows_up_fills_only_its_own_window(plain: Rollout) -> None:
+def test_a_state_that_blows_up_fills_only_its_own_window(plain):
     x0 = starts(plain)
     x0[1, 1] = 1e300
     good = plain.outputs(commands(), FIRST, COUNT, starts(plain)).y
@@ -172,7 +172,7 @@ def test_a_state_that_blows_up_fills_only_its_own_window(plain: Rollout) -> None
     np.testing.assert_array_equal(np.delete(y, np.r_[second], 0), np.delete(good, np.r_[second], 0))
 
 
-def test_other_parameters(plain: Rollout) -> None:
+def test_other_parameters(plain):
     p = plain.model.parameters.values
     p[plain.model.parameters.names.index("k_fvp")] *= 1.1
     x0 = starts(plain)
@@ -191,20 +191,18 @@ def test_other_parameters(plain: Rollout) -> None:
         ({"first": np.array([-1, 0, 0])}, "outside"),
     ],
 )
-def test_wrong_arrays_never_reach_the_c_code(
-    plain: Rollout, change: dict[str, np.ndarray], words: str
-) -> None:
+def test_wrong_arrays_never_reach_the_c_code(plain, change, words):
     given = {"commands": commands(), "first": FIRST, "count": COUNT, "starts": starts(plain)}
     with pytest.raises(ValueError, match=words):
         plain.outputs(**(given | change))
 
 
-def test_an_unknown_parameter_is_named() -> None:
+def test_an_unknown_parameter_is_named():
     with pytest.raises(ModelError, match="no parameter 'k_x'"):
         Rollout(Newtonian(), SAMPLE, free=["k_x"])
 
 
-def test_the_driver_is_part_of_the_package() -> None:
+def test_the_driver_is_part_of_the_package():
     import trms_cli.simulation
 
     assert (Path(trms_cli.simulation.__file__).parent / "rollout_driver.c").is_file()
@@ -213,7 +211,7 @@ def test_the_driver_is_part_of_the_package() -> None:
 class TestDriven:
     """A model whose rotor speeds are prescribed."""
 
-    def test_driven_by_its_own_rotors_it_moves_as_before(self) -> None:
+    def test_driven_by_its_own_rotors_it_moves_as_before(self):
         """With the speeds at the middle of each step, to the accuracy of holding them there."""
         base = Newtonian()
         free = Rollout(base, 0.005)
@@ -228,12 +226,12 @@ class TestDriven:
         assert np.abs(whole[:, :2] - y).max() < 1e-5
         assert np.ptp(y, axis=0).min() > 0.1
 
-    def test_effects_act_on_it(self) -> None:
+    def test_effects_act_on_it(self):
         base = with_friction_and_delay()
         model = DrivenModel(base, ("omega_v",))
         assert len(Rollout(model, SAMPLE).states) == len(Rollout(base, SAMPLE).states) - 1
 
-    def test_names_that_are_no_measured_states(self) -> None:
+    def test_names_that_are_no_measured_states(self):
         with pytest.raises(ModelError, match="omega_x"):
             DrivenModel(Newtonian(), ("omega_x",))
         with pytest.raises(ModelError, match="left to predict"):

@@ -1,7 +1,5 @@
 """What drawn runs say: shares with their intervals, spreads, correlations, who is best."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Draws keep to the distributions that they are drawn from, and to the design that draws them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
