@@ -47,12 +47,13 @@ def travel(
     substeps: int = 1,
     w: Any = None,
 ) -> np.ndarray:
-    """States over time (n + 1, n_x) under a constant command."""
+    """States over time (n + 1, n_x) under a command, constant or a function of time."""
     advance = BufferedFunction(discretise(model, step, substeps).step, compile=False)
+    command = u if callable(u) else lambda t: u
     p, w = model.parameters.values, np.zeros(model.n_w) if w is None else w
     rows = [np.array(x, dtype=float)]
-    for _ in range(round(seconds / step)):
-        rows.append(advance.evaluate(rows[-1], u, p, w)[0].copy())
+    for k in range(round(seconds / step)):
+        rows.append(advance.evaluate(rows[-1], command(k * step), p, w)[0].copy())
     return np.array(rows)
 
 
@@ -70,21 +71,14 @@ def simulate(
     start: dict[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
     """States by name at all times, from rest or from ``start``."""
-    advance = BufferedFunction(discretise(model, step, substeps).step, compile=False)
     x = model.rest()
     for name, value in (start or {}).items():
         x[model.state_index(name)] = value
-    rows = [x.copy()]
-    for k in range(round(seconds / step)):
-        u, p, w = command(k * step), model.parameters.values, np.zeros(model.n_w)
-        rows.append(advance.evaluate(rows[-1], u, p, w)[0].copy())
-    return dict(zip(model.state_names, np.array(rows).T, strict=True))
+    rows = travel(model, x, command, seconds, step, substeps)
+    return dict(zip(model.state_names, rows.T, strict=True))
 
 
 def settle(model: Model, command: list[float], seconds: float = 250.0) -> dict[str, float]:
     """State after a long time at a constant command."""
-    step = BufferedFunction(discretise(model, 0.1, 10).step)
-    x = model.rest()
-    for _ in range(round(seconds / 0.1)):
-        x = step.evaluate(x, command, model.parameters.values, np.zeros(model.n_w))[0].copy()
-    return dict(zip(model.state_names, x.tolist(), strict=True))
+    states = simulate(model, lambda t: command, seconds, 0.1, 10)
+    return {name: float(values[-1]) for name, values in states.items()}

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from trms_cli.core.errors import ModelError
 from trms_cli.models.feedback_manual import FeedbackManual
 
 from .simulate import rates, simulate, slopes
@@ -12,7 +11,7 @@ from .simulate import rates, simulate, slopes
 EIGENVALUES = [-5.0, -1.0, -0.909, -0.5, -0.044 + 2.169j, -0.044 - 2.169j, 0.0]
 
 
-def test_eigenvalues_at_rest_are_the_published_ones():
+def test_rests_hanging_below_level_with_the_published_eigenvalues():
     model = FeedbackManual()
     found = np.linalg.eigvals(slopes(model, model.rest())[0]).tolist()
     for value in EIGENVALUES:
@@ -20,10 +19,6 @@ def test_eigenvalues_at_rest_are_the_published_ones():
         assert nearest == pytest.approx(value, abs=6e-4)
         found.remove(nearest)
     assert not found
-
-
-def test_rests_hanging_with_the_pitch_below_level():
-    model = FeedbackManual()
     x = model.rest()
     assert dict(zip(model.state_names, x, strict=True))["alpha_v"] == pytest.approx(-0.6194)
     assert rates(model, x) == pytest.approx(np.zeros(7), abs=1e-15)
@@ -76,8 +71,3 @@ def test_dry_friction_ends_a_free_swing_in_finite_time():
     states = simulate(FeedbackManual(), lambda t: [0.0, 0.0], 120.0, 0.02, start={"alpha_v": -0.5})
     assert np.all(states["S_v"][-50:] == states["S_v"][-1])
     assert abs(states["S_v"][-1]) < 1e-12
-
-
-def test_a_set_of_another_model_is_told():
-    with pytest.raises(ModelError, match="belongs to model 'newtonian'"):
-        FeedbackManual(parameter_set="bench")

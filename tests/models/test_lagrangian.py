@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ModelError
-from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
@@ -195,13 +193,6 @@ class TestForm:
         slopes = ca.jacobian(driven.dynamics(x, u, p, w), ca.vertcat(u[:2], w[2:]))
         assert slopes.nnz() == 0
 
-    def test_takes_effects(self) -> None:
-        damped = extend_model(
-            Lagrangian(), {"drag": QuadraticDamping(axis="yaw", coefficient=0.05)}
-        )
-        x = np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
-        assert rates(damped, x)[1] < rates(Lagrangian(), x)[1]
-
     def test_a_set_without_the_arm_is_told(self, tmp_path) -> None:
         from trms_cli.core.resources import config_folder
 
@@ -212,7 +203,3 @@ class TestForm:
         with pytest.raises(ModelError, match="has no h"):
             Lagrangian(parameter_set=str(file))
         Newtonian(parameter_set=str(file))
-
-    def test_a_set_of_another_model_is_told(self) -> None:
-        with pytest.raises(ModelError, match="belongs to model 'tras'"):
-            Lagrangian(parameter_set="tras")

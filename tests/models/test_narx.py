@@ -92,9 +92,6 @@ class TestStates:
         )
         assert model.controlled == ("alpha_v", "alpha_h")
         assert model.states[-1].unit == "V"
-
-    def test_are_measured_as_they_are(self):
-        model = rig_like((1, 3))
         x, u, p, _ = model.symbols()
         measured = ca.Function("y", [x, u, p], [model.measurement(x, u, p)])
         values = np.arange(model.n_x) * 1.0
@@ -130,10 +127,8 @@ class TestPushes:
         expected = [T**2 * 0.3, -(T**2) * 0.2, T * 50.0, -T * 7.0, *([0.0] * 4)]
         np.testing.assert_allclose(moved, expected, rtol=1e-9, atol=1e-13)
         assert [signal.unit for signal in model.disturbances] == ["rad/s^2"] * 4
-
-    def test_each_axis_names_its_own(self):
-        axes = rig_like().axes
-        assert (axes["pitch"].moment, axes["yaw"].moment) == ("alpha_v_push", "alpha_h_push")
+        assert model.axes["pitch"].moment == "alpha_v_push"
+        assert model.axes["yaw"].moment == "alpha_h_push"
 
 
 class TestRest:
@@ -144,6 +139,8 @@ class TestRest:
         after = rates(model, x)
         np.testing.assert_allclose(after, x, rtol=0, atol=1e-9)
         assert np.abs(x).max() > 1e-3  # it is not simply zero
+        x[:] = 7.0  # a copy
+        assert np.abs(model.rest()).max() < 7.0
 
     def test_of_a_network_that_runs_away_is_still_finite(self):
         model = rig_like()
@@ -151,11 +148,6 @@ class TestRest:
             model.network, weights={**model.network.weights, "A": 1e3 * np.ones((4, 10))}
         )
         assert np.isfinite(Narx(model.structure, wild, limits=LIMITS).rest()).all()
-
-    def test_is_a_copy(self):
-        model = rig_like()
-        model.rest()[:] = 7.0
-        assert np.abs(model.rest()).max() < 7.0
 
 
 def test_derivatives_are_exact():
@@ -185,29 +177,18 @@ def test_a_record_shorter_than_its_memory_tells_no_state():
     assert np.isnan(states[:2]).any(axis=1).all() and np.isfinite(states[2:]).all()
 
 
-class TestRefusals:
-    def test_a_structure_of_another_network(self):
-        with pytest.raises(ModelError) as error:
-            Narx(structure((1, 2, 3)), rig_like((1, 2)).network, limits=LIMITS)
-        assert error.value.where == "network.regressor_mean"
-
-    @pytest.mark.parametrize(
-        ("limits", "where"),
-        [
-            ({"alpha_w": 1.0}, "limits.alpha_w"),
-            ({"u_v": 0.0}, "limits.u_v"),
-            ({"u_h": float("nan")}, "limits.u_h"),
-        ],
-    )
-    def test_limits(self, limits, where):
-        model = rig_like()
-        with pytest.raises(ModelError) as error:
-            Narx(model.structure, model.network, limits=limits)
-        assert error.value.where == where
-
-    def test_a_command_of_unknown_size(self):
-        model = rig_like()
-        other = replace(model.structure, input_units=("V", "A"))
-        with pytest.raises(ModelError) as error:
-            Narx(other, model.network)
-        assert error.value.where == "limits.u_h"
+@pytest.mark.parametrize(
+    ("made", "limits", "where"),
+    [
+        (structure((1, 2, 3)), LIMITS, "network.regressor_mean"),  # of another network
+        (structure(), {"alpha_w": 1.0}, "limits.alpha_w"),
+        (structure(), {"u_v": 0.0}, "limits.u_v"),
+        (structure(), {"u_h": float("nan")}, "limits.u_h"),
+        # a command of unknown size
+        (replace(structure(), input_units=("V", "A")), None, "limits.u_h"),
+    ],
+)
+def test_a_structure_or_limits_that_do_not_fit_are_refused(made, limits, where):
+    with pytest.raises(ModelError) as error:
+        Narx(made, rig_like().network, limits=limits)
+    assert error.value.where == where

@@ -37,16 +37,13 @@ def file(content, tmp_path) -> Path:
     return path
 
 
-def test_comes_back_as_it_was_written(content, file):
+def test_comes_back_as_it_was_written_and_is_a_model(content, file):
     back = read_narx_file(str(file))
     assert back.to_data() == content.to_data()
     for name, weight in content.network.weights.items():
         np.testing.assert_array_equal(back.network.weights[name], weight)
     assert back.structure == content.structure
     assert (back.rig, back.limits, back.training) == (content.rig, LIMITS, content.training)
-
-
-def test_is_a_model(file):
     for model in (load_model(str(file)), narx(network=str(file))):
         assert (model.name, model.sample_time, model.input_limits["u_v"]) == ("narx", 0.02, 2.5)
 
@@ -120,16 +117,8 @@ def test_what_is_no_yaml_mapping_is_refused(tmp_path, text):
     assert "broken.yaml" in error.value.where
 
 
-def test_an_unknown_network_is_answered_by_those_there_are():
+def test_a_network_that_is_not_there_is_told(tmp_path):
     with pytest.raises(ConfigurationError, match=r"no network 'narx_3dof'"):
         narx(network="narx_3dof")
-
-
-def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ConfigurationError, match="cannot read"):
         narx(network=str(tmp_path / "none.yaml"))
-
-
-def test_its_weights_cannot_be_set_by_name(file):
-    with pytest.raises(ConfigurationError, match="weights of a network are constants"):
-        load_model(str(file), parameters={"W1": 1.0})

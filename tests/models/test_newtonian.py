@@ -168,13 +168,10 @@ def test_one_axis_is_the_whole_model_with_the_other_locked(kind, changed, freedo
     assert rates(one, list(x.values()), [1.0]) == pytest.approx(expected, rel=1e-9)
 
 
-def test_unknown_parameter_names_the_nearest():
+def test_unknown_parameters_and_sets_are_told_with_those_there_are():
     with pytest.raises(ConfigurationError, match="k_fpv") as raised:
         Newtonian(parameters={"k_fpv": 1e-5})
     assert "k_fvp" in raised.value.remedy
-
-
-def test_unknown_set_names_the_sets():
     with pytest.raises(ConfigurationError) as raised:
         Newtonian(parameter_set="bensch")
     assert "bench" in raised.value.remedy

@@ -30,12 +30,6 @@ def test_hover_by_angle():
     assert point.u[1] == 0.0 and point.x[MODEL.state_index("omega_h")] == pytest.approx(0, abs=1e-9)
 
 
-def test_rest_without_anything_named():
-    point = operating_point(MODEL, {})
-    assert point.u.tolist() == [0.0, 0.0]
-    assert point.x[MODEL.state_index("alpha_v")] == pytest.approx(-0.619, abs=5e-4)
-
-
 @settings(max_examples=20, deadline=None)
 @given(st.floats(-2.5, 2.2), st.floats(-2.5, 2.5))
 def test_by_command_nothing_moves_there(u_v, u_h):
@@ -91,9 +85,14 @@ def starts(count: int, seed: int = 0) -> np.ndarray:
     return scale * np.random.default_rng(seed).uniform(-1, 1, (count, 6))
 
 
-def test_many_states_at_once_are_each_of_them():
+def test_many_states_and_commands_at_once_are_each_of_them():
     x = starts(7)
     assert FIELD.rates(x, U) == pytest.approx(np.array([FIELD.rates(row, U) for row in x]))
+    commands = np.array([[0.5, 0.0], [1.5, 0.2]])
+    both = FIELD.motions(starts(2), commands, 2.0, 0.1)
+    for i in range(2):
+        alone = FIELD.motions(starts(2)[i], commands[i], 2.0, 0.1)
+        assert both[:, i] == pytest.approx(alone[:, 0], abs=1e-12)
 
 
 def test_slopes_are_those_of_the_rates():
@@ -116,14 +115,6 @@ def test_motions_are_those_of_another_integrator(count):
     for i, start in enumerate(x):
         known = solve_ivp(lambda t, z: FIELD.rates(z, U), (0, 5), start, rtol=1e-9, atol=1e-9)
         assert found[-1, i] == pytest.approx(known.y[:, -1], rel=1e-5, abs=1e-6)
-
-
-def test_each_start_may_have_its_own_command():
-    commands = np.array([[0.5, 0.0], [1.5, 0.2]])
-    both = FIELD.motions(starts(2), commands, 2.0, 0.1)
-    for i in range(2):
-        alone = FIELD.motions(starts(2)[i], commands[i], 2.0, 0.1)
-        assert both[:, i] == pytest.approx(alone[:, 0], abs=1e-12)
 
 
 def test_dry_friction_holds_an_axis_unless_it_is_left_out():

@@ -1,12 +1,17 @@
 """The built-in sets: what their sources publish, and what they take from set bench."""
 
+import casadi as ca
 import pytest
+import yaml
 
+from trms_cli.core.errors import ModelError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
+from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import parameter_file
+from trms_cli.models.single_rotor import SingleRotor
 
 TASTEMIROV = {
     "l_t": 0.275,
@@ -32,8 +37,6 @@ def test_tastemirov_is_bench_but_for_what_is_published():
 
 
 def test_tastemirovs_inertia_comes_out_too_large_as_the_file_says():
-    import casadi as ca
-
     model = Lagrangian(parameter_set="tastemirov")
     x, u, p, _ = model.symbols()
     inertia = ca.Function("J", [x, u, p], [model.quantities(x, u, p)["inertia_pitch"]])
@@ -52,6 +55,19 @@ def test_rahideh_differs_from_bench_in_the_gyroscopic_gain_alone():
 
 
 @pytest.mark.parametrize(
+    ("model", "settings", "problem"),
+    [
+        (Lagrangian, {"parameter_set": "tras"}, "belongs to model 'tras'"),
+        (FeedbackManual, {"parameter_set": "bench"}, "belongs to model 'newtonian'"),
+        (SingleRotor, {"parameter_set": "tras", "rotor": "main"}, "has no 'k_uv'"),
+    ],
+)
+def test_a_set_of_another_model_is_told(model, settings, problem):
+    with pytest.raises(ModelError, match=problem):
+        model(**settings)
+
+
+@pytest.mark.parametrize(
     "option",
     [
         *("lagrangian", "lagrangian_full", "lagrangian_vertical", "lagrangian_horizontal"),
@@ -60,8 +76,6 @@ def test_rahideh_differs_from_bench_in_the_gyroscopic_gain_alone():
     ],
 )
 def test_options_build_what_they_say(option):
-    import yaml
-
     text = (config_folder() / "model" / f"{option}.yaml").read_text(encoding="utf-8")
     model = build(yaml.safe_load(text), "model")
     assert isinstance(model, Model)

@@ -1,9 +1,9 @@
 """Rotors alone: the motor's equations, its curves, its step response in closed form."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.core.errors import ModelError
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor
 from trms_cli.models.steady_state import SteadyState
@@ -41,8 +41,6 @@ def test_thrust_is_measured_on_request():
     cell = SingleRotor(rotor="tail", load_cell=True)
     assert [s.name for s in cell.outputs] == ["omega_h", "thrust_h"]
     x, u, p, _ = cell.symbols()
-    import casadi as ca
-
     y = ca.Function("y", [x, u, p], [cell.measurement(x, u, p)])
     c = {q.name: q.value for q in cell.parameters}
     for omega, k in ((300.0, c["k_fhp"]), (-300.0, c["k_fhn"])):
@@ -56,8 +54,3 @@ def test_a_speed_is_held_by_its_command():
     assert target.u[0] == pytest.approx(1.413, abs=1e-3)
     beyond = SteadyState(SingleRotor(rotor="main")).solve(np.array([900.0]))
     assert beyond.projected and beyond.u[0] == pytest.approx(2.5)
-
-
-def test_a_set_without_electrical_motors_is_told():
-    with pytest.raises(ModelError, match="has no 'k_uv'"):
-        SingleRotor(rotor="main", parameter_set="tras")

@@ -91,10 +91,6 @@ class TestRefusals:
         with pytest.raises(ModelError, match=r"model@plant\.model=newtonian"):
             started(effects={"rub": CoulombFriction(axis="yaw", torque=0.01)})
 
-    def test_parameters(self):
-        with pytest.raises(ConfigurationError, match="constants"):
-            started(parameters={"k_g": 0.1})
-
     def test_a_draw_from_priors(self):
         with pytest.raises(ConfigurationError) as error:
             started(prior_seed=3)
