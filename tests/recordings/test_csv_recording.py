@@ -76,17 +76,13 @@ def test_other_programs_ways_of_writing(csv: Path, disguise: object) -> None:
 def test_units_become_si(csv: Path, header: str, name: str, value: float, unit: str) -> None:
     others = [cell for cell in ("u_v[V]", "alpha_v[rad]") if not cell.startswith(f"{name}[")]
     rows = "\n".join(f"{k}," + ",".join(["1"] * (len(others) + 1)) for k in range(3))
-    recording = read_text(csv, f"t[s],{','.join([*others, header])}\n{rows}\n")
+    recording = read_text(csv, f"t[ms],{','.join([*others, header])}\n{rows}\n")
     assert recording.units[name] == unit
+    assert recording.sample_time == pytest.approx(1e-3)
     np.testing.assert_allclose(recording.channels[name], value, rtol=1e-12)
 
 
-def test_time_in_milliseconds(csv: Path) -> None:
-    recording = read_text(csv, "t[ms],u_v[V],alpha_v[rad]\n0,1,2\n20,1,2\n40,1,2\n")
-    assert recording.sample_time == pytest.approx(0.02)
-
-
-def test_missing_cells_and_gaps_are_told_not_joined(csv: Path) -> None:
+def test_missing_cells_gaps_jitter_and_a_last_line_without_its_end_are_told(csv: Path) -> None:
     rows = "0,1,\n0.1,,0.6\n0.2,3, \n0.3,3,1\n0.9,3,1\n1.0,3,1\n"
     recording = read_text(csv, "t[s],u_v[V],alpha_v[rad]\n" + rows)
     assert recording.missing == {"u_v": 1, "alpha_v": 2}
@@ -94,13 +90,13 @@ def test_missing_cells_and_gaps_are_told_not_joined(csv: Path) -> None:
     notes = " | ".join(recording.notes())
     assert "about 5 samples" in notes and "alpha_v: 2 of 6" in notes
     assert len(recording.time) == 6
-
-
-def test_jitter_is_told(csv: Path) -> None:
     times = [0, 0.1, 0.2, 0.31, 0.4, 0.5]
     rows = "".join(f"{t},1,1\n" for t in times)
     (note,) = read_text(csv, "t[s],u_v[V],alpha_v[rad]\n" + rows).notes()
     assert "uneven sampling" in note and "90 to 110 ms" in note
+    recording = read_text(csv, GOOD.rstrip("\n"))
+    assert len(recording) == 3
+    assert any("no line end" in note for note in recording.notes())
 
 
 HEAD = "t[s],u_v[V],alpha_v[rad]\n"
@@ -164,17 +160,6 @@ def test_what_is_wrong_is_told(csv, text, line, problem, remedy) -> None:
         read_text(csv, text)
     assert caught.value.where == (f"{csv}:{line}" if line else str(csv))
     assert re.search(remedy, caught.value.remedy)
-
-
-def test_a_last_line_without_its_end_is_told(csv: Path) -> None:
-    recording = read_text(csv, GOOD.rstrip("\n"))
-    assert len(recording) == 3
-    assert any("no line end" in note for note in recording.notes())
-
-
-def test_no_such_file(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="no such file"):
-        read_csv(tmp_path / "none.csv")
 
 
 ALPHABET = st.sampled_from([*"0123456789.,;-e#:[]_ \t\r\n", "t[s]", "u_v[V]", "alpha_v[deg]"])

@@ -18,7 +18,6 @@ from trms_cli.recordings.export import export_log
 from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.read import read_recording
 from trms_cli.recordings.run_log import RunLog
-from trms_cli.recordings.topics import Topic
 
 
 @pytest.fixture
@@ -71,13 +70,10 @@ def test_parquet_has_one_row_a_sample_time_whatever_happens_then(tmp_path, topic
     assert rows[1]["event.kind"] == ["saturation_begin", "note", "gap"]
     assert rows[1]["event.value"] == [3.0, None, 0.5]
     assert table.schema.field("event.time").metadata == {b"unit": b"s"}
-
-
-def test_a_log_of_events_alone_holds_no_sample(tmp_path: Path, topics: list[Topic]) -> None:
-    with RunLog(tmp_path / "run.mcap", topics, {}) as run:
+    with RunLog(tmp_path / "events.mcap", topics, {}) as run:
         run.event(0, "fault", "rig", "at once")
     with pytest.raises(RecordingError, match="no sample"):
-        export_log(read_log(tmp_path / "run.mcap"), tmp_path / "run.parquet", "parquet")
+        export_log(read_log(tmp_path / "events.mcap"), tmp_path / "events.parquet", "parquet")
 
 
 def test_mat_has_a_struct_per_topic(tmp_path: Path, log: LoggedRun) -> None:
@@ -119,13 +115,12 @@ def test_never_half_and_never_over(tmp_path, log, format_, monkeypatch) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap", "there"]
 
 
-def test_a_folder_in_the_way(tmp_path: Path, log: LoggedRun) -> None:
+def test_a_folder_in_the_way_and_an_unknown_format_are_refused(
+    tmp_path: Path, log: LoggedRun
+) -> None:
     for force in (False, True):
         with pytest.raises(RecordingError, match="a folder of this name"):
             export_log(log, tmp_path, "csv", force=force)
-
-
-def test_unknown_format(tmp_path: Path, log: LoggedRun) -> None:
     with pytest.raises(ConfigurationError, match="'xml'") as caught:
         export_log(log, tmp_path / "x", "xml")
     assert "parquet" in caught.value.remedy

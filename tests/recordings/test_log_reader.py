@@ -15,6 +15,8 @@ from mcap.writer import CompressionType, Writer
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.read import read_recording
+from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Field, Topic
 
 
 def test_a_log_cut_anywhere_keeps_what_is_before(tmp_path, write_run):
@@ -92,9 +94,6 @@ def test_any_flipped_byte_ends_in_a_log_or_a_clear_error(
 
 @pytest.fixture(scope="module")
 def good_log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    from trms_cli.recordings.run_log import RunLog
-    from trms_cli.recordings.topics import Field, Topic
-
     path = tmp_path_factory.mktemp("good") / "run.mcap"
     topic = Topic("/command", (Field("u_v", "V"), Field("z", kind="array")))
     with RunLog(path, [topic], {"seed": "1"}) as log:
@@ -119,13 +118,6 @@ def test_files_that_are_no_logs(path, content, problem):
     with pytest.raises(RecordingError, match=problem) as caught:
         read_log(path)
     assert str(path) in str(caught.value) and caught.value.remedy
-
-
-def test_no_such_file_and_folder(tmp_path):
-    with pytest.raises(RecordingError, match="no such file"):
-        read_log(tmp_path / "none.mcap")
-    with pytest.raises(RecordingError, match="no log of a run in it"):
-        read_log(tmp_path)
 
 
 def test_a_log_of_another_program(path):

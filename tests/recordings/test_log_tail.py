@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_reader import LoggedRun, LogPiece, LogTail, TopicTable, read_log
 from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Field, standard_topics
 
 
 def joined(pieces: list[LogPiece]) -> dict[str, TopicTable]:
@@ -95,8 +96,6 @@ def test_a_log_that_grows(tmp_path_factory, topics, write_sample, steps):
 @pytest.fixture(scope="module")
 def last_chunk(tmp_path_factory) -> tuple[bytes, bytes]:
     """A log up to a flush, and what the next flush adds."""
-    from trms_cli.recordings.topics import Field, standard_topics
-
     path = tmp_path_factory.mktemp("chunk") / "run.mcap"
     angle = [Field("alpha_h", "rad")]
     log = RunLog(path, standard_topics(references=angle, outputs=angle), {"command": "trms run"})
@@ -205,17 +204,13 @@ class TestWriter:
 class TestBadFiles:
     """What is no log."""
 
-    def test_none(self, tmp_path):
+    def test_none_no_mcap_and_a_folder(self, path):
         with pytest.raises(RecordingError, match="no such file"):
-            LogTail(tmp_path / "none.mcap")
-
-    def test_no_mcap(self, path):
+            LogTail(path)
         path.write_text("t[s],u_v[V]\n0,1\n")
         with LogTail(path) as tail, pytest.raises(RecordingError, match="not an MCAP file"):
             tail.read()
-
-    def test_a_folder(self, tmp_path):
-        with pytest.raises(RecordingError), LogTail(tmp_path) as tail:
+        with pytest.raises(RecordingError), LogTail(path.parent) as tail:
             tail.read()
 
     @pytest.mark.parametrize("length", range(9))

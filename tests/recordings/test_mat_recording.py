@@ -23,7 +23,7 @@ GOOD: dict[str, Any] = {
 }
 
 
-def test_vectors_and_units(tmp_path: Path) -> None:
+def test_vectors_and_units_alone_or_in_one_struct(tmp_path: Path) -> None:
     path = tmp_path / "rec.mat"
     savemat(path, {**GOOD, "units": {"alpha_v": "deg"}, "rig": "bench", "gain": np.eye(2)})
     recording = read_recording(path)
@@ -31,10 +31,6 @@ def test_vectors_and_units(tmp_path: Path) -> None:
     assert recording.units == {"u_v": "V", "alpha_v": "rad"}
     assert recording.metadata == {"rig": "bench"} and recording.missing == {"alpha_v": 1}
     assert recording.notes()[0] == "variables not used: gain"
-
-
-def test_one_struct_is_opened(tmp_path: Path) -> None:
-    path = tmp_path / "rec.mat"
     savemat(path, {"run1": GOOD})
     assert len(read_recording(path)) == 3
 

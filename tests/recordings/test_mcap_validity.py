@@ -148,7 +148,9 @@ def chunk_end(data: bytes, index: r.ChunkIndex) -> int:
     return position
 
 
-def test_an_indexed_reader_seeks(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+def test_an_indexed_reader_seeks_and_messages_satisfy_their_schemas(
+    tmp_path: Path, write_run: Callable[..., Path]
+) -> None:
     path = write_run(tmp_path / "run.mcap")
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -163,12 +165,7 @@ def test_an_indexed_reader_seeks(tmp_path: Path, write_run: Callable[..., Path])
         (attachment,) = reader.iter_attachments()
         assert attachment.name == "config.yaml"
         assert attachment.media_type == "application/yaml"
-
-
-def test_messages_satisfy_their_schemas(tmp_path: Path, write_run: Callable[..., Path]) -> None:
-    path = write_run(tmp_path / "run.mcap", 20)
-    with path.open("rb") as file:
-        for schema, _, message in make_reader(file).iter_messages():
+        for schema, _, message in reader.iter_messages():
             assert schema is not None
             properties = orjson.loads(schema.data)["properties"]
             values = orjson.loads(message.data)

@@ -17,6 +17,8 @@ from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.mcap_recording import write_mcap
 from trms_cli.recordings.read import read_recording
 from trms_cli.recordings.recording import Recording, on_grid, quantum
+from trms_cli.recordings.run_log import RunLog
+from trms_cli.recordings.topics import Field, standard_topics
 
 
 @given(
@@ -30,14 +32,11 @@ def test_the_quantum_of_an_encoder(step: float, offset: float, levels: list[int]
     assert found == pytest.approx(step, rel=1e-3)
 
 
-def test_the_quantum_of_what_has_none() -> None:
+def test_the_quantum_of_what_has_none_and_seen_through_rounding() -> None:
     rng = np.random.default_rng(0)
     assert quantum(np.ones(10)) is None
     assert quantum(np.full(10, np.nan)) is None
     assert quantum(rng.standard_normal(1000)) is None
-
-
-def test_the_quantum_seen_through_rounding() -> None:
     turns = np.round(np.arange(200) * 2 * np.pi / 4096, 6)
     assert quantum(turns) == pytest.approx(2 * np.pi / 4096, rel=1e-4)
 
@@ -86,9 +85,6 @@ def test_a_full_disk_leaves_no_half_log(tmp_path, recording, monkeypatch) -> Non
 
 
 def test_slow_commands_are_held_between_their_samples(tmp_path: Path) -> None:
-    from trms_cli.recordings.run_log import RunLog
-    from trms_cli.recordings.topics import Field, standard_topics
-
     topics = standard_topics(inputs=[Field("u_v", "V")], outputs=[Field("alpha_v", "rad")])
     path = tmp_path / "run.mcap"
     with RunLog(path, topics, {}) as log:
@@ -101,8 +97,6 @@ def test_slow_commands_are_held_between_their_samples(tmp_path: Path) -> None:
 
 
 def test_a_log_without_samples_is_no_recording(tmp_path: Path, topics: list) -> None:
-    from trms_cli.recordings.run_log import RunLog
-
     path = tmp_path / "run.mcap"
     RunLog(path, topics, {}).close("failed")
     with pytest.raises(RecordingError, match="0 measurements"):
@@ -110,14 +104,11 @@ def test_a_log_without_samples_is_no_recording(tmp_path: Path, topics: list) -> 
 
 
 @pytest.mark.parametrize("name", ["rec.xlsx", "rec", "rec.mcapp"])
-def test_unknown_endings(tmp_path: Path, name: str) -> None:
+def test_unknown_endings_and_folders_are_no_recordings(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("x")
     with pytest.raises(RecordingError, match="no format") as caught:
         read_recording(tmp_path / name)
     assert ".csv" in caught.value.remedy
-
-
-def test_a_folder_is_no_recording(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="folder"):
         read_recording(tmp_path)
 
@@ -150,13 +141,10 @@ def test_a_clock_that_jitters_has_no_gaps(independent):
     assert len(Recording(lost, {}, {}).gaps) == 1
 
 
-def test_samples_that_are_lost_are_no_jitter():
+def test_samples_that_are_lost_are_no_jitter_and_a_slow_clock_is_told():
     recording = Recording(np.delete(0.02 * np.arange(300), [40, 90, 170, 171]), {}, {})
     assert len(recording.gaps) == 3
     assert "3 gaps in t, about 4 samples in all" in recording.notes()[0]
-
-
-def test_a_slow_clock_is_told():
     assert any("t[ms]" in note for note in Recording(20.0 * np.arange(50), {}, {}).notes())
 
 

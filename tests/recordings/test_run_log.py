@@ -67,26 +67,16 @@ def raw_messages(path: Path) -> list[bytes]:
         return [message.data for _, _, message in make_reader(file).iter_messages()]
 
 
-def test_values_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:
+def test_values_of_numpy_are_written_as_numbers_and_copies(path: Path) -> None:
     topic = Topic("/t", (Field("x"), Field("y", kind="boolean"), Field("z", kind="array")))
-    path = tmp_path / "run.mcap"
+    values: list[Any] = [np.float64(0.1), np.bool_(True), np.array([1.0, np.inf])]
     with RunLog(path, [topic], {}) as log:
-        log.write("/t", 0, (np.float64(0.1), np.bool_(True), np.array([1.0, np.inf])))
+        log.write("/t", 0, values)
+        values[0] = values[2][0] = 2.0
         log.write("/t", 1, (np.float32(0.5), np.int64(0), [2, 3]))
     first, second = (orjson.loads(data) for data in raw_messages(path))
     assert first == {"x": 0.1, "y": True, "z": [1.0, None]}
     assert second == {"x": 0.5, "y": 0, "z": [2, 3]}
-
-
-def test_the_log_keeps_copies(tmp_path: Path) -> None:
-    topic = Topic("/t", (Field("x"), Field("z", kind="array")))
-    path = tmp_path / "run.mcap"
-    values: list[Any] = [1.0, np.array([1.0])]
-    with RunLog(path, [topic], {}) as log:
-        log.write("/t", 0, values)
-        values[0] = 2.0
-        values[1][0] = 2.0
-    assert orjson.loads(raw_messages(path)[0]) == {"x": 1.0, "z": [1.0]}
 
 
 def test_equal_runs_have_equal_messages(tmp_path: Path, write_run: Callable[..., Path]) -> None:
@@ -94,29 +84,24 @@ def test_equal_runs_have_equal_messages(tmp_path: Path, write_run: Callable[...,
     assert first == second
 
 
-def test_wrong_number_of_values_names_the_fields(tmp_path: Path) -> None:
-    log = RunLog(tmp_path / "run.mcap", [NUMBERS], {})
+def test_a_wrong_topic_or_number_of_values_names_those_there_are(path: Path) -> None:
+    log = RunLog(path, [NUMBERS], {})
+    with pytest.raises(KeyError, match="'/x' in this log: /numbers, /event"):
+        log.write("/x", 0, ())
     log.write("/numbers", 0, (1.0,))
     with pytest.raises(ValueError, match=r"/numbers takes 2 values \(a, b\), got 1"):
         log.flush()
 
 
-def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
-    log = RunLog(tmp_path / "run.mcap", [NUMBERS], {})
-    with pytest.raises(KeyError, match="'/x' in this log: /numbers, /event"):
-        log.write("/x", 0, ())
-
-
-def test_nothing_is_overwritten(tmp_path: Path, write_run: Callable[..., Path]) -> None:
+def test_nothing_is_overwritten_and_a_folder_that_is_a_file_is_told(
+    tmp_path: Path, write_run: Callable[..., Path]
+) -> None:
     path = write_run(tmp_path / "run.mcap")
     before = path.read_bytes()
     with pytest.raises(RecordingError, match="already") as caught:
         RunLog(path, [NUMBERS], {})
     assert "out=" in caught.value.remedy
     assert path.read_bytes() == before
-
-
-def test_a_folder_that_is_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     for path in (tmp_path / "file" / "run.mcap", tmp_path / "file" / "deeper" / "run.mcap"):
         with pytest.raises(RecordingError, match="is a file") as caught:
