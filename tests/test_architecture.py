@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import importlib
 import pkgutil
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -83,24 +85,32 @@ def _room(module: Path) -> str:
     return parts[0] if len(parts) > 1 else module.stem
 
 
-def _imports(module: Path, *, at_run_time: bool = False) -> Iterator[str]:
+class _Imports(ast.NodeVisitor):
     """Dotted names of all that a module imports, wherever the statement stands.
 
     At run time those for type checkers alone are left out.
     """
-    body = [
-        node
-        for node in TREES[module].body
-        if not (at_run_time and isinstance(node, ast.If))
-        or ast.unparse(node.test) != "TYPE_CHECKING"  # type: ignore[attr-defined]
-    ]
-    for node in ast.walk(ast.Module(body, [])):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{_name(module)}: imports are absolute"
-            yield str(node.module)
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+    def __init__(self, module: Path, *, at_run_time: bool) -> None:
+        self._module, self._at_run_time, self.names = module, at_run_time, set[str]()
+        self.visit(TREES[module])
+
+    def visit_If(self, node: ast.If) -> None:
+        for_types = self._at_run_time and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in node.orelse if for_types else [node.test, *node.body, *node.orelse]:
+            self.visit(inner)
+
+    def visit_Import(self, node: ast.Import) -> None:
+        self.names |= {alias.name for alias in node.names}
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
+        assert node.level == 0, f"{_name(self._module)}: imports are absolute"
+        self.names |= {f"{node.module}.{alias.name}" for alias in node.names}
+
+
+@cache
+def _imports(module: Path, *, at_run_time: bool = False) -> set[str]:
+    return _Imports(module, at_run_time=at_run_time).names
 
 
 def _level(room: str) -> int:
@@ -231,26 +241,6 @@ def _unexplained_fields(node: ast.ClassDef, lines: list[str]) -> Iterator[str]:
 STRANGERS = [("controllers", "observers"), ("observers", "controllers")]
 
 
-class _Imports(ast.NodeVisitor):
-    """Modules of the package that a module needs, lazy imports too, those for types left out."""
-
-    def __init__(self, known: set[str]) -> None:
-        self._known, self.names = known, set[str]()
-
-    def visit_If(self, node: ast.If) -> None:
-        for_types = ast.unparse(node.test) == "TYPE_CHECKING"
-        for inner in node.orelse if for_types else [node.test, *node.body, *node.orelse]:
-            self.visit(inner)
-
-    def visit_Import(self, node: ast.Import) -> None:
-        self.names |= {alias.name for alias in node.names} & self._known
-
-    def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
-        for alias in node.names:
-            inner = f"{node.module}.{alias.name}"
-            self.names |= {inner if inner in self._known else str(node.module)} & self._known
-
-
 def _graph() -> dict[str, set[str]]:
     """The imported modules of each module, by dotted names."""
     names = {
@@ -260,47 +250,15 @@ def _graph() -> dict[str, set[str]]:
     names = {name.removesuffix(".__init__"): module for name, module in names.items()}
     graph = {}
     for name, module in names.items():
-        imports = _Imports({*names})
-        imports.visit(TREES[module])
-        graph[name] = imports.names - {name}
+        found = _imports(module, at_run_time=True)
+        # what is imported from a module that is no module itself is of that one
+        homes = {each if each in names else each.rpartition(".")[0] for each in found}
+        graph[name] = (homes & names.keys()) - {name}
     return graph
 
 
-def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """The strongly connected components of more than one node (Tarjan 1972)."""
-    number: dict[str, int] = {}
-    lowest: dict[str, int] = {}
-    path: list[str] = []
-    components: list[list[str]] = []
-
-    def visit(node: str) -> None:
-        number[node] = lowest[node] = len(number)
-        path.append(node)
-        for other in sorted(graph[node]):
-            if other not in number:
-                visit(other)
-                lowest[node] = min(lowest[node], lowest[other])
-            elif other in path:
-                lowest[node] = min(lowest[node], number[other])
-        if lowest[node] == number[node]:
-            component = path[path.index(node) :]
-            del path[path.index(node) :]
-            if len(component) > 1:
-                components.append(sorted(component))
-
-    for node in graph:
-        if node not in number:
-            visit(node)
-    return components
-
-
-def test_circles_are_seen():
-    graph = {"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set(), "e": {"f"}, "f": {"e", "a"}}
-    assert sorted(circles(graph)) == [["b", "c"], ["e", "f"]]
-
-
 def test_no_circle_of_imports():
-    assert not circles(_graph()), "modules that import each other"
+    graphlib.TopologicalSorter(_graph()).prepare()  # an error names the circle
 
 
 @pytest.mark.parametrize(("room", "other"), STRANGERS)
@@ -366,20 +324,17 @@ def test_the_defaults_of_run_are_explained_and_exist():
             assert option in groups[group], f"{group}={option}"
 
 
-def test_the_first_page_waits_for_nothing_heavy():
-    code = "import sys, trms_cli.cli as c; c.main(['--help']); print(*sys.modules, file=sys.stderr)"
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    loaded = {name.split(".")[0] for name in result.stderr.split()}
-    assert not loaded & (HEAVY | LIGHT_ENOUGH)
-
-
-@pytest.mark.parametrize("argv", [["list"], ["run", "--help"], ["completion", "bash"]])
-def test_the_quick_commands_load_no_solver(argv):
+@pytest.mark.parametrize(
+    ("argv", "heavy"),
+    [
+        (["--help"], HEAVY | LIGHT_ENOUGH),
+        (["list"], HEAVY),
+        (["run", "--help"], HEAVY),
+        (["completion", "bash"], HEAVY),
+    ],
+)
+def test_the_quick_commands_wait_for_nothing_heavy(argv, heavy):
     code = f"import sys, trms_cli.cli as c; c.main({argv}); print(*sys.modules, file=sys.stderr)"
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    loaded = {name.split(".")[0] for name in result.stderr.split()}
-    assert not loaded & HEAVY
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert not {name.split(".")[0] for name in result.stderr.split()} & heavy
