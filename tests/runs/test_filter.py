@@ -332,8 +332,6 @@ class TestErrors:
         assert hint in caught.value.remedy
 
     def test_names_of_a_filter(self):
-        assert names_in("rmse_yaw < 1 and plant.prior_seed == 3 or rmse_yaw > sed") == [
-            "rmse_yaw",
-            "plant.prior_seed",
-        ]
+        text = "rmse_yaw < 1 and plant.prior_seed == 3 or rmse_yaw > sed"
+        assert names_in(text) == ["rmse_yaw", "plant.prior_seed"]
         assert names_in("") == []

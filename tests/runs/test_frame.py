@@ -1,12 +1,14 @@
 """Runs in a notebook, with and without pandas."""
 
 import re
+import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+from trms_cli.commands.runs import HELP
 from trms_cli.core.errors import TrmsError
 from trms_cli.runs import find_runs, runs_frame, runs_table
 from trms_cli.runs.columns import ALIASES, COLUMNS
@@ -19,18 +21,10 @@ def test_a_table_has_types_units_and_what_find_runs_says(write_run, score):
     columns = ["path", "complete", "seed", "rmse_yaw", "plant.prior_seed"]
     table = runs_table(columns=columns, sort="rmse_yaw")
     assert table.to_pylist() == find_runs(columns=columns, sort="rmse_yaw")
-    assert [str(field.type) for field in table.schema] == [
-        "string",
-        "bool",
-        "int64",
-        "double",
-        "double",
-    ]
+    types = [str(field.type) for field in table.schema]
+    assert types == ["string", "bool", "int64", "double", "double"]
     assert table.schema.field("rmse_yaw").metadata[b"unit"] == b"rad"
     assert runs_table().column_names == list(COLUMNS)
-
-
-def test_a_table_without_a_run(runs):
     assert runs_table("seed == 1").num_rows == 0
 
 
@@ -67,8 +61,6 @@ def test_every_other_name_is_that_of_a_column():
 
 
 def test_a_run_that_tells_of_itself_loads_no_database(tmp_path):
-    import subprocess
-
     code = "import sys, trms_cli.runs.place; print('sqlite3' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "False\n"
@@ -80,16 +72,12 @@ class TestPage:
     page = (Path(__file__).parents[2] / "docs" / "runs.md").read_text(encoding="utf-8")
 
     def test_every_column_is_told_of(self):
-        from trms_cli.commands.runs import HELP
-
         for name in COLUMNS:
             stem = re.sub(r"_(alpha|u)_[vh]$", "", name)
             assert f"`{stem}`" in self.page or f"`{stem}_" in self.page, name
             assert re.search(rf"\b{stem}\b", HELP), name
 
     def test_its_filters_are_filters(self):
-        from trms_cli.commands.runs import HELP
-
         typed = re.findall(r'(?:trms runs|runs_frame\() ?"([^"]+)"', self.page + HELP)
         rows = re.findall(r"^\| (`.*?) \| ", self.page.partition("## Columns")[0], re.MULTILINE)
         shown = [text for row in rows for text in re.findall(r"`([^`]+)`", row)]

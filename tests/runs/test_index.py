@@ -13,12 +13,14 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.runs import find_runs
-from trms_cli.runs.columns import COLUMNS, figures_of
+from trms_cli.runs.columns import COLUMNS, column_sql, figures_of
 from trms_cli.runs.entry import IndexEntry
+from trms_cli.runs.filter import translate_filter
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex
 from trms_cli.runs.place import index_file, new_runs, note_run
 from trms_cli.runs.query import Query, find
@@ -45,11 +47,8 @@ class TestRow:
         (run,) = find_runs()
         assert run["path"] == str(runs / "one")
         assert run["log"] == str(runs / "one" / "run.mcap")
-        assert (run["controller"], run["effects"], run["faults"]) == (
-            "lqr",
-            "cable_stiffness+inflow",
-            "",
-        )
+        assert (run["controller"], run["faults"]) == ("lqr", "")
+        assert run["effects"] == "cable_stiffness+inflow"
         assert (run["seed"], run["duration"], run["sample_time"]) == (7, 6.0, 0.02)
         assert (run["complete"], run["outcome"]) == (True, "completed")
         assert (run["rmse_alpha_v"], run["rmse"], run["effort_u_v"]) == (0.1, 0.2, 2.0)
@@ -66,19 +65,16 @@ class TestRow:
         assert {run["model"] for run in find_runs()} == {"fit", "night corrected"}
         assert [Path(run["path"]).name for run in find_runs("model == 'fit'")] == ["one"]
 
-    def test_a_killed_run_is_scored_as_far_as_it_goes(self, write_run):
+    def test_a_killed_run_is_scored_as_far_as_it_goes_and_listed_without_a_sample(self, write_run):
         log = write_run(ending=None, samples=100)
         (run,) = find_runs()
         expected = figures_of(score_log(read_log(log)))
         assert (run["complete"], run["outcome"]) == (False, "unfinished")
         assert run["rmse_alpha_v"] == expected["rmse_alpha_v"] == pytest.approx(0.0)
         assert run["duration"] == 2.0
-
-    def test_a_run_killed_before_its_first_sample_is_listed(self, write_run):
-        write_run(ending=None)
-        (run,) = find_runs()
-        assert run["outcome"] == "unfinished"
-        assert run["rmse"] is None
+        log = write_run("two", ending=None)
+        (run,) = find_runs("rmse is None")
+        assert (run["log"], run["outcome"]) == (str(log), "unfinished")
 
     @pytest.mark.parametrize("ending", ["interrupted", "failed"])
     def test_a_run_that_ended_early_is_not_complete(self, write_run, ending):
@@ -101,32 +97,19 @@ class TestRow:
         write_run(scored=score(channels=channels))
         write_run("two")
         assert [r["rmse_alpha_v"] for r in find_runs("rmse_beta == 0.3")] == [0.1]
-        assert [r["rmse_beta"] for r in find_runs(columns=["rmse_beta"], sort="rmse_beta")] == [
-            0.3,
-            None,
-        ]
+        found = find_runs(columns=["rmse_beta"], sort="rmse_beta")
+        assert [r["rmse_beta"] for r in found] == [0.3, None]
         assert len(find_runs("estimate_rmse_omega_h == 0.5")) == 2
 
     def test_a_score_that_holds_what_it_should_not(self, write_run):
-        write_run(
-            scored={
-                "channels": {
-                    "alpha_v": {"rmse": "0.1; DROP TABLE runs", "iae": [1], "steps": 1e40}
-                },
-                "solver": "none",
-                "duration_s": True,
-                "inputs": [],
-            },
-            seed="99999999999999999999",
-            start="yesterday",
-        )
+        channel = {"rmse": "0.1; DROP TABLE runs", "iae": [1], "steps": 1e40}
+        odd = {"channels": {"alpha_v": channel}, "solver": "none", "duration_s": True, "inputs": []}
+        write_run(scored=odd, seed="99999999999999999999", start="yesterday")
         (run,) = find_runs()
         for name in ("rmse_alpha_v", "iae_alpha_v", "steps_alpha_v", "duration", "seed", "time"):
             assert run[name] is None, name
 
     def test_recordings_and_logs_of_others_are_no_runs(self, runs):
-        from mcap.writer import Writer
-
         with (runs / "foreign.mcap").open("wb") as file:
             writer = Writer(file)
             writer.start()
@@ -165,11 +148,8 @@ class TestFolders:
         find_runs()
         write_run("b")
         looked = []
-        from trms_cli.runs import query
-
-        monkeypatch.setattr(
-            query, "read_entry", lambda path: looked.append(path.parent.name) or None
-        )
+        look = lambda path: looked.append(path.parent.name) or None  # noqa: E731
+        monkeypatch.setattr("trms_cli.runs.query.read_entry", look)
         find_runs()
         assert looked == ["b"]
 
@@ -196,24 +176,13 @@ class TestFolders:
         assert sorted(paths(folders=["out", runs / "out0"])) == ["a", "b"]
         assert paths(folders=runs / "out-1" / "c" / "run.mcap") == ["c"]
 
-    def test_a_folder_that_is_not_there(self):
-        with pytest.raises(ConfigurationError, match="there is no folder"):
-            find_runs(folders="nowhere")
-
-    def test_names_of_logs_that_a_user_chose(self, write_run, runs):
-        shutil.copy(write_run("a"), runs / "my best.mcap")
-        assert sorted(paths()) == ["a", "my best.mcap"]
-
-    def test_hidden_folders_are_passed_over(self, write_run):
+    def test_names_that_a_user_chose_are_read_but_hidden_ones_and_no_text(self, write_run, runs):
         write_run(".trash/a")
-        assert paths() == []
-
-    def test_a_name_that_is_no_text(self, write_run, runs):
         log = write_run("a")
+        shutil.copy(log, runs / "my best.mcap")
         shutil.copy(log, os.fsencode(runs) + b"/\xff.mcap")
-        found = find(Query())
-        assert len(found.runs) == 1
-        assert found.unreadable[0][1] == "its name is no text"
+        assert sorted(paths()) == ["a", "my best.mcap"]
+        assert find(Query()).unreadable[0][1] == "its name is no text"
 
     def test_a_large_working_folder_is_looked_through_in_part_and_said_so(
         self, write_run, monkeypatch
@@ -338,16 +307,14 @@ class TestTold:
         assert paths(everywhere=True) == []
         assert paths() == ["a"]
 
-    def test_off(self, monkeypatch, tmp_path):
+    def test_nothing_is_told_where_it_is_off_or_cannot_be(self, monkeypatch, tmp_path):
         monkeypatch.setenv("TRMS_RUNS", "off")
         monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "cache"))
         note_run(tmp_path / "run.mcap")
         assert not (tmp_path / "cache").exists()
-
-    def test_a_folder_that_cannot_be_is_no_error_of_a_run(self, monkeypatch, tmp_path):
         (tmp_path / "file").touch()
         monkeypatch.setenv("TRMS_RUNS", str(tmp_path / "file" / "index"))
-        note_run(tmp_path / "run.mcap")
+        note_run(tmp_path / "run.mcap")  # no error of a run
 
     def test_lines_of_many_processes_stay_whole(self, tmp_path):
         code = (
@@ -387,7 +354,9 @@ class TestDatabase:
         index_file().write_bytes(content)
         assert len(find_runs()) == 30
 
-    def test_a_working_folder_that_is_gone(self, runs):
+    def test_a_folder_that_is_not_there_or_gone(self, runs):
+        with pytest.raises(ConfigurationError, match="there is no folder"):
+            find_runs(folders="nowhere")
         runs.rmdir()
         with pytest.raises(ConfigurationError, match="there is no folder"):
             find_runs()
@@ -442,9 +411,6 @@ class TestDatabase:
             looked.append(
                 LogReading(values["log"], FileStamp(1, 1), IndexEntry(values["log"], values))
             )
-        from trms_cli.runs.columns import column_sql
-        from trms_cli.runs.filter import translate_filter
-
         with RunIndex(index_file()) as index:
             index.put(looked)
             condition = translate_filter("controller == 'newton_mpc' and rmse_yaw < 0.05")

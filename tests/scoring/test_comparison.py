@@ -81,14 +81,12 @@ class TestRanking:
         assert told.failed == 1
         assert math.isnan(told.error_mean)
 
-    def test_a_failure_hides_behind_no_repetition(self):
-        again = replace(run("b"), path="again")
-        assert standing(rank(group([run("a"), again, failed("b")])), "b").failed == 1
-
-    def test_an_incomplete_run_does_not_count(self):
+    def test_an_incomplete_run_does_not_count_and_a_failure_hides_behind_no_repetition(self):
         short = run("c", 0.01, state=State.INCOMPLETE)
         ranking = rank(group([run("a"), run("b", 0.2), short]))
         assert [each.name for each in ranking.standings] == ["a", "b"]
+        again = replace(run("b"), path="again")
+        assert standing(rank(group([run("a"), again, failed("b")])), "b").failed == 1
 
     def test_outsiders_have_no_rank_and_are_not_the_best(self):
         runs = [run("a", 0.2), run("b", 0.3), run("seer", 0.1, outside="knows what comes")]
@@ -139,12 +137,10 @@ class TestIntervals:
         assert low < found.against_first < high
         assert low > 1.0 and high < 1.06
 
-    def test_no_difference_is_not_told_apart(self):
+    def test_no_difference_and_few_rigs_are_not_told_apart(self):
         ranking = self.field(1.0, 0.02)
         second = ranking.standings[1]
         assert second.different is False
-
-    def test_few_rigs_have_none(self):
         found = self.field(1.03, 0.02, rigs=4)
         assert found.first.interval is None
         assert found.standings[1].different is None
@@ -206,10 +202,11 @@ class TestCoordinates:
         assert [each.coordinates["controller.horizon"] for each in runs] == ["10", "20"]
         assert "out" not in runs[0].coordinates
         assert group(runs).entrants == ("mpc + horizon=10", "mpc + horizon=20")
-
-    def test_settings_of_another_option_are_no_difference(self):
+        # settings of another option are no difference
         runs = complete_coordinates([self.with_config(10), self.with_config(20, controller="pid")])
         assert group(runs).entrants == ("mpc", "pid")
+        one, other = self.with_config(10).config, self.with_config(20).config
+        assert differences(one, other) == [("controller.horizon", "10", "20")]
 
     def test_a_job_without_a_log_is_told_apart_by_what_was_typed(self):
         lost = replace(
@@ -227,10 +224,6 @@ class TestCoordinates:
         )
         mixed = replace(run("a"), coordinates={"ref": "square", "signal@ref.alpha_v": "step"})
         assert "signal@ref.alpha_v" in complete_coordinates([square, mixed])[0].coordinates
-
-    def test_differences_of_two_configurations(self):
-        one, other = self.with_config(10).config, self.with_config(20).config
-        assert differences(one, other) == [("controller.horizon", "10", "20")]
 
     def test_by_names_another_entrant(self):
         runs = [run(c, ref=r) for c in "ab" for r in ("square", "sine")]
@@ -265,12 +258,7 @@ def _title_and_notes(runs):
     return found.title, found.sections[0].blocks[0].caption, found.results
 
 
-def test_one_condition_is_by_nothing():
-    title, _, _ = _title_and_notes([run("a"), run("b", 0.2)])
-    assert title == "2 runs: 2 entrants by controller, 1 condition"
-
-
-def test_many_drawn_parameters_of_the_rig_are_named_once():
+def test_many_drawn_parameters_of_the_rig_are_named_once_and_one_condition_by_nothing():
     keys = [f"plant.parameters.k_{i}" for i in range(25)]
     runs = []
     for draw in range(3):
@@ -282,6 +270,8 @@ def test_many_drawn_parameters_of_the_rig_are_named_once():
     assert title.endswith("3 conditions by the rig's parameters (25 of plant.parameters)")
     assert "k_3" not in title + notes and "Worst of b: rig 1 (" in notes
     assert data["conditions_by"] == keys
+    title, _, _ = _title_and_notes([run("a"), run("b", 0.2)])
+    assert title == "2 runs: 2 entrants by controller, 1 condition"
 
 
 @pytest.mark.parametrize(("own", "differ"), [(True, True), (False, False)])

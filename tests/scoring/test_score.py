@@ -14,8 +14,12 @@ from trms_cli.scoring.score import Series, score_log, score_tables
 from .conftest import LIMITS
 
 
-def test_the_document_has_the_keys_of_the_schema(make_tables):
-    score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0, log="run.mcap")
+@pytest.fixture(scope="module")
+def score(make_tables):
+    return score_tables(make_tables(), limits=LIMITS, duration_s=40.0, log="run.mcap")
+
+
+def test_the_document_has_the_keys_of_the_schema(score):
     assert list(score) == [
         "schema", "log", "complete", "duration_s", "channels", "inputs", "estimate", "solver",
         "constraint_violations", "degraded",
@@ -35,8 +39,7 @@ def test_the_document_has_the_keys_of_the_schema(make_tables):
     json.dumps(score, allow_nan=False)
 
 
-def test_the_figures_are_those_of_the_run(make_tables):
-    score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0)
+def test_the_figures_are_those_of_the_run(score):
     pitch = score["channels"]["alpha_v"]
     overshoot = 100 * math.exp(-math.pi * 0.6 / 0.8)
     assert pitch["steps"] == 4 and pitch["unsettled_steps"] == 0
@@ -75,7 +78,9 @@ def test_a_log_scores_as_its_run_did_in_memory(make_tables, make_log):
     assert from_file == from_memory
 
 
-def test_without_truth_the_measurement_is_scored(make_tables):
+def test_without_truth_the_measurement_is_scored_and_without_references_the_predictions(
+    make_tables,
+):
     tables = make_tables()
     del tables["/plant/state"]
     score = score_tables(tables, limits={}, duration_s=40.0)
@@ -84,10 +89,6 @@ def test_without_truth_the_measurement_is_scored(make_tables):
     assert score["estimate"]["nees_mean"] is None
     assert score["inputs"]["u_v"]["saturation_share"] is None
     assert score["constraint_violations"] == {}
-
-
-def test_a_replayed_recording_without_references_is_scored_by_its_predictions(make_tables):
-    tables = make_tables()
     replay = {topic: tables[topic] for topic in ("/measurement", "/command", "/estimate")}
     score = score_tables(replay, limits={}, duration_s=40.0)
     assert score["channels"] == {}
@@ -106,7 +107,7 @@ def test_a_run_of_nothing_is_all_null():
     assert also == score
 
 
-def test_what_a_sine_does_not_have_is_null(make_tables):
+def test_what_a_sine_or_a_step_that_never_settles_does_not_have_is_null(make_tables):
     tables = make_tables()
     time = tables["/reference"].time
     tables["/reference"] = Series(time, {"alpha_v": 0.3 * np.sin(time)})
@@ -115,9 +116,6 @@ def test_what_a_sine_does_not_have_is_null(make_tables):
         assert channel[key] is None
     assert channel["steps"] == 0
     assert channel["rmse"] > 0
-
-
-def test_a_step_that_never_settles_makes_the_settling_time_null(make_tables):
     tables = make_tables()
     time = tables["/reference"].time
     state = {
@@ -130,9 +128,8 @@ def test_a_step_that_never_settles_makes_the_settling_time_null(make_tables):
     assert channel["unsettled_steps"] == 3
 
 
-def test_channels_of_different_rates_are_brought_together(make_tables):
-    tables = make_tables()
-    whole = score_tables(tables, limits={}, duration_s=40.0)["channels"]["alpha_v"]
+def test_channels_of_different_rates_are_brought_together(make_tables, score):
+    tables, whole = make_tables(), score["channels"]["alpha_v"]
     reference = tables["/reference"]
     slow = {name: values[::10] for name, values in reference.columns.items()}
     tables["/reference"] = Series(reference.time[::10], slow)
@@ -198,9 +195,8 @@ def test_nis_is_what_a_consistent_filter_makes(make_tables):
     assert doubtful["nis_share_inside"] < 0.7
 
 
-def test_missing_and_rejected_samples_are_counted_and_left_out(make_tables):
-    tables = make_tables()
-    before = score_tables(tables, limits=LIMITS, duration_s=40.0)["estimate"]
+def test_missing_and_rejected_samples_are_counted_and_left_out(make_tables, score):
+    tables, before = make_tables(), score["estimate"]
     time = tables["/estimate"].time
     columns = {name: np.array(values) for name, values in tables["/estimate"].columns.items()}
     columns["innovation_alpha_v"][[500, 700, 900]] = 0.3

@@ -14,10 +14,10 @@ from trms_cli.recordings.topics import Field, standard_topics
 from trms_cli.scoring.findings import innovation_sentences
 
 
-def test_a_table_of_eighty_columns(make_log, capsys, monkeypatch):
+def test_a_table_of_eighty_columns_and_a_json_with_its_figures(make_log, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    log = make_log()
-    assert score.main([str(log)]) == 0
+    log = str(make_log())
+    assert score.main([log]) == 0
     printed = capsys.readouterr().out
     assert "40 s, completed, scored on the true state" in printed
     for word in ("RMSE", "overshoot, worst of 4 steps", "effort", "NEES", "deadlines missed"):
@@ -25,15 +25,10 @@ def test_a_table_of_eighty_columns(make_log, capsys, monkeypatch):
     # the path may be longer; nothing else, and nothing is cut off
     assert all(len(line) <= 80 for line in printed.splitlines() if "run.mcap" not in line)
     assert "…" not in printed
-
-
-def test_the_json_has_the_printed_figures(make_log, capsys):
-    log = str(make_log())
     score.main([log, "--json"])
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "trms.score/1" and document["log"] == log
-    score.main([log])
-    assert wording.number(document["channels"]["alpha_h"]["ise"]) in capsys.readouterr().out
+    assert wording.number(document["channels"]["alpha_h"]["ise"]) in printed
     score.main([log, log, "--json"])
     both = json.loads(capsys.readouterr().out)
     assert both == {"schema": "trms.scores/1", "scores": [document, document]}
@@ -63,14 +58,11 @@ def test_a_slower_run_is_worse_than_the_baseline(make_log, capsys, tmp_path):
     assert [one["comparison"]["worse"] for one in scores] == [False, True]
     assert score.main([good, "--baseline", baseline, "--all"]) == 0
     assert "alpha_v rmse" in capsys.readouterr().out
-
-
-def test_a_printed_score_is_a_baseline_too(make_log, capsys, tmp_path):
-    log = str(make_log())
-    score.main([log, "--json"])
+    # a printed score is a baseline too
+    score.main([good, "--json"])
     saved = tmp_path / "score.json"
     saved.write_text(capsys.readouterr().out)
-    assert score.main([log, "--baseline", str(saved)]) == 0
+    assert score.main([good, "--baseline", str(saved)]) == 0
 
 
 def test_a_baseline_is_not_overwritten_unasked(make_log, tmp_path):
