@@ -26,14 +26,22 @@ SHORT: dict[str, Any] = {"start": 1.0, "duration": 1.0}
 DURING = slice(50, 100)
 
 
+def started(*faults: Fault, seed: int = 0, sensors: Sensors | None = None) -> Any:
+    named = {f"fault_{i}": fault for i, fault in enumerate(faults)}
+    rig = SimulatedRig(model=Newtonian(), sensors=sensors or Sensors(), faults=named)
+    return rig.init(PlantSetup(T, SAMPLES, seed))
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """What is measured without faults."""
+    return readings()[0]
+
+
 def readings(*faults: Fault, seed: int = 0, noise: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
     """What is measured and where the rig is under moving commands: (samples, n) each."""
-    rig = SimulatedRig(
-        model=Newtonian(),
-        sensors=Sensors(noise_sd={"alpha_h": noise, "alpha_v": noise}),
-        faults={f"fault_{i}": fault for i, fault in enumerate(faults)},
-    )
-    run = rig.init(PlantSetup(T, SAMPLES, seed))
+    sensors = Sensors(noise_sd={"alpha_h": noise, "alpha_v": noise})
+    run = started(*faults, seed=seed, sensors=sensors)
     measured, states = [], []
     for k in range(SAMPLES):
         measured.append(run.measure().copy())
@@ -43,28 +51,21 @@ def readings(*faults: Fault, seed: int = 0, noise: float = 0.01) -> tuple[np.nda
 
 
 def test_without_faults_nothing_changes() -> None:
-    clean = readings()
     late = readings(LostSamples(channel="alpha_h", start=1e3))
-    for one, other in zip(clean, late, strict=True):
+    for one, other in zip(readings(), late, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-def test_lost_samples_are_lost_for_their_time_and_in_their_channel_only() -> None:
-    clean, _ = readings()
+def test_lost_samples_are_lost_for_their_time_and_in_their_channel_only(clean) -> None:
     lost, _ = readings(LostSamples(channel="alpha_h", **SHORT))
     assert np.isnan(lost[DURING, YAW]).all()
     lost[DURING, YAW] = clean[DURING, YAW]
     np.testing.assert_array_equal(lost, clean)
-
-
-def test_a_share_of_samples_is_lost() -> None:
     lost, _ = readings(LostSamples(channel="alpha_h", start=0.0, probability=0.3))
-    share = np.isnan(lost[:, YAW]).mean()
-    assert 0.2 < share < 0.4
+    assert 0.2 < np.isnan(lost[:, YAW]).mean() < 0.4
 
 
-def test_a_frozen_sensor_shows_its_last_value_and_then_the_truth_again() -> None:
-    clean, _ = readings()
+def test_a_frozen_sensor_shows_its_last_value_and_then_the_truth_again(clean) -> None:
     frozen, _ = readings(FrozenSensor(channel="alpha_h", **SHORT))
     assert np.unique(frozen[DURING, YAW]).size == 1
     assert frozen[50, YAW] == clean[50, YAW]
@@ -72,8 +73,7 @@ def test_a_frozen_sensor_shows_its_last_value_and_then_the_truth_again() -> None
     np.testing.assert_array_equal(np.delete(frozen, YAW, 1), np.delete(clean, YAW, 1))
 
 
-def test_outliers_and_shifts_have_their_size() -> None:
-    clean, _ = readings()
+def test_outliers_and_shifts_have_their_size(clean) -> None:
     hit, _ = readings(Outliers(channel="alpha_h", probability=0.2, size=0.3, **SHORT))
     off = hit[:, YAW] - clean[:, YAW]
     assert set(np.round(np.unique(off), 9)) == {-0.3, 0.0, 0.3}
@@ -86,11 +86,8 @@ def test_outliers_and_shifts_have_their_size() -> None:
 def test_delayed_commands_arrive_as_those_that_were_sent_later() -> None:
     """A rig that is told everything 5 samples late is the same rig 5 samples later."""
     delay = 5
-    rig = SimulatedRig(
-        model=Newtonian(), faults={"late": DelayedCommands(start=0.0, delay=delay * T)}
-    )
-    late = rig.init(PlantSetup(T, SAMPLES, 0))
-    prompt = SimulatedRig(model=Newtonian()).init(PlantSetup(T, SAMPLES, 0))
+    late = started(DelayedCommands(start=0.0, delay=delay * T))
+    prompt = started()
     sent = [np.array([1.0 + 0.01 * k, -0.005 * k]) for k in range(60)]
     for k in range(60):
         late.advance(sent[k])
@@ -100,10 +97,8 @@ def test_delayed_commands_arrive_as_those_that_were_sent_later() -> None:
 
 @pytest.mark.parametrize("value", [None, 0.4])
 def test_a_stuck_command_moves_the_rig_as_a_constant_one(value: float | None) -> None:
-    stuck = SimulatedRig(
-        model=Newtonian(), faults={"stuck": StuckCommand(input="u_h", start=0.2, value=value)}
-    ).init(PlantSetup(T, SAMPLES, 0))
-    same = SimulatedRig(model=Newtonian()).init(PlantSetup(T, SAMPLES, 0))
+    stuck = started(StuckCommand(input="u_h", start=0.2, value=value))
+    same = started()
     for k in range(40):
         u = np.array([1.0, 0.02 * k])
         stuck.advance(u)

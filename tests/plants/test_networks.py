@@ -36,14 +36,11 @@ def test_runs_as_its_own_steps():
         run.advance(u)
 
 
-def test_starts_at_rest_where_it_is_put():
+def test_starts_where_it_is_put_at_rest_or_in_motion():
     run = started(initial={"alpha_v": 0.3}, first_command={"u_v": 0.7})
     state = dict(zip((s.name for s in run.states), run.state, strict=True))
     assert state["alpha_v"] == state["alpha_v_lag1"] == state["alpha_v_lag2"] == 0.3
     assert state["u_v_lag1"] == 0.7
-
-
-def test_starts_in_motion_where_it_is_told_so():
     run = started(initial={"alpha_v": 0.3, "alpha_v_lag1": 0.2})
     state = dict(zip((s.name for s in run.states), run.state, strict=True))
     assert (state["alpha_v"], state["alpha_v_lag1"]) == (0.3, 0.2)
@@ -86,17 +83,11 @@ def test_takes_a_delay_of_its_command():
     assert late.state[0] > rig_like((1, 3), (1, 2)).rest()[0] + 0.01
 
 
-class TestRefusals:
-    def test_friction(self):
-        with pytest.raises(ModelError, match=r"model@plant\.model=newtonian"):
-            started(effects={"rub": CoulombFriction(axis="yaw", torque=0.01)})
-
-    def test_a_draw_from_priors(self):
-        with pytest.raises(ConfigurationError) as error:
-            started(prior_seed=3)
-        assert error.value.where == "prior_seed"
-
-    def test_another_sample_time(self):
-        rig = SimulatedRig(model=rig_like())
-        with pytest.raises(ModelError, match=r"sim\.sample_time"):
-            rig.init(PlantSetup(0.05, 10, 0))
+def test_refuses_friction_a_draw_from_priors_and_another_sample_time():
+    with pytest.raises(ModelError, match=r"model@plant\.model=newtonian"):
+        started(effects={"rub": CoulombFriction(axis="yaw", torque=0.01)})
+    with pytest.raises(ConfigurationError) as error:
+        started(prior_seed=3)
+    assert error.value.where == "prior_seed"
+    with pytest.raises(ModelError, match=r"sim\.sample_time"):
+        SimulatedRig(model=rig_like()).init(PlantSetup(0.05, 10, 0))

@@ -40,7 +40,9 @@ def load(file: str, model=None, **keys):
 
 
 class TestWhatIsTaken:
-    def test_everything_in_the_order_of_the_model(self, write):
+    def test_everything_in_the_order_of_the_model_from_a_relative_path_too(
+        self, write, monkeypatch
+    ):
         run = load(write())
         assert len(run) == 10
         assert run.sample_time == pytest.approx(0.02)
@@ -50,47 +52,37 @@ class TestWhatIsTaken:
         assert run.measurements[3].tolist() == pytest.approx([0.3, 0.2, 10.0, 20.0])
         assert list(run.references) == ["alpha_v"]
         assert run.happenings == ()
+        path = Path(write())
+        monkeypatch.chdir(path.parent)
+        assert len(load(path.name)) == 10
 
-    def test_the_model_decides_what_is_used(self, write):
+    def test_the_model_decides_what_is_used_and_what_is_not_measured_is_said(self, write):
         run = load(write(), Newtonian(freedom="vertical"))
         assert [s.name for s in run.inputs] == ["u_v"]
         assert [s.name for s in run.outputs] == ["alpha_v", "omega_v"]
         assert any("not used: u_h, alpha_h, omega_h" in remark for remark in run.remarks)
-
-    def test_what_is_not_measured_is_said(self, write):
         run = load(write(header="t[s],u_v[V],u_h[V],alpha_v[rad]"))
         assert [s.name for s in run.outputs] == ["alpha_v"]
         assert any(r.startswith("not measured: alpha_h") for r in run.remarks)
 
-    def test_chosen_channels_only(self, write):
+    def test_a_part_by_time_chosen_channels_only_and_commands_that_act_later(self, write):
+        run = load(write(), start=0.05, end=0.13)
+        assert run.time == pytest.approx([0.06, 0.08, 0.10, 0.12])
+        assert run.commands[0, 0] == 3
+        run = load(write(), command_delay=2)
+        assert run.commands[:5, 0].tolist() == [0, 0, 0, 1, 2]
         run = load(write(), sensors=Sensors(channels=("alpha_h",), quantum={"alpha_h": 0.012**0.5}))
         assert run.measurements.shape == (10, 1)
         assert run.noise_sd["alpha_h"] == pytest.approx(0.1**1.5)
 
-    def test_a_part_by_time(self, write):
-        run = load(write(), start=0.05, end=0.13)
-        assert run.time == pytest.approx([0.06, 0.08, 0.10, 0.12])
-        assert run.commands[0, 0] == 3
-
-    def test_degrees_and_rpm_become_si(self, write):
+    def test_degrees_and_rpm_become_si_and_commands_are_scaled(self, write):
         header = "t[s],u_v[V],u_h[V],alpha_v[deg],alpha_h[rad],omega_v[rpm]"
         run = load(write(header=header))
         assert run.measurements[5, 0] == pytest.approx(np.radians(0.5))
         assert run.measurements[5, 2] == pytest.approx(10 * np.pi / 30)
-
-    def test_a_command_may_act_later(self, write):
-        run = load(write(), command_delay=2)
-        assert run.commands[:5, 0].tolist() == [0, 0, 0, 1, 2]
-
-    def test_scaled_commands(self, write):
         header = HEADER.replace("u_v[V],u_h[V]", "u_v[1],u_h[%]")
         run = load(write(header=header), input_scale={"u_v": 24.0, "u_h": 10.0})
         assert run.commands[2].tolist() == pytest.approx([48.0, 0.05])
-
-    def test_a_relative_path_is_one_of_the_working_directory(self, write, monkeypatch):
-        path = Path(write())
-        monkeypatch.chdir(path.parent)
-        assert len(load(path.name)) == 10
 
 
 class TestWhatIsMissing:
@@ -144,15 +136,13 @@ class TestWhatIsRefused:
         with pytest.raises(RecordingError, match="no such file"):
             load(str(tmp_path / "absent.csv"))
 
-    def test_normalised_commands_for_a_model_in_volts_lead_to_the_right_model(self, write):
+    def test_commands_in_another_unit_lead_to_the_right_model(self, write):
         with pytest.raises(ConfigurationError) as caught:
             load(write(header=HEADER.replace("[V]", "[1]")))
         assert caught.value.where == "plant.file"
         assert "u_v, u_h in [1]" in caught.value.problem and "takes [V]" in caught.value.problem
         assert "model=tras" in caught.value.remedy
         assert "plant.input_scale={u_v: 2.5, u_h: 2.5}" in caught.value.remedy
-
-    def test_volts_for_a_normalised_model(self, write):
         with pytest.raises(ConfigurationError) as caught:
             load(write(), Tras())
         assert "model=newtonian" in caught.value.remedy
@@ -196,14 +186,14 @@ class TestWhatIsRefused:
             load(write(change=late))
         assert "plant.start=0.06" in caught.value.remedy
 
-    def test_a_part_beyond_the_end(self, write):
+    def test_a_part_beyond_the_end_a_scale_for_no_input_and_a_loop_over_it(self, write):
         with pytest.raises(ConfigurationError, match="fewer than two") as caught:
             load(write(), start=5.0)
         assert "0 to 0.18" in caught.value.remedy
-
-    def test_a_scale_for_no_input(self, write):
         with pytest.raises(ConfigurationError, match="no input 'u_x'"):
             load(write(), input_scale={"u_x": 2.0})
+        with pytest.raises(ConfigurationError, match="cannot be controlled"):
+            RecordedRig(file=write()).init(PlantSetup(0.02, 10, 0))
 
     @pytest.mark.parametrize(
         "keys", [{"input_scale": {"u_v": 0.0}}, {"sensors": Sensors(loss_probability=0.1)}]
@@ -211,7 +201,3 @@ class TestWhatIsRefused:
     def test_nonsense_in_the_configuration(self, keys):
         with pytest.raises(ConfigurationError):
             RecordedRig(file="any.csv", **keys)
-
-    def test_closing_the_loop_over_it(self, write):
-        with pytest.raises(ConfigurationError, match="cannot be controlled"):
-            RecordedRig(file=write()).init(PlantSetup(0.02, 10, 0))

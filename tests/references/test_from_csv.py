@@ -28,12 +28,9 @@ def test_values_hold_or_are_joined_by_lines(tmp_path):
     np.testing.assert_allclose(joined, [0.1, 0.1, 0.2, 0.3, 0.1, -0.1, -0.1])
 
 
-def test_it_is_moved_and_scaled(tmp_path):
+def test_it_is_moved_and_scaled_and_its_units_are_converted(tmp_path):
     signal = FromCsv(file=write(tmp_path, GOOD), column="r_v", start=5.0, scale=2.0, offset=1.0)
     np.testing.assert_allclose(signal.sample(np.array([5.0, 6.0])), [1.2, 1.6])
-
-
-def test_units_are_converted(tmp_path):
     file = write(tmp_path, "t[ms],r_h[deg]\n0,0\n500,90\n")
     signal = FromCsv(file=file, column="r_h")
     np.testing.assert_allclose(signal.sample(np.array([0.49, 0.5])), [0.0, np.pi / 2])
@@ -72,14 +69,11 @@ def test_a_wrong_file_is_told_by_its_line(tmp_path, text, problem, line):
     assert caught.value.remedy
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_told_with_the_unit_of_what_is_read(tmp_path):
     with pytest.raises(RecordingError, match="there is no file"):
         FromCsv(file=str(tmp_path / "none.csv"), column="r_v")
     with pytest.raises(RecordingError, match="cannot be read"):
         FromCsv(file=str(tmp_path), column="r_v")
-
-
-def test_the_hint_has_the_unit_of_what_is_read(tmp_path):
     for column, unit in (("u_v", "V"), ("r_v", "rad")):
         with pytest.raises(RecordingError) as caught:
             read_columns(tmp_path / "none.csv", column)

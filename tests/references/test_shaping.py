@@ -94,14 +94,11 @@ def test_the_answer_does_not_depend_on_what_was_asked_before(times):
     assert shape.apply(signal).sample(np.zeros(0)).shape == (0,)
 
 
-def test_a_shaped_signal_travels_to_another_process():
+def test_a_shaped_signal_begins_where_it_is_told_to_and_travels_to_another_process():
     shaped = Shaping(max_rate=0.5, max_jerk=3.0).apply(Step(amplitude=0.3))
     times = np.arange(0, 3, 0.1)
     before = shaped.sample(times)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(shaped)).sample(times), before)
-
-
-def test_it_begins_where_it_is_told_to():
     signal = Constant(offset=0.4)
     now = np.array([0.0])
     assert Shaping(max_rate=0.5, initial=-0.2).apply(signal).sample(now) == -0.2

@@ -52,13 +52,18 @@ LONG = np.arange(0, 400, 0.01)
 
 
 @every_signal
-def test_the_answer_for_a_time_does_not_depend_on_the_other_times(signal):
+def test_the_answer_for_a_time_does_not_depend_on_the_other_times_nor_on_a_schedule(signal):
     together = signal.sample(TIMES)
     order = np.random.default_rng(0).permutation(TIMES.size)
     assert together.shape == TIMES.shape
     np.testing.assert_array_equal(signal.sample(TIMES[order]), together[order])
     alone = [signal.sample(np.array([t]))[0] for t in TIMES[::97]]
     np.testing.assert_array_equal(alone, together[::97])
+    assert signal.sample(np.zeros(0)).shape == (0,)
+    # 3 · 0.1 − 0.3 is a rounding error away from the signal's own start of 2 s
+    times = 0.1 * np.arange(60)
+    piece = Schedule(pieces=[Piece(start=0.3, signal=signal)], offset=0.2).sample(times)
+    np.testing.assert_allclose(piece[3:], signal.sample(times[:-3]), atol=1e-9)
 
 
 @every_signal
@@ -67,11 +72,6 @@ def test_a_signal_stays_within_its_amplitude_and_rests_at_its_offset_before(sign
     assert np.all(np.abs(values - 0.2) <= 0.3 * 1.006)
     np.testing.assert_array_equal(values[TIMES < 1.999], 0.2)
     assert np.all(np.isfinite(signal.sample(np.array([-1.0, 1e6]))))
-
-
-@every_signal
-def test_no_times_give_no_values(signal):
-    assert signal.sample(np.zeros(0)).shape == (0,)
 
 
 @pytest.mark.parametrize("name", ["square", "sine", "sawtooth", "triangle", "multisine", "prbs"])
@@ -96,14 +96,6 @@ def test_a_square_has_its_edges_on_the_samples_they_were_meant_for(frequency, ra
     # time as a loop makes it, with the rounding of a product
     values = Square(amplitude=1.0, frequency=frequency).sample(samples * (1 / rate))
     np.testing.assert_array_equal(values, np.where((samples // int(half)) % 2 == 0, 1.0, -1.0))
-
-
-@every_signal
-def test_a_piece_of_a_schedule_starts_on_its_sample(signal):
-    # 3 · 0.1 − 0.3 is a rounding error away from the signal's own start of 2 s
-    times = 0.1 * np.arange(60)
-    piece = Schedule(pieces=[Piece(start=0.3, signal=signal)], offset=0.2).sample(times)
-    np.testing.assert_allclose(piece[3:], signal.sample(times[:-3]), atol=1e-9)
 
 
 def test_a_step_comes_on_the_sample_nearest_to_its_time():

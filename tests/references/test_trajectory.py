@@ -71,14 +71,7 @@ def test_configurations_say_what_they_are_and_in_which_unit(group):
             assert bare or " # " in line, f"{name}: {line}"
 
 
-def test_the_benchmark_is_the_one_that_was_agreed(composed):
-    assert composed("+ref=square") == ReferenceTrajectory(
-        alpha_v=Square(amplitude=0.3, frequency=0.025),
-        alpha_h=Square(amplitude=0.5, frequency=0.025),
-    )
-
-
-def test_axes_are_chosen_and_changed_from_the_command_line(composed):
+def test_the_benchmark_is_as_agreed_and_changed_from_the_command_line(composed):
     assert composed("+ref=square", "ref.alpha_h.amplitude=0.7").alpha_h == Square(
         amplitude=0.7, frequency=0.025
     )
@@ -89,6 +82,10 @@ def test_axes_are_chosen_and_changed_from_the_command_line(composed):
     assert composed("+ref=square", "ref.alpha_h=null").axes == ("alpha_v",)
     summed = composed("+ref=sum", "ref.alpha_v.terms.0.amplitude=0.05")
     assert summed.alpha_v.terms[0].amplitude == 0.05  # type: ignore[union-attr]
+    assert composed("+ref=square") == ReferenceTrajectory(
+        alpha_v=Square(amplitude=0.3, frequency=0.025),
+        alpha_h=Square(amplitude=0.5, frequency=0.025),
+    )
 
 
 @pytest.mark.parametrize(
@@ -108,7 +105,7 @@ def test_mistakes_on_the_command_line_are_named_by_their_key(composed, override,
     assert caught.value.remedy
 
 
-def test_columns_are_the_axes_in_order():
+def test_columns_are_the_axes_in_order_and_mistakes_are_named():
     both = ReferenceTrajectory(alpha_v=Constant(offset=0.1), alpha_h=Constant(offset=0.2))
     np.testing.assert_array_equal(both.sample(np.zeros(3)), [[0.1, 0.2]] * 3)
     yaw = both.restricted_to(["alpha_h"])
@@ -116,6 +113,12 @@ def test_columns_are_the_axes_in_order():
     np.testing.assert_array_equal(yaw.sample(np.zeros(3)), [[0.2]] * 3)
     with pytest.raises(ConfigurationError, match="no reference"):
         yaw.restricted_to(["alpha_v"])
+    with pytest.raises(ConfigurationError, match="no axis"):
+        ReferenceTrajectory()
+    with pytest.raises(ConfigurationError, match="is not a signal"):
+        ReferenceTrajectory(alpha_v=Shaping(max_rate=1.0))  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match="is not a shaping"):
+        ReferenceTrajectory(alpha_v=Constant(), shaping=Constant())  # type: ignore[arg-type]
 
 
 @needs_planner
@@ -126,12 +129,3 @@ def test_shaping_holds_on_every_axis():
     values = shaped.sample(TIMES)
     assert np.max(np.abs(np.diff(values, axis=0))) <= 0.1 * 0.01 * (1 + 1e-9)
     np.testing.assert_allclose(values[-1], [0.3, -0.5])
-
-
-def test_mistakes_are_named():
-    with pytest.raises(ConfigurationError, match="no axis"):
-        ReferenceTrajectory()
-    with pytest.raises(ConfigurationError, match="is not a signal"):
-        ReferenceTrajectory(alpha_v=Shaping(max_rate=1.0))  # type: ignore[arg-type]
-    with pytest.raises(ConfigurationError, match="is not a shaping"):
-        ReferenceTrajectory(alpha_v=Constant(), shaping=Constant())  # type: ignore[arg-type]

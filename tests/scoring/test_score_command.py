@@ -93,13 +93,6 @@ def test_wrong_files_and_options_are_told(tmp_path, make_log):
             score.main(wrong)
 
 
-def test_help_is_printed(capsys):
-    with pytest.raises(SystemExit) as caught:
-        score.main(["--help"])
-    assert caught.value.code == 0
-    assert capsys.readouterr().out == score.HELP
-
-
 def test_units_are_those_that_the_log_tells(tmp_path, capsys):
     states = [Field("S_h", "rad/s"), Field("alpha_h", "rad")]
     topics = standard_topics(inputs=[Field("u_h", "V")], states=states, estimates=states)

@@ -132,18 +132,14 @@ def test_a_command_of_another_shape_is_refused_in_words(u: Any) -> None:
     assert caught.value.where == "controller"
 
 
-def test_a_slower_controller_is_asked_at_its_own_rate_and_its_command_held() -> None:
-    controller = Scripted(lambda k: (0.1 * k, 0.0), sample_time=0.1)
+def test_a_slower_controller_is_asked_at_its_own_rate_with_a_preview_and_its_command_held() -> None:
+    controller = Scripted(lambda k: (0.1 * k, 0.0), sample_time=0.1, ahead=4)
     loop = run(controller)
     assert [sample.time for sample in controller.seen] == pytest.approx(np.arange(10) * 0.1)
     held = loop.history.columns("/command")["u_v"].reshape(10, 5)
     assert np.all(held == held[:, :1])
     assert held[:, 0] == pytest.approx(0.1 * np.arange(10))
-
-
-def test_the_preview_reaches_over_the_end_in_control_periods() -> None:
-    controller = Scripted(lambda k: (0.0, 0.0), sample_time=0.1, ahead=4)
-    loop = run(controller)
+    # the preview reaches over the end
     logged = loop.history.columns("/reference")["alpha_h"]
     for sample in controller.seen:
         assert sample.reference.shape == (5, 2)

@@ -12,6 +12,7 @@ from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
 from trms_cli.observers.augmentation import InitialSd, ProcessNoise
+from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.ukf import Ukf
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.replay import RecordedRig
@@ -107,12 +108,10 @@ class TestTrueModel:
             assert channel["whiteness_p"] > 1e-3, name
             assert abs(channel["correlation"]) < 0.08
 
-    def test_a_wrong_model_is_seen(self, recorded):
+    def test_a_wrong_model_and_a_command_that_acts_later_are_seen(self, recorded):
         wrong = figures(replay(recorded, Newtonian(parameters={"k_fvp": 2.2e-5})))
         assert wrong["alpha_v"]["whiteness_p"] < 1e-6
         assert wrong["alpha_v"]["normalised_square"] > 1.5
-
-    def test_a_command_that_acts_later_is_seen(self, recorded):
         late = figures(replay(recorded, Newtonian(), command_delay=5))
         assert late["omega_h"]["whiteness_p"] < 1e-6
 
@@ -125,8 +124,6 @@ class TestTheSameObserver:
         again = replay(tmp_path / "run.csv", model, observer)
         rig = again.rig
         assert np.array_equal(rig.measurements, measurements)
-        from trms_cli.observers.observer import ObserverSetup
-
         outputs = tuple(s.name for s in rig.outputs)
         setup = ObserverSetup(
             model, SAMPLE_TIME, outputs, rig.noise_sd, measurements[0], rig.commands[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.simulation.rollout import Rollout, Sensitive, SimulatedWindows
+from trms_cli.simulation.rollout import Rollout
 
 SAMPLE = 0.04  # s: two integration steps
 FREE = ("k_fvp", "k_ov", "k_m", "J_tr")
@@ -85,8 +84,7 @@ def test_windows_join(plain):
 def test_slopes_are_those_of_the_simulation(plain, column):
     x0, p = starts(plain), plain.model.parameters.values
     exact = plain.sensitivities(commands(), FIRST, COUNT, x0)
-    ends = []
-    values = []
+    ends, values = [], []
     index = plain.model.parameters.names.index(FREE[column - 6]) if column >= 6 else -1
     size = 1e-5 * (p[index] if column >= 6 else 1.0)
     for sign in (1, -1):
@@ -106,35 +104,31 @@ def test_slopes_are_those_of_the_simulation(plain, column):
         assert np.quantile(np.abs(found - expected) / scale, 0.99) < 1e-4
 
 
-def test_with_and_without_a_compiler(plain, monkeypatch):
-    if compilation.compiler() is None:
-        pytest.skip("no C compiler here: nothing to compare with")
+@pytest.fixture
+def no_compiler(plain, monkeypatch):
+    """From here on nothing is compiled; what was before is."""
     monkeypatch.setenv("TRMS_COMPILE", "0")
     compilation.compiler.cache_clear()
-    try:
-        interpreted = Rollout(Newtonian(), SAMPLE, free=FREE)
-        assert interpreted._library is None
-        x0 = starts(plain)
-        call = (commands(), FIRST, COUNT, x0)
-        pairs: list[tuple[SimulatedWindows | Sensitive, SimulatedWindows | Sensitive]] = [
-            (plain.outputs(*call), interpreted.outputs(*call)),
-            (plain.sensitivities(*call), interpreted.sensitivities(*call)),
-        ]
-        for compiled, slow in pairs:
-            for a, b in zip(compiled, slow, strict=True):
-                np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
-    finally:
-        compilation.compiler.cache_clear()
+    yield
+    compilation.compiler.cache_clear()
 
 
-def test_without_a_compiler_threads_do_not_mix(monkeypatch):
+@pytest.mark.skipif(compilation.compiler() is None, reason="no C compiler: nothing to compare with")
+def test_with_and_without_a_compiler(plain, no_compiler):
+    interpreted = Rollout(Newtonian(), SAMPLE, free=FREE)
+    assert interpreted._library is None
+    call = (commands(), FIRST, COUNT, starts(plain))
+    for compiled, slow in (
+        (plain.outputs(*call), interpreted.outputs(*call)),
+        (plain.sensitivities(*call), interpreted.sensitivities(*call)),
+    ):
+        for a, b in zip(compiled, slow, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
+
+
+def test_without_a_compiler_threads_do_not_mix(no_compiler):
     """A search without gradients: slopes in the starts only, several points at a time."""
-    monkeypatch.setenv("TRMS_COMPILE", "0")
-    compilation.compiler.cache_clear()
-    try:
-        interpreted = Rollout(Newtonian(), SAMPLE)
-    finally:
-        compilation.compiler.cache_clear()
+    interpreted = Rollout(Newtonian(), SAMPLE)
     x0 = starts(interpreted)
     points = [factor * interpreted.model.parameters.values for factor in (1.0, 1.1, 1.2, 1.3)]
 
@@ -154,11 +148,8 @@ def test_threads_change_nothing(plain):
     first, count = np.arange(0, n, 250), np.full(n // 250, 250)
     x0 = np.tile(plain.model.rest(), (len(first), 1))
     shared = Rollout(Newtonian(), SAMPLE, free=FREE, jobs=3)
-    for a, b in zip(
-        plain.sensitivities(u, first, count, x0),
-        shared.sensitivities(u, first, count, x0),
-        strict=True,
-    ):
+    alone, together = (r.sensitivities(u, first, count, x0) for r in (plain, shared))
+    for a, b in zip(alone, together, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -197,17 +188,6 @@ def test_wrong_arrays_never_reach_the_c_code(plain, change, words):
         plain.outputs(**(given | change))
 
 
-def test_an_unknown_parameter_is_named():
-    with pytest.raises(ModelError, match="no parameter 'k_x'"):
-        Rollout(Newtonian(), SAMPLE, free=["k_x"])
-
-
-def test_the_driver_is_part_of_the_package():
-    import trms_cli.simulation
-
-    assert (Path(trms_cli.simulation.__file__).parent / "rollout_driver.c").is_file()
-
-
 class TestDriven:
     """A model whose rotor speeds are prescribed."""
 
@@ -231,7 +211,9 @@ class TestDriven:
         model = DrivenModel(base, ("omega_v",))
         assert len(Rollout(model, SAMPLE).states) == len(Rollout(base, SAMPLE).states) - 1
 
-    def test_names_that_are_no_measured_states(self):
+    def test_names_that_are_no_measured_states_or_parameters(self):
+        with pytest.raises(ModelError, match="no parameter 'k_x'"):
+            Rollout(Newtonian(), SAMPLE, free=["k_x"])
         with pytest.raises(ModelError, match="omega_x"):
             DrivenModel(Newtonian(), ("omega_x",))
         with pytest.raises(ModelError, match="left to predict"):
