@@ -72,8 +72,7 @@ def make_tables() -> MakeTables:
                 {"u_v": np.clip(3 * wave * np.exp(-(time % 10)), -2.5, 2.5), "u_h": 0.5 * wave},
             ),
             "/measurement": Series(
-                time,
-                {"alpha_v": angles[:, 0] + noise[:, 0], "alpha_h": angles[:, 1] + noise[:, 1]},
+                time, {"alpha_v": angles[:, 0] + noise[:, 0], "alpha_h": angles[:, 1] + noise[:, 1]}
             ),
             "/plant/state": Series(time, {"alpha_h": angles[:, 1], "alpha_v": angles[:, 0]}),
             "/estimate": Series(time, estimate),

@@ -129,16 +129,11 @@ def test_one_process_drives_a_sweep_and_a_dead_one_holds_nothing(tmp_path):
         "with drive_sweep(Path(sys.argv[1])): print('in', flush=True); input()"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
+        [sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     assert process.stdout.readline() == b"in\n"
     assert has_driver(tmp_path)
-    with (
-        pytest.raises(ConfigurationError, match=f"process {process.pid}"),
-        drive_sweep(tmp_path),
-    ):
+    with pytest.raises(ConfigurationError, match=f"process {process.pid}"), drive_sweep(tmp_path):
         pass
     process.kill()
     process.wait()

@@ -48,10 +48,7 @@ def drive(folder: Path, launcher, deadly=(), always=(), retries=1):
     return driver.progress, Counter(number for number, _ in begun), {pid for _, pid in begun}
 
 
-LAUNCHERS = {
-    "local": LocalLauncher(workers=2),
-    "dask": DaskLauncher(workers=2),
-}
+LAUNCHERS = {"local": LocalLauncher(workers=2), "dask": DaskLauncher(workers=2)}
 
 
 @pytest.mark.parametrize("launcher", LAUNCHERS.values(), ids=LAUNCHERS)

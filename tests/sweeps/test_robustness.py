@@ -144,8 +144,4 @@ def test_short_keys_are_told_apart():
     names = ["state_weights.alpha_v", "rate_weights.alpha_v", "seed"]
     assert list(short_keys(keys).values()) == names
     both = ["plant.parameters.k_g", "plant.parameters.R", "model.parameters.R"]
-    assert list(short_keys(both).values()) == [
-        "k_g",
-        "plant.parameters.R",
-        "model.parameters.R",
-    ]
+    assert list(short_keys(both).values()) == ["k_g", "plant.parameters.R", "model.parameters.R"]
