@@ -1,7 +1,5 @@
 """The benchmark runs and says what it should. Nothing here looks at a time."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ loop had modes; the one before the 3D view. They are of 1.5 s of ``newton_mpc`` 
 that its model does not know. A form that is new gets a log of its own here; none is taken out.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -37,19 +35,15 @@ def test_there_are_some():
 class TestOldLog:
     """What a user does with a log of last year."""
 
-    def test_its_samples(self, log):
+    def test_its_samples_its_score_and_its_row_in_the_index(self, log, capsys):
         read = read_log(log)
         assert read.complete
         yaw = read.tables["/plant/state"].columns["alpha_h"]
         assert len(yaw) == 30 and 0.1 < max(yaw) < 0.2  # a step under way
-
-    def test_its_score(self, log, capsys):
         assert main(["score", str(log), "--json"]) == 0
         score = json.loads(capsys.readouterr().out)
         assert score["schema"] == "trms.score/1" and score["complete"]
         assert 0.05 < score["channels"]["alpha_h"]["rmse"] < 0.2
-
-    def test_its_row_in_the_index(self, log, capsys):
         assert main(["runs", "controller == 'newton_mpc' and rmse_yaw < 0.2", "--json"]) == 0
         (row,) = json.loads(capsys.readouterr().out)["runs"]
         assert row["controller"] == "newton_mpc" and row["complete"]

@@ -1,7 +1,5 @@
 """``python -m tests.fuzz TARGET [--minutes M]``: attack a reader, and tell what came of it."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

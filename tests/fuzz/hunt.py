@@ -5,8 +5,6 @@ for each place in the code, and the hunt goes on. An input that takes more than 
 processor time counts as a failure. Memory and endless loops are libFuzzer's to watch: it ends.
 """
 
-from __future__ import annotations
-
 import hashlib
 import sys
 import tempfile

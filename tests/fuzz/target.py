@@ -1,7 +1,5 @@
 """What a fuzzing target is, and which there are."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Iterator

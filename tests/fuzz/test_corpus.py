@@ -22,9 +22,10 @@ def test_what_was_found_is_told_in_words(name, path, tmp_path):
     TARGETS[name].read(path.read_bytes(), tmp_path)  # raises what is no complaint of ours
 
 
-def test_everything_that_is_kept_belongs_to_a_target():
+def test_everything_that_is_kept_belongs_to_a_target_that_tells_what_it_reads():
     assert {folder.name for folder in CORPUS.iterdir() if folder.is_dir()} <= set(TARGETS)
     assert KEPT
+    assert all(target.about for target in TARGETS.values())
 
 
 #: A composition for each change.
@@ -43,7 +44,3 @@ def test_a_cut_or_changed_seed_is_told_in_words(name, tmp_path):
             changed = bytes([seed[at] ^ 0x80])
             for data in (seed[:at], seed[:at] + changed + seed[at + 1 :], seed[:at] + seed):
                 target.read(data, tmp_path)
-
-
-def test_the_first_line_of_a_target_tells_what_it_reads():
-    assert all(target.about for target in TARGETS.values())

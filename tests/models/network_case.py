@@ -1,7 +1,5 @@
 """Networks of known behaviour for tests: no training, weights from a few lines of physics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

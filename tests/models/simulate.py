@@ -1,7 +1,5 @@
 """Models as numbers: rates, slopes, and motions in CasADi's virtual machine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

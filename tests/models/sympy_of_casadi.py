@@ -1,7 +1,5 @@
 """A CasADi expression in sympy's hands: the same operations, one by one, on sympy's symbols."""
 
-from __future__ import annotations
-
 import casadi as ca
 import sympy as sp
 

@@ -1,7 +1,5 @@
 """The discretised step: order of accuracy, stability, derivatives."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The interface: a gain, a measured curve, where either saturates, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import casadi as ca

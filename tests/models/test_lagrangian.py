@@ -1,7 +1,5 @@
 """The Lagrangian model: energy, check values, and where it must agree with the Newtonian one."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

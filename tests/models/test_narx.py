@@ -1,7 +1,5 @@
 """A NARX model computes what its network says, from the samples it says, and nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

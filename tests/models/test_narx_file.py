@@ -1,7 +1,5 @@
 """Network files: every weight comes back with its bits, and each mistake is named by its key."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Newtonian model against the published check values and against physics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

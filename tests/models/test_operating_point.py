@@ -1,7 +1,5 @@
 """Equations as numbers: their motions, where a model rests, and where it cannot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -30,7 +28,7 @@ def test_hover_by_angle():
     assert point.u[1] == 0.0 and point.x[MODEL.state_index("omega_h")] == pytest.approx(0, abs=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-2.5, 2.2), st.floats(-2.5, 2.5))
 def test_by_command_nothing_moves_there(u_v, u_h):
     point = operating_point(MODEL, {"u_v": u_v, "u_h": u_h})

@@ -1,7 +1,5 @@
 """The Quanser Aero: its published numbers, its energy, its limits, its use by the rest."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The derived M, C and G against another derivation, and against the published lines."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import casadi as ca
@@ -194,7 +192,7 @@ rate = st.floats(-20.0, 20.0)
 share = st.floats(0.2, 3.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.tuples(angle, angle), st.tuples(rate, rate), st.lists(share, min_size=16, max_size=16))
 def test_at_random_rigs_and_points(q, v, factors):
     bench = parameter_file("bench").parameters

@@ -1,7 +1,5 @@
 """The state-dependent form: exact, the Jacobian at the origin, first order in the step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import casadi as ca
@@ -64,7 +62,7 @@ def residual(form: StateDependentForm, x: np.ndarray, u: np.ndarray, p: np.ndarr
 
 
 @pytest.mark.parametrize("name", MODELS)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(fractions=st.lists(st.floats(-1.0, 1.0), min_size=10, max_size=10))
 @example([-0.29, -0.44, 0.86, 1.0, 0.02, 1.0, 0.84, -0.13, 0.0, 0.0])
 @example([-0.71, -0.23, 0.84, 0.97, -0.95, 1.0, 0.81, -0.4, 0.0, 0.0])

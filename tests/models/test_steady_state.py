@@ -1,7 +1,5 @@
 """Steady states satisfy the dynamics, at double roots and out of reach too."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -37,7 +35,7 @@ def is_steady(model: Model, target: Target, w: np.ndarray) -> None:
     torques=st.tuples(st.floats(-0.01, 0.01), st.floats(-0.005, 0.005)),
     warm=st.booleans(),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_reachable_reference_is_reached(pitch, yaw, torques, warm):
     reference, w = np.array([pitch, yaw]), np.array([*torques, 0.0, 0.0])
     guess = SOLVER.solve(np.array([0.1, 0.4])) if warm else None
@@ -116,18 +114,17 @@ def test_what_is_out_of_reach_is_shared_as_the_weights_say(pitch_weight):
     assert again.active == (0, 1)
 
 
-def test_references_beyond_a_stop_end_at_it():
+def test_references_beyond_a_stop_end_at_it_and_what_cannot_be_is_said():
     target = SOLVER.solve(np.array([1.4, 0.0]))
     assert target.projected
     assert target.reference_reached[0] == pytest.approx(1.05, abs=1e-6)
-
-
-def test_where_nothing_can_hold_the_rig_it_says_so():
     w = np.array([-1.0, 0.0, 0.0, 0.0])
     target = SOLVER.solve(np.array([0.3, 0.0]), w)
     assert not target.converged and target.projected
     assert target.residual > 1e-3
     assert np.all(np.isfinite(target.x)) and np.all(np.isfinite(target.u))
+    with pytest.raises(ModelError, match="weights"):
+        SteadyState(BOTH, {"alpha_v": 0.0})
 
 
 @pytest.mark.parametrize(
@@ -155,11 +152,6 @@ def test_every_model_has_its_steady_states(model):
         found = solver.solve(np.full(2, 0.3))
         for name in ("omega_v", "omega_h", "alpha_v"):
             assert found.x[model.state_index(name)] == pytest.approx(same.x[full[name]], rel=1e-6)
-
-
-def test_weights_are_positive():
-    with pytest.raises(ModelError, match="weights"):
-        SteadyState(BOTH, {"alpha_v": 0.0})
 
 
 def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone():

@@ -1,7 +1,5 @@
 """The TRAS: its check values, its energy, its rotors from coefficients and from a table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import casadi as ca
@@ -46,13 +44,10 @@ def write_table(tmp_path: Path):
 
 
 class TestEquations:
-    def test_rests_where_gravity_puts_it(self):
+    def test_rests_where_gravity_puts_it_and_swings_as_its_constants_say(self):
         model = Tras()
         assert model.rest()[5] == pytest.approx(-np.arctan(0.050 / 0.094))
         assert rates(model, model.rest()) == pytest.approx(np.zeros(6), abs=1e-12)
-
-    def test_free_pitch_has_the_frequency_and_damping_of_its_constants(self):
-        model = Tras()
         pitch = [v for v in np.linalg.eigvals(slopes(model, model.rest())[0]) if v.imag > 1]
         stiffness = np.hypot(0.050, 0.094)  # N m/rad around rest
         assert len(pitch) == 1
@@ -68,13 +63,6 @@ class TestEquations:
         end = travel(model, model.rest(), (1.0, -1.0), 8.0)[-1]
         assert end[3] == pytest.approx(3860 * RPM, rel=0.05)
         assert end[0] == pytest.approx(-7340 * RPM, rel=0.05)
-
-    def test_a_command_acts_on_the_other_axis_with_its_sign(self):
-        model = Tras()
-        x = np.zeros(6)
-        level = rates(model, x)
-        assert rates(model, x, (1.0, 0.0))[1] - level[1] == pytest.approx(-0.0178 / 0.0268)
-        assert rates(model, x, (0.0, 1.0))[4] - level[4] == pytest.approx(0.0042 / 0.03006)
 
     def test_keeps_energy_without_friction_and_commands(self):
         model = Tras(parameters={"k_ov": 0.0, "k_oh": 0.0})
@@ -93,13 +81,17 @@ class TestEquations:
         momentum = yaw_inertia * rate_h
         assert momentum == pytest.approx(momentum[0], abs=1e-8)
 
-    def test_disturbances_are_torques_on_their_equations(self):
+    def test_disturbances_are_torques_and_a_command_acts_on_the_other_axis_with_its_sign(self):
         model = Tras()
         x = model.rest()
         inertia_yaw = 0.0268 * np.cos(x[5]) ** 2 + (0.03006 - 0.0268) * np.sin(x[5]) ** 2
         pushed = rates(model, x, w=[0.01, 0.02, 1e-3, 2e-3])
         expected = [2e-3 / 3.217e-5, 0.02 / inertia_yaw, 0, 1e-3 / 1.7249e-4, 0.01 / 0.03006, 0]
         assert pushed == pytest.approx(expected)
+        x = np.zeros(6)
+        level = rates(model, x)
+        assert rates(model, x, (1.0, 0.0))[1] - level[1] == pytest.approx(-0.0178 / 0.0268)
+        assert rates(model, x, (0.0, 1.0))[4] - level[4] == pytest.approx(0.0042 / 0.03006)
 
     def test_hovers_and_yaws_within_its_limits(self):
         target = SteadyState(Tras()).solve(np.array([0.0, 0.3]))
@@ -121,7 +113,7 @@ def test_the_set_of_the_run_differs_in_what_was_fitted_only():
 
 
 class TestMeasuredCurves:
-    def test_a_table_gives_the_model_of_its_coefficients(self, write_table):
+    def test_a_table_gives_the_model_of_its_coefficients_and_takes_their_place(self, write_table):
         measured = Tras(main_curve=str(write_table("v")), tail_curve=str(write_table("h")))
         x = measured.rest()
         u = (0.7, -0.4)
@@ -129,8 +121,6 @@ class TestMeasuredCurves:
         theirs = travel(Tras(), x, u, 3.0)
         assert ours[:, [0, 3]] == pytest.approx(theirs[:, [0, 3]], abs=1.0)
         assert ours[:, [2, 5]] == pytest.approx(theirs[:, [2, 5]], abs=5e-3)
-
-    def test_a_rotor_with_a_table_has_no_coefficients(self, write_table):
         model = Tras(main_curve=str(write_table("v")))
         assert "k_fvp" not in model.parameters and "h1_v" not in model.parameters
         assert "k_fhp" in model.parameters and "c_fv" in model.parameters

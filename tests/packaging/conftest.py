@@ -1,7 +1,5 @@
 """The distributions, built as a user's tool builds them, and environments to install them in."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Faults: each does what it says, for as long as it says, and nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

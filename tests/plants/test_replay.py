@@ -1,7 +1,5 @@
 """A recording as a rig: what is taken from it, and what is said when it does not fit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

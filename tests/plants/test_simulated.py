@@ -1,7 +1,5 @@
 """The simulated rig: its own parameters, sensors, disturbances and stops."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

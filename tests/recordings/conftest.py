@@ -1,7 +1,5 @@
 """Small logs and recordings that the tests of this room share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -48,7 +46,7 @@ def write_run(topics: list[Topic]) -> Callable[..., Path]:
             {"config.yaml": ("application/yaml", CONFIG)},
         )
         for k in range(samples):
-            _write_sample(log, k)
+            write_sample(log, k)
             if k % 100 == 99:
                 log.flush()
         if close:
@@ -60,13 +58,7 @@ def write_run(topics: list[Topic]) -> Callable[..., Path]:
     return write
 
 
-@pytest.fixture(scope="session")
-def write_sample() -> Callable[[RunLog, int], None]:
-    """Write a sample of a small run."""
-    return _write_sample
-
-
-def _write_sample(log: RunLog, k: int) -> None:
+def write_sample(log: RunLog, k: int) -> None:
     """Write sample k on every topic; each value tells topic and sample."""
     t = k * SAMPLE_NS
     log.write("/reference", t, (0.3, -0.5))

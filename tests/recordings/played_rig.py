@@ -1,7 +1,5 @@
 """Simulated rigs played in open loop or under a plain controller, as recordings in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """CSV recordings: what is read, what is refused, and in which words."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Logs as CSV, Parquet and MAT: the same numbers, with their units."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Callable

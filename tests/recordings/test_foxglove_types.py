@@ -1,7 +1,5 @@
 """The schemas of Foxglove's messages mean what those of the published package mean."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

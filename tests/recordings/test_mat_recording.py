@@ -1,7 +1,5 @@
 """MAT recordings, as MATLAB's save() writes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 The Go program is not a dependency of the tests; these are its checks in Python.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Resampling, outliers, gaps and shifts: what is done is right, said, and done on request only."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A recording's own words, its levels, and its way through a log."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

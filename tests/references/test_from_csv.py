@@ -1,7 +1,5 @@
 """A reference out of a CSV file, in any unit, and what is said about a wrong one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

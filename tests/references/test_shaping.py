@@ -1,7 +1,5 @@
 """A shaped reference keeps its limits, arrives, and does not depend on who asks."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
@@ -30,7 +28,7 @@ def shaping(given: tuple[float | None, float | None, float | None], **more: floa
     return Shaping(max_rate=given[0], max_acceleration=given[1], max_jerk=given[2], **more)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     limits, st.sampled_from(["square", "prbs", "sine"]), st.floats(0.01, 1.0), st.floats(-0.5, 0.5)
 )
@@ -52,7 +50,7 @@ def test_limits_are_kept(given_limits, kind, amplitude, initial):
             assert np.max(np.abs(np.diff(values, order))) / step**order <= bound + slack
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(limits, st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 def test_a_constant_target_is_reached_without_overshoot(given_limits, target, initial):
     shaped = shaping(given_limits, initial=initial).apply(Constant(offset=target))
@@ -83,7 +81,7 @@ def test_a_slow_signal_is_followed_closely():
     assert np.max(error) < 1.1 * largest_rate**2 / 2
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.floats(-1.0, 30.0), min_size=1, max_size=8))
 def test_the_answer_does_not_depend_on_what_was_asked_before(times):
     shape = Shaping(max_rate=0.5, max_acceleration=1.0, max_jerk=5.0)

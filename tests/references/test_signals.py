@@ -1,7 +1,5 @@
 """Signals are what their formulas say, pure functions of time, within their amplitude."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.signal

@@ -1,7 +1,5 @@
 """The reference of a run: its axes, its configurations, its overrides on the command line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -55,20 +53,6 @@ def test_every_reference_there_is_can_be_built_and_stays_in_reach(composed, name
     assert trajectory.axes == ("alpha_v", "alpha_h")
     assert values.shape == (TIMES.size, 2)
     assert values[:, 0].min() > -0.9 and values[:, 0].max() < 0.6
-
-
-@pytest.mark.parametrize("group", ["ref", "signal", "shaping"])
-def test_configurations_say_what_they_are_and_in_which_unit(group):
-    texts = {path.name: path.read_text() for path in (CONFIGS / group).glob("*.yaml")}
-    assert len(set(texts.values())) == len(texts)
-    for name, text in texts.items():
-        lines = text.splitlines()
-        assert lines[0].startswith("# "), name
-        for line in lines[1:]:
-            bare = line.strip().startswith(
-                ("-", "_target_:", "signal:", "alpha_", "omega_", "defaults:")
-            )
-            assert bare or " # " in line, f"{name}: {line}"
 
 
 def test_the_benchmark_is_as_agreed_and_changed_from_the_command_line(composed):

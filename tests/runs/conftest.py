@@ -1,7 +1,5 @@
 """Logs of runs with figures of one's choice, in a folder with an index of its own."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -145,14 +145,14 @@ def by_index(condition: Sql, rows: list[dict[str, Any]]) -> list[int]:
 class TestMeaning:
     """Against Python."""
 
-    @settings(max_examples=250, deadline=None)
+    @settings(max_examples=250)
     @given(text=conditions(2), rows=st.lists(rows, min_size=1, max_size=4))
     def test_as_python_has_it(self, text, rows):
         expected = [k for k, row in enumerate(rows) if by_python(text, row)]
         typed = text.replace("N(", "(")
         assert by_index(translate_filter(typed), rows) == expected
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=150)
     @given(
         pattern=st.text("ab*?_é;'", max_size=5),
         values=st.lists(st.none() | st.text("ab_é;'[]*", max_size=5), min_size=1, max_size=5),
@@ -166,7 +166,7 @@ class TestMeaning:
         others = sorted(set(range(len(rows))) - set(expected))
         assert by_index(translate_filter(f"controller not like {pattern!r}"), rows) == others
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=100)
     @given(part=words, values=st.lists(st.none() | words, min_size=1, max_size=5))
     def test_contains_is_in_turned_round(self, part, values):
         rows = [{"effects": value} for value in values]
@@ -274,7 +274,7 @@ class TestHostile:
         assert len(line) <= 70
         assert line.isprintable()
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=300)
     @given(st.text(max_size=40) | st.text("()'\"<>=!.,and ornotseed1e*%@:", max_size=30))
     def test_any_text_is_a_filter_or_an_error_of_ours(self, text):
         try:
@@ -283,7 +283,7 @@ class TestHostile:
             return
         by_index(condition, [{"seed": 1}])
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=100)
     @given(st.text(st.characters(exclude_categories=["Cs"]), max_size=20))
     def test_a_text_is_bound_whatever_it_holds(self, value):
         text = f"controller == {value!r}"

@@ -1,7 +1,5 @@
 """A run that is followed says at each moment what a score of it up to there says."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -201,7 +199,7 @@ def test_words_of_a_stranger(tmp_path: Path, limits: str) -> None:
     assert run.choices == {} and run.at(0.5, 1.0).axes
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(
         arrays(float, st.integers(0, 300), elements=st.floats(-10, 10) | st.just(math.nan)),

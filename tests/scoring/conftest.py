@@ -1,7 +1,5 @@
 """A made-up run of second-order responses, in memory and as a log."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What counts as worse, better, or the same."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

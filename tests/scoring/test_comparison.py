@@ -173,18 +173,17 @@ class TestIntervals:
         assert 52 <= hits <= 60  # 95 % of 60 is 57; fewer than 52 has a chance of 1 in 500
 
 
-class TestFigures:
-    def test_add_up(self):
-        runs = [run("a", 0.1 * (k + 1), rig=str(k)) for k in range(4)]
-        others = [run("b", 1.0, rig=str(k)) for k in range(4)]
-        told = figures_of(rank(group(runs + others)).first)
-        assert told.error_mean == pytest.approx(0.25)
-        assert told.error_worst == pytest.approx(0.4)
-        assert told.effort == pytest.approx(2.5)
-        assert told.fallbacks == 8
-        assert told.degraded_s == pytest.approx(4 * 0.15 * 40.0)
-        assert told.degraded_runs == 4
-        assert told.non_finite is None
+def test_figures_add_up():
+    runs = [run("a", 0.1 * (k + 1), rig=str(k)) for k in range(4)]
+    others = [run("b", 1.0, rig=str(k)) for k in range(4)]
+    told = figures_of(rank(group(runs + others)).first)
+    assert told.error_mean == pytest.approx(0.25)
+    assert told.error_worst == pytest.approx(0.4)
+    assert told.effort == pytest.approx(2.5)
+    assert told.fallbacks == 8
+    assert told.degraded_s == pytest.approx(4 * 0.15 * 40.0)
+    assert told.degraded_runs == 4
+    assert told.non_finite is None
 
 
 class TestCoordinates:
@@ -225,13 +224,11 @@ class TestCoordinates:
         mixed = replace(run("a"), coordinates={"ref": "square", "signal@ref.alpha_v": "step"})
         assert "signal@ref.alpha_v" in complete_coordinates([square, mixed])[0].coordinates
 
-    def test_by_names_another_entrant(self):
+    def test_by_names_another_entrant_and_what_there_is_not_is_refused(self):
         runs = [run(c, ref=r) for c in "ab" for r in ("square", "sine")]
         found = group(runs, ["ref"])
         assert set(found.entrants) == {"ref square", "ref sine"}
         assert found.given_by == ("controller",)
-
-    def test_by_and_where_refuse_what_there_is_not(self):
         runs = [run("a"), run("b")]
         with pytest.raises(ConfigurationError, match="kontroller"):
             group(runs, ["kontroller"])

@@ -1,7 +1,5 @@
 """Step metrics against the textbook's first- and second-order responses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The loop of a composed experiment, run in memory."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from trms_cli.composition.composer import compose

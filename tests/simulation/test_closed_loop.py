@@ -1,7 +1,5 @@
 """The loop itself, with plugins made for it: what passes between them, and what never passes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Every fault under several controllers: a declared mode, calm inputs, and the rig comes back."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any

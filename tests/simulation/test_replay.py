@@ -1,7 +1,5 @@
 """Replays: the observer over a recording is the observer of the run that was recorded."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The compiled simulation of windows against the discretised model, called step by step."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

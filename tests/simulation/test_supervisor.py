@@ -1,7 +1,5 @@
 """The supervisor: modes are declared, the rig is landed, and nothing happens in a normal run."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

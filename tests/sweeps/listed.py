@@ -1,7 +1,5 @@
 """Points that are proposed in their order, some at a time."""
 
-from __future__ import annotations
-
 from trms_cli.sweeps.space import SweepPoint
 
 

@@ -1,7 +1,5 @@
 """The driver: whatever workers and messages do, each point ends once, and none is lost."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess
@@ -75,7 +73,7 @@ class Unreliable:
 FATES = ["before", "amid", "after", "twice", "told twice"]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10**6),
     count=st.integers(1, 12),
@@ -103,7 +101,7 @@ def test_each_point_ends_once(tmp_path_factory, seed, count, retries, deaths):
     assert {result.number for result in proposals.told} == set(range(count))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), stops=st.lists(st.integers(1, 6), max_size=4))
 def test_a_driver_that_is_killed_again_and_again(tmp_path_factory, seed, stops):
     """Whatever it had handed out, the next one goes on, and nothing is made twice."""

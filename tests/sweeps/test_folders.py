@@ -1,7 +1,5 @@
 """The folder of a run and the record of a sweep: nothing is begun twice, nothing half-written."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

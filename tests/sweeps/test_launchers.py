@@ -1,10 +1,9 @@
 """Launchers: real worker processes, killed amid a sweep; every run made once, none lost."""
 
-from __future__ import annotations
-
 import functools
 import os
 import signal
+import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -51,6 +50,12 @@ def drive(folder: Path, launcher, deadly=(), always=(), retries=1):
 LAUNCHERS = {"local": LocalLauncher(workers=2), "dask": DaskLauncher(workers=2)}
 
 
+def cluster_of(workers: int):
+    from distributed import LocalCluster
+
+    return LocalCluster(workers, threads_per_worker=1, dashboard_address=None, silence_logs=50)
+
+
 @pytest.mark.parametrize("launcher", LAUNCHERS.values(), ids=LAUNCHERS)
 def test_killed_workers(tmp_path, launcher):
     """One run kills its worker once, another one each time."""
@@ -65,23 +70,16 @@ def test_killed_workers(tmp_path, launcher):
     assert len(pids) <= 2 + 3
 
 
-def test_the_debugger_s_launcher_starts_no_process(tmp_path):
-    progress, _, pids = drive(tmp_path, LocalLauncher(workers=0))
-    assert progress.counts == {"done": RUNS} and pids == {os.getpid()}
-
-
-def test_runs_are_shared_out(tmp_path):
-    progress, _, pids = drive(tmp_path, LocalLauncher(workers=2))
-    assert progress.counts == {"done": RUNS} and len(pids) == 2
+@pytest.mark.parametrize(("workers", "processes"), [(0, 1), (2, 2)])  # 0: the debugger's
+def test_runs_are_shared_out(tmp_path, workers, processes):
+    progress, _, pids = drive(tmp_path, LocalLauncher(workers=workers))
+    assert progress.counts == {"done": RUNS} and len(pids) == processes
+    assert (os.getpid() in pids) == (workers == 0)
 
 
 def test_a_scheduler_that_runs_and_hands_tasks_out_again_by_itself(tmp_path):
     """It retries what its dead worker had; nothing is made twice all the same."""
-    from distributed import LocalCluster
-
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
-    ) as cluster:
+    with cluster_of(2) as cluster:
         launcher = DaskLauncher(address=cluster.scheduler_address)
         progress, begun, _ = drive(tmp_path, launcher, [DEADLY])
     assert progress.counts == {"done": RUNS}
@@ -89,11 +87,7 @@ def test_a_scheduler_that_runs_and_hands_tasks_out_again_by_itself(tmp_path):
 
 
 def test_a_scheduler_that_goes(tmp_path):
-    from distributed import LocalCluster
-
-    cluster = LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50
-    )
+    cluster = cluster_of(1)
     launcher = DaskLauncher(address=cluster.scheduler_address)
     work = functools.partial(make_run, str(tmp_path), (), ())
     ended = []
@@ -144,8 +138,6 @@ def test_what_cannot_be_had_is_told(tmp_path, monkeypatch, launcher, words):
 def test_a_package_that_is_missing_is_told_with_the_line_that_installs_it(
     tmp_path, monkeypatch, launcher, package
 ):
-    import sys
-
     monkeypatch.setitem(sys.modules, package, None)
     chosen = DaskLauncher() if launcher == "dask" else SlurmLauncher(cluster="local")
     with pytest.raises(ConfigurationError, match=package) as told:

@@ -81,17 +81,13 @@ def test_what_does_not_matter_is_rarely_called_correlated():
     assert called <= 7
 
 
-def test_spreads_are_those_of_the_runs():
+def test_spreads_and_the_best_are_those_of_the_runs():
     summary, points, results = told()
     lqr = summary["groups"][1]["figures"]["rmse_alpha_h"]
     figures = [results[p.number].figures["rmse_alpha_h"] for p in points[1::2]]
     assert lqr["median"] == pytest.approx(np.median(figures))
     assert (lqr["min"], lqr["max"]) == (min(figures), max(figures))
     assert lqr["percentiles"][95] == lqr["q95"]
-
-
-def test_the_best_is_told_from_the_same_draws():
-    summary, _, _ = told()
     shares = [group["figures"]["rmse_alpha_h"]["best_share"] for group in summary["groups"]]
     assert shares == [0.0, 1.0]
 
@@ -125,9 +121,6 @@ def test_a_command_without_scores_is_told_by_its_figure_of_merit():
 
     summary, _, _ = told(work=work)
     assert list(summary["figures"]) == ["merit"]
-
-
-def test_nothing_has_run():
     assert Robustness(("rmse_alpha_h",)).told(Space((), (), PARAMETERS), [], {})["groups"] == []
 
 

@@ -1,7 +1,5 @@
 """Baselines and scores as JSON, and the comparison with one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import suppress

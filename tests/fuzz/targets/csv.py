@@ -1,7 +1,5 @@
 """CSV recordings, and what preparation and units make of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Documents that a command goes on from: keys of blind sets, requests of fits, allowed packages."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Filters of ``trms runs``: read, put into SQL, asked of a database."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Logs, whole: read_log, and the recording and the score that are made of one."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Logs, their words alone: the row of the index of runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.fuzz.targets.log import seeds

@@ -1,7 +1,5 @@
 """Logs that grow: each look takes what is new."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.fuzz.targets.log import seeds

@@ -1,7 +1,5 @@
 """MAT recordings of every version that is read."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Model files: parameters, fitted models, models with effects, networks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

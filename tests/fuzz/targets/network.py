@@ -1,7 +1,5 @@
 """Network files: trained models of which no equation is known."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Options of a configuration folder: a YAML of a stranger, composed and built."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is typed: overrides, one a line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sweeps: the status.json of each job, and the plan beside them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

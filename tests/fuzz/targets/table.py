@@ -1,7 +1,5 @@
 """Measured curves as CSV: thrust curves of propellers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

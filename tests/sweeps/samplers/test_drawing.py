@@ -118,30 +118,24 @@ class TestMarginals:
 
 class TestCrossing:
     @pytest.mark.parametrize("sampler", DRAWING)
-    def test_every_choice_sees_the_same_draws(self, sampler):
+    def test_every_choice_sees_the_same_draws_and_what_is_typed_is_what_is_told(self, sampler):
         seen = {name: [] for name in CONTROLLERS.values}
         for point in points_of(sampler(samples=20), SPACE):
+            assert point.overrides[0] == "sim.duration=1"
+            typed = dict(text.split("=") for text in point.overrides[1:])
+            assert typed == {key: str(value) for key, value in point.values.items()}
+            assert all(float(typed[key]) == point.values[key] for key in "abn")
             drawn = tuple(value for key, value in point.values.items() if key != "controller")
             seen[point.values["controller"]].append(drawn)
         assert len(set(seen["pid"])) == 20
         assert seen["pid"] == seen["lqr"] == seen["newton_mpc"]
 
-    @pytest.mark.parametrize("sampler", DRAWING)
-    def test_what_is_typed_is_what_is_told(self, sampler):
-        for point in points_of(sampler(samples=5), SPACE):
-            assert point.overrides[0] == "sim.duration=1"
-            typed = dict(text.split("=") for text in point.overrides[1:])
-            assert typed == {key: str(value) for key, value in point.values.items()}
-            assert all(float(typed[key]) == point.values[key] for key in "abn")
-
-    def test_a_grid_is_nested_loops(self):
+    def test_a_grid_is_nested_loops_and_of_nothing_one_run(self):
         seeds = Choice("seed", ("1", "2"))
         points = points_of(Grid(), Space((), (CONTROLLERS, seeds)))
         assert [tuple(p.values.values()) for p in points] == [
             (controller, seed) for controller in CONTROLLERS.values for seed in seeds.values
         ]
-
-    def test_a_grid_of_nothing_is_one_run(self):
         [point] = points_of(Grid(), Space(("seed=3",), ()))
         assert point.overrides == ("seed=3",)
 
