@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,8 +27,8 @@ from trms_cli.controllers.nmpc import Nmpc
 
 
 @pytest.fixture
-def quick(tmp_path: Path) -> Iterator[Options]:
-    yield Options(quick=True, out=tmp_path)
+def quick(tmp_path: Path) -> Options:
+    return Options(quick=True, out=tmp_path)
 
 
 def _settled() -> object:

@@ -12,7 +12,9 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.steady_state import SteadyState
+from trms_cli.recordings.csv_recording import write_csv
 from trms_cli.recordings.log_reader import read_log
+from trms_cli.recordings.recording import Recording
 
 from ..simulation.looping import composed, looped
 from .simulate import rates, slopes, travel
@@ -192,16 +194,13 @@ def test_a_controller_tracks_with_it(chosen):
 
 def test_a_recording_with_angles_alone_and_commands_beyond_the_limit_replays(tmp_path, capsys):
     t = 0.01 * np.arange(300)
-    u = np.column_stack([8 + 30 * (t > 1), 6 + 0 * t])
-    x = np.zeros(6)
-    model = QuanserAero()
-    step = discretise(model, 0.01).step
-    rows = ["t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"]
-    for time, command in zip(t, u, strict=True):
-        rows.append(f"{time:.3f},{command[0]:.6g},{command[1]:.6g},{x[5]:.9g},{x[2]:.9g}")
-        x = np.asarray(step(x, command, model.parameters.values, np.zeros(4))).ravel()
+    command = lambda t: (8 + 30 * (t > 1), 6 + 0 * t)  # noqa: E731
+    x = travel(QuanserAero(), np.zeros(6), command, 3.0)[:-1]
+    columns = [*command(t), x[:, 5], x[:, 2]]
+    channels = dict(zip(("u_v", "u_h", "alpha_v", "alpha_h"), columns, strict=True))
+    units = {name: "V" if name.startswith("u") else "rad" for name in channels}
     file = tmp_path / "aero.csv"
-    file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write_csv(Recording(t, channels, units), file)
     folder = tmp_path / "run"
     settings = ["plant=replay", f"plant.file={file}", "model=quanser_aero", "picture=false"]
     assert main(["run", *settings, f"out={folder}"]) == 0
