@@ -303,18 +303,15 @@ def test_every_key_of_a_plugin_is_explained():
     assert not bare
 
 
-def test_every_option_of_the_groups_has_a_line_for_trms_list():
-    for options in read_groups().values():
-        for option in options.values():
-            assert option.summary, option.file
-
-
-def test_the_defaults_of_run_are_explained_and_exist():
+def test_the_defaults_of_run_and_every_option_are_explained_and_exist():
     declared, groups = read_primary("run"), read_groups()
     for group, option in declared.defaults.items():
         assert declared.about[group], group
         if isinstance(option, str):
             assert option in groups[group], f"{group}={option}"
+    for options in groups.values():
+        for option in options.values():
+            assert option.summary, option.file
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ LONG = [objective, peers, tracking, identification, exported, growth]
     ids=lambda s: s.__name__,
 )
 def test_a_subject_runs(subject: object, quick: Options) -> None:
-    for table in subject.run(quick):  # type: ignore[attr-defined]
+    for table in subject.run(quick):
         assert table.rows
         print_table(table)
         assert subject is not parts or all(row["median"] > 0 for row in table.rows)
@@ -89,7 +89,7 @@ def test_a_peer_that_is_missing_gets_a_row(quick: Options, monkeypatch: pytest.M
     assert "pip install" in str(row["remark"])
 
 
-def test_the_document_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_document_is_written_and_an_unknown_subject_refused(tmp_path, capsys):
     assert program.main(["newton_time", "--quick", "--out", str(tmp_path)]) == 0
     content = json.loads((tmp_path / "bench.json").read_text(encoding="utf-8"))
     assert content["schema"] == SCHEMA
@@ -98,9 +98,6 @@ def test_the_document_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert rows[0]["ratio"] == pytest.approx(rows[0]["median"] / rows[0]["limit"])
     assert all(row["median"] > 0 for row in rows)
     assert "limits met" in capsys.readouterr().out
-
-
-def test_an_unknown_subject_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:
         program.main(["speed"])
     assert exit_.value.code == 2

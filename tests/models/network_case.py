@@ -21,17 +21,9 @@ def structure(
     incremental: bool = True,
     differences: bool = True,
 ) -> NarxStructure:
-    return NarxStructure(
-        OUTPUTS,
-        INPUTS,
-        ("rad", "rad", "rad/s", "rad/s"),
-        ("V", "V"),
-        tuple(output_lags),
-        tuple(input_lags),
-        SAMPLE_TIME,
-        incremental,
-        differences,
-    )
+    units = ("rad", "rad", "rad/s", "rad/s"), ("V", "V")
+    lags = tuple(output_lags), tuple(input_lags)
+    return NarxStructure(OUTPUTS, INPUTS, *units, *lags, SAMPLE_TIME, incremental, differences)
 
 
 def rig_like(
@@ -39,15 +31,14 @@ def rig_like(
     input_lags: Sequence[int] = (1,),
     *,
     bend: float = 0.2,
-    incremental: bool = True,
-    differences: bool = True,
     seed: int = 0,
+    **kinds: bool,
 ) -> Narx:
     """Two damped axes, each driven by a lagged rotor, bent a little by hidden units.
 
     ``bend`` is the size of the hidden units' part of the accelerations; 0 makes it linear.
     """
-    made = structure(output_lags, input_lags, incremental=incremental, differences=differences)
+    made = structure(output_lags, input_lags, **kinds)
     rng = np.random.default_rng(seed)
     n_phi, T = made.n_regressors, SAMPLE_TIME
     # On the lagged values themselves: y(k), y(k−1), …, then u(k).
@@ -60,7 +51,7 @@ def rig_like(
         linear[axis, 2 + axis] = pull * T**2
         linear[2 + axis, 2 + axis] = -T / lag
         linear[2 + axis, 4 * len(made.output_lags) + axis] = T * gain / lag
-    if not incremental:
+    if not made.incremental:
         linear[:, :4] += np.eye(4)
     on_regressors = linear @ np.linalg.inv(made.arrangement())
     regressor_sd = np.exp(rng.normal(0, 0.3, n_phi))

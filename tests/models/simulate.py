@@ -33,7 +33,7 @@ def rates(model: Model, x: Any, u: Any = None, w: Any = None) -> np.ndarray:
 
 
 def slopes(model: Model, x: Any, u: Any = None, w: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    return _at(model, x, u, w)[1:]  # type: ignore[return-value]
+    return _at(model, x, u, w)[1:]
 
 
 def travel(

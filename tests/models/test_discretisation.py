@@ -77,7 +77,7 @@ def test_stiff_currents_are_integrated_far_above_their_time_constant() -> None:
 
 @pytest.mark.parametrize("currents", ["quasi_static", "dynamic"])
 def test_derivatives_are_those_of_the_step(currents: str) -> None:
-    model = Newtonian(currents=currents)  # type: ignore[arg-type]
+    model = Newtonian(currents=currents)
     discrete = discretise(model, 0.05, 2)
     arguments = [
         moving_state(model),

@@ -20,9 +20,9 @@ FREE = {"k_oh": 0.0, "k_ov": 0.0, "k_g": 0.0, "k_m": 0.0, "k_t": 0.0, "k_chp": 0
 
 @pytest.mark.parametrize("shields", ["rings", "as_printed"])
 def test_free_motion_keeps_energy_and_the_momentum_about_the_vertical(shields: str) -> None:
-    model = Lagrangian(parameters=FREE, shields=shields)  # type: ignore[arg-type]
+    model = Lagrangian(parameters=FREE, shields=shields)
     c = {p.name: p.value for p in model.parameters}
-    rig = energies(bodies(c, shields), c["g"])  # type: ignore[arg-type]
+    rig = energies(bodies(c, shields), c["g"])
     total = ca.Function(
         "E", [rig.angles, rig.rates], [rig.kinetic + rig.potential, (rig.inertia @ rig.rates)[0]]
     )
@@ -84,7 +84,7 @@ class TestCheckValues:
 
         on_axis = {"h": 0.0, "k_g": 0.0}
         for shields in ("rings", "as_printed"):
-            ours = Lagrangian(parameters=on_axis, shields=shields)  # type: ignore[arg-type]
+            ours = Lagrangian(parameters=on_axis, shields=shields)
             excess = centrifugal(Newtonian(), 0.3) / centrifugal(ours, 0.3)
             assert 1.16 < excess < 1.25
 

@@ -217,7 +217,7 @@ def file(content, tmp_path) -> Path:
     return path
 
 
-def test_comes_back_as_it_was_written_and_is_a_model(content, file):
+def test_comes_back_as_it_was_written_and_is_a_model_that_takes_effects(content, file, tmp_path):
     back = read_narx_file(str(file))
     assert back.to_data() == content.to_data()
     for name, weight in content.network.weights.items():
@@ -226,9 +226,6 @@ def test_comes_back_as_it_was_written_and_is_a_model(content, file):
     assert (back.rig, back.limits, back.training) == (content.rig, LIMITS, content.training)
     for model in (load_model(str(file)), narx(network=str(file))):
         assert (model.name, model.sample_time, model.input_limits["u_v"]) == ("narx", 0.02, 2.5)
-
-
-def test_takes_effects_on_the_command(content, tmp_path):
     data = content.to_data() | {"effects": {"main_dead_zone": {"width": 0.05}}}
     path = tmp_path / "with_effect.yaml"
     path.write_text(yaml.safe_dump(data))

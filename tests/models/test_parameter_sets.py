@@ -46,12 +46,14 @@ def test_tastemirovs_inertia_comes_out_too_large_as_the_file_says():
     assert "give 0.0654" in text
 
 
-def test_rahideh_differs_from_bench_in_the_gyroscopic_gain_alone():
-    ours, bench = (
-        {p.name: p.value for p in parameter_file(name).parameter_set()}
-        for name in ("rahideh", "bench")
-    )
-    assert {name for name in bench if ours[name] != bench[name]} == {"k_g"}
+@pytest.mark.parametrize(
+    ("name", "base", "own"),
+    [("rahideh", "bench", {"k_g"}), ("tras_record", "tras", {"gBA", "gC", "c_fv", "c_fh"})],
+)
+def test_a_set_differs_from_its_base_in_what_its_source_gives_alone(name, base, own):
+    ours, theirs = (parameter_file(each).parameter_set() for each in (name, base))
+    assert ours.names == theirs.names
+    assert {p.name for p in ours if theirs[p.name].value != p.value} == own
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import pytest
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.models.parameters import parameter_file
 from trms_cli.models.static_curve import read_static_curve, rising_spline
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
@@ -103,13 +102,6 @@ class TestEquations:
         w = np.array([0.0, 0.003, 0.0, 0.0])  # less than friction holds
         after = travel(rubbing, Tras().rest(), (0, 0), 0.01, w=w)[-1]
         assert after[1] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_the_set_of_the_run_differs_in_what_was_fitted_only():
-    makers, fitted = (parameter_file(name).parameter_set() for name in ("tras", "tras_record"))
-    assert makers.names == fitted.names
-    changed = {p.name for p in makers if fitted[p.name].value != p.value}
-    assert changed == {"gBA", "gC", "c_fv", "c_fh"}
 
 
 class TestMeasuredCurves:

@@ -130,10 +130,6 @@ class TestWhatIsMissing:
 
 
 class TestWhatIsRefused:
-    def test_no_file(self, tmp_path):
-        with pytest.raises(RecordingError, match="no such file"):
-            load(str(tmp_path / "absent.csv"))
-
     def test_commands_in_another_unit_lead_to_the_right_model(self, write):
         with pytest.raises(ConfigurationError) as caught:
             load(write(header=HEADER.replace("[V]", "[1]")))
@@ -184,7 +180,7 @@ class TestWhatIsRefused:
             load(write(change=late))
         assert "plant.start=0.06" in caught.value.remedy
 
-    def test_a_part_beyond_the_end_a_scale_for_no_input_and_a_loop_over_it(self, write):
+    def test_no_file_a_part_beyond_its_end_a_scale_for_no_input_and_a_loop_over_it(self, write):
         with pytest.raises(ConfigurationError, match="fewer than two") as caught:
             load(write(), start=5.0)
         assert "0 to 0.18" in caught.value.remedy
@@ -192,6 +188,8 @@ class TestWhatIsRefused:
             load(write(), input_scale={"u_x": 2.0})
         with pytest.raises(ConfigurationError, match="cannot be controlled"):
             RecordedRig(file=write()).init(PlantSetup(0.02, 10, 0))
+        with pytest.raises(RecordingError, match="no such file"):
+            load("absent.csv")
 
     @pytest.mark.parametrize(
         "keys", [{"input_scale": {"u_v": 0.0}}, {"sensors": Sensors(loss_probability=0.1)}]

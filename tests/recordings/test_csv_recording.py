@@ -50,7 +50,7 @@ def test_metadata_header_numbers(csv: Path) -> None:
     ],
 )
 def test_other_programs_ways_of_writing(csv: Path, disguise: object) -> None:
-    recording = read_text(csv, disguise(GOOD))  # type: ignore[operator]
+    recording = read_text(csv, disguise(GOOD))
     np.testing.assert_array_equal(recording.channels["alpha_v"], [0.5, 0.6, 0.7])
 
 

@@ -118,14 +118,6 @@ def test_a_log_rewritten_by_another_tool(tmp_path, write_run, chunked, compressi
     )
 
 
-def test_only_the_topics_asked_for(tmp_path, write_run):
-    log = read_log(write_run(tmp_path / "run.mcap", 10), ["/command"])
-    assert set(log.tables) == {"/command"}
-    with pytest.raises(RecordingError, match="has no /reference") as caught:
-        log.table("/reference")
-    assert "/command" in caught.value.remedy
-
-
 def test_messages_that_do_not_fit_are_a_clear_error(path):
     writer = Writer(str(path))
     writer.start(library="trms 0")
@@ -283,12 +275,21 @@ def test_a_log_that_comes_byte_by_byte(tmp_path, last_chunk):
     check_same(joined(pieces), read_log(path))
 
 
-def test_only_what_is_wanted(tmp_path, write_run):
+def test_only_what_is_wanted_is_read_and_progress_is_told_by_chunk(tmp_path, write_run):
     path = write_run(tmp_path / "run.mcap")
     with LogTail(path, lambda topic, column: (topic, column) == ("/command", "u_h")) as tail:
         tables = joined(read_all(tail))
     assert set(tables) == {"/command"} and set(tables["/command"].columns) == {"u_h"}
     assert tail.units == {"/command": {"u_h": "V"}}
+    log = read_log(path, ["/command"])
+    assert set(log.tables) == {"/command"}
+    with pytest.raises(RecordingError, match="has no /reference") as caught:
+        log.table("/reference")
+    assert "/command" in caught.value.remedy
+    with LogTail(path) as tail:
+        written = [pair for piece in read_all(tail) for pair in piece.written]
+    assert [log for log, _ in written] == [990_000_000, 1_990_000_000, 2_490_000_000]
+    assert sorted(written) == written and written[0][1] > 10**17
 
 
 def test_damage_is_left_out_and_told_by_either_reader(tmp_path, write_run):
@@ -308,14 +309,6 @@ def test_damage_is_left_out_and_told_by_either_reader(tmp_path, write_run):
     with LogTail(path) as tail:
         check_same(joined(read_all(tail)), log)
         assert len(tail.problems) == len([p for p in log.problems if "damaged" in p]) == 1
-
-
-def test_progress_is_told_by_chunk(tmp_path, write_run):
-    path = write_run(tmp_path / "run.mcap", 250)
-    with LogTail(path) as tail:
-        written = [pair for piece in read_all(tail) for pair in piece.written]
-    assert [log for log, _ in written] == [990_000_000, 1_990_000_000, 2_490_000_000]
-    assert sorted(written) == written and written[0][1] > 10**17
 
 
 class TestWriter:

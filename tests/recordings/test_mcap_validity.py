@@ -174,7 +174,7 @@ def test_publish_time_is_the_wall_clock_or_the_log_time(tmp_path: Path) -> None:
     for kind in ("wall", "log"):
         path = tmp_path / f"{kind}.mcap"
         topic = Topic("/t", (Field("x"),))
-        with RunLog(path, [topic], {}, publish_time=kind) as log:  # type: ignore[arg-type]
+        with RunLog(path, [topic], {}, publish_time=kind) as log:
             log.write("/t", 5, (1.0,))
         with path.open("rb") as file:
             (_, _, message), *_ = make_reader(file).iter_messages()

@@ -24,24 +24,19 @@ from trms_cli.references.square import Square
 from trms_cli.references.step import Step
 from trms_cli.references.sum import Sum
 
+COMMON = {"amplitude": 0.3, "offset": 0.2, "start": 2.0}
 SIGNALS: dict[str, ReferenceSignal] = {
     "constant": Constant(offset=0.2),
-    "step": Step(amplitude=0.3, offset=0.2, start=2.0),
-    "square": Square(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0),
-    "sine": Sine(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0),
-    "sawtooth": Sawtooth(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0),
-    "triangle": Sawtooth(amplitude=0.3, frequency=0.5, offset=0.2, start=2.0, width=0.5),
-    "ramp": Ramp(amplitude=0.3, duration=4.0, offset=0.2, start=2.0),
-    "multisine": Multisine(
-        amplitude=0.3, frequency=0.1, lowest=0.1, highest=2.0, offset=0.2, start=2.0
-    ),
-    "prbs": Prbs(amplitude=0.3, hold=0.3, bits=5, offset=0.2, start=2.0),
-    "multilevel": Multilevel(
-        amplitude=0.3, shortest=0.05, longest=0.4, seed=4, offset=0.2, start=2.0
-    ),
-    "chirp": Chirp(
-        amplitude=0.3, frequency=0.1, final_frequency=2.0, duration=5.0, offset=0.2, start=2.0
-    ),
+    "step": Step(**COMMON),
+    "square": Square(**COMMON, frequency=0.5),
+    "sine": Sine(**COMMON, frequency=0.5),
+    "sawtooth": Sawtooth(**COMMON, frequency=0.5),
+    "triangle": Sawtooth(**COMMON, frequency=0.5, width=0.5),
+    "ramp": Ramp(**COMMON, duration=4.0),
+    "multisine": Multisine(**COMMON, frequency=0.1, lowest=0.1, highest=2.0),
+    "prbs": Prbs(**COMMON, hold=0.3, bits=5),
+    "multilevel": Multilevel(**COMMON, shortest=0.05, longest=0.4, seed=4),
+    "chirp": Chirp(**COMMON, frequency=0.1, final_frequency=2.0, duration=5.0),
     "sum": Sum(terms=[Constant(offset=0.2), Sine(amplitude=0.3, frequency=0.5, start=2.0)]),
     "schedule": Schedule(
         pieces=[Piece(start=2.0, signal=Sine(amplitude=0.3, frequency=0.5, offset=0.2))], offset=0.2
@@ -117,13 +112,7 @@ def test_a_sawtooth_is_scipys_a_half_rise_later():
 @pytest.mark.parametrize(("first", "last"), [(0.1, 3.0), (3.0, 0.1), (1.0, 1.0)])
 def test_a_chirp_is_scipys(sweep, first, last):
     times = np.linspace(0, 10, 500)
-    ours = Chirp(
-        amplitude=1.0,
-        frequency=first,
-        final_frequency=last,
-        duration=10.0,
-        sweep=sweep,  # type: ignore[arg-type]
-    )
+    ours = Chirp(amplitude=1.0, frequency=first, final_frequency=last, duration=10.0, sweep=sweep)
     theirs = scipy.signal.chirp(times, first, 10.0, last, method=sweep, phi=-90)
     np.testing.assert_allclose(ours.sample(times), theirs, atol=1e-9)
     np.testing.assert_array_equal(ours.sample(np.array([11.0])), ours.sample(np.array([10.0])))
@@ -205,13 +194,13 @@ def test_mistakes_are_named():
     with pytest.raises(ConfigurationError, match="no signals"):
         Sum(terms=[])
     with pytest.raises(ConfigurationError, match="int is not a signal"):
-        Sum(terms=[3])  # type: ignore[list-item]
+        Sum(terms=[3])
     with pytest.raises(ConfigurationError, match="not after"):
         Schedule(pieces=[Piece(start=t, signal=Constant()) for t in (3.0, 3.0)])
     with pytest.raises(ConfigurationError, match="no pieces"):
         Schedule(pieces=[])
     with pytest.raises(ConfigurationError, match="Piece"):
-        Schedule(pieces=[{"start": 0}])  # type: ignore[list-item]
+        Schedule(pieces=[{"start": 0}])
     with pytest.raises(ConfigurationError, match="below the shortest"):
         Multilevel(amplitude=1.0, shortest=2.0, longest=1.0)
 

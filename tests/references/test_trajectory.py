@@ -65,7 +65,7 @@ def test_the_benchmark_is_as_agreed_and_changed_from_the_command_line(composed):
     assert shaped.shaping == Shaping(max_rate=0.5, max_acceleration=0.5)
     assert composed("+ref=square", "ref.alpha_h=null").axes == ("alpha_v",)
     summed = composed("+ref=sum", "ref.alpha_v.terms.0.amplitude=0.05")
-    assert summed.alpha_v.terms[0].amplitude == 0.05  # type: ignore[union-attr]
+    assert summed.alpha_v.terms[0].amplitude == 0.05
     assert composed("+ref=square") == ReferenceTrajectory(
         alpha_v=Square(amplitude=0.3, frequency=0.025),
         alpha_h=Square(amplitude=0.5, frequency=0.025),
@@ -100,9 +100,9 @@ def test_columns_are_the_axes_in_order_and_mistakes_are_named():
     with pytest.raises(ConfigurationError, match="no axis"):
         ReferenceTrajectory()
     with pytest.raises(ConfigurationError, match="is not a signal"):
-        ReferenceTrajectory(alpha_v=Shaping(max_rate=1.0))  # type: ignore[arg-type]
+        ReferenceTrajectory(alpha_v=Shaping(max_rate=1.0))
     with pytest.raises(ConfigurationError, match="is not a shaping"):
-        ReferenceTrajectory(alpha_v=Constant(), shaping=Constant())  # type: ignore[arg-type]
+        ReferenceTrajectory(alpha_v=Constant(), shaping=Constant())
 
 
 @needs_planner

@@ -103,7 +103,7 @@ def write_run(runs: Path) -> WriteRun:
         log.flush()
         if ending is None:  # killed: what was flushed is all there is
             return log.path
-        log.close(ending, _score() if scored is None else scored)  # type: ignore[arg-type]
+        log.close(ending, _score() if scored is None else scored)
         return log.path
 
     return write

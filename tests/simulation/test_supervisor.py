@@ -28,7 +28,7 @@ class Watched:
     def __init__(self, **changes: float) -> None:
         self.told: list[tuple[str, str]] = []
         setup = SupervisorSetup(Newtonian(), T, CHANNELS)
-        self.run: WatchingRun = Supervisor(**changes).init(setup)  # type: ignore[arg-type]
+        self.run: WatchingRun = Supervisor(**changes).init(setup)
         self._generator = np.random.default_rng(0)
 
     def sample(self, y: list[float] | None = None, share: float = 1.0) -> np.ndarray:
