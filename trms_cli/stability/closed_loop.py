@@ -117,7 +117,6 @@ def run_loop(
     reference: Mapping[str, float] | None = None,
     path: Path | None = None,
     until: Until | None = None,
-    integration_step: float = 0.005,
 ) -> LoopRun:
     """Close the loop around an operating point of a rig: it starts there, its command in force.
 
@@ -137,7 +136,7 @@ def run_loop(
     goal = {name: point.value(model, name) for name in model.controlled} | dict(reference or {})
     rig = SimulatedRig(
         model=model,
-        integration_step=integration_step,
+        integration_step=0.005,
         sensors=Sensors(noise_sd={}, quantum={}),
         initial=start,
         first_command=by_name(model.inputs, point.u),

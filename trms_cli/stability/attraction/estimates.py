@@ -118,7 +118,7 @@ def is_proved_attracted(
 
 
 def largest_level(
-    system: ReducedSystem, P: FloatArray, slabs: FloatArray | None = None, *, start: float = 1.0
+    system: ReducedSystem, P: FloatArray, slabs: FloatArray | None = None
 ) -> Ellipsoid | None:
     """The largest {yᵀPy ≤ c} that the inclusion proves, to 1 %; None if not even a tiny one is."""
     reach = math.inf
@@ -128,7 +128,7 @@ def largest_level(
     def holds(level: float) -> bool:
         return level < reach and is_proved_attracted(system, Ellipsoid(P, level), slabs)
 
-    level = _largest(holds, min(start, 0.5 * reach))
+    level = _largest(holds, min(1.0, 0.5 * reach))
     return None if level is None else Ellipsoid(P, level)
 
 
@@ -137,16 +137,14 @@ def optimise_ellipsoid(
     slabs: FloatArray | None = None,
     *,
     first: Ellipsoid | None = None,
-    most: int | None = None,
 ) -> Ellipsoid | None:
     """The largest ellipsoid that the inclusion proves, over P and over the box; None if none is.
 
-    ``slabs`` as in :func:`is_proved_attracted`. The search for the box begins at ``first``
-    and tries ``most`` boxes; default 60 for a few states, fewer for many, whose problems are
-    larger.
+    ``slabs`` as in :func:`is_proved_attracted`. The search for the box begins at ``first``.
     """
     search = _Search(system, slabs)
-    most = max(12, min(60, 100 - 11 * system.n)) if most is None else most
+    # Boxes that are tried: fewer for many states, whose problems are larger.
+    most = max(12, min(60, 100 - 11 * system.n))
     begin = scales(system) if first is None else first.extents
     scale = _largest(lambda s: search.bound(begin * s), 1.0, 0.1)
     best = None if scale is None else search.at(begin * scale)
@@ -450,7 +448,7 @@ def _by_level_set(
             continue
         basis = basis_of(system, 4) if method == "quartic" else basis_of(system, 2, integrals=True)
         if len(basis.names) > len(start.candidate.weights):
-            reached.append(expand_level_set(start.candidate, start.level, basis, start.rays, 0))
+            reached.append(expand_level_set(start.candidate, start.level, basis, start.rays))
     if not reached:
         return []
     candidate, level = max(reached, key=lambda pair: pair[1].log_volume)

@@ -338,14 +338,14 @@ _HEAVIEST = 20.0
 
 
 def expand_level_set(
-    first: LyapunovCandidate, level: SampledLevel, basis: Basis, rays: Rays, seed: int
+    first: LyapunovCandidate, level: SampledLevel, basis: Basis, rays: Rays
 ) -> tuple[LyapunovCandidate, SampledLevel]:
     """The candidate of a richer basis with the largest level set that sampling finds.
 
     ``first`` is quadratic, ``level`` its own, and its functions are the first ones of the basis. It
     is returned in the new basis where nothing better is found.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     weights = np.zeros(len(basis.names))
     weights[: len(first.weights)] = first.weights
     best, found = LyapunovCandidate(basis, weights), level

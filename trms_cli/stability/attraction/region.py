@@ -20,6 +20,7 @@ from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import Positive
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.operating_point import refine_operating_point
 from trms_cli.models.vector_field import LONGEST_STEP, VectorField, without_impulses
@@ -194,10 +195,10 @@ class OtherRest:
     stable: bool  #: all eigenvalues in the left half plane
 
 
-def other_rests(system: ReducedSystem, limits: FloatArray, seed: int = 0) -> list[OtherRest]:
+def other_rests(system: ReducedSystem, limits: FloatArray) -> list[OtherRest]:
     """Other equilibria in the box that Newton's method finds from random starts."""
     field, kept = VectorField(system.model), list(system.kept)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     found: list[OtherRest] = []
     for draw in random.uniform(-1.0, 1.0, (60, system.n)) * limits:
         start = system.point.x.copy()
@@ -258,9 +259,6 @@ class StartSet:
         )
 
 
-_Positive = Annotated[float, Meta(gt=0)]
-
-
 @dataclass(frozen=True, kw_only=True)
 class RegionRequest:
     """What is asked of a region, and how much is done for it."""
@@ -269,7 +267,7 @@ class RegionRequest:
     #: them, the rotors at their speed.
     states: Sequence[str] | Literal["all"] | None = None
     #: Half-widths of the box of starts by state; what is not named is chosen
-    box: Mapping[str, _Positive] = field(default_factory=dict)
+    box: Mapping[str, Positive] = field(default_factory=dict)
     #: The two states of the figure. Empty: the last angle and its rate; in a loop of two axes both
     #: angles.
     plane: Sequence[str] = ()
@@ -284,10 +282,10 @@ class RegionRequest:
     grid: Annotated[int, Meta(ge=5, le=401)] | None = None
     #: s, after which a motion is undecided. None: ten time constants of the slowest mode, at most
     #: 240 s, of more than three states 120 s; 20 s in a loop.
-    duration: _Positive | None = None
+    duration: Positive | None = None
     #: Starts from which the loop itself is run, with controller and observer
     loop_starts: Annotated[int, Meta(ge=2, le=100_000)] = 24
-    tolerance: _Positive = 0.02  #: Of the angles at the end of such a run, rad
+    tolerance: Positive = 0.02  #: Of the angles at the end of such a run, rad
 
     def for_states(self, n: int) -> tuple[int, int]:
         """Samples and grid: fewer where motions of many states take long to arrive."""

@@ -30,6 +30,8 @@ from trms_cli.models.vector_field import VectorField
 from trms_cli.stability.cycles.orbits import MARGIN, BranchCondition, Orbit, Shooting, pack_unknowns
 from trms_cli.stability.local.linear import Linear
 
+#: V, between two equilibria over a command at the most.
+_STEP = 0.02
 #: Growth below this is rounding, 1/s.
 _NO_GROWTH = 1e-9
 
@@ -56,14 +58,12 @@ class Hopf:
     mode: npt.NDArray[np.complex128]
 
 
-def equilibria_over(
-    model: Model, x: FloatArray, u: FloatArray, channel: int, step: float = 0.02
-) -> EquilibriumBranch:
+def equilibria_over(model: Model, x: FloatArray, u: FloatArray, channel: int) -> EquilibriumBranch:
     """The equilibria that one is part of, over a command, as far as they go within its limits."""
     field = VectorField(model)
     commands, states = [float(u[channel])], [x]
     for direction in (1.0, -1.0):
-        for at, here in _one_way(field, x, u, channel, direction, step):
+        for at, here in _one_way(field, x, u, channel, direction):
             commands.append(at)
             states.append(here)
     linear = Linear(model)
@@ -76,7 +76,7 @@ def equilibria_over(
 
 
 def _one_way(
-    field: VectorField, x: FloatArray, u: FloatArray, channel: int, direction: float, step: float
+    field: VectorField, x: FloatArray, u: FloatArray, channel: int, direction: float
 ) -> Iterator[tuple[float, FloatArray]]:
     """Commands and equilibria from one on, up to the command's limit."""
     low, high = (float(bound[channel]) for bound in field.model.input_bounds())
@@ -92,9 +92,9 @@ def _one_way(
         if following is None or np.abs(following - here).max() > bound:
             return None, ahead / 2.0
         slope = (following - here) / moved if moved else slope
-        return (goal, following, slope), min(2.0 * ahead, step)
+        return (goal, following, slope), min(2.0 * ahead, _STEP)
 
-    for at, here, _ in follow((float(u[channel]), x, np.zeros_like(x)), attempt, step, 1e-4):
+    for at, here, _ in follow((float(u[channel]), x, np.zeros_like(x)), attempt, _STEP, 1e-4):
         yield at, here
         if at == (high if direction > 0 else low):
             return

@@ -312,6 +312,8 @@ class InPeriods(Model):
 Fate = Literal["rest", "settling", "cycle", "moves on", "leaves"]
 FATES: tuple[Fate, ...] = ("rest", "settling", "cycle", "moves on", "leaves")
 
+#: s between the states of a motion's path.
+STEP = 0.02
 #: Swing of the controlled states over the last quarter of a motion, rad, below which it rests.
 _AT_REST = 1e-3
 #: The last quarter swings less than this part of the one before: it settles.
@@ -334,7 +336,6 @@ class SearchMotion:
     #: ``rest``; ``settling``: still moves, less and less; ``cycle``: repeats itself; ``moves on``:
     #: neither; ``leaves``: all bounds, or over the top again and again
     fate: Fate
-    swing: float  #: Of the most moving controlled state over the last quarter
 
 
 @dataclass(frozen=True)
@@ -343,7 +344,6 @@ class OrbitSearch:
 
     motions: Sequence[SearchMotion]
     orbits: Sequence[Orbit]  #: Different ones, by rising period
-    step: float  #: s between the states of a motion's path
     #: Orbits that are not isolated, by rising period: no limit cycles, and none of ``orbits``
     continuum: Sequence[Orbit] = ()
 
@@ -389,46 +389,43 @@ def search_orbits(
     u: FloatArray,
     duration: float,
     shooting: Shooting | None,
-    step: float = 0.02,
 ) -> OrbitSearch:
     """Motions from all starts (m, n_x), the command held, and the periodic orbits they lead to.
 
-    Duration and step in s. Without ``shooting`` motions only: dry friction has no slopes.
+    Duration in s. Without ``shooting`` motions only: dry friction has no slopes.
     """
-    paths = VectorField(model).motions(starts, u, duration, step)
+    paths = VectorField(model).motions(starts, u, duration, STEP)
     rows = [model.state_index(name) for name in model.controlled]
     motions, orbits = [], list[Orbit]()
     for i in range(starts.shape[0]):
         path = paths[:, i]
-        fate, swing = _fate(path[:, rows])
+        fate = _fate(path[:, rows])
         row = rows[int(np.argmax(np.ptp(path[-len(path) // 4 :, rows], axis=0)))]
         if shooting is not None and fate != "leaves":
             tried = _TRIED if fate == "moves on" else 1
-            orbits += _closed(shooting, path, row, u, step, tried)
+            orbits += _closed(shooting, path, row, u, tried)
         if fate == "moves on" and _repeats(path, row):
             fate = "cycle"
-        motions.append(SearchMotion(path, fate, swing))
+        motions.append(SearchMotion(path, fate))
     every = different(orbits)
     family = continuum(every)
     isolated = [orbit for orbit in every if not any(orbit is one for one in family)]
     if shooting is not None:
         family = different([gone_round_once(shooting, orbit) for orbit in family])
-    return OrbitSearch(motions, isolated, step, family)
+    return OrbitSearch(motions, isolated, family)
 
 
-def _fate(angles: FloatArray) -> tuple[Fate, float]:
+def _fate(angles: FloatArray) -> Fate:
     n = len(angles)
     if not np.all(np.isfinite(angles)):
-        return "leaves", float("inf")
+        return "leaves"
     last, before = angles[3 * n // 4 :], angles[n // 2 : 3 * n // 4]
     swing, earlier = (float(np.ptp(part, axis=0).max()) for part in (last, before))
     if swing > 2.0 * np.pi:
-        return "leaves", swing
+        return "leaves"
     if swing < _AT_REST:
-        return "rest", swing
-    if swing < _SETTLING * earlier:
-        return "settling", swing
-    return "moves on", swing
+        return "rest"
+    return "settling" if swing < _SETTLING * earlier else "moves on"
 
 
 def crossings(values: FloatArray) -> npt.NDArray[np.intp]:
@@ -452,7 +449,7 @@ def _repeats(path: FloatArray, row: int) -> bool:
 
 
 def _closed(
-    shooting: Shooting, path: FloatArray, row: int, u: FloatArray, step: float, tried: int
+    shooting: Shooting, path: FloatArray, row: int, u: FloatArray, tried: int
 ) -> list[Orbit]:
     """Orbits from a motion's best returns."""
     at = crossings(path[:, row])
@@ -469,7 +466,7 @@ def _closed(
     for _, first, last in sorted(candidates)[:tried]:
         stretch = path[first : last + 1]
         picked = np.linspace(0, last - first, shooting.pieces + 1)[:-1].round().astype(int)
-        orbit = shooting.closed(stretch[picked], (last - first) * step, u)
+        orbit = shooting.closed(stretch[picked], (last - first) * STEP, u)
         if orbit is not None and orbit.swing.max() > _SMALLEST and orbit.trivial_error < 0.05:
             orbits.append(orbit)
     return orbits

@@ -490,7 +490,7 @@ _TRIED = 4
 
 
 def bounds_of(
-    system: RestSystem, asked: Mapping[str, Sequence[float]], where: str = "study.box"
+    system: RestSystem, asked: Mapping[str, Sequence[float]]
 ) -> tuple[Interval, FloatArray]:
     """Bounds of the unknowns, (n,) each, and the size of each that counts.
 
@@ -503,11 +503,11 @@ def bounds_of(
     model = system.model
     for name, bounds in asked.items():
         unknown = f"{name!r} is no state of model {model.name!r}"
-        require_known(name, model.state_names, unknown, f"{where}.{name}")
+        require_known(name, model.state_names, unknown, f"study.box.{name}")
         if len(bounds) != 2 or not bounds[0] < bounds[1]:
             raise ConfigurationError(
                 f"{list(bounds)} are no bounds",
-                where=f"{where}.{name}",
+                where=f"study.box.{name}",
                 remedy="give a lower and a higher one, as [-1.57, 1.57]",
             )
     lower, upper = [], []
@@ -516,13 +516,13 @@ def bounds_of(
         lower.append(float(low))
         upper.append(float(high))
     box = Interval.of(lower, upper)
-    _require_yaw(system, box, where)
+    _require_yaw(system, box)
     width = np.where(np.isfinite(box.width), box.width, np.nan)
     rest = np.array([100.0 if signal.unit == "rad/s" else 1.0 for signal in system.unknowns])
     return box, np.where(np.isnan(width), rest, np.minimum(0.5 * width, 10.0))
 
 
-def _require_yaw(system: RestSystem, box: Interval, where: str) -> None:
+def _require_yaw(system: RestSystem, box: Interval) -> None:
     """ModelError if with the beam upright, in the box, an equation holds for whatever else."""
     model = system.model
     pitch = model.axes["pitch"].angle if "pitch" in model.axes else ""
@@ -542,8 +542,8 @@ def _require_yaw(system: RestSystem, box: Interval, where: str) -> None:
             raise ModelError(
                 f"the equations of model {model.name!r} are singular in the box: with the beam "
                 f"upright ({pitch} = {upright:.4g} rad) nothing turns it in yaw",
-                where=f"{where}.{pitch}",
-                remedy=f"stay within ±{UPRIGHT} rad, as {where}.{pitch}=[-{UPRIGHT},{UPRIGHT}]",
+                where=f"study.box.{pitch}",
+                remedy=f"stay within ±{UPRIGHT} rad, as study.box.{pitch}=[-{UPRIGHT},{UPRIGHT}]",
             )
 
 
@@ -625,7 +625,7 @@ class NamedPoint(EquilibriumPoint):
 
 
 def named_points(
-    model: Model, more: Mapping[str, Mapping[str, float]], where: str = "study.special"
+    model: Model, more: Mapping[str, Mapping[str, float]]
 ) -> tuple[list[NamedPoint], list[str]]:
     """Rest, hover, and what is asked for; and why the first two may be missing.
 
@@ -649,7 +649,7 @@ def named_points(
                 f"no {name}: {error.problem}" + (f" ({error.remedy})" if error.remedy else "")
             )
     for name, at in more.items():
-        points.append(_named(model, name, operating_point(model, at, f"{where}.{name}")))
+        points.append(_named(model, name, operating_point(model, at, f"study.special.{name}")))
     return points, missing
 
 

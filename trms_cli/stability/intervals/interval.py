@@ -291,17 +291,17 @@ def definite(matrix: Interval) -> tuple[BoolArray, BoolArray]:
     return proved, positive
 
 
-def corners(bounds: Interval, most: int = MOST_ENTRIES) -> Interval:
+def corners(bounds: Interval) -> Interval:
     """Matrices (2^k, n, n) that span an interval matrix (n, n): the ends of its uncertain entries.
 
-    They are points but where more than ``most`` entries are uncertain: the narrowest of those stay
-    intervals. The hull of the matrices is the whole interval matrix.
+    They are points but where more than :data:`MOST_ENTRIES` are uncertain: the narrowest of those
+    stay intervals. The hull of the matrices is the whole interval matrix.
     """
     width = bounds.upper - bounds.lower
     size = np.maximum(np.abs(bounds.lower), np.abs(bounds.upper))
     certain = width <= 1e-9 * size.max(initial=1e-300)
     order = np.argsort(np.where(certain, 0.0, width), axis=None)[::-1]
-    chosen = [k for k in order[:most] if not certain.flat[k]]
+    chosen = [k for k in order[:MOST_ENTRIES] if not certain.flat[k]]
     count = 2 ** len(chosen)
     lower = np.broadcast_to(bounds.lower.ravel(), (count, bounds.lower.size)).copy()
     upper = np.broadcast_to(bounds.upper.ravel(), (count, bounds.upper.size)).copy()

@@ -408,9 +408,7 @@ def input_gains(
     return InputGains(per_volt, margin)
 
 
-def sensor_sets(
-    model: Model, given: Sequence[Sequence[str]] | None, where: str = "study.sensors"
-) -> tuple[tuple[str, ...], ...]:
+def sensor_sets(model: Model, given: Sequence[Sequence[str]] | None) -> tuple[tuple[str, ...], ...]:
     """The sets asked for; else all, the angles with each tachometer, the angles, and each alone.
 
     Raises ConfigurationError for a name that the model does not measure, and for an empty set.
@@ -419,11 +417,11 @@ def sensor_sets(
     if given is not None:
         for one in given:
             for name in one:
-                require_known(name, known, f"{name!r} is not measured", where)
+                require_known(name, known, f"{name!r} is not measured", "study.sensors")
             if not one:
                 raise ConfigurationError(
                     "an empty set of sensors given",
-                    where=where,
+                    where="study.sensors",
                     remedy="give names, as 'study.sensors=[[alpha_v,alpha_h],[alpha_v]]'",
                 )
         return tuple(tuple(dict.fromkeys(one)) for one in given)

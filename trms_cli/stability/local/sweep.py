@@ -36,24 +36,15 @@ from trms_cli.models.operating_point import (
     TrimSolver,
     prescribes_angles,
 )
-from trms_cli.stability.local.linear import (
-    STILL,
-    EigenSpectrum,
-    Linear,
-    Side,
-    distinct_names,
-    mode_name,
-    parts_of,
-    rate_of,
-    shares_of_parts,
-    spectrum_of,
-)
+from trms_cli.stability.local import linear
 
 #: Weight of a move of an eigenvalue by its own size against eigenvectors with nothing in common.
 _MOVE = 1.0
 
 
-def match_spectra(before: EigenSpectrum, after: EigenSpectrum) -> tuple[EigenSpectrum, float]:
+def match_spectra(
+    before: linear.EigenSpectrum, after: linear.EigenSpectrum
+) -> tuple[linear.EigenSpectrum, float]:
     """``after`` in the order of ``before``, and how sure the worst match is (1: certain).
 
     Sureness is how much better the match is than the best one that exchanges a mode, where the
@@ -131,7 +122,7 @@ class LocusPoint:
     value: float  #: Of what is varied
     held: TrimCondition  #: What is held there
     point: OperatingPoint
-    spectrum: EigenSpectrum  #: In the order of the sweep's tracks
+    spectrum: linear.EigenSpectrum  #: In the order of the sweep's tracks
 
 
 @dataclass(frozen=True)
@@ -171,10 +162,10 @@ class OperatingPath:
     """
 
     def __init__(
-        self, model: Model, at: Mapping[str, float], over: str, side: Side = "mean"
+        self, model: Model, at: Mapping[str, float], over: str, side: linear.Side = "mean"
     ) -> None:
         self.model, self.over, self.side = model, over, side
-        self.balance, self.linear = TrimSolver(model), Linear(model)
+        self.balance, self.linear = TrimSolver(model), linear.Linear(model)
         self.kind = _kind(model, over)
         self.at = dict(at)
         self._given = tuple(at)
@@ -260,7 +251,7 @@ class OperatingPath:
         """A place at a known operating point."""
         held = self.held(value)
         a = self.linear.a(point.x, point.u, self.side, held.p)
-        return LocusPoint(value, held, point, spectrum_of(a))
+        return LocusPoint(value, held, point, linear.spectrum_of(a))
 
     def following(
         self, last: LocusPoint, value: float, shortest: float = 1e-3
@@ -489,14 +480,14 @@ class Locus:
         """
         track = next(track for track in self.tracks if crossing.track in track.members)
         shares = crossing.place.spectrum.participation(crossing.track)
-        parts = parts_of(self.path.model)
-        part = next(iter(shares_of_parts(parts, shares)))
+        parts = linear.parts_of(self.path.model)
+        part = next(iter(linear.shares_of_parts(parts, shares)))
         swings = crossing.frequency > 0.0
         if part == track.part and swings == ("swing" in track.name):
             return track.name
         # A real one grows on one side of the crossing: that is what it is called after.
         rate = complex(0.0, crossing.frequency) if swings else complex(1.0)
-        return mode_name(parts, shares, rate)
+        return linear.mode_name(parts, shares, rate)
 
 
 def locus_of(path: OperatingPath, sweep: EigenvalueSweep) -> Locus:
@@ -506,23 +497,25 @@ def locus_of(path: OperatingPath, sweep: EigenvalueSweep) -> Locus:
 
 def tracks_of(model: Model, sweep: EigenvalueSweep) -> tuple[Track, ...]:
     """The modes of a sweep, the slowest motions of the rig first."""
-    parts = parts_of(model)
+    parts = linear.parts_of(model)
     rates = rates_of(sweep, model.sample_time)
     tracks = []
     for members in _partners(rates):
         taking_part = [[place.spectrum.participation(i) for i in members] for place in sweep.places]
         shares = np.mean(taking_part, axis=(0, 1))
         own = rates[:, members]
-        swings = np.abs(own.imag).max(axis=1) > STILL
+        swings = np.abs(own.imag).max(axis=1) > linear.STILL
         typical = own[np.flatnonzero(swings)[0], 0] if swings.mean() >= 0.5 else own.real.mean()
-        name = mode_name(parts, shares, complex(typical.real, abs(typical.imag)))
-        part = next(iter(shares_of_parts(parts, shares)))
+        name = linear.mode_name(parts, shares, complex(typical.real, abs(typical.imag)))
+        part = next(iter(linear.shares_of_parts(parts, shares)))
         tracks.append(Track(name, part, tuple(members), own, fast=False))
     tracks.sort(key=lambda track: track.pace)
     moving = [t.pace for t in tracks if t.part in model.axes and not t.name.startswith("past")]
-    paces = [track.pace for track in tracks if np.isfinite(track.pace) and track.pace > STILL]
+    paces = [
+        track.pace for track in tracks if np.isfinite(track.pace) and track.pace > linear.STILL
+    ]
     limit = _FAR * max(moving or [min(paces, default=1.0)])
-    named = distinct_names([track.name for track in tracks], "slower", "faster")
+    named = linear.distinct_names([track.name for track in tracks], "slower", "faster")
     return tuple(
         replace(track, name=name, fast=not track.pace <= limit)
         for track, name in zip(tracks, named, strict=True)
@@ -531,7 +524,7 @@ def tracks_of(model: Model, sweep: EigenvalueSweep) -> tuple[Track, ...]:
 
 def cell(rates: ComplexArray, digits: int = 3) -> str:
     """λ of a mode at a point: ``−0.047 ± 1.83j``, or two real ones."""
-    if np.abs(rates.imag).max() > STILL:
+    if np.abs(rates.imag).max() > linear.STILL:
         return f"{_number(rates.real.mean(), digits)} ± {np.abs(rates.imag).max():.{digits}g}j"
     return ", ".join(_number(value, digits) for value in sorted(rates.real))
 
@@ -539,7 +532,7 @@ def cell(rates: ComplexArray, digits: int = 3) -> str:
 def _number(value: float, digits: int) -> str:
     if not np.isfinite(value):
         return "−∞"
-    return f"{0.0 if abs(value) <= STILL else value:.{digits}g}".replace("-", "−")
+    return f"{0.0 if abs(value) <= linear.STILL else value:.{digits}g}".replace("-", "−")
 
 
 def _partners(rates: ComplexArray) -> list[list[int]]:
@@ -548,7 +541,7 @@ def _partners(rates: ComplexArray) -> list[list[int]]:
     groups = []
     while left:
         i = left.pop(0)
-        swings = np.flatnonzero(np.abs(rates[:, i].imag) > STILL)
+        swings = np.flatnonzero(np.abs(rates[:, i].imag) > linear.STILL)
         partner = None
         if swings.size:
             votes = [
@@ -587,7 +580,7 @@ class Crossing:
     @property
     def kind(self) -> str:
         """``Hopf`` or ``real``."""
-        return "Hopf" if self.frequency > STILL else "real"
+        return "Hopf" if self.frequency > linear.STILL else "real"
 
     @property
     def side(self) -> str:
@@ -597,7 +590,7 @@ class Crossing:
 
 def rates_of(sweep: EigenvalueSweep, sample_time: float | None) -> np.ndarray:
     """λ along a sweep, (n, n_x) complex, 1/s."""
-    rates = [[rate_of(value, sample_time) for value in row] for row in sweep.eigenvalues]
+    rates = [[linear.rate_of(value, sample_time) for value in row] for row in sweep.eigenvalues]
     return np.array(rates, dtype=complex)
 
 
@@ -609,10 +602,10 @@ def crossings(path: OperatingPath, sweep: EigenvalueSweep) -> tuple[Crossing, ..
     for k, (before, after) in enumerate(zip(sweep.places, sweep.places[1:], strict=False)):
         for track in range(rates.shape[1]):
             a, b = rates[k, track], rates[k + 1, track]
-            if min(abs(a.real), abs(b.real)) <= STILL or a.real * b.real > 0:
+            if min(abs(a.real), abs(b.real)) <= linear.STILL or a.real * b.real > 0:
                 continue
             crossing = _located(path, before, after, track)
-            if crossing is not None and crossing.frequency > -STILL:
+            if crossing is not None and crossing.frequency > -linear.STILL:
                 crossed.append(crossing)
     return tuple(crossed)
 
@@ -631,7 +624,7 @@ def _located(
 
     def growth(value: float) -> float:
         place = place_at(value)
-        return np.nan if place is None else rate_of(place.spectrum.values[track], T).real
+        return np.nan if place is None else linear.rate_of(place.spectrum.values[track], T).real
 
     low, high = growth(before.value), growth(after.value)
     if not low * high < 0:
@@ -643,6 +636,6 @@ def _located(
         return None
     if (place := place_at(value)) is None:
         return None
-    rate = rate_of(place.spectrum.values[track], T)
-    frequency = rate.imag if abs(rate.imag) > STILL else 0.0
+    rate = linear.rate_of(place.spectrum.values[track], T)
+    frequency = rate.imag if abs(rate.imag) > linear.STILL else 0.0
     return Crossing(track, value, frequency, high > 0, abs(rate.real) > _JUMPED, place)

@@ -37,14 +37,7 @@ from trms_cli.core.findings import (
     table,
 )
 from trms_cli.models.model import Model
-from trms_cli.stability.local.linear import (
-    STILL,
-    EigenMode,
-    Modes,
-    Switch,
-    parts_of,
-    shares_of_parts,
-)
+from trms_cli.stability.local import linear
 from trms_cli.stability.local.sweep import Crossing, Locus, Track, amount_words, cell, unit_of
 
 _JUDGED: dict[str, Judgement] = {"stable": "good", "marginal": "doubtful", "unstable": "bad"}
@@ -54,19 +47,21 @@ _ROWS = 9
 
 def eigenvalue_words(value: complex, digits: int = 4) -> str:
     """``−0.047 ± 1.83j``."""
-    both = [value, value.conjugate()] if abs(value.imag) > STILL else [value]
+    both = [value, value.conjugate()] if abs(value.imag) > linear.STILL else [value]
     return cell(np.array(both), digits)
 
 
-def mode_table(modes: Modes, caption: str = "") -> Table:
+def mode_table(modes: linear.Modes, caption: str = "") -> Table:
     """Names, eigenvalues, damping, frequencies, time constants, verdicts."""
 
-    def swing(value: Callable[[EigenMode], float | None]) -> Callable[[EigenMode], Cell]:
+    def swing(
+        value: Callable[[linear.EigenMode], float | None],
+    ) -> Callable[[linear.EigenMode], Cell]:
         """A cell of what swings only."""
         return lambda mode: _sig(value(mode)) if mode.oscillates else None
 
-    def verdict(mode: EigenMode) -> Datum:
-        grows = mode.verdict == "unstable" and mode.eigenvalue.real <= STILL
+    def verdict(mode: linear.EigenMode) -> Datum:
+        grows = mode.verdict == "unstable" and mode.eigenvalue.real <= linear.STILL
         words = "unstable (grows with t)" if grows else mode.verdict
         return Datum(words, _JUDGED[mode.verdict])
 
@@ -86,7 +81,7 @@ def mode_table(modes: Modes, caption: str = "") -> Table:
     )
 
 
-def participation_table(model: Model, modes: Modes) -> Table:
+def participation_table(model: Model, modes: linear.Modes) -> Table:
     """Shares of the states in each mode, in percent."""
     return Table(
         ("mode", *(f"{name} [%]" for name in model.state_names)),
@@ -110,8 +105,8 @@ def range_table(locus: Locus) -> Table:
 
     def judged(rates: ComplexArray) -> Datum:
         growth = float(rates.real.max())
-        judgement: Judgement = "doubtful" if abs(growth) <= STILL else ""
-        return Datum(cell(rates), "bad" if growth > STILL else judgement)
+        judgement: Judgement = "doubtful" if abs(growth) <= linear.STILL else ""
+        return Datum(cell(rates), "bad" if growth > linear.STILL else judgement)
 
     note = ", ".join(f"{track.name} ({cell(track.rates[count // 2])} 1/s)" for track in hidden)
     return Table(
@@ -132,7 +127,7 @@ def range_table(locus: Locus) -> Table:
     )
 
 
-def switch_words(model: Model, switch: Switch) -> str:
+def switch_words(model: Model, switch: linear.Switch) -> str:
     """What a point on a switch means, in a sentence."""
     state = model.states[switch.state]
     entries = "; ".join(
@@ -146,7 +141,7 @@ def switch_words(model: Model, switch: Switch) -> str:
     )
 
 
-def mode_data(model: Model, mode: EigenMode) -> dict[str, Any]:
+def mode_data(model: Model, mode: linear.EigenMode) -> dict[str, Any]:
     """A mode as JSON data."""
     return {
         "name": mode.name,
@@ -218,13 +213,13 @@ def exchange_words(locus: Locus) -> list[str]:
     that come close exchange their parts.
     """
     path, sweep = locus.path, locus.sweep
-    parts = parts_of(path.model)
+    parts = linear.parts_of(path.model)
     sentences = []
     for track in (track for track in locus.slow if track.part in path.model.axes):
         own = []
         for place in sweep.places:
             shares = [place.spectrum.participation(i) for i in track.members]
-            own.append(next(iter(shares_of_parts(parts, np.mean(shares, axis=0)))))
+            own.append(next(iter(linear.shares_of_parts(parts, np.mean(shares, axis=0)))))
         for end, step, side in ((0, 1, "below"), (-1, -1, "above")):
             other = own[end]
             if other == track.part or track.part not in own:
@@ -323,11 +318,11 @@ def _plane(name: str, locus: Locus, at: int, ends: tuple[str, str], caption: str
     top = float(np.abs(everything.imag).max())
     width = max(right - left, 0.3, 0.15 * top)
     x = (left - 0.08 * width, max(right, 0.0) + 0.12 * width)
-    y = 1.12 * top if top > STILL else 0.5
+    y = 1.12 * top if top > linear.STILL else 0.5
     # The half plane in which motions grow.
     right_half = np.array([0.0, x[1]]), np.array([-y, y]), np.ones((2, 2), dtype=bool)
     marks: list[Mark] = [Region(*right_half, "unstable", "alarm", 0.07)]
-    if top > STILL:
+    if top > linear.STILL:
         marks += _damping_lines(x[0], y)
     marks.append(Line(x=0.0, colour="ink", style="solid"))
     for track in slow:
@@ -390,16 +385,16 @@ def _range(name: str, locus: Locus, at: float, caption: str) -> Chart:
         look = track.name, colours[track.name], styles[track.name]
         for k, column in enumerate(track.rates.T):
             size = np.abs(column)
-            shown = np.where((size > STILL) & np.isfinite(size), size, np.nan)
+            shown = np.where((size > linear.STILL) & np.isfinite(size), size, np.nan)
             if k == 0 or np.any(np.abs(size - np.abs(track.rates[:, 0])) > 1e-9):
                 pace.append(Curve(values, shown, *look))
             if track.fast:
                 continue
-            swings = np.abs(column.imag) > STILL
+            swings = np.abs(column.imag) > linear.STILL
             if k == 0 or np.any(np.abs(column.real - track.rates[:, 0].real) > 1e-9):
                 growth.append(Curve(values, column.real, *look))
             if k == 0 and swings.any():
-                ratio = np.where(swings, -column.real / np.maximum(size, STILL), np.nan)
+                ratio = np.where(swings, -column.real / np.maximum(size, linear.STILL), np.nan)
                 hertz = np.where(swings, np.abs(column.imag) / (2 * math.pi), np.nan)
                 damping.append(Curve(values, ratio, *look))
                 frequency.append(Curve(values, hertz, *look))
@@ -412,7 +407,7 @@ def _range(name: str, locus: Locus, at: float, caption: str) -> Chart:
     return Chart(name, panels, caption, 2, 4.6, 3.2)
 
 
-def points_alone(name: str, modes: Modes, caption: str = "") -> Chart:
+def points_alone(name: str, modes: linear.Modes, caption: str = "") -> Chart:
     """The complex plane of one operating point with the modes' names."""
     finite = [m for m in modes.modes if np.isfinite(m.eigenvalue.real)]
     slowest = sorted(finite, key=lambda m: m.natural_frequency)
@@ -439,7 +434,7 @@ def points_alone(name: str, modes: Modes, caption: str = "") -> Chart:
     reals = [m.eigenvalue.real for m in shown]
     width = max(0.0, *reals) - min(0.0, *reals) or 1.0
     x = Axis("Re λ", "1/s", (min(0.0, *reals) - 0.08 * width, max(0.0, *reals) + 0.08 * width))
-    y = Axis("Im λ", "rad/s", (-1.15 * top, 1.15 * top) if top > STILL else (-1.0, 1.0))
+    y = Axis("Im λ", "rad/s", (-1.15 * top, 1.15 * top) if top > linear.STILL else (-1.0, 1.0))
     return Chart(name, [Panel(x, y, marks)], caption, 1, 6.4, 4.4)
 
 

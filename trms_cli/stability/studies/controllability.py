@@ -23,6 +23,7 @@ from trms_cli.core.findings import (
     json_data,
     round_significant,
 )
+from trms_cli.core.ranges import Positive
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
@@ -92,15 +93,15 @@ class Controllability:
     #: In the unit of ``over``; None: 0.6 rad to either side, or what is usual for it
     range: tuple[float, float] | None = None
     points: Annotated[int, Meta(ge=2, le=2000)] = 61  #: Steps over the range
-    duration: Annotated[float, Meta(gt=0)] = 2.0  #: s, that inputs have to move and sensors to see
+    duration: Positive = 2.0  #: s, that inputs have to move and sensors to see
     #: list of lists of str or None; sets of measured outputs; None: all, the angles with each
     #: tachometer, the angles, each alone
     sensors: tuple[tuple[str, ...], ...] | None = None
     #: ``angle_noise``, ``speed_noise``: Standard deviation of a reading of an angle (rad) and of a
     #: rotor's speed (rad/s)
-    angle_noise: Annotated[float, Meta(gt=0)] = 0.00044
-    speed_noise: Annotated[float, Meta(gt=0)] = 1.6
-    sample_time: Annotated[float, Meta(gt=0)] = 0.01  #: s, between two readings
+    angle_noise: Positive = 0.00044
+    speed_noise: Positive = 1.6
+    sample_time: Positive = 0.01  #: s, between two readings
     side: Side = "mean"  #: Whose slopes are taken where a coefficient depends on a direction
 
     def run(self, subject: Subject, tell: Tell) -> Findings:

@@ -16,6 +16,7 @@ from trms_cli.controllers.pid_tuning import Gains
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
+from trms_cli.core.ranges import Positive
 from trms_cli.core.wording import symbol
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
@@ -43,8 +44,6 @@ from trms_cli.stability.cycles.stick_slip import (
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject, not_level, usual_point
 
-_Factors = tuple[Annotated[float, Meta(gt=0)], ...]
-
 #: s, of a run at least; predicted periods that it lasts at least.
 _SHORTEST, _LASTING = 200.0, 8
 #: By which a run in which slips are too rare to tell is lengthened, once.
@@ -66,8 +65,10 @@ class Hunting:
     #: s, of each run; None: 200, or eight predicted periods
     duration: Annotated[float, Meta(ge=20, le=100000)] | None = None
     #: Factors of the friction, and of k_i of a PID, for further runs
-    torques: _Factors | None = None
-    integrals: _Factors | None = None  #: None: half and twice for a PID, none for others
+    torques: tuple[Positive, ...] | None = None
+    integrals: tuple[Positive, ...] | None = (
+        None  #: None: half and twice for a PID, none for others
+    )
 
     def run(self, subject: Subject, tell: Tell) -> Findings:
         """Simulate, predict, confirm.

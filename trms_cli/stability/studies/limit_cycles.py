@@ -22,6 +22,7 @@ from trms_cli.stability.cycles.absence import Absence, absence
 from trms_cli.stability.cycles.branch import Branch, Hopf, OverCommand, at_the_point, follow_over
 from trms_cli.stability.cycles.orbits import (
     FATES,
+    STEP,
     Fate,
     Orbit,
     OrbitSearch,
@@ -526,13 +527,13 @@ def _plane(result: LimitCycleResult, words: str) -> Chart:
     signal = result.model.states[state]
     label = symbol(signal.name)
     marks: list[Mark] = []
-    shown = round(_SHOWN / search.step)
+    shown = round(_SHOWN / STEP)
     drawn = [*search.orbits, *search.continuum]
     grey: Colour = "pale" if drawn else "grey"
     moving = [motion for motion in search.motions if motion.fate != "leaves"]
     for i, motion in enumerate(moving[:_DRAWN]):
         path = motion.path[:shown, state]
-        rate = np.gradient(path, search.step)
+        rate = np.gradient(path, STEP)
         marks.append(Curve(path, rate, "motions" if i == 0 else "", grey, width=0.6))
     over_time: list[Mark] = []
     many = sorted(search.continuum, key=lambda orbit: float(orbit.swing[state]))

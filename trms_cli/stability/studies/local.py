@@ -12,6 +12,7 @@ from msgspec import Meta
 from trms_cli.core.findings import Block, Column, Findings, Section, Table, json_data, table
 from trms_cli.models.model import Model, by_name
 from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.stability.local import tables
 from trms_cli.stability.local.linear import EigenMode, Modes, Side, Switch, modes_of
 from trms_cli.stability.local.sweep import (
     Locus,
@@ -21,17 +22,6 @@ from trms_cli.stability.local.sweep import (
     locus_of,
     sweep_eigenvalues,
     usual_line,
-)
-from trms_cli.stability.local.tables import (
-    crossing_data,
-    eigenvalue_words,
-    locus_data,
-    locus_section,
-    mode_data,
-    mode_table,
-    participation_table,
-    points_alone,
-    switch_words,
 )
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
@@ -76,7 +66,7 @@ class Local:
         held = ", ".join(
             amount_words(model, name, v) for name, v in path.at.items() if name != over
         )
-        ranged = locus_section(
+        ranged = tables.locus_section(
             f"Over {over}",
             f"The operating point is solved anew for each {over}; eigenvalues are followed from "
             "one to the next by their eigenvectors.",
@@ -134,7 +124,7 @@ def _lead(result: LocalResult) -> list[str]:
 
 
 def _described(mode: EigenMode) -> str:
-    value = eigenvalue_words(mode.eigenvalue, 3)
+    value = tables.eigenvalue_words(mode.eigenvalue, 3)
     if mode.oscillates:
         hertz = mode.damped_frequency / (2 * math.pi)
         pace = f"{hertz:.3g} Hz, damping ratio {mode.damping_ratio:.2g}".replace("-", "−")
@@ -193,17 +183,17 @@ def _point_section(result: LocalResult) -> Section:
                 f"“{mode.name}” stands for {mode.multiplicity} equal eigenvalues with "
                 f"{several if mode.defective else own}."
             )
-    sentences += [switch_words(model, switch) for switch in switches]
+    sentences += [tables.switch_words(model, switch) for switch in switches]
     if switches:
         sentences.append(
             "The table of modes is for the mean of both slopes, which small oscillations across "
             "the switch see (their first harmonic); those of either side are given beside it."
         )
     blocks: list[Block] = [
-        mode_table(modes, f"Modes at {words}."),
-        participation_table(model, modes),
+        tables.mode_table(modes, f"Modes at {words}."),
+        tables.participation_table(model, modes),
         *([_sides_table(result.sides)] if switches else []),
-        points_alone("local_modes", modes, f"Eigenvalues at {words}."),
+        tables.points_alone("local_modes", modes, f"Eigenvalues at {words}."),
     ]
     return Section(f"At {words}", sentences, blocks)
 
@@ -212,7 +202,7 @@ def _sides_table(sides: Mapping[Side, Modes]) -> Table:
     def near(mode: EigenMode, side: Side) -> str:
         modes = sides[side].modes
         nearest = min(modes, key=lambda other: abs(other.eigenvalue - mode.eigenvalue))
-        return eigenvalue_words(nearest.eigenvalue)
+        return tables.eigenvalue_words(nearest.eigenvalue)
 
     return table(
         sides["mean"].modes,
@@ -220,7 +210,7 @@ def _sides_table(sides: Mapping[Side, Modes]) -> Table:
             Column("mode", "name"),
             Column("λ below [1/s]", lambda mode: near(mode, "lower")),
             Column("λ above [1/s]", lambda mode: near(mode, "upper")),
-            Column("λ of the mean [1/s]", lambda mode: eigenvalue_words(mode.eigenvalue)),
+            Column("λ of the mean [1/s]", lambda mode: tables.eigenvalue_words(mode.eigenvalue)),
         ],
         "Either side of the switch.",
     )
@@ -234,7 +224,7 @@ def _results(result: LocalResult) -> dict[str, Any]:
             "x": by_name(model.states, point.x),
             "u": by_name(model.inputs, point.u),
             "verdict": modes.verdict,
-            "modes": [mode_data(model, mode) for mode in modes.modes],
+            "modes": [tables.mode_data(model, mode) for mode in modes.modes],
             "forgotten": modes.forgotten,
             "A": matrices.a,
             "B": matrices.b,
@@ -250,12 +240,12 @@ def _results(result: LocalResult) -> dict[str, Any]:
             for s in result.switches
         ],
         "sides": {
-            side: [mode_data(model, mode) for mode in result.sides[side].modes]
+            side: [tables.mode_data(model, mode) for mode in result.sides[side].modes]
             for side in ("upper", "lower")
             if result.switches
         },
-        "range": locus_data(result.locus),
-        "crossings": crossing_data(result.locus),
+        "range": tables.locus_data(result.locus),
+        "crossings": tables.crossing_data(result.locus),
     }
 
 

@@ -25,6 +25,7 @@ from trms_cli.core.chart import (
     Region,
 )
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
+from trms_cli.core.ranges import Positive
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.loops.frequency_response import (
     Analyser,
@@ -42,8 +43,6 @@ from trms_cli.stability.loops.frequency_response import (
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import LoopParts, Subject
 
-_Positive = Annotated[float, Meta(gt=0)]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
@@ -52,7 +51,7 @@ class Margins:
     #: Operating point: angles (rad) or commands (V). Empty: level, and yaw at 0.3 rad, where the
     #: tail rotor turns.
     at: Mapping[str, float] = field(default_factory=dict)
-    lowest: _Positive = 0.1  #: Lowest frequency of the response, rad/s
+    lowest: Positive = 0.1  #: Lowest frequency of the response, rad/s
     #: Of a frequency to the one below it, where the harmonics of the lowest are denser
     ratio: Annotated[float, Meta(gt=1, le=2)] = 1.06
     #: rms of the test signal as a share of half the range of each input

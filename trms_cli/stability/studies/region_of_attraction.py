@@ -9,19 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from trms_cli.core import chart as draw
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.chart import (
-    Axis,
-    Chart,
-    Colour,
-    Contour,
-    Curve,
-    Mark,
-    Marker,
-    Panel,
-    Points,
-    Region,
-)
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import (
     Column,
@@ -185,7 +174,7 @@ def _lead(region: AttractionRegion) -> list[str]:
 
 def _sections(region: AttractionRegion) -> list[Section]:
     """Method, figure, table."""
-    blocks: list[Table | Chart] = [estimate_table(region)]
+    blocks: list[Table | draw.Chart] = [estimate_table(region)]
     if region.plane.axes[0] != region.plane.axes[1]:
         blocks.insert(0, plane_chart(region))
     return [Section("Estimates and the region by simulation", METHOD, blocks)]
@@ -329,7 +318,7 @@ def _warnings(region: AttractionRegion) -> list[str]:
     return said
 
 
-_COLOURS: dict[Method, Colour] = {
+_COLOURS: dict[Method, draw.Colour] = {
     "lyapunov": "ink",
     "inclusion": "purple",
     "level_set": "blue",
@@ -340,7 +329,7 @@ _COLOURS: dict[Method, Colour] = {
 _FINE = 241
 
 
-def plane_chart(region: AttractionRegion) -> Chart:
+def plane_chart(region: AttractionRegion) -> draw.Chart:
     """The plane: the region by simulation, the estimates, other equilibria, motions."""
     i, j = region.plane.axes
     panels = [_panel(region, region.box, "")]
@@ -361,7 +350,7 @@ def plane_chart(region: AttractionRegion) -> Chart:
         + (" (dashed: sampled only)." if unproved else ".")
         + section
     )
-    return Chart("region_of_attraction", panels, caption, columns=2, width=4.8, height=4.2)
+    return draw.Chart("region_of_attraction", panels, caption, columns=2, width=4.8, height=4.2)
 
 
 def _reach(estimate: RegionEstimate, region: AttractionRegion) -> FloatArray:
@@ -379,44 +368,44 @@ def _reach(estimate: RegionEstimate, region: AttractionRegion) -> FloatArray:
     return half
 
 
-def _panel(region: AttractionRegion, box: FloatArray, title: str) -> Panel:
+def _panel(region: AttractionRegion, box: FloatArray, title: str) -> draw.Panel:
     (i, j), whole = region.plane.axes, title == ""
     origin = _origin(region)
     inside = region.plane.fate == SETTLED
     near = np.ix_(np.abs(region.plane.y) <= box[j], np.abs(region.plane.x) <= box[i])
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     if np.any(inside[near]):
         x, y = origin[i] + region.plane.x, origin[j] + region.plane.y
-        marks.append(Region(x, y, inside, "comes to rest (simulated)", "sky", 0.35))
+        marks.append(draw.Region(x, y, inside, "comes to rest (simulated)", "sky", 0.35))
     if whole and region.starts.direct:
         for path, settled in region.plane.paths:
             out = np.any(np.abs(path[:, [i, j]]) > 1.02 * box[[i, j]], axis=1)
             if np.all(out):
                 continue
             shown = np.where(out[:, None], np.nan, path)
-            colour: Colour = "grey" if settled else "orange"
+            colour: draw.Colour = "grey" if settled else "orange"
             label = "motions that do" if settled else "motions that do not"
             x, y = origin[i] + shown[:, i], origin[j] + shown[:, j]
-            marks.append(Curve(x, y, label, colour, width=0.7, arrow=True))
+            marks.append(draw.Curve(x, y, label, colour, width=0.7, arrow=True))
     marks += [mark for v in region.verdicts if (mark := _contour(v.estimate, region, box))]
-    marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
+    marks.append(draw.Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
     for rest in region.rests:
         place = rest.y if region.starts.direct else rest.y[: len(box)]
         if np.all(np.abs(place[[i, j]]) <= box[[i, j]]):
             label = "another rest" if rest.stable else "saddle"
-            marker: Marker = "stable" if rest.stable else "saddle"
+            marker: draw.Marker = "stable" if rest.stable else "saddle"
             at = [origin[i] + place[i]], [origin[j] + place[j]]
-            marks.append(Points(*at, label, marker, "alarm", size=8))
+            marks.append(draw.Points(*at, label, marker, "alarm", size=8))
     x_axis, y_axis = box_axes(region.system.model, region.starts.names, origin, box, (i, j))
-    return Panel(x_axis, y_axis, marks, title)
+    return draw.Panel(x_axis, y_axis, marks, title)
 
 
 def box_axes(
     model: Model, states: Sequence[str], origin: FloatArray, box: FloatArray, of: tuple[int, int]
-) -> list[Axis]:
+) -> list[draw.Axis]:
     """Axes of two states across a box about an origin."""
     return [
-        Axis(
+        draw.Axis(
             states[k],
             model.states[model.state_index(states[k])].unit,
             (float(origin[k] - box[k]), float(origin[k] + box[k])),
@@ -430,7 +419,9 @@ def _origin(region: AttractionRegion) -> FloatArray:
     return np.array([region.system.point.x[model.state_index(n)] for n in region.starts.names])
 
 
-def _contour(estimate: RegionEstimate, region: AttractionRegion, box: FloatArray) -> Contour | None:
+def _contour(
+    estimate: RegionEstimate, region: AttractionRegion, box: FloatArray
+) -> draw.Contour | None:
     i, j = region.plane.axes
     origin = _origin(region)
     # As fine as the set is small.
@@ -446,7 +437,7 @@ def _contour(estimate: RegionEstimate, region: AttractionRegion, box: FloatArray
     label = estimate.label if estimate.proved else f"{estimate.label} (sampled)"
     colour, style = _COLOURS[estimate.method], "solid" if estimate.proved else "dashed"
     grid = origin[i] + x, origin[j] + y, values.reshape(_FINE, _FINE)
-    return Contour(*grid, [1.0], label, colour, style, 1.6)  # type: ignore[arg-type]
+    return draw.Contour(*grid, [1.0], label, colour, style, 1.6)  # type: ignore[arg-type]
 
 
 def _loop_findings(result: LoopRegion, plane: Sequence[str]) -> Findings:
@@ -514,7 +505,7 @@ def _run_table(result: LoopRegion) -> Table:
     )
 
 
-def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[Chart]:
+def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[draw.Chart]:
     model, point, known, box = result.subject.model, result.point, result.states, result.box
     signals = [model.states[model.state_index(name)] for name in known]
     i, j = plane_axes(known, [s.unit for s in signals], plane)
@@ -523,20 +514,20 @@ def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[Chart]:
     if i == j:
         return []
     origin = np.array([point.x[model.state_index(n)] for n in known])
-    marks: list[Mark] = []
+    marks: list[draw.Mark] = []
     good, bad = (
         origin + result.runs.d[of] for of in (result.runs.recovered, ~result.runs.recovered)
     )
     if len(good):
-        marks.append(Points(good[:, i], good[:, j], "recovers", "dot", "blue"))
+        marks.append(draw.Points(good[:, i], good[:, j], "recovers", "dot", "blue"))
     if len(bad):
-        marks.append(Points(bad[:, i], bad[:, j], "does not", "cross", "alarm"))
-    marks.append(Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
+        marks.append(draw.Points(bad[:, i], bad[:, j], "does not", "cross", "alarm"))
+    marks.append(draw.Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
     x, y = box_axes(model, known, origin, 1.05 * box, (i, j))
     caption = (
         f"Starts from which the loop of {result.controller} comes back to {point.words(model)}."
     )
-    return [Chart("recovered_starts", [Panel(x, y, marks)], caption, 1, 4.8, 4.2)]
+    return [draw.Chart("recovered_starts", [draw.Panel(x, y, marks)], caption, 1, 4.8, 4.2)]
 
 
 def _loop_results(result: LoopRegion) -> dict[str, Any]:

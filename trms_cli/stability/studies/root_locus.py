@@ -28,17 +28,8 @@ from trms_cli.core.findings import (
 from trms_cli.core.wording import with_unit
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.stability.local import sensitivity
 from trms_cli.stability.local.linear import STILL, Side, rate_of
-from trms_cli.stability.local.sensitivity import (
-    ModeSensitivity,
-    growth_trend,
-    mode_sensitivity,
-    moves,
-    sensitivity_data,
-    sensitivity_words,
-    share_chart,
-    share_table,
-)
 from trms_cli.stability.local.sweep import (
     Locus,
     OperatingPath,
@@ -280,7 +271,8 @@ class RootLocus:
         sides = _sides(locus, (low, high), self.points, tell)
         tell("why")
         reasons = [
-            mode_sensitivity(path, c.place, c.track, locus.name(c)) for c in locus.crossings
+            sensitivity.mode_sensitivity(path, c.place, c.track, locus.name(c))
+            for c in locus.crossings
         ] or _nearest(locus)
         sections = [_locus_section(locus), _why_section(locus, reasons)]
         mapped = None
@@ -300,7 +292,7 @@ class RootLocus:
             "locus": locus_data(locus),
             "crossings": crossing_data(locus),
             "crossings_by_side": sides,
-            "why": [sensitivity_data(path, reason) for reason in reasons],
+            "why": [sensitivity.sensitivity_data(path, reason) for reason in reasons],
         } | ({} if mapped is None else {"map": mapped})
         lead = _lead(locus, reasons, sides, mapped)
         return Findings("Root locus", lead, sections, json_data(results), _warnings(locus, sides))
@@ -336,7 +328,7 @@ def _sides(
     return values
 
 
-def _nearest(locus: Locus) -> list[ModeSensitivity]:
+def _nearest(locus: Locus) -> list[sensitivity.ModeSensitivity]:
     """The reason for the mode that comes closest to the axis from the left, where one does."""
     varying = [t for t in locus.slow if float(np.ptp(t.rates.real, axis=0).max()) > _STILL]
     if not varying:
@@ -344,10 +336,10 @@ def _nearest(locus: Locus) -> list[ModeSensitivity]:
     track = max(varying, key=lambda track: float(track.rates.real.max()))
     k = int(np.argmax(track.rates.real.max(axis=1)))
     member = track.members[int(np.argmax(track.rates[k].real + 1e-12 * track.rates[k].imag))]
-    nearest = mode_sensitivity(locus.path, locus.sweep.places[k], member, track.name)
-    if moves(nearest.sensitivity):
+    nearest = sensitivity.mode_sensitivity(locus.path, locus.sweep.places[k], member, track.name)
+    if sensitivity.moves(nearest.sensitivity):
         return [nearest]
-    return [replace(nearest, course=growth_trend(locus.path, locus.sweep, k, member))]
+    return [replace(nearest, course=sensitivity.growth_trend(locus.path, locus.sweep, k, member))]
 
 
 def _locus_section(locus: Locus) -> Section:
@@ -378,7 +370,7 @@ def _locus_section(locus: Locus) -> Section:
     )
 
 
-def _why_section(locus: Locus, reasons: list[ModeSensitivity]) -> Section:
+def _why_section(locus: Locus, reasons: list[sensitivity.ModeSensitivity]) -> Section:
     """The shares of dλ/dp at each crossing."""
     path = locus.path
     text = [
@@ -389,23 +381,23 @@ def _why_section(locus: Locus, reasons: list[ModeSensitivity]) -> Section:
     ]
     blocks: list[Block] = []
     for reason in reasons:
-        text += sensitivity_words(path, reason)
-        if moves(reason.sensitivity):
-            blocks.append(share_table(path, reason))
+        text += sensitivity.sensitivity_words(path, reason)
+        if sensitivity.moves(reason.sensitivity):
+            blocks.append(sensitivity.share_table(path, reason))
     if not reasons:
         text.append(_still_words(path))
     if reasons and len(locus.sweep.places) > 2:
         mode = reasons[0].mode
         own = (track.members[0] for track in locus.tracks if track.name == mode)
         member = locus.crossings[0].track if locus.crossings else next(own)
-        chart = share_chart("root_locus_why", path, locus.sweep, member, mode)
+        chart = sensitivity.share_chart("root_locus_why", path, locus.sweep, member, mode)
         blocks += [] if chart is None else [chart]
     return Section("Why", text, blocks)
 
 
 def _lead(
     locus: Locus,
-    reasons: list[ModeSensitivity],
+    reasons: list[sensitivity.ModeSensitivity],
     sides: Mapping[str, list[float]],
     mapped: StabilityMap | None,
 ) -> list[str]:
@@ -429,7 +421,9 @@ def _lead(
         if crossed:
             listed = ", ".join(f"{v:.4g}" for v in crossed)
             sentences.append(f"With the slopes of the {side} side of the switch: {listed}{unit}.")
-    sentences += sensitivity_words(path, reasons[0]) if reasons else [_still_words(path)]
+    sentences += (
+        sensitivity.sensitivity_words(path, reasons[0]) if reasons else [_still_words(path)]
+    )
     if mapped is None:
         return sentences
     against = mapped.against

@@ -14,6 +14,7 @@ from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, table
 from trms_cli.core.plugins import nearest
+from trms_cli.core.ranges import Positive
 from trms_cli.stability.loops.frequency_response import (
     Analyser,
     MarginResult,
@@ -43,7 +44,6 @@ from trms_cli.stability.studies.margins import (
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
-_Positive = Annotated[float, Meta(gt=0)]
 _Factor = Annotated[float, Meta(gt=1)]
 
 
@@ -57,15 +57,15 @@ class Tolerance:
     #: By how much the start differs, by state; rad for angles. Those of axes that the model does
     #: not have are left out.
     offset: Mapping[str, float] = field(default_factory=lambda: {"alpha_v": -0.2, "alpha_h": -0.2})
-    duration: _Positive = 30.0  #: s, of a run; judged are its last two thirds
-    rest: _Positive = 0.02  #: rad that a loop may rest beside the point
-    swing: _Positive = 0.002  #: rad by which it may swing on
-    chatter: _Positive = 0.02  #: Share of half its range by which a command may swing on
-    lost: _Positive = 1.0  #: rad from the point at which a run is ended
-    delays: Sequence[_Positive] = (0.05, 0.1, 0.2, 0.4)  #: s, the scan
+    duration: Positive = 30.0  #: s, of a run; judged are its last two thirds
+    rest: Positive = 0.02  #: rad that a loop may rest beside the point
+    swing: Positive = 0.002  #: rad by which it may swing on
+    chatter: Positive = 0.02  #: Share of half its range by which a command may swing on
+    lost: Positive = 1.0  #: rad from the point at which a run is ended
+    delays: Sequence[Positive] = (0.05, 0.1, 0.2, 0.4)  #: s, the scan
     #: Factors above 1, the scan upwards; their inverses downwards
     gains: Sequence[_Factor] = (2.0, 4.0, 8.0, 16.0)
-    frictions: Sequence[_Positive] = (0.001, 0.003, 0.01, 0.03)  #: N m, the scan
+    frictions: Sequence[Positive] = (0.001, 0.003, 0.01, 0.03)  #: N m, the scan
     #: Factor between a size that is stood and one that is not, at which the search ends
     precision: Annotated[float, Meta(gt=1)] = 1.1
 
