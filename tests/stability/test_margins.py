@@ -39,7 +39,6 @@ from trms_cli.stability.loops.frequency_response import (
     DiskMargin,
     FrequencyResponse,
     MarginResult,
-    NoLoopError,
     NoResponse,
     classical_margins,
     continuous,
@@ -496,7 +495,7 @@ def test_a_controller_that_does_not_look_closes_no_loop():
         def step(self, state, sample, *, want_prediction):
             return Command(POINT.u + 0.01 * np.sin(sample.time))
 
-    with pytest.raises(NoLoopError):
+    with pytest.raises(ConfigurationError, match="there is no loop"):
         COARSE.measure(MODEL, loop_of(Blind()), POINT, silent)
 
 

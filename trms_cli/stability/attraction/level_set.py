@@ -54,8 +54,13 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.stability.attraction.system import ReducedSystem, operations
-from trms_cli.stability.intervals.branch_and_bound import BoxSearch, branch_and_bound, halve_boxes
+from trms_cli.stability.attraction.system import ReducedSystem
+from trms_cli.stability.intervals.branch_and_bound import (
+    BoxSearch,
+    branch_and_bound,
+    halve_boxes,
+    operations,
+)
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval, corners, positive_definite
 

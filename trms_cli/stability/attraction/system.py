@@ -28,6 +28,7 @@ from trms_cli.core.errors import ModelError
 from trms_cli.core.plugins import require_known
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.stability.intervals.branch_and_bound import JUMPS, operations
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
 from trms_cli.stability.local.linear import Linear
@@ -36,9 +37,6 @@ from trms_cli.stability.local.linear import Linear
 _MARGINAL = 1e-8
 #: Parts of the segment from the equilibrium over which slopes are averaged.
 _PARTS = 16
-#: Operations that jump. A coefficient that changes with the sign of the very quantity it multiplies
-#: does not.
-_JUMPS = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL}
 #: Radii tried for the box that holds the exact equilibrium, relative to 1 + |x̄|.
 _RADII = (1e-12, 1e-10, 1e-8, 1e-6)
 
@@ -175,8 +173,8 @@ def around(
     pairs = list(zip(*moves.get_triplet(), strict=True))  # (moved, moving)
     neutral = {j for j in range(model.n_x) if all(moving != j for _, moving in pairs)}
     kept = {model.state_index(n) for n in states} if states else set(range(model.n_x))
-    jumps = operations(ca.Function("f", [x], [_rates(model, x, point.u)])) & _JUMPS
-    if jumps:
+    # A coefficient that changes with the sign of the very quantity it multiplies does not jump.
+    if operations(ca.Function("f", [x], [_rates(model, x, point.u)])) & JUMPS:
         raise ModelError(
             "a rate of this model jumps (a sign in its equations), and a jump has no slopes that "
             "bounds could rest on",
@@ -218,11 +216,6 @@ def require_attractive(system: ReducedSystem) -> None:
         remedy="choose a point where all modes decay, or give the axis some damping or stiffness "
         "(model.parameters)",
     )
-
-
-def operations(function: ca.Function) -> set[int]:
-    """The kinds of operations in a function."""
-    return {function.instruction_id(k) for k in range(function.n_instructions())}
 
 
 def complex_text(value: complex) -> str:

@@ -20,9 +20,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.models.continuation import follow
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint, refine_operating_point
@@ -55,7 +54,7 @@ class Hopf:
     u: FloatArray  #: The equilibrium
     omega: float  #: rad/s
     #: (n_x,) complex array; the eigenvector, its largest entry of size 1
-    mode: npt.NDArray[np.complex128]
+    mode: ComplexArray
 
 
 def equilibria_over(model: Model, x: FloatArray, u: FloatArray, channel: int) -> EquilibriumBranch:
@@ -137,7 +136,7 @@ def _with(u: FloatArray, channel: int, value: float) -> FloatArray:
     return changed
 
 
-def _pulled(values: npt.NDArray[np.complex128]) -> npt.NDArray[np.bool_]:
+def _pulled(values: ComplexArray) -> BoolArray:
     """Eigenvalues but those of a direction in which nothing changes."""
     return np.asarray(np.abs(values) > 1e-9)
 
@@ -215,7 +214,7 @@ class Branch:
             changes.append(Change(kind, command, period, swing, lowest, highest, after=i))
         return changes
 
-    def stable(self) -> npt.NDArray[np.bool_]:
+    def stable(self) -> BoolArray:
         """Of each orbit; one whose multiplier is not resolved from 1 is as the nearest that is."""
         stable = np.array([orbit.stable for orbit in self.orbits], dtype=bool)
         clear = np.flatnonzero([not _unresolved(orbit) for orbit in self.orbits])

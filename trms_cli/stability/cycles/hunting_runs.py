@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.vector_field import VectorField
@@ -44,7 +43,7 @@ class AxisRun:
     angle: FloatArray
     rate: FloatArray
     command: FloatArray  #: (n,) array; V, of the rotor that holds the axis
-    stuck: npt.NDArray[np.bool_]  #: (n,) bool array
+    stuck: BoolArray  #: (n,) bool array
     #: ``hunting``; ``rest``: no slips any more; ``dying out``: slips, each smaller; ``undecided``:
     #: a slip or two, too few to tell; ``oscillating``: a steady swing that never sticks;
     #: ``unstable``: the run had to end, or the swing grows
@@ -128,9 +127,7 @@ def axis_run(
     )
 
 
-def slips(
-    time: FloatArray, angle: FloatArray, stuck: npt.NDArray[np.bool_]
-) -> list[tuple[float, float]]:
+def slips(time: FloatArray, angle: FloatArray, stuck: BoolArray) -> list[tuple[float, float]]:
     """Beginning (s) and travel (rad) of each whole slip, creep left out."""
     edges = np.diff(stuck.astype(int))
     begins, ends = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
@@ -140,9 +137,7 @@ def slips(
     return [slip for slip in whole if abs(slip[1]) > _SHORTEST]
 
 
-def _verdict(
-    run: LoopRun, angle: FloatArray, stuck: npt.NDArray[np.bool_]
-) -> tuple[Verdict, float | None]:
+def _verdict(run: LoopRun, angle: FloatArray, stuck: BoolArray) -> tuple[Verdict, float | None]:
     if run.ended:
         return "unstable", None
     half = len(angle) // 2

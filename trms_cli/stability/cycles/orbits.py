@@ -43,7 +43,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model
@@ -70,7 +70,7 @@ class Orbit:
     period: float  #: s
     u: FloatArray  #: (n_u,) array; the command held
     #: (n_x,) complex array; floquet multipliers, the trivial one first, then by falling size
-    multipliers: npt.NDArray[np.complex128]
+    multipliers: ComplexArray
     #: (n + 1, n_x) array; the orbit at equal steps of time, its first state again at the end
     path: FloatArray
     misfit: float  #: Largest residual of the equations

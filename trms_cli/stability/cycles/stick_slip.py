@@ -266,7 +266,7 @@ class Cycle:
 
     half: Slip  #: One half of it
     #: (n,) complex array; floquet multipliers over the whole period, by falling size
-    multipliers: npt.NDArray[np.complex128]
+    multipliers: ComplexArray
     swing: float  #: Peak to peak of the angle, rad
 
     @property
@@ -607,13 +607,13 @@ class Harmonics:
     """What one harmonic says."""
 
     omega: FloatArray  #: (n,) array; rad/s
-    response: npt.NDArray[np.complex128]  #: (n,) complex array; G(jω)
+    response: ComplexArray  #: (n,) complex array; G(jω)
     #: Amplitude (rad/s) and frequency (rad/s) of a cycle that never sticks
     sliding: tuple[float, float] | None
     balance: Balance | None  #: Of an axis that sticks
-    impedance: npt.NDArray[np.complex128]  #: (n,) complex array; Z(jω)
+    impedance: ComplexArray  #: (n,) complex array; Z(jω)
     #: (k,) complex array; −1/M(X, ω*) over X at the balance's frequency (empty without one)
-    inverse: npt.NDArray[np.complex128]
+    inverse: ComplexArray
 
 
 def harmonics(loop: FrictionLoop, law: FrictionLaw) -> Harmonics:

@@ -26,14 +26,12 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.core.errors import ModelError
 from trms_cli.stability.equilibria.rest_system import EquationBlock, RestSystem
 from trms_cli.stability.intervals.branch_and_bound import halve_boxes, join_boxes
 from trms_cli.stability.intervals.enclosure import Enclosure
 from trms_cli.stability.intervals.interval import Interval
-
-IntArray = npt.NDArray[np.int64]
 
 #: A box is cut no further when it is this share of its unknown's scale.
 _SHARE_AT_POINTS = 1e-9

@@ -23,11 +23,11 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from trms_cli.core.arrays import BoolArray
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, Signal, index_of, names
 from trms_cli.models.rest import rest_equations, static_motor_command
@@ -204,14 +204,14 @@ def _worth(name: str, model: Model, varied: Collection[str]) -> float:
     return 100.0 if "." in name else 1e4
 
 
-def _pattern(rows: ca.SX, symbols: ca.SX) -> npt.NDArray[np.bool_]:
+def _pattern(rows: ca.SX, symbols: ca.SX) -> BoolArray:
     if rows.numel() == 0:
         return np.zeros((0, symbols.numel()), dtype=bool)
     slopes = ca.jacobian(rows, symbols)
     return np.array(ca.DM(slopes.sparsity(), 1).full(), dtype=bool)
 
 
-def _matched(pattern: npt.NDArray[np.bool_], worth: list[float]) -> dict[int, int]:
+def _matched(pattern: BoolArray, worth: list[float]) -> dict[int, int]:
     """Column by row: a matching of the greatest worth."""
     gain = np.where(pattern, np.asarray(worth)[None, :], 0.0)
     rows, columns = linear_sum_assignment(gain, maximize=True)
@@ -220,7 +220,7 @@ def _matched(pattern: npt.NDArray[np.bool_], worth: list[float]) -> dict[int, in
     }
 
 
-def _blocks(pattern: npt.NDArray[np.bool_]) -> tuple[EquationBlock, ...]:
+def _blocks(pattern: BoolArray) -> tuple[EquationBlock, ...]:
     """Strongly connected components, each after those that it needs; row i belongs to unknown i."""
     n = len(pattern)
     if n == 0:

@@ -25,8 +25,8 @@ from trms_cli.stability.intervals.interval import Interval
 _CHUNK = 2048
 #: A box narrower than this share of the first one is not halved any more.
 _NARROWEST = 1e-9
-#: Operations with a jump. With one of them the mean value form says nothing.
-_JUMPS = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL}
+#: Operations that jump. With one of them the mean value form says nothing.
+JUMPS = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL}
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def prove_negative(
     ``given`` holds the values of its other inputs: parameters, a level.
     """
     enclosure = Enclosure(function)
-    operations = {function.instruction_id(k) for k in range(function.n_instructions())}
+    jumps = operations(function) & JUMPS
     others = [Interval.point(np.atleast_1d(np.asarray(value, dtype=float))) for value in given]
     low, high = (np.asarray(side, dtype=float).ravel() for side in (lower, upper))
     size = np.where(high > low, high - low, 1.0)
@@ -112,10 +112,7 @@ def prove_negative(
 
     def visit(boxes: Interval, _: FloatArray) -> tuple[Interval, FloatArray, int]:
         count = len(boxes.lower)
-        if operations & _JUMPS:
-            bounds = enclosure(boxes, *others)[0]
-        else:
-            bounds = enclosure.mean_value(boxes, *others)
+        bounds = enclosure(boxes, *others)[0] if jumps else enclosure.mean_value(boxes, *others)
         boxes = boxes[~(bounds.upper < 0.0).all(axis=1)]
         middles = boxes.middle
         if len(middles):
@@ -140,6 +137,11 @@ def prove_negative(
         return NegativityProof("counterexample", point, value, search.examined, none)
     status: Literal["proved", "undecided"] = "undecided" if len(search.keys) else "proved"
     return NegativityProof(status, None, None, search.examined, search.boxes)
+
+
+def operations(function: ca.Function) -> set[int]:
+    """The kinds of operations in a function."""
+    return {function.instruction_id(k) for k in range(function.n_instructions())}
 
 
 def halve_boxes(

@@ -65,9 +65,8 @@ from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
-import numpy.typing as npt
 
-from trms_cli.core.arrays import ComplexArray, FloatArray
+from trms_cli.core.arrays import ComplexArray, FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.models.dry_friction import SPEEDS
@@ -86,7 +85,7 @@ class ExcitationPeriod:
 
     step: float  #: Control period over which each value is held, s
     #: (n,) array of int; harmonics of the period that are in it, the lowest first
-    lines: npt.NDArray[np.int64]
+    lines: IntArray
     values: FloatArray  #: (N,) array; one period
 
     @property
@@ -204,10 +203,6 @@ class NoResponse:
     held: tuple[str, ...] = ()  #: As of :class:`FrequencyResponse`
 
 
-class NoLoopError(Exception):
-    """The controller's commands do not depend on what it sees."""
-
-
 @dataclass(frozen=True)
 class Analyser:
     """How a response is measured."""
@@ -221,7 +216,10 @@ class Analyser:
     def measure(
         self, model: Model, loop: LoopParts, point: OperatingPoint, tell: Tell
     ) -> FrequencyResponse | NoResponse:
-        """The response around an operating point. Raises NoLoopError."""
+        """The response around an operating point.
+
+        Raises ConfigurationError if the controller does not answer.
+        """
         step = loop.control_period
         probe = multisine(step, self.lowest, self.ratio)
         other = multisine(step, self.lowest, self.ratio, seed=1)
@@ -239,7 +237,13 @@ class Analyser:
         plain = run_loop(model, loop, point, brief)
         pushed = run_loop(model, loop, point, brief, path=lambda k, u: u + size)
         if np.array_equal(plain.u, pushed.u):
-            raise NoLoopError
+            raise ConfigurationError(
+                f"the commands of controller={loop.names['controller']} do not depend on what it "
+                "sees: there is no loop",
+                where="controller",
+                remedy="choose one that feeds back, as controller=lqr; without a controller, "
+                "study=local tells the rig's own modes",
+            )
         answers: list[_Answer] = []
         for doing, added in zip(words, [*one_by_one, together], strict=True):
             tell(doing)
@@ -357,7 +361,6 @@ def _experiment(
 
 
 def _speeds(model: Model) -> list[str]:
-    """The states that are rotors' speeds."""
     return [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
 
 
@@ -432,16 +435,7 @@ def measure_response(
     _require_band(analyser.lowest, subject, loop, point)
     held = held_by_friction(subject.model, point)
     rig = without_impulses(subject.model) if held else subject.model
-    try:
-        return replace(analyser.measure(rig, loop, point, tell), held=held)
-    except NoLoopError:
-        raise ConfigurationError(
-            f"the commands of controller={loop.names['controller']} do not depend on what it sees: "
-            "there is no loop",
-            where="controller",
-            remedy="choose one that feeds back, as controller=lqr; without a controller, "
-            "study=local tells the rig's own modes",
-        ) from None
+    return replace(analyser.measure(rig, loop, point, tell), held=held)
 
 
 def _require_band(lowest: float, subject: Subject, loop: LoopParts, point: OperatingPoint) -> None:

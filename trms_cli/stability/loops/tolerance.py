@@ -346,7 +346,7 @@ def limits_of(
     sizes: Sequence[float],
     precision: float,
     nothing: TrialRun,
-    margins: MarginResult | None,
+    margins: MarginResult,
 ) -> ImpairmentLimits:
     """Both limits of one impairment; runs are shared between the two searches."""
     runs = {impairment.none: replace(nothing, size=impairment.none)}
@@ -364,9 +364,9 @@ def limits_of(
     return ImpairmentLimits(impairment, back, calm, *_predicted(impairment, margins))
 
 
-def _predicted(impairment: Impairment, margins: MarginResult | None) -> tuple[float | None, bool]:
+def _predicted(impairment: Impairment, margins: MarginResult) -> tuple[float | None, bool]:
     """The size at which the linear loop becomes unstable, and whether it says anything."""
-    if margins is None or impairment.kind == "friction":
+    if impairment.kind == "friction":
         return None, False
     if impairment.kind == "delay":
         limit = margins.together.delay

@@ -89,8 +89,7 @@ def enclose_rest(energy: Energy, x: FloatArray) -> Interval:
 
 def _at(function: ca.Function, *values: Interval) -> Interval:
     columns = [Interval(np.array([[v.lower]]), np.array([[v.upper]])) for v in values]
-    bounds = Enclosure(function)(*columns)[0]
-    return Interval(bounds.lower[0, 0], bounds.upper[0, 0])
+    return Enclosure(function)(*columns)[0][0, 0]
 
 
 def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> Interval:
@@ -172,18 +171,16 @@ class Slopes:
             between = boxes[:, pitch].hull(self.rest[pitch])
             found["sigma"] = between.sine()
             speed = self.rest[yaw]
-            still = self._thrust(Interval(speed.lower[None, None], speed.upper[None, None]))[0]
-            found["thrust_h"] = Interval(
-                np.full(count, still.lower[0, 0]), np.full(count, still.upper[0, 0])
-            )
+            still = self._thrust(speed[None, None])[0]
+            found["thrust_h"] = still[np.zeros(count, dtype=int), 0]
         return stack([found[name] for name in SLOPES])
 
     def _well(self, axis: str, angle: Interval, rest: Interval) -> Interval:
         """λ: between the derivatives on the way, and the quotient itself away from the rest."""
         slope = over(self._stiffness[axis], angle.hull(rest))
         apart = ~angle.meets(rest)
-        moment = self._restoring[axis](_column(angle))[0][:, 0]
-        there = self._restoring[axis](Interval(rest.lower[None, None], rest.upper[None, None]))[0]
+        moment = self._restoring[axis](angle[:, None])[0][:, 0]
+        there = self._restoring[axis](rest[None, None])[0]
         with np.errstate(invalid="ignore", over="ignore"):
             quotient = (moment - there[:, 0]) / (angle - rest)
         return Interval(
@@ -197,15 +194,11 @@ def over(derivative: Enclosure, between: Interval, parts: int = _PARTS) -> Inter
     share = np.linspace(0.0, 1.0, parts + 1)
     edges = between.lower[:, None] + share * between.width[:, None]
     edges[:, -1] = between.upper
-    bounds = derivative(_column(Interval(edges[:, :-1].ravel(), edges[:, 1:].ravel())))[0]
+    bounds = derivative(Interval(edges[:, :-1].ravel(), edges[:, 1:].ravel())[:, None])[0]
     shape = (len(between.lower), parts)
     return Interval(
         bounds.lower.reshape(shape).min(axis=1), bounds.upper.reshape(shape).max(axis=1)
     )
-
-
-def _column(values: Interval) -> Interval:
-    return Interval(values.lower[:, None], values.upper[:, None])
 
 
 class EnergyCandidate:
@@ -272,14 +265,9 @@ class EnergyCandidate:
         weights = Interval.point(self.weights.array())
         moving = self._moving(boxes, self.rest, weights)[0]
         parts = [Interval(np.maximum(moving.lower[:, i], 0.0), moving.upper[:, i]) for i in (0, 1)]
-        for a in self.energy.axes:
-            part = self._rising(self._well[a], boxes, self.energy.index("alpha", a))
-            gamma = self.weights.yaw if a == "h" else 1.0
-            parts.append(part * Interval.point(gamma))
-        for a in self.energy.axes:
-            part = self._rising(self._store[a], boxes, self.energy.index("omega", a))
-            weight = self.weights.rotor_h if a == "h" else self.weights.rotor_v
-            parts.append(part * Interval.point(weight))
+        for row in range(2, 2 + 2 * self.energy.k):
+            function, weight, j = self._term(row)
+            parts.append(self._rising(function, boxes, j) * Interval.point(weight))
         return stack(parts)
 
     def _rising(self, function: Enclosure, boxes: Interval, j: int) -> Interval:
@@ -287,7 +275,7 @@ class EnergyCandidate:
         box, rest = boxes[:, j], self.rest[j]
         nearest = np.where(box.lower > rest.upper, box.lower, box.upper)
         near, low, high = (
-            function(Interval.point(place[:, None]), Interval(rest.lower[None], rest.upper[None]))
+            function(Interval.point(place[:, None]), rest[None])
             for place in (nearest, box.lower, box.upper)
         )
         lower = np.where(box.meets(rest), 0.0, np.maximum(near[0].lower[:, 0], 0.0))
@@ -325,8 +313,7 @@ class EnergyCandidate:
 
     def falls_at_rest(self) -> bool:
         """Whether Q is positive definite at the equilibrium."""
-        at_rest = Interval(self.rest.lower[None], self.rest.upper[None])
-        return bool(definite(self.matrices(at_rest))[0][0])
+        return bool(definite(self.matrices(self.rest[None]))[0][0])
 
     # Sets
 
@@ -338,33 +325,29 @@ class EnergyCandidate:
         """
         k, axes, y = self.energy.k, self.energy.axes, self.centre
         lower, upper = np.empty(3 * k), np.empty(3 * k)
-        for i, a in enumerate(axes):
-            for what, row in (("omega", 2 + k + i), ("alpha", 2 + i)):
-                j = self.energy.index(what, a)
-                bound = (-np.inf, np.inf)
-                if what == "alpha" and ends is not None:
-                    bound = (float(ends.lower[i]), float(ends.upper[i]))
-                lower[j] = self._reach(j, row, level, -1.0, bound[0])
-                upper[j] = self._reach(j, row, level, 1.0, bound[1])
+        for row in range(2, 2 + 2 * k):
+            low, high = -np.inf, np.inf
+            if row < 2 + k and ends is not None:
+                low, high = float(ends.lower[row - 2]), float(ends.upper[row - 2])
+            j = self._term(row)[2]
+            lower[j] = self._reach(row, level, -1.0, low)
+            upper[j] = self._reach(row, level, 1.0, high)
         angles = slice(2 * k, 3 * k)
         pitch = Interval.point(0.0)
         if "v" in axes:
-            j = self.energy.index("alpha", "v")
-            pitch = Interval(lower[j], upper[j])
+            pitch = Interval(lower, upper)[self.energy.index("alpha", "v")]
         away = np.maximum(np.abs(lower[angles] - y[angles]), np.abs(upper[angles] - y[angles]))
         for i, a in enumerate(axes):
-            between = Interval(pitch.lower[None], pitch.upper[None])
-            inverse = float(over(self._inverse[i], between, 64).upper[0])
+            inverse = float(over(self._inverse[i], pitch[None], 64).upper[0])
             gamma = self.weights.yaw if a == "h" else 1.0
             cross = self.weights.cross_h if a == "h" else self.weights.cross_v
             rate = float(np.sqrt(2.0 * level * inverse / gamma)) + cross * float(away[i])
             lower[i], upper[i] = -rate * (1.0 + 1e-9), rate * (1.0 + 1e-9)
         return Interval(lower, upper)
 
-    def _reach(self, j: int, row: int, level: float, side: float, end: float) -> float:
+    def _reach(self, row: int, level: float, side: float, end: float) -> float:
         """Where one term, rising away from the equilibrium, has passed a level; else the end."""
-
-        function, weight = self._term(row)
+        function, weight, j = self._term(row)
         rest = float(self.centre[j])
 
         def value(distance: float) -> float:
@@ -383,27 +366,24 @@ class EnergyCandidate:
         """A lower bound of γU of an axis at an angle, J."""
         return self._row(2 + self.energy.axes.index(axis), angle)
 
-    def _term(self, row: int) -> tuple[Enclosure, float]:
-        """A well or a store and its weight, by its row among the terms."""
+    def _term(self, row: int) -> tuple[Enclosure, float, int]:
+        """A well or a store, its weight and the position of its state, by its row in the terms."""
         a = self.energy.axes[(row - 2) % self.energy.k]
-        w = self.weights
+        w, index = self.weights, self.energy.index
         if row < 2 + self.energy.k:
-            return self._well[a], w.yaw if a == "h" else 1.0
-        return self._store[a], w.rotor_h if a == "h" else w.rotor_v
+            return self._well[a], w.yaw if a == "h" else 1.0, index("alpha", a)
+        return self._store[a], w.rotor_h if a == "h" else w.rotor_v, index("omega", a)
 
     def _row(self, row: int, state: float) -> float:
         """A lower bound of one well or store at a state."""
-        a = self.energy.axes[(row - 2) % self.energy.k]
-        j = self.energy.index("alpha" if row < 2 + self.energy.k else "omega", a)
-        function, weight = self._term(row)
-        rest = Interval(self.rest.lower[j : j + 1], self.rest.upper[j : j + 1])
+        function, weight, j = self._term(row)
+        rest = self.rest[j : j + 1]
         at = Interval.point(np.array([[state]]))
         lower = float(function(at, rest)[0].lower[0, 0])
-        if row < 2 + self.energy.k and a == "v":
+        if function is self._well.get("v"):
             # Near the fold a well is shallower than the bounds of the equilibrium are wide, if
             # these are not followed through the differences: by the mean value form they are.
-            among = Interval(rest.lower[None], rest.upper[None])
-            lower = max(lower, float(self._well_by_rest.mean_value(among, at).lower[0, 0]))
+            lower = max(lower, float(self._well_by_rest.mean_value(rest[None], at).lower[0, 0]))
         return lower * weight * (1.0 - 1e-12 * np.sign(lower))
 
 
@@ -579,8 +559,7 @@ def decay_level(
     def enough(lowest: float) -> bool:
         return (not patient and fails < most) or lowest >= (1.0 - _CLOSE) * min(fails, most)
 
-    whole = Interval(box.lower[None].copy(), box.upper[None].copy())
-    first = BoxSearch(whole, np.atleast_1d(values(whole).lower), 0)
+    first = BoxSearch(box[None], np.atleast_1d(values(box[None]).lower), 0)
     search = branch_and_bound(first, visit, budget=budget, enough=enough)
     level = min(search.lowest, fails) if patient or fails >= most else 0.0
     return DecayLevel(level, fails, point, search.examined)

@@ -466,10 +466,8 @@ def certify(
         seek = lowest_rising if found.level > 0.0 else fastest_rising
         rising = seek(found.candidate, found.wells, ceiling)
     tell("claims")
-    width, residual = (
-        float(found.candidate.rest.width.max()),
-        identity_residual(found.candidate, seed),
-    )
+    width = float(found.candidate.rest.width.max())
+    residual = identity_residual(found.candidate, seed)
     made = [
         StabilityClaim(
             "equilibrium",
@@ -542,11 +540,8 @@ def on_level(
     y, k = candidate.centre, candidate.energy.k
     angles = directions[:, 2 * k :]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.where(
-            angles > 0.0,
-            (wells.ends.upper - y[2 * k :]) / angles,
-            (wells.ends.lower - y[2 * k :]) / angles,
-        )
+        sides = np.where(angles > 0.0, wells.ends.upper, wells.ends.lower)
+        ends = (sides - y[2 * k :]) / angles
     ends = np.where(angles == 0.0, np.inf, ends).min(axis=1)
 
     def below(steps: FloatArray) -> BoolArray:

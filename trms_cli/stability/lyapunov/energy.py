@@ -121,17 +121,6 @@ def _ratio(
 
 
 @dataclass(frozen=True)
-class BeamSymbols:
-    """Symbols of the beam's motion; zero for what is locked."""
-
-    rate_h: ca.SX  #: Ω, rad/s
-    rate_v: ca.SX  #: Ω, rad/s
-    omega_v: ca.SX  #: Speed of the main rotor, rad/s
-    thrust_v: ca.SX  #: F_v, N
-    alpha_v: ca.SX  #: rad
-
-
-@dataclass(frozen=True)
 class Beam:
     """Matrices of the form above, (2, 2), yaw first."""
 
@@ -143,37 +132,40 @@ class Beam:
     reaction: ca.SX  #: Moments by the rotors' accelerations, kg m²
 
 
-def beam_of(model: TwinRotor, c: Mapping[str, float], at: BeamSymbols, yaw_weight: ca.SX) -> Beam:
+def beam_of(energy: Energy) -> Beam:
     """The form of a model's beam; γ is of the Newtonian model only, whose M is diagonal."""
-    cosine = ca.cos(at.alpha_v)
-    cross = c["k_g"] * at.thrust_v * cosine
+    model, c, yaw_weight = energy.model, energy.c, energy.weights[2]
+    rate_h, rate_v = energy.part("Omega", "h"), energy.part("Omega", "v")
+    omega_v, alpha_v = energy.part("omega", "v"), energy.part("alpha", "v")
+    cosine = ca.cos(alpha_v)
+    cross = c["k_g"] * energy.thrust("v", omega_v) * cosine
     friction = ca.blockcat([[-c["k_oh"], 0], [0, -c["k_ov"]]])
     arms = ca.vertcat(c["l_t"] * cosine, c["l_m"])
     reaction = ca.blockcat([[0, c["k_m"] * cosine], [c["k_t"], 0]])
     if isinstance(model, Lagrangian):
         rig = energies(bodies(c, model.shields), c["g"])
         turn = [rig.angles, rig.rates]
-        here = [ca.vertcat(0, at.alpha_v), ca.vertcat(at.rate_h, at.rate_v)]
+        here = [ca.vertcat(0, alpha_v), ca.vertcat(rate_h, rate_v)]
         inertia = rig.inertia
         mass, coriolis = ca.substitute([inertia, rig.coriolis(inertia)], turn, here)
         resisting = friction + ca.blockcat([[0, 0], [cross, 0]])
         # Ṁ = C + Cᵀ: the Coriolis terms have no power, and N + Ṁ = Cᵀ + friction + cross.
         return Beam(mass, resisting, resisting + coriolis.T, arms, reaction)
     g = geometry(c)
-    inertia_h = g["D"] * cosine**2 + g["E"] * ca.sin(at.alpha_v) ** 2 + g["F"]
-    slope = (g["E"] - g["D"]) * ca.sin(2 * at.alpha_v)
+    inertia_h = g["D"] * cosine**2 + g["E"] * ca.sin(alpha_v) ** 2 + g["F"]
+    slope = (g["E"] - g["D"]) * ca.sin(2 * alpha_v)
     # J_h d/dα (cos α/J_h) = −sin α − cos α J_h'/J_h
-    turning = -c["k_m"] * at.omega_v * (ca.sin(at.alpha_v) + cosine * slope / inertia_h)
-    double = ca.sin(2 * at.alpha_v)
+    turning = -c["k_m"] * omega_v * (ca.sin(alpha_v) + cosine * slope / inertia_h)
+    double = ca.sin(2 * alpha_v)
     # ½ γ J_h' Ω_v Ω_h² and −½ H sin 2α Ω_h² Ω_v are the same monomial.
-    swinging = 0.5 * double * (yaw_weight * (g["E"] - g["D"]) - g["H"]) * at.rate_h
+    swinging = 0.5 * double * (yaw_weight * (g["E"] - g["D"]) - g["H"]) * rate_h
     power = ca.blockcat(
         [[-yaw_weight * c["k_oh"], yaw_weight * turning], [cross + swinging, -c["k_ov"]]]
     )
     drift = ca.blockcat(
         [
-            [slope * at.rate_v - c["k_oh"], turning],
-            [cross - 0.5 * g["H"] * double * at.rate_h, -c["k_ov"]],
+            [slope * rate_v - c["k_oh"], turning],
+            [cross - 0.5 * g["H"] * double * rate_h, -c["k_ov"]],
         ]
     )
     mass = ca.blockcat([[inertia_h, 0], [0, g["J_v"]]])
@@ -351,32 +343,18 @@ class Energy:
         return ends[0] - ends[1]
 
     @cached_property
-    def _beam(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        """M, Γ(N + ½Ṁ), N + Ṁ, arms and reaction, of the axes that move."""
-        omega_v = self.part("omega", "v")
-        place = BeamSymbols(
-            self.part("Omega", "h"),
-            self.part("Omega", "v"),
-            omega_v,
-            self.thrust("v", omega_v),
-            self.part("alpha", "v"),
-        )
-        beam = beam_of(self.model, self.c, place, self.weights[2])
-        keep = ["hv".index(a) for a in self.axes]
-        return (
-            beam.mass[keep, keep],
-            beam.power[keep, keep],
-            beam.drift[keep, keep],
-            beam.arms[keep],
-            beam.reaction[keep, keep],
-        )
+    def _beam(self) -> Beam:
+        """Of the axes that move."""
+        beam, keep = beam_of(self), ["hv".index(a) for a in self.axes]
+        square = (beam.mass, beam.power, beam.drift, beam.reaction)
+        mass, power, drift, reaction = (matrix[keep, keep] for matrix in square)
+        return Beam(mass, power, drift, beam.arms[keep], reaction)
 
     def mass(self, pitch: ca.SX) -> ca.SX:
         """M at a pitch angle, of the axes that move, kg m²."""
-        mass, *_ = self._beam
         if "v" not in self.axes:
-            return mass
-        return ca.substitute(mass, self.part("alpha", "v"), pitch)
+            return self._beam.mass
+        return ca.substitute(self._beam.mass, self.part("alpha", "v"), pitch)
 
     def _scales(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Γ, E, K and C as diagonal matrices."""
@@ -389,7 +367,7 @@ class Energy:
     @cached_property
     def moving(self) -> ca.Function:
         """``(y, ȳ, weights) →`` ½ yᵀΓM y and ½ α̃ᵀΓE(K − ME)α̃, (2, 1), J."""
-        mass, *_ = self._beam
+        mass = self._beam.mass
         gamma, cross, friction, _ = self._scales()
         rates, away = self.y[: self.k], (self.y - self.rest)[2 * self.k :]
         swung = rates + cross @ away
@@ -422,12 +400,12 @@ class Energy:
     @cached_property
     def inertia(self) -> ca.Function:
         """``(y) → M``, (k, k), kg m²."""
-        return ca.Function("M", [self.y], [ca.densify(self._beam[0])])
+        return ca.Function("M", [self.y], [ca.densify(self._beam.mass)])
 
     @cached_property
     def decay(self) -> ca.Function:
         """``(y, θ, weights) → Q``, (3k, 3k), symmetric."""
-        mass, power, drift, arms, reaction = self._beam
+        beam = self._beam
         gamma, cross, friction, rotor = self._scales()
         which = ["hv".index(a) for a in self.axes]
         wells = ca.diag(self.theta[2:4][which])
@@ -436,10 +414,10 @@ class Energy:
             turned = ca.SX(2, 2)
             turned[0, 1] = self.c["l_t"] * self.theta[5] * self.theta[4]
             coupled = wells + turned
-        lacking = ca.diag(arms * self.theta[0:2][which]) - reaction
-        rates = -power - gamma @ cross @ mass
+        lacking = ca.diag(beam.arms * self.theta[0:2][which]) - beam.reaction
+        rates = -beam.power - gamma @ cross @ beam.mass
         rates_speeds = -gamma @ lacking
-        rates_angles = gamma @ (coupled - wells) - (gamma @ cross @ (drift + friction)).T
+        rates_angles = gamma @ (coupled - wells) - (gamma @ cross @ (beam.drift + friction)).T
         angles = gamma @ cross @ coupled
         speeds_angles = (-gamma @ cross @ lacking).T
         whole = ca.blockcat(

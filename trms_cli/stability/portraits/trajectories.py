@@ -22,7 +22,7 @@ from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.models.operating_point import refine_operating_point
-from trms_cli.stability.closed_loop import run_loop
+from trms_cli.stability.closed_loop import LoopRun, run_loop
 from trms_cli.stability.portraits.invariant_sets import RestPoint, StickingSet, rest_point, search
 from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection
 from trms_cli.stability.study import Tell
@@ -357,23 +357,14 @@ def drawn_points(
 _AT_BOUND = 1e-6
 
 
-@dataclass(frozen=True)
-class LoopTrajectories:
-    """Trajectories of a loop."""
-
-    trajectories: tuple[PortraitTrajectory, ...]
-    failures: int  #: Control samples whose solve failed, of all runs
-    ended: tuple[str, ...]  #: Why runs ended early
-
-
 def loop_trajectories(
     section: StateSection, loop: LoopParts, starts: FloatArray, duration: float, tell: Tell
-) -> LoopTrajectories:
+) -> tuple[list[PortraitTrajectory], list[LoopRun]]:
     """Runs of the loop from starts (m, n_x), its references at the section's operating point."""
     coordinates, point = section.coordinates, section.point
     model = coordinates.model
     bound = model.input_bounds()[1] * (1.0 - _AT_BOUND)
-    found, failures, ended = [], 0, []
+    found, runs = [], []
     for number, start in enumerate(starts, 1):
         tell(f"run {number} of {len(starts)}")
         offset = dict(zip(model.state_names, (start - point.x).tolist(), strict=True))
@@ -382,10 +373,8 @@ def loop_trajectories(
         saturated = np.any(np.abs(run.applied) >= bound, axis=1)
         c = coordinates.values(run.x, run.applied)
         found.append(PortraitTrajectory(run.time, run.x, c, saturated))
-        failures += run.failures
-        if run.ended:
-            ended.append(run.ended)
-    return LoopTrajectories(tuple(found), failures, tuple(ended))
+        runs.append(run)
+    return found, runs
 
 
 What = Literal["rest", "rest outside", "line", "held", "stuck", "moving", "turning", "gone"]

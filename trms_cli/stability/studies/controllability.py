@@ -204,13 +204,9 @@ class ControllabilityResult:
     sweep: EigenvalueSweep
     gains: InputGains  #: Along the sweep
 
-    @property
-    def model(self) -> Model:
-        return self.path.model
-
 
 def _data(result: ControllabilityResult) -> dict[str, Any]:
-    model, sweep = result.model, result.sweep
+    model, sweep = result.path.model, result.sweep
     inputs = names(model.inputs)
     with_all = [*inputs, "together"] if model.n_u > 1 else inputs
 
@@ -265,7 +261,7 @@ def _data(result: ControllabilityResult) -> dict[str, Any]:
 
 
 def _lead(result: ControllabilityResult) -> list[str]:
-    model = result.model
+    model = result.path.model
     lost = [a.mode.name for a in result.access if a.by_input[-1].grade == "none"]
     words = result.point.words(model)
     sentences = [
@@ -338,7 +334,7 @@ def _warnings(result: ControllabilityResult) -> list[str]:
 
 
 def _inputs(result: ControllabilityResult) -> Section:
-    model, gramians = result.model, result.gramians
+    model, gramians = result.path.model, result.gramians
     heads = [*names(model.inputs), *["together"] * (model.n_u > 1)]
 
     def moved(reach: PbhResult) -> Datum:
@@ -387,7 +383,7 @@ def _inputs(result: ControllabilityResult) -> Section:
 
 
 def _sensors(result: ControllabilityResult) -> Section:
-    heads = [set_words(result.model, one) for one in result.sets]
+    heads = [set_words(result.path.model, one) for one in result.sets]
 
     def read(reach: PbhResult) -> Datum:
         words, judgement = _GRADES[reach.grade]
@@ -404,7 +400,7 @@ def _sensors(result: ControllabilityResult) -> Section:
 
 
 def _torques(result: ControllabilityResult) -> Section:
-    model = result.model
+    model = result.path.model
 
     def estimate(one: tuple[str, ...], name: str) -> Cell:
         torque = result.torques[one].alone[name]
@@ -449,7 +445,7 @@ def _amount(size: float, unit: str) -> str:
 
 def _loss_chart(result: ControllabilityResult) -> Chart:
     """How far each input moves each controlled state, over the range and over the rotor's speed."""
-    model, path, sweep, reach = result.model, result.path, result.sweep, result.gains
+    model, path, sweep, reach = result.path.model, result.path, result.sweep, result.gains
     panels = []
     for i, name in enumerate(model.controlled):
         marks: list[Mark] = [
@@ -491,14 +487,14 @@ def _moved_axis(
     signal: Signal,
     limits: tuple[float, float] | None = None,
 ) -> Axis:
-    unit = result.model.states[result.model.state_index(name)].unit
+    unit = result.path.model.states[result.path.model.state_index(name)].unit
     label = f"{name} moved in {result.duration:g} s"
     return Axis(label, f"{unit} per {_per(signal.unit)} rms", limits)
 
 
 def _volts_chart(result: ControllabilityResult) -> Chart:
     """The least command for a typical motion, over the range."""
-    model, path, scales = result.model, result.path, result.scales
+    model, path, scales = result.path.model, result.path, result.scales
     panels = []
     for i, name in enumerate(model.controlled):
         unit = model.states[model.state_index(name)].unit
@@ -523,7 +519,7 @@ def _volts_chart(result: ControllabilityResult) -> Chart:
 
 def _torque_chart(result: ControllabilityResult) -> Chart | None:
     """How exactly each set of sensors tells a constant torque, over the time it has."""
-    model, panels = result.model, []
+    model, panels = result.path.model, []
     for signal in model.disturbances:
         marks: list[Mark] = []
         for one, colour in zip(result.sets, _COLOURS, strict=False):

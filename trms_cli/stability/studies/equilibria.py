@@ -36,6 +36,7 @@ from trms_cli.stability.equilibria.survey import (
     survey,
     usual_bounds,
 )
+from trms_cli.stability.local.sweep import unit_of
 from trms_cli.stability.study import Tell
 from trms_cli.stability.subject import Subject
 
@@ -314,13 +315,9 @@ def _rounded(value: float) -> float:
     return 0.0 if abs(value) < 1e-9 else float(f"{value:.5g}")
 
 
-def _signal(model: Model, name: str) -> Signal:
-    return next(s for s in (*model.states, *model.inputs) if s.name == name)
-
-
 def _written(model: Model, name: str, value: float, digits: int = 4) -> str:
     """``α_v = 0.1 rad``."""
-    return f"{symbol(name)} = {_with_unit(value, _signal(model, name).unit, digits)}"
+    return f"{symbol(name)} = {_with_unit(value, unit_of(model, name), digits)}"
 
 
 def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
@@ -329,9 +326,7 @@ def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
     def cell(name: str) -> Callable[[OperatingPoint], Value]:
         return lambda point: _rounded(point.value(model, name))
 
-    return [
-        Column(with_unit(symbol(name), _signal(model, name).unit), cell(name)) for name in shown
-    ]
+    return [Column(with_unit(symbol(name), unit_of(model, name)), cell(name)) for name in shown]
 
 
 def _outcomes(model: Model) -> list[str]:
@@ -367,7 +362,6 @@ def _lead(result: EquilibriaResult) -> list[str]:
 
 
 def _landmark_words(survey: Survey, one: Landmark) -> str:
-    """One special point, in words."""
     model = survey.model
     at = _written(model, survey.setting.over, float(one.y[-1]), 6)
     angles = [name for name in model.controlled if name not in survey.system.free]
@@ -383,9 +377,8 @@ def _landmark_words(survey: Survey, one: Landmark) -> str:
 
 
 def _proof_words(survey: Survey) -> str:
-    """What is proved, in one or two sentences."""
     over, checks = survey.setting.over, survey.checks
-    unit = _signal(survey.model, over).unit
+    unit = unit_of(survey.model, over)
     complete = sum(check.proof.complete for check in checks)
     low, high = survey.setting.bounds
     words = (
@@ -430,7 +423,7 @@ def band_words(model: Model, band: FrictionBand) -> str:
         return f"{held} from {_number(band.lower)} to {_number(band.upper)} rad"
     if band.command is not None:
         name, low, high = band.command
-        top = _with_unit(high, _signal(model, name).unit)
+        top = _with_unit(high, unit_of(model, name))
         return f"{held}, for {symbol(name)} from {_number(low)} to {top}"
     return held
 
@@ -468,10 +461,10 @@ def _section(one: Survey, named: Sequence[NamedPoint]) -> Section:
     return Section(f"Over {over}", text, [*charts, _point_table(one, shown)])
 
 
-def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
+def _point_table(survey: Survey, shown: Sequence[str]) -> Table:
     """Equilibria at the inputs of the proofs."""
     model, over = survey.model, survey.setting.over
-    columns = _value_columns(model, names(shown))
+    columns = _value_columns(model, shown)
     rows: list[list[Value | Datum]] = []
     for check in survey.checks:
         complete = check.proof.complete
@@ -485,7 +478,7 @@ def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
         for point, cells in zip(check.points, values, strict=True):
             rightmost = _rounded(float(point.eigenvalues[0].real))
             rows.append([at, *cells, _stability(point), rightmost, proof])
-    heads = [with_unit(symbol(over), _signal(model, over).unit), *(c.head for c in columns)]
+    heads = [with_unit(symbol(over), unit_of(model, over)), *(c.head for c in columns)]
     return Table(
         [*heads, "stability", "rightmost [1/s]", "number"],
         rows,
@@ -496,7 +489,6 @@ def _point_table(survey: Survey, shown: Sequence[Signal]) -> Table:
 
 
 def _stability(point: EquilibriumPoint) -> Datum:
-    """In a word or two."""
     if point.unstable:
         return Datum(f"{point.unstable} growing", "bad")
     if point.verdict == "unstable":
@@ -534,12 +526,11 @@ def _landmark_table(result: EquilibriaResult) -> Table | None:
     ]
     if not rows:
         return None
-    heads = [with_unit(symbol(name), _signal(model, name).unit) for name in model.controlled]
+    heads = [with_unit(symbol(name), unit_of(model, name)) for name in model.controlled]
     return Table(["", "where", *heads, "frequency [Hz]"], rows, "Special points of the curves.")
 
 
 def _quantity_table(result: EquilibriaResult) -> Table | None:
-    """Physical quantities at the named points."""
     model, points = result.model, result.named
     locked = [part for part, whole in _PARTS.items() if whole not in (*model.axes, *model.rotors)]
     known = [
@@ -604,7 +595,6 @@ def _switch_words(survey: Survey) -> list[str]:
 
 
 def _undecided_words(survey: Survey) -> list[str]:
-    """Where a proof could not decide."""
     words = []
     for check in survey.checks:
         proof = check.proof
@@ -648,21 +638,17 @@ def _along(survey: Survey, name: str) -> FloatArray:
     return np.concatenate(values or [np.zeros(1)])
 
 
-def _shown_signals(survey: Survey) -> list[Signal]:
+def _shown_signals(survey: Survey) -> list[str]:
     """What is drawn over an input: angles that change with it, speeds, released inputs."""
-    model = survey.model
-    wanted = dict.fromkeys([*_outcomes(model), *survey.system.released])
-    return [_signal(model, name) for name in wanted if np.ptp(_along(survey, name)) > _VARIES]
+    wanted = dict.fromkeys([*_outcomes(survey.model), *survey.system.released])
+    return [name for name in wanted if np.ptp(_along(survey, name)) > _VARIES]
 
 
 def _axis(model: Model, name: str, limits: tuple[float, float] | None = None) -> draw.Axis:
-    return draw.Axis(symbol(name), written_unit(_signal(model, name).unit), limits)
+    return draw.Axis(symbol(name), written_unit(unit_of(model, name)), limits)
 
 
-def _curves_chart(
-    survey: Survey, shown: Sequence[Signal], named: Sequence[NamedPoint]
-) -> draw.Chart:
-    """Equilibria over one input."""
+def _curves_chart(survey: Survey, shown: Sequence[str], named: Sequence[NamedPoint]) -> draw.Chart:
     model, over = survey.model, survey.setting.over
     given = [f"{symbol(name)} = {value:g}" for name, value in survey.setting.given.items()]
     if survey.system.released:
@@ -670,8 +656,8 @@ def _curves_chart(
     condition = f" ({', '.join(given)})" if given else ""
     across = _axis(model, over, survey.setting.bounds)
     panels = [
-        draw.Panel(across, _axis(model, one.name), _marks(survey, one.name, named, legend=k == 0))
-        for k, one in enumerate(shown)
+        draw.Panel(across, _axis(model, name), _marks(survey, name, named, legend=k == 0))
+        for k, name in enumerate(shown)
     ]
     caption = (
         f"All equilibria of {model.name} over {symbol(over)}{condition}: "
@@ -714,7 +700,7 @@ def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool)
     if proved:
         at, where = [u for u, _ in proved], [y for _, y in proved]
         marks.append(draw.Points(at, where, "proved" if legend else "", "dot", "ink", size=2.5))
-    unit = written_unit(_signal(model, over).unit)
+    unit = written_unit(unit_of(model, over))
     for kind, (label, marker, colour) in MARKS.items():
         special = [one for one in survey.landmarks if one.kind == kind]
         if special:
@@ -762,7 +748,6 @@ def _rises(survey: Survey, name: str, u: float, y: float, tall: float) -> bool:
 
 
 def _map_chart(result: EquilibriaResult, over_both: EquilibriumMap) -> draw.Chart:
-    """Where the rig rests over both inputs."""
     first, second = (_axis(result.model, one.setting.over) for one in result.surveys)
     steps = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
     panels = []

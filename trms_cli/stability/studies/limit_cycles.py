@@ -569,7 +569,6 @@ def _look(orbit: Orbit) -> tuple[Colour, Style, str]:
 
 
 def _multipliers(orbits: Sequence[Orbit]) -> Chart:
-    """Floquet multipliers on the unit circle."""
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     marks: list[Mark] = [Curve(np.cos(turn), np.sin(turn), "", "grey", "solid", 1.0)]
     for orbit in orbits:
@@ -588,7 +587,6 @@ def _multipliers(orbits: Sequence[Orbit]) -> Chart:
 
 
 def _diagram(result: LimitCycleResult, over: OverCommand) -> Chart:
-    """Equilibria and cycles over a command."""
     channel, state, curve = result.channel, result.state, over.curve
     signal, command = result.model.states[state], result.model.inputs[channel]
     at = float(result.point.u[channel])

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from trms_cli.core.findings import Block, Column, Findings, Section, Table, json_data, table
-from trms_cli.models.model import Model, by_name
+from trms_cli.models.model import by_name
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local import tables
 from trms_cli.stability.local.linear import EigenMode, Modes, Side, Switch, modes_of
@@ -91,23 +91,15 @@ class LocalResult:
     sides: Mapping[Side, Modes]  #: With the mean of the slopes on a switch, and those of each side
     switches: tuple[Switch, ...]
 
-    @property
-    def model(self) -> Model:
-        return self.locus.path.model
-
-    @property
-    def modes(self) -> Modes:
-        return self.sides["mean"]
-
 
 def _lead(result: LocalResult) -> list[str]:
-    modes, sides = result.modes, result.sides
+    sides, modes, model = result.sides, result.sides["mean"], result.locus.path.model
     verdict = {
         "stable": "small motions die out",
         "marginal": "small motions neither grow nor all die out",
         "unstable": "small motions grow",
     }[modes.verdict]
-    sentences = [f"{modes.verdict.capitalize()}, {verdict}, at {result.point.words(result.model)}."]
+    sentences = [f"{modes.verdict.capitalize()}, {verdict}, at {result.point.words(model)}."]
     finite = (m for m in modes.modes if math.isfinite(m.eigenvalue.real))
     critical = max(finite, key=lambda m: m.eigenvalue.real)
     sentences.append(f"Closest to growing is {_described(critical)}.")
@@ -162,7 +154,7 @@ def _lead_range(locus: Locus) -> list[str]:
 
 
 def _point_section(result: LocalResult) -> Section:
-    model, modes, switches = result.model, result.modes, result.switches
+    model, modes, switches = result.locus.path.model, result.sides["mean"], result.switches
     words = result.point.words(model)
     sentences = [
         "Modes are named after the states that take part in them (participation factors w_i v_i, "
@@ -217,8 +209,8 @@ def _sides_table(sides: Mapping[Side, Modes]) -> Table:
 
 
 def _results(result: LocalResult) -> dict[str, Any]:
-    model, point, modes = result.model, result.point, result.modes
-    matrices = result.locus.path.linear.matrices(point.x, point.u)
+    path, point, modes = result.locus.path, result.point, result.sides["mean"]
+    model, matrices = path.model, path.linear.matrices(point.x, point.u)
     return {
         "at": {
             "x": by_name(model.states, point.x),
@@ -256,7 +248,7 @@ def _warnings(result: LocalResult) -> list[str]:
             "On a switch the eigenvalues of either side do not by themselves decide about motions "
             "that cross it; that of the mean is what a small, nearly harmonic swing sees."
         )
-    if result.modes.verdict == "marginal":
+    if result.sides["mean"].verdict == "marginal":
         sentences.append(
             "An eigenvalue on the imaginary axis decides nothing: what the equations do beyond "
             "first order does."

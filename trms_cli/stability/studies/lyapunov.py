@@ -361,14 +361,10 @@ def extent_table(certificate: LyapunovCertificate) -> Table:
 def rising_table(certificate: LyapunovCertificate, rising: RisingState) -> Table:
     """The counterexample."""
     names = certificate.search.candidate.energy.names()
-    rows = [
-        *(
-            (_head(name), round_significant(value, 6))
-            for name, value in zip(names, rising.y, strict=True)
-        ),
-        ("V [J]", round_significant(rising.value)),
-        ("V̇ [W]", round_significant(rising.derivative)),
-    ]
+    state = zip(names, rising.y, strict=True)
+    rows = [(_head(name), round_significant(value, 6)) for name, value in state]
+    rows.append(("V [J]", round_significant(rising.value)))
+    rows.append(("V̇ [W]", round_significant(rising.derivative)))
     return Table(("at the state", ""), rows, "Where V rises, confirmed with outward rounding")
 
 
@@ -428,8 +424,7 @@ _GRID = 101
 
 def well_chart(certificate: LyapunovCertificate) -> Chart:
     """U of each axis with its equilibria, levels and stops."""
-    candidate = certificate.search.candidate
-    panels = [_well(certificate, a) for a in candidate.energy.axes]
+    panels = [_well(certificate, a) for a in certificate.search.candidate.energy.axes]
     caption = (
         "The potential of each axis at the constant command, zero at the equilibrium. A motion "
         "that begins below a level stays between the walls it meets there."
@@ -490,7 +485,7 @@ def plane_chart(
     candidate = certificate.search.candidate
     panels = [_plane(certificate, a, paths.get(a), display) for a in candidate.energy.axes]
     if candidate.energy.k == 2:
-        panels.append(_limits(certificate, ("alpha", "v"), ("Omega", "h"), display))
+        panels.append(_limits(certificate, display))
     else:
         (a,) = candidate.energy.axes
         panels.append(_rates(certificate, a, display))
@@ -573,14 +568,9 @@ def _sets(
     return marks
 
 
-def _limits(
-    certificate: LyapunovCertificate,
-    first: tuple[str, str],
-    second: tuple[str, str],
-    display: float,
-) -> Panel:
-    """Where Q is not definite, beside N."""
-    candidate = certificate.search.candidate
+def _limits(certificate: LyapunovCertificate, display: float) -> Panel:
+    """Where Q is not definite, beside N, over pitch and the rate of yaw."""
+    candidate, first, second = certificate.search.candidate, ("alpha", "v"), ("Omega", "h")
     whole = certificate.outer >= certificate.search.wells.depth * (1.0 - 1e-6)
     x, y, flat, value = _grid(certificate, first, second, display if whole else 1.6 * display)
     bad = ~definite(candidate.matrices(Interval.point(flat)))[0].reshape(_GRID, _GRID)

@@ -173,8 +173,9 @@ class PhasePortrait:
             starts = given_starts(section, self.starts)
         else:
             starts = loop_starts(section, window, self.starts or LOOP_COUNT)
-        runs = loop_trajectories(section, loop, starts, duration, tell)
-        paths, name = runs.trajectories, loop.names["controller"]
+        paths, runs = loop_trajectories(section, loop, starts, duration, tell)
+        name, failures = loop.names["controller"], sum(run.failures for run in runs)
+        ended = [run.ended for run in runs if run.ended]
         window = _around(window, np.concatenate([run.c for run in paths]), given)
         goal = rest_point(section, section.point.x)
         ends = ends_of(section, window, [goal], paths, search_beyond=False)
@@ -190,14 +191,14 @@ class PhasePortrait:
         results = _results(result) | {
             "controller": name,
             "share_at_bound": at_bound,
-            "failed_solves": runs.failures,
-            "ended_early": len(runs.ended),
+            "failed_solves": failures,
+            "ended_early": len(ended),
         }
         warnings = _warnings(result)
-        if runs.ended:
-            warnings.insert(0, f"{len(runs.ended)} runs ended early: {runs.ended[0]}")
-        if runs.failures:
-            failed = f"{runs.failures} control samples' solves failed; the fall-back acted"
+        if ended:
+            warnings.insert(0, f"{len(ended)} runs ended early: {ended[0]}")
+        if failures:
+            failed = f"{failures} control samples' solves failed; the fall-back acted"
             warnings.insert(0, failed)
         lead = lead_of_loop(result, at_bound)
         return Findings(f"Phase portrait under {name}", lead, parts, json_data(results), warnings)
@@ -570,7 +571,6 @@ def of_loop(result: PortraitResult, observer: str) -> list[str]:
 
 
 def _warnings(result: PortraitResult) -> list[str]:
-    """What limits the answer."""
     found = []
     coordinates = result.section.coordinates
     if not result.loop and not result.invariant:
@@ -698,7 +698,6 @@ def ends_section(result: PortraitResult) -> Section:
 
 
 def _results(result: PortraitResult) -> dict[str, Any]:
-    """The portrait as data."""
     section, items = result.section, result.section.coordinates.items
     model, total = section.coordinates.model, len(result.trajectories)
 

@@ -128,7 +128,6 @@ def from_to(estimate: RegionEstimate, k: int) -> str:
 
 
 def _lead(region: AttractionRegion) -> list[str]:
-    """The answer first."""
     system = region.system
     place = system.point.words(system.model)
     best = region.largest
@@ -173,7 +172,6 @@ def _lead(region: AttractionRegion) -> list[str]:
 
 
 def _sections(region: AttractionRegion) -> list[Section]:
-    """Method, figure, table."""
     blocks: list[Table | draw.Chart] = [estimate_table(region)]
     if region.plane.axes[0] != region.plane.axes[1]:
         blocks.insert(0, plane_chart(region))
@@ -186,11 +184,7 @@ _PROVED = {True: Datum("proved", "good"), False: Datum("sampled only", "doubtful
 def estimate_table(region: AttractionRegion) -> Table:
     """A row for each estimate."""
     labels = region.system.names
-    shown = (
-        len(labels) - 1 - [n.startswith("alpha") for n in labels][::-1].index(True)
-        if any(n.startswith("alpha") for n in labels)
-        else 0
-    )
+    shown = max((k for k, name in enumerate(labels) if name.startswith("alpha")), default=0)
     unit = region.system.model.states[region.system.kept[shown]].unit
     return table(
         region.verdicts,
@@ -226,7 +220,6 @@ def estimate_table(region: AttractionRegion) -> Table:
 
 
 def _results(region: AttractionRegion) -> dict[str, Any]:
-    """The figures as data."""
     system = region.system
 
     def named(y: FloatArray) -> dict[str, float]:
@@ -272,7 +265,6 @@ def _results(region: AttractionRegion) -> dict[str, Any]:
 
 
 def _warnings(region: AttractionRegion) -> list[str]:
-    """What limits the answer."""
     said = []
     system = region.system
     if system.settled:
