@@ -60,15 +60,13 @@ class Hopf:
 def equilibria_over(model: Model, x: FloatArray, u: FloatArray, channel: int) -> EquilibriumBranch:
     """The equilibria that one is part of, over a command, as far as they go within its limits."""
     field = VectorField(model)
-    commands, states = [float(u[channel])], [x]
+    places = [(float(u[channel]), x)]
     for direction in (1.0, -1.0):
-        for at, here in _one_way(field, x, u, channel, direction):
-            commands.append(at)
-            states.append(here)
+        places += _one_way(field, x, u, channel, direction)
     linear = Linear(model)
+    commands, states = (np.array(side) for side in zip(*places, strict=True))
     order = np.argsort(commands)
-    along = np.array(commands)[order]
-    equilibria = np.array(states)[order]
+    along, equilibria = commands[order], states[order]
     pairs = zip(equilibria, along, strict=True)
     growth = np.array([_growth(linear, row, _with(u, channel, v)) for row, v in pairs])
     return EquilibriumBranch(along, equilibria, growth)
@@ -423,7 +421,7 @@ def at_the_point(
     """The orbits of branches at one command, closed between their neighbours."""
     orbits = []
     for branch in branches:
-        for one, other in zip(branch.orbits[:-1], branch.orbits[1:], strict=True):
+        for one, other in pairwise(branch.orbits):
             before, after = float(one.u[channel] - u[channel]), float(other.u[channel] - u[channel])
             if before * after > 0.0 or before == after:
                 continue
@@ -449,7 +447,7 @@ def _within_stops(
 
 def _on(branch: Branch, orbit: Orbit, channel: int) -> bool:
     """Whether an orbit is one of a branch: between two neighbours in command, period and swing."""
-    for one, other in zip(branch.orbits[:-1], branch.orbits[1:], strict=True):
+    for one, other in pairwise(branch.orbits):
         low, high = sorted((one.u[channel], other.u[channel]))
         if not low - 1e-9 <= orbit.u[channel] <= high + 1e-9:
             continue

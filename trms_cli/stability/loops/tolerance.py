@@ -391,8 +391,7 @@ def explanation(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     impairment, limit, predicted = limits.impairment, limits.calm.limit, limits.predicted
     if not limits.foretold:
         return ""
-    held = _range_ends(limits, trial)
-    if held:
+    if held := _range_ends(limits, trial):
         return held
     most = limits.calm.tried[-1].size
     if limit is None and (predicted is None or predicted > most):

@@ -153,9 +153,8 @@ def _extents(
             free[:, leaves] = np.nan
     bound = model.input_bounds()[1]
     commands = np.array([-bound, bound, point.u])
-    push = field.motions(
-        np.tile(point.x, (len(commands), 1)), commands, _TYPICAL, _STEP, impulses=False
-    )
+    still = np.tile(point.x, (len(commands), 1))
+    push = field.motions(still, commands, _TYPICAL, _STEP, impulses=False)
     return _range(free), _range(coordinates.values(push, commands))
 
 

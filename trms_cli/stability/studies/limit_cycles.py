@@ -160,12 +160,10 @@ def _answer(result: LimitCycleResult) -> list[str]:
             + ("" if proved else _how_sure(result)),
             *_share_words(result),
         ]
-    count = {True: 0, False: 0}
-    for orbit in orbits:
-        count[orbit.stable] += 1
+    stable = sum(orbit.stable for orbit in orbits)
     return [
         f"{len(orbits)} limit cycle{'s' * (len(orbits) > 1)} at {words}: "
-        f"{count[True]} stable, {count[False]} unstable.",
+        f"{stable} stable, {len(orbits) - stable} unstable.",
         *(_orbit_words(result, orbit) for orbit in orbits),
     ]
 

@@ -210,7 +210,7 @@ def formula(candidate: EnergyCandidate) -> list[str]:
         lines.append(f"V = ½ yᵀM(α_v) y, y = ({rates['h']}, {rates['v']})")
     else:
         (a,) = energy.axes
-        inertia = float(candidate.inertias(_at_rest(candidate)).upper[0, 0, 0])
+        inertia = float(candidate.inertias(Interval.point(y[None])).upper[0, 0, 0])
         lines.append(f"V = ½ · {inertia:.4g} kg m² · {rates[a]}²")
     for a in energy.axes:
         if a == "h":
@@ -239,10 +239,6 @@ def formula(candidate: EnergyCandidate) -> list[str]:
 def _place(candidate: EnergyCandidate, what: str, axis: str) -> str:
     value = float(candidate.centre[candidate.energy.index(what, axis)])
     return f"{0.0 if abs(value) < 5e-9 else value:.4g}"
-
-
-def _at_rest(candidate: EnergyCandidate) -> Interval:
-    return Interval.point(candidate.centre[None])
 
 
 def lead(
