@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import json
+import logging
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,138 +20,105 @@ from trms_cli.composition.composer import Composition, compose
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 
+LATE = {"_target_": "own_lab_plugins.Own", "gain": 0.1}
+CONSTANT = {"_target_": "trms_cli.references.constant.Constant", "offset": 0.0}
+WHAT_WORKS = [
+    # typed, values by their keys
+    (["seed=3", "sim.duration=1e1"], {"seed": 3, "sim.duration": 10.0, "sim.sample_time": 0.02}),
+    ([], {"controller.gain": 1.5, "effect": {}}),
+    (["effect=late"], {"effect": {"late": LATE}}),
+    (["effect=[late]"], {"effect": {"late": LATE}}),
+    (
+        ["effect=[sticky,late]", "effect.sticky.gain=0.3"],
+        {"effect": {"sticky": LATE | {"gain": 0.3}, "late": LATE}},
+    ),
+    # the first run of a sweep
+    (["-m", "seed=5,6", "effect=late,sticky"], {"seed": 5, "effect": {"late": LATE}}),
+    (["-m", "effect=[],late,[late,sticky]"], {"effect": {}}),
+    # open mappings need no plus, also beside other overrides
+    (["plant.parameters.k_g=0.05"], {"plant.parameters": {"k_g": 0.05}, "model.parameters": {}}),
+    (["model.parameters.k_g=0.1"], {"model.parameters": {"k_g": 0.1}}),
+    *(
+        (["effect=late", word, "controller.parameters.b=1.0"], {"controller.parameters.b": 1.0})
+        for word in ("controller.parameters={a: 2.0}", "effect=late", "effect.late.gain=1")
+    ),
+    (["experiment=short"], {"sim.duration": 3.0}),
+    # a nested choice keeps what it knows of what was set for another, and drops the rest
+    (["ref=square", "signal@ref.alpha_h=sine"], {"ref.alpha_h.amplitude": 0.5}),
+    (
+        ["ref=square", "signal@ref.alpha_v=constant"],
+        {"ref.alpha_v": CONSTANT, "ref.alpha_h.amplitude": 0.5},
+    ),
+    # and needs no file of the one it replaces
+    (
+        ["ref=from_csv", "signal@ref.alpha_h=constant", "ref.alpha_v.file=r.csv"],
+        {"ref.alpha_h": CONSTANT, "ref.alpha_v.file": "r.csv"},
+    ),
+    (["out=runs/a=b (1), c"], {"out": "runs/a=b (1), c"}),
+    (["ref=square", "ref=own", "seed=1", "seed=2"], {"ref.gain": 1.5, "seed": 2}),
+]
 
-def _shown(trms, *argv: str) -> dict:
-    result = trms("run", *argv, "--cfg", "job")
-    return yaml.safe_load(result.stdout)
+
+@pytest.fixture
+def shown(trms, own):
+    """The configuration that the program shows of one's own options with more."""
+    return lambda *more: yaml.safe_load(trms("run", *own, *more, "--cfg", "job").stdout)
 
 
 class TestWhatWorks:
     """Overrides, own folders, and the forms that are ours."""
 
-    def test_defaults_and_values(self, trms, own):
-        config = _shown(trms, *own, "seed=3", "sim.duration=1e1")
-        assert config["seed"] == 3
-        assert config["sim"]["duration"] == 10.0
-        assert config["sim"]["sample_time"] == 0.02
-        assert config["controller"]["gain"] == 1.5
-        assert config["effect"] == {}
-
-    def test_one_screen_of_plain_yaml_and_nothing_on_disk(self, trms, own, tmp_path):
+    @pytest.mark.parametrize(("typed", "expected"), WHAT_WORKS, ids=lambda v: " ".join(v))
+    def test_is_one_screen_of_yaml_and_nothing_on_disk(self, shown, tmp_path, typed, expected):
         before = sorted(tmp_path.rglob("*"))
-        _shown(trms, *own)
+        config = shown(*typed)
+        for key, value in expected.items():
+            found = functools.reduce(dict.__getitem__, key.split("."), config)
+            assert json.dumps(found) == json.dumps(value)  # in this order
         assert sorted(tmp_path.rglob("*")) == before
 
-    @pytest.mark.parametrize("choice", ["effect=late", "effect=[late]"])
-    def test_one_effect(self, trms, own, choice):
-        assert set(_shown(trms, *own, choice)["effect"]) == {"late"}
-
-    def test_a_sweep_over_lists_and_single_names(self, trms, own):
-        result = trms("run", *own, "-m", "effect=[],late,[late,sticky]", "--cfg", "job")
-        assert yaml.safe_load(result.stdout)["effect"] == {}
-
-    def test_several_effects_with_their_sizes(self, trms, own):
-        effects = _shown(trms, *own, "effect=[sticky,late]", "effect.sticky.gain=0.3")["effect"]
-        assert list(effects) == ["sticky", "late"]
-        assert effects["sticky"]["gain"] == 0.3
-
-    def test_open_mappings_need_no_plus(self, trms, own):
-        config = _shown(trms, *own, "plant.parameters.k_g=0.05", "model.parameters.k_g=0.1")
-        assert config["plant"]["parameters"] == {"k_g": 0.05}
-        assert config["model"]["parameters"] == {"k_g": 0.1}
-
-    @pytest.mark.parametrize(
-        "typed", ["controller.parameters={a: 2.0}", "effect=late", "effect.late.gain=1"]
-    )
-    def test_open_mappings_beside_other_overrides(self, trms, own, typed):
-        config = _shown(trms, *own, "effect=late", typed, "controller.parameters.b=1.0")
-        assert config["controller"]["parameters"]["b"] == 1.0
-
-    def test_an_experiment_chooses_and_sets(self, trms, own):
-        assert _shown(trms, *own, "experiment=short")["sim"]["duration"] == 3.0
-
-    def test_a_nested_choice(self, trms, own):
-        choices = [word for word in own if word != "ref=own"]
-        config = _shown(trms, *choices, "ref=square", "signal@ref.alpha_v=sine")
-        assert config["ref"]["alpha_v"]["_target_"].endswith("Sine")
-
-    def test_a_nested_choice_drops_what_was_set_for_another(self, trms, own):
-        choices = [word for word in own if word != "ref=own"]
-        ref = _shown(trms, *choices, "ref=square", "signal@ref.alpha_v=constant")["ref"]
-        assert ref["alpha_v"].keys() == {"_target_", "offset"}
-        assert ref["alpha_h"]["amplitude"] == 0.5
-        assert build(ref, "ref").alpha_v.offset == 0.0
-
-    def test_a_nested_choice_keeps_what_it_knows_and_what_was_typed(self, trms, own):
-        choices = [*(word for word in own if word != "ref=own"), "ref=square"]
-        sine = _shown(trms, *choices, "signal@ref.alpha_h=sine")["ref"]["alpha_h"]
-        assert sine["amplitude"] == 0.5
-        typed = _shown(trms, *choices, "signal@ref.alpha_v=constant", "ref.alpha_v.amplitude=0.3")[
-            "ref"
-        ]
+    def test_a_nested_choice_keeps_what_was_typed(self, shown):
+        constant = ("ref=square", "signal@ref.alpha_v=constant")
+        assert build(shown(*constant)["ref"], "ref").alpha_v.offset == 0.0
         with pytest.raises(ConfigurationError, match="unknown key 'amplitude'"):
-            build(typed, "ref")
+            build(shown(*constant, "ref.alpha_v.amplitude=0.3")["ref"], "ref")
 
-    def test_a_nested_choice_needs_no_file_of_the_one_it_replaces(self, trms, own):
-        choices = [*(word for word in own if word != "ref=own"), "ref=from_csv"]
-        words = ["signal@ref.alpha_h=constant", "ref.alpha_v.file=r.csv"]
-        ref = _shown(trms, *choices, *words)["ref"]
-        assert "file" not in ref["alpha_h"] and ref["alpha_v"]["file"] == "r.csv"
+    def test_a_sweep_drops_what_was_set_for_another(self, trms):
+        words = ("ref=square", "signal@ref.alpha_v=constant,sine", "sim.duration=0.2")
+        trms("run", "-m", *words, "launcher.workers=0", "picture=false", "out=o")
 
-    def test_a_sweep_drops_what_was_set_for_another(self, trms, own):
-        words = ["-m", "ref=square", "signal@ref.alpha_v=constant,sine", "sim.duration=0.2"]
-        words += ["launcher.workers=0"]
-        trms("run", *words, "picture=false", "out=o")
-
-    def test_paths_need_no_quotes(self, trms, own):
-        assert _shown(trms, *own, "out=runs/a=b (1), c")["out"] == "runs/a=b (1), c"
-
-    def test_the_last_of_two_choices_counts(self, trms, own):
-        assert _shown(trms, *own, "ref=square", "ref=own", "seed=1", "seed=2")["seed"] == 2
-
-    def test_two_folders(self, trms, own, tmp_path):
+    def test_two_folders(self, shown, tmp_path):
         other = tmp_path / "other" / "controller" / "theirs.yaml"
         other.parent.mkdir(parents=True)
         other.write_text("# theirs\n_target_: nowhere.Theirs\n")
-        words = [word for word in own if word != "controller=own"]
-        config = _shown(trms, *words, "--config-dir", str(other.parent.parent), "controller=theirs")
+        config = shown("--config-dir", str(other.parent.parent), "controller=theirs")
         assert config["controller"]["_target_"] == "nowhere.Theirs"
 
-    def test_an_own_option_hides_a_built_in_namesake(self, trms, own, lab):
+    def test_an_own_option_hides_a_built_in_namesake(self, shown, lab):
         (lab / "model" / "newtonian.yaml").write_text("# mine\n_target_: own_lab_plugins.Own\n")
-        words = [word for word in own if word != "model=own"]
-        assert _shown(trms, *words)["model"]["_target_"] == "own_lab_plugins.Own"
+        assert shown("model=newtonian")["model"]["_target_"] == "own_lab_plugins.Own"
 
 
 class TestInThisProcess:
     """`compose` as commands use it."""
 
-    def test_what_it_tells(self, own):
+    def test_what_it_tells_is_the_same_again_and_the_process_as_it_was(self, own):
+        before = os.getcwd(), list(logging.getLogger().handlers)
         composition = compose([*own, "effect=late", "seed=1"])
         assert composition.choices["controller"] == "own"
         assert composition.choices["effect"] == ["late"]
         assert composition.overrides[-2:] == ("effect=late", "seed=1")
         assert yaml.safe_load(composition.yaml) == composition.config
+        assert compose([*own, "effect=late", "seed=1"]) == composition
+        assert (os.getcwd(), list(logging.getLogger().handlers)) == before
+        assert execute(own, "run", lambda composition: 7) == 7
 
-    def test_a_second_composition_equals_the_first(self, own):
-        assert compose(own) == compose(own)
-
-    def test_a_plugin_beside_the_folder_is_importable(self, own):
+    def test_a_plugin_beside_the_folder_is_importable_and_its_keys_are_checked(self, own):
         plugin = build(compose([*own, "controller.gain=2.0"]).config["controller"], "controller")
-        assert type(plugin).__name__ == "Own"
-        assert plugin.gain == 2.0
-
-    def test_a_misspelt_key_behind_a_plus_is_found_when_the_plugin_is_built(self, own):
+        assert type(plugin).__name__ == "Own" and plugin.gain == 2.0
         node = compose([*own, "+controller.gian=2.0"]).config["controller"]
         with pytest.raises(ConfigurationError, match=r"did you mean gain\?"):
             build(node, "controller")
-
-    def test_the_working_directory_and_logging_stay(self, own):
-        import logging
-
-        before = os.getcwd(), list(logging.getLogger().handlers)
-        compose(own)
-        assert (os.getcwd(), list(logging.getLogger().handlers)) == before
 
     def test_a_model_from_a_file(self, own, lab, tmp_path):
         fitted = tmp_path / "a fit (1).yaml"
@@ -154,18 +126,11 @@ class TestInThisProcess:
         (lab / "model" / "from_file.yaml").write_text(
             "# a fitted model\n_target_: own_lab_plugins.FromFile\npath: ???  # its file\n"
         )
-        words = [word for word in own if word != "model=own"]
-        composition = compose([*words, f"model={fitted}"])
+        composition = compose([*own, f"model={fitted}"])
         assert composition.choices["model"] == "from_file"
         assert composition.config["model"]["path"] == str(fitted)
-
-    def test_a_model_file_that_is_not_there(self, own, lab):
-        (lab / "model" / "from_file.yaml").write_text("# a\n_target_: a.B\npath: ???  # its file\n")
         with pytest.raises(ConfigurationError, match=r"there is no file 'nowhere\.yaml'"):
             compose([*own, "model=nowhere.yaml"])
-
-    def test_the_exit_code_is_the_task_s(self, own):
-        assert execute(own, "run", lambda composition: 7) == 7
 
     def test_a_folder_is_new_or_empty(self, own, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
@@ -284,11 +249,6 @@ class TestSweep:
         assert "2 of 6 runs done" in output.out
         assert output.out.count("two is bad") == 1 and "2×" in output.out
         assert not list(tmp_path.rglob(".hydra"))
-
-    def test_the_configuration_of_the_first_job(self, trms, own):
-        config = _shown(trms, *own, "-m", "seed=5,6", "effect=late,sticky")
-        assert config["seed"] == 5
-        assert set(config["effect"]) == {"late"}
 
 
 def test_a_model_files_parameters_can_be_overridden(tmp_path: Path) -> None:
@@ -460,13 +420,18 @@ class TestKeysTypedAsOptions:
         assert caught.value.where.startswith("--") and caught.value.exit_code == 2
         assert f"trms {line}" in caught.value.remedy.splitlines()[-1]
 
-    def test_others_are_unknown(self):
-        with pytest.raises(ConfigurationError, match="unknown option '--controler'"):
-            compose(["--controler", "pid"])
 
-    def test_out_without_a_folder(self):
-        with pytest.raises(ConfigurationError, match="no folder given"):
-            compose(["--out"])
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["--controler", "pid"], "unknown option '--controler'"),
+        (["--out"], "no folder given"),
+        ({"controler": "pid"}, "there is no key 'controler'"),
+    ],
+)
+def test_what_is_no_key_is_told(given, words):
+    with pytest.raises(ConfigurationError, match=words):
+        compose(given)
 
 
 class TestMapping:
@@ -491,19 +456,12 @@ class TestMapping:
         assert mine.config == theirs.config and mine.choices == theirs.choices
 
     def test_without_the_commands(self):
-        import subprocess
-        import sys
-
         code = (
             "import sys; from trms_cli.composition.composer import compose;"
             "compose({'controller': 'pid'}, primary='run');"
             "assert not any(name.startswith('trms_cli.commands') for name in sys.modules)"
         )
         subprocess.run([sys.executable, "-c", code], check=True)
-
-    def test_a_key_that_is_not_there(self):
-        with pytest.raises(ConfigurationError, match="there is no key 'controler'"):
-            compose({"controler": "pid"})
 
     def test_an_object_stands_in_it(self):
         from trms_cli.composition.given_object import place_objects
