@@ -7,9 +7,11 @@ import signal
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.cli.terminal import Screen
 from tests.program import INSTALLED, Done, Program, forgotten, in_process, installed
 
 #: Packages of users that the tests write, each beside its configuration.
@@ -91,6 +93,20 @@ def started(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         process.wait()
         for stream in (process.stdout, process.stderr):
             stream.close()
+
+
+@pytest.fixture
+def in_terminal(tmp_path: Path) -> Iterator[Callable[..., Screen]]:
+    """Start the installed ``trms`` there, in a terminal of its own."""
+    opened = []
+
+    def start(*argv: str, **keys: Any) -> Screen:
+        opened.append(Screen([str(INSTALLED), *argv], tmp_path, **keys))
+        return opened[-1]
+
+    yield start
+    for screen in opened:
+        screen.close()
 
 
 @pytest.fixture

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import pty
-import select
+import shlex
 import shutil
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
 
+from tests.cli.terminal import Screen
 from tests.program import INSTALLED
 from trms_cli.commands.completion.suggestions import suggest
 
@@ -26,47 +24,51 @@ def replies(tmp_path: Path):
         script = (
             f"PATH={INSTALLED.parent}:$PATH\n"
             "source <(trms completion bash)\n"
-            f"COMP_LINE={_quoted(line)}; COMP_POINT=${{#COMP_LINE}}\n"
+            f"COMP_LINE={shlex.quote(line)}; COMP_POINT=${{#COMP_LINE}}\n"
             "COMP_WORDS=(trms); _trms_complete\n"
             'for reply in "${COMPREPLY[@]}"; do printf "%s\\n" "$reply"; done\n'
         )
-        result = subprocess.run(
-            ["bash", "--norc", "-c", script],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
+        command = ["bash", "--norc", "-c", script]
+        result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
         assert result.stderr == ""
         return result.stdout.splitlines()
 
     return ask
 
 
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "'\\''") + "'"
-
-
 @needs_bash
 class TestBash:
     """The function that bash calls."""
 
-    def test_commands(self, replies):
-        assert "run" in replies("trms ")
-        assert replies("trms doc") == ["doctor"]
+    @pytest.mark.parametrize(
+        ("line", "among"),
+        [
+            ("trms ", "run"),
+            ("trms run --c", "--config-dir"),
+            ("trms run mod", "model="),
+            ("trms run model=newt", "newtonian_full"),
+            ("trms list model newt", "newtonian_full"),
+        ],
+    )
+    def test_of_many(self, replies, line, among):
+        assert among in replies(line)
 
-    def test_options(self, replies):
-        assert "--config-dir" in replies("trms run --c")
-        assert replies("trms list --js") == ["--json"]
-
-    def test_groups_options_and_keys(self, replies):
-        assert "model=" in replies("trms run mod")
-        assert "newtonian_full" in replies("trms run model=newt")
-        assert replies("trms run sim.du") == ["sim.duration="]
-        assert replies("trms run picture=t") == ["true"]
-
-    def test_places_of_nested_choices(self, replies):
-        assert replies("trms run ref=square signal@ref.alpha_v=si") == ["sine"]
+    @pytest.mark.parametrize(
+        ("line", "all_of_them"),
+        [
+            ("trms doc", ["doctor"]),
+            ("trms list --js", ["--json"]),
+            ("trms list mod", ["model"]),
+            ("trms run sim.du", ["sim.duration="]),
+            ("trms run picture=t", ["true"]),
+            ("trms run ref=square signal@ref.alpha_v=si", ["sine"]),
+            ("trms export run.mcap --format ", ["csv", "parquet", "mat", "foxglove"]),
+            ("trms nope ", []),
+            ("trms run --config-dir /nowhere controller=", []),
+        ],
+    )
+    def test_of_few(self, replies, line, all_of_them):
+        assert replies(line) == all_of_them
 
     def test_several_effects(self, replies, lab, tmp_path):
         own = tmp_path / "own"
@@ -82,17 +84,6 @@ class TestBash:
         (tmp_path / "records").mkdir()
         assert set(replies("trms import rec")) == {"recording.csv", "records/"}
 
-    def test_words_of_an_option(self, replies):
-        assert replies("trms export run.mcap --format ") == ["csv", "parquet", "mat", "foxglove"]
-
-    def test_list(self, replies):
-        assert replies("trms list mod") == ["model"]
-        assert "newtonian_full" in replies("trms list model newt")
-
-    def test_nothing_for_nonsense(self, replies):
-        assert replies("trms nope ") == []
-        assert replies("trms run --config-dir /nowhere controller=") == []
-
 
 @needs_bash
 def test_a_press_of_tab_in_an_interactive_bash(tmp_path):
@@ -101,43 +92,21 @@ def test_a_press_of_tab_in_an_interactive_bash(tmp_path):
         f'#!/bin/sh\n[ "$1" = completion ] && exec {INSTALLED} "$@"\nprintf "<%s>" "$@"; echo\n'
     )
     stand_in.chmod(0o755)
-    master, slave = pty.openpty()
-    environment = os.environ | {"PS1": "$ ", "TERM": "dumb", "PATH": f"{tmp_path}:/usr/bin:/bin"}
-    shell = subprocess.Popen(
-        ["bash", "--norc", "--noprofile", "-i"],
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-        cwd=tmp_path,
-        env=environment,
-        start_new_session=True,
-    )
-    os.close(slave)
+    settings = {"PS1": "$ ", "TERM": "dumb", "PATH": f"{tmp_path}:/usr/bin:/bin"}
+    shell = Screen(["bash", "--norc", "--noprofile", "-i"], tmp_path, **settings)
     try:
-        os.write(master, b"source <(trms completion bash); echo loa''ded\n")
-        _read_until(master, "loaded")
-        os.write(master, b"trms run ref=square signal@ref.\tv=si\t disturbance@pl\tya\t seed=2\n")
-        placed = _read_until(master, "seed=2>")
-        os.write(master, b"trms run sim.dur\t5 model=newtonian_f\t 'effect=[yaw_cou\t] seed=1\n")
-        output = _read_until(master, "seed=1>")  # bash closes the quote that was opened
+        shell.type(b"source <(trms completion bash); echo loa''ded\n")
+        assert shell.read(30.0, b"loaded"), shell.lines
+        shell.type(b"trms run ref=square signal@ref.\tv=si\t disturbance@pl\tya\t seed=2\n")
+        assert shell.read(30.0, b"seed=2>"), shell.lines
+        shell.type(b"trms run sim.dur\t5 model=newtonian_f\t 'effect=[yaw_cou\t] seed=1\n")
+        assert shell.read(30.0, b"seed=1>"), shell.lines  # bash closes the quote that was opened
     finally:
-        shell.kill()
-        shell.wait()
-        os.close(master)
-    placed_choices = "<signal@ref.alpha_v=sine><disturbance@plant.disturbances=yaw_push>"
-    assert f"<ref=square>{placed_choices}<seed=2>" in placed
-    choices = "<model=newtonian_full><effect=[yaw_coulomb_friction]>"
-    assert f"<run><sim.duration=5>{choices}<seed=1>" in output
-
-
-def _read_until(descriptor: int, words: str, seconds: float = 30.0) -> str:
-    seen = ""
-    end = time.monotonic() + seconds
-    while words not in seen and time.monotonic() < end:
-        if select.select([descriptor], [], [], 0.2)[0]:
-            seen += os.read(descriptor, 4096).decode("utf-8", "replace")
-    assert words in seen, seen
-    return seen
+        shell.close()
+    placed_choices = b"<signal@ref.alpha_v=sine><disturbance@plant.disturbances=yaw_push>"
+    assert b"<ref=square>" + placed_choices + b"<seed=2>" in shell.shown
+    choices = b"<model=newtonian_full><effect=[yaw_coulomb_friction]>"
+    assert b"<run><sim.duration=5>" + choices + b"<seed=1>" in shell.shown
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import functools
 import json
 import re
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -95,8 +95,16 @@ def diagnosed(found, trms) -> Callable[..., GapProblem]:
     return run
 
 
-def model_text(folder: Path) -> str:
-    return (folder / "corrected_model.yaml").read_text(encoding="utf-8")
+def corrected(lab: Path, out: str, name: str = "corrected_model") -> dict:
+    """The model that a diagnosis leaves."""
+    text = (lab / out / f"{name}.yaml").read_text(encoding="utf-8")
+    content: dict = yaml.safe_load(text)
+    return content
+
+
+def runs_with(trms: Callable[..., Done], out: str) -> None:
+    """A run takes the corrected model."""
+    trms("run", f"model={out}/corrected_model.yaml", "sim.duration=0.2", "picture=false")
 
 
 def read(file: Path) -> dict:
@@ -118,35 +126,29 @@ class TestDiagnosis:
         (problem,) = asked
         assert (problem.seed, problem.effort, problem.model_name) == (3, "quick", "newtonian")
         assert len(problem.datasets[0]) == 45 / 0.02 and len(problem.candidates) > 30
-
-    def test_screen_says_what_the_file_says(self, found, trms, lab):
-        found(diagnosis())
-        done = trms("diagnose", "real=rig.csv", "out=screen", "page=false")
-        assert len(done.stdout.splitlines()) <= 45
-        document = read(lab / "screen" / "diagnosis.json")
+        # the screen says what the file says
         for cause in document["causes"][:3]:
             assert f"{100 * cause['probability']:.0f} %" in done.stdout
         refit = document["gap"]["alpha_h"]["2.0"]["refit"]
         assert re.search(rf"yaw \[mrad\] .* {1e3 * refit:.3g} ", done.stdout)
         assert document["next_experiment"]["command"] in done.stdout
-        assert not (lab / "screen" / "report.html").exists()
+        assert len(done.stdout.splitlines()) <= 45
 
     def test_several_recordings_and_part_of_the_suspects(self, diagnosed, lab):
         (lab / "second.csv").write_bytes((lab / "rig.csv").read_bytes())
         words = ('candidates=[yaw_*,"!yaw_disturbance"]', "data.channels=[alpha_v,alpha_h]")
         problem = diagnosed(diagnosis(), "several", *words, real="[rig.csv,second.csv]")
+        assert not (lab / "several" / "report.html").exists()  # page=false
         assert [d.name for d in problem.datasets] == ["rig", "second"]
         assert FRICTION in problem.candidates and "yaw_disturbance" not in problem.candidates
         assert all(name.startswith("yaw_") for name in problem.candidates)
         assert [s.name for s in problem.datasets[0].outputs] == ["alpha_v", "alpha_h"]
 
-    def test_a_model_of_one_axis_gets_the_suspects_that_it_can_carry(self, diagnosed):
-        problem = diagnosed(diagnosis(verdict="no_gap"), "axis", "model=newtonian_horizontal")
-        names = set(problem.candidates)
+    def test_a_model_gets_the_suspects_that_it_can_carry_and_has_not(self, diagnosed):
+        no_gap = diagnosis(verdict="no_gap")
+        names = set(diagnosed(no_gap, "axis", "model=newtonian_horizontal").candidates)
         assert FRICTION in names and not any(name.startswith("pitch_") for name in names)
-
-    def test_an_effect_that_the_model_has_is_no_suspect(self, diagnosed):
-        problem = diagnosed(diagnosis(verdict="no_gap"), "known", f"effect={FRICTION}")
+        problem = diagnosed(no_gap, "known", f"effect={FRICTION}")
         assert FRICTION not in problem.candidates
         assert f"{FRICTION}.torque" in problem.model.parameters
 
@@ -162,6 +164,15 @@ class Sail(QuadraticDamping):
     """Damping of a sail."""
 
     patches: int = 2
+'''
+
+
+OWN_MODEL = '''
+from trms_cli.models.newtonian import Newtonian
+
+
+class OurRig(Newtonian):
+    """Ours."""
 '''
 
 
@@ -181,10 +192,10 @@ class TestOwn:
         cause = Cause(effects=("sail",), probability=0.9, parameters={"sail.coefficient": size})
         answer = diagnosis(causes=(cause,), parameters={})
         assert "sail" in diagnosed(answer, "own", "--config-dir", str(folder)).candidates
-        assert yaml.safe_load(model_text(lab / "own"))["effects"]["sail"] == {
+        assert corrected(lab, "own")["effects"]["sail"] == {
             "_target_": "sail_of_diagnose.Sail", "axis": "yaw", "coefficient": 0.0123, "patches": 3,
         }  # fmt: skip
-        trms("run", "model=own/corrected_model.yaml", "sim.duration=0.2", "picture=false")
+        runs_with(trms, "own")
 
     def test_a_corrected_model_names_its_class(self, diagnosed, trms, lab):
         folder = lab / "ours"
@@ -192,20 +203,16 @@ class TestOwn:
         (folder / "model" / "our_rig.yaml").write_text(
             "# our rig\n_target_: our_rig_of_diagnose.OurRig\nparameter_set: bench\n", "utf-8"
         )
-        (folder / "our_rig_of_diagnose.py").write_text(
-            "from trms_cli.models.newtonian import Newtonian\n\n\nclass OurRig(Newtonian):\n"
-            '    """Ours."""\n',
-            encoding="utf-8",
-        )
+        (folder / "our_rig_of_diagnose.py").write_text(OWN_MODEL, encoding="utf-8")
         words = ("--config-dir", str(folder), "model=our_rig")
         diagnosed(diagnosis(parameters=fitted(k_fvp=1.7e-5)), "ours-out", *words)
-        content = yaml.safe_load(model_text(lab / "ours-out"))
-        assert content["model"]["_target_"] == "our_rig_of_diagnose.OurRig"
+        target = corrected(lab, "ours-out")["model"]["_target_"]
+        assert target == "our_rig_of_diagnose.OurRig"
         model = load_model(str(lab / "ours-out" / "corrected_model.yaml"))
         assert type(model.base).__name__ == "OurRig" and model.effect_name == FRICTION
         assert model.parameters["k_fvp"].value == 1.7e-5
         assert model.parameters["k_fvp"].prior_sd is not None
-        trms("run", "model=ours-out/corrected_model.yaml", "sim.duration=0.2", "picture=false")
+        runs_with(trms, "ours-out")
 
 
 def fitted(**values: float) -> dict[str, FittedParameter]:
@@ -239,7 +246,7 @@ class TestModels:
         cause = Cause(effects=effects, probability=0.9, parameters=parameters)
         out = f"models-{len(effects)}-{effects[0]}"
         diagnosed(diagnosis(causes=(cause,), parameters=fitted(k_fvp=1.7e-5, k_oh=0.011)), out)
-        content = yaml.safe_load(model_text(lab / out))
+        content = corrected(lab, out)
         assert set(content["effects"]) == set(effects)
         for name, value in sizes.items():
             effect, _, size = name.partition(".")
@@ -262,7 +269,7 @@ class TestModels:
     )
     def test_without_a_cause_nothing_is_added(self, diagnosed, lab, verdict, k_oh):
         diagnosed(diagnosis(verdict=verdict), verdict)
-        content = yaml.safe_load(model_text(lab / verdict))
+        content = corrected(lab, verdict)
         assert not content.get("effects")
         nominal = yaml.safe_load((config_folder() / "parameters/bench.yaml").read_text("utf-8"))
         expected = k_oh or nominal["parameters"]["k_oh"]["value"]
@@ -280,22 +287,23 @@ class TestModels:
         ],
     )
     def test_the_likeliest_that_was_fitted_is_added(self, diagnosed, lab, answer, added, told):
-        diagnosed(diagnosis(**answer), told.split()[0])
-        text = model_text(lab / told.split()[0])
-        assert list(yaml.safe_load(text).get("effects") or ()) == added
+        out = told.split()[0]
+        diagnosed(diagnosis(**answer), out)
+        assert list(corrected(lab, out).get("effects") or ()) == added
+        text = (lab / out / "corrected_model.yaml").read_text(encoding="utf-8")
         assert told in text.splitlines()[1]
 
     def test_the_refit_has_its_own_parameters(self, diagnosed, lab):
         diagnosed(diagnosis(), "refit")
         for name, value in (("refit_model", 1.78e-5), ("corrected_model", 1.79e-5)):
-            content = yaml.safe_load((lab / "refit" / f"{name}.yaml").read_text("utf-8"))
+            content = corrected(lab, "refit", name)
             assert content["parameters"]["k_fvp"]["value"] == value
             assert bool(content.get("effects")) == (name == "corrected_model")
 
     def test_a_recording_may_be_called_by_a_number(self, diagnosed, trms, lab):
         (lab / "7.csv").write_bytes((lab / "rig.csv").read_bytes())
         diagnosed(diagnosis(parameters={}), "number", real="7.csv")
-        trms("run", "model=number/corrected_model.yaml", "sim.duration=0.2", "picture=false")
+        runs_with(trms, "number")
 
 
 class TestResume:
@@ -332,41 +340,13 @@ class TestResume:
         assert "has changed since" in trms("diagnose", "resume=changed", code=2).stderr
 
 
-def rewritten(lab: Path, name: str, change: Callable[[dict[str, np.ndarray]], None]) -> str:
+def rewritten(lab: Path, name: str, change: Callable[[pd.DataFrame], pd.DataFrame]) -> str:
     """The recording with its columns changed, under another name."""
-    with (lab / "rig.csv").open(encoding="utf-8") as file:
-        rows = [row for row in csv.reader(file) if not row[0].startswith("#")]
-    heads = rows[0]
-    columns = {
-        head.partition("[")[0]: np.array([float(row[i]) if row[i] else np.nan for row in rows[1:]])
-        for i, head in enumerate(heads)
-    }
-    change(columns)
-    table = np.column_stack(list(columns.values()))
-    body = "\n".join(",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in table)
-    (lab / name).write_text(f"{','.join(heads)}\n{body}\n", encoding="utf-8")
+    table = pd.read_csv(lab / "rig.csv", comment="#")
+    heads = list(table)
+    table.columns = [head.partition("[")[0] for head in heads]
+    change(table).to_csv(lab / name, header=heads, index=False)
     return name
-
-
-def swap(columns: dict[str, np.ndarray]) -> None:
-    columns["u_v"], columns["u_h"] = columns["u_h"], columns["u_v"]
-
-
-def turn(columns: dict[str, np.ndarray]) -> None:
-    columns["alpha_v"] = -columns["alpha_v"]
-
-
-def hold(columns: dict[str, np.ndarray]) -> None:
-    columns["alpha_h"] = np.full_like(columns["alpha_h"], 0.1)
-
-
-def as_degrees(columns: dict[str, np.ndarray]) -> None:
-    columns["alpha_h"] = np.degrees(columns["alpha_h"]) * 3
-
-
-def cut(columns: dict[str, np.ndarray]) -> None:
-    for name in columns:
-        columns[name] = columns[name][:600]
 
 
 class TestBadInput:
@@ -395,35 +375,29 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("change", "says"),
         [
-            (swap, "u_v and u_h are in each other's place"),
-            (turn, "alpha_v"),
-            (hold, "alpha_h is constant"),
-            (as_degrees, "alpha_h"),
-            (cut, "blocks"),
+            (lambda t: t.assign(u_v=t.u_h, u_h=t.u_v), "u_v and u_h are in each other's place"),
+            (lambda t: t.assign(alpha_v=-t.alpha_v), "alpha_v"),
+            (lambda t: t.assign(alpha_h=0.1), "alpha_h is constant"),
+            (lambda t: t.assign(alpha_h=3 * np.degrees(t.alpha_h)), "alpha_h"),
+            (lambda t: t[:600], "blocks"),
         ],
     )
     def test_of_the_recording(self, found, refused, lab, change, says):
         asked = found(diagnosis())
-        name = rewritten(lab, f"{change.__name__}.csv", change)
+        name = rewritten(lab, f"{says.split()[-1]}.csv", change)
         refused("diagnose", f"real={name}", words=says)
         assert not asked
 
     def test_unlike_rates_are_named(self, found, refused, lab):
         found(diagnosis())
-
-        def thin(columns: dict[str, np.ndarray]) -> None:
-            for name in columns:
-                columns[name] = columns[name][::2]
-
-        name = rewritten(lab, "thin.csv", thin)
+        name = rewritten(lab, "thin.csv", lambda table: table[::2])
         refused("diagnose", f"real=[rig.csv,{name}]", words="data.resample=0.04")
 
     def test_what_is_a_matter_of_degree_stands_in_the_file(self, found, trms, lab):
-        def lose(columns: dict[str, np.ndarray]) -> None:
-            columns["alpha_h"][:1600] = np.nan
-
         found(diagnosis(warnings=()))
-        name = rewritten(lab, "gapped.csv", lose)
+        name = rewritten(
+            lab, "gapped.csv", lambda t: t.assign(alpha_h=t.alpha_h.where(t.index >= 1600))
+        )
         done = trms("diagnose", f"real={name}", "page=false", "out=degree")
         document = read(lab / "degree" / "diagnosis.json")
         assert any("alpha_h is missing" in warning for warning in document["warnings"])

@@ -28,7 +28,19 @@ def csv(tmp_path: Path) -> Path:
     return path
 
 
-def test_there_and_back(trms: Program, tmp_path: Path, csv: Path) -> None:
+def as_it_was(before: Path, after: Path) -> None:
+    """One recording holds what another does."""
+    first, second = read_recording(before), read_recording(after)
+    np.testing.assert_array_equal(second.time, first.time)
+    for name, values in first.channels.items():
+        np.testing.assert_array_equal(second.channels[name], values)
+    assert second.metadata == first.metadata and second.units == first.units
+
+
+@pytest.mark.parametrize("ending", ["csv", "mat"])
+def test_there_and_back_and_there_again(
+    trms: Program, tmp_path: Path, csv: Path, ending: str
+) -> None:
     done = trms("import", str(csv))
     assert not done.stderr
     assert "198 samples from 0 to 3.98 s, 50 Hz, 1 gap" in done.stdout
@@ -36,13 +48,10 @@ def test_there_and_back(trms: Program, tmp_path: Path, csv: Path) -> None:
     assert (tmp_path / "rec.mcap").is_file()  # in the working directory, not beside the CSV
     assert [p.name for p in csv.parent.iterdir()] == ["rec.csv"]
 
-    done = trms("export", "rec.mcap")
-    assert not done.stderr
-    before, after = read_recording(csv), read_recording(tmp_path / "rec.csv")
-    np.testing.assert_array_equal(after.time, before.time)
-    for name, values in before.channels.items():
-        np.testing.assert_array_equal(after.channels[name], values)
-    assert after.metadata == before.metadata and after.units == before.units
+    assert not trms("export", "rec.mcap", "--format", ending).stderr
+    as_it_was(csv, tmp_path / f"rec.{ending}")
+    assert not trms("import", f"rec.{ending}", "--out", "again.mcap").stderr
+    as_it_was(csv, tmp_path / "again.mcap")
 
 
 def test_json_has_the_printed_figures(trms: Program, tmp_path: Path, csv: Path) -> None:
@@ -60,15 +69,6 @@ def test_json_has_the_printed_figures(trms: Program, tmp_path: Path, csv: Path) 
     document = json.loads(done.stdout)
     assert document["format"] == "parquet" and document["complete"] is True
     assert document["topics"]["/command"] == 198 and (tmp_path / "x.parquet").is_file()
-
-
-def test_an_angle_of_many_turns_is_imported_with_a_note(
-    trms: Program, tmp_path: Path, csv: Path
-) -> None:
-    csv.write_text(CSV.replace("alpha_v[deg]", "alpha_v[rad]"))
-    done = trms("import", str(csv))
-    assert "note: alpha_v reaches" in done.stdout
-    assert "full turn" in done.stdout and (tmp_path / "rec.mcap").is_file()
 
 
 def test_a_fault_is_told_with_its_line_and_nothing_is_written(refused, csv: Path) -> None:
@@ -101,36 +101,20 @@ def test_wrong_options(module: object, argv: list[str], problem: str) -> None:
     assert "--help" in caught.value.remedy
 
 
-def test_a_log_is_not_imported(trms: Program, tmp_path: Path, csv: Path) -> None:
+def test_what_is_called_a_log_is_not_imported(trms: Program, tmp_path: Path, csv: Path) -> None:
     trms("import", str(csv), "--out", "x.mcap")
     with pytest.raises(RecordingError, match="log already"):
         import_.main([str(tmp_path / "x.mcap")])
-
-
-def test_a_text_that_is_called_a_log_is_none(tmp_path: Path) -> None:
-    file = tmp_path / "x.mcap"
-    file.write_text("t[s],u_v[V]\n", encoding="utf-8")
+    text = tmp_path / "text.mcap"
+    text.write_text("t[s],u_v[V]\n", encoding="utf-8")
     with pytest.raises(RecordingError) as caught:
-        import_.main([str(file)])
+        import_.main([str(text)])
     assert "log already" not in caught.value.problem
 
 
-@pytest.mark.parametrize("ending", ["csv", "mat"])
-def test_every_export_that_is_a_recording_is_imported_again(
-    trms: Program, tmp_path: Path, csv: Path, ending: str
+def test_a_recording_of_three_samples_is_one_and_many_turns_are_noted(
+    trms: Program, tmp_path: Path
 ) -> None:
-    trms("import", str(csv), "--out", "a.mcap")
-    trms("export", "a.mcap", "--format", ending)
-    done = trms("import", f"a.{ending}", "--out", "b.mcap")
-    assert not done.stderr
-    before, after = read_recording(csv), read_recording(tmp_path / "b.mcap")
-    np.testing.assert_allclose(after.time, before.time, rtol=0, atol=1e-12)
-    for name, values in before.channels.items():
-        np.testing.assert_array_equal(after.channels[name], values)
-    assert after.metadata == before.metadata and after.units == before.units
-
-
-def test_a_recording_of_three_samples_is_one(trms: Program, tmp_path: Path) -> None:
-    (tmp_path / "short.csv").write_text("t[s],u_v[V],alpha_v[deg]\n0,0,1\n0.1,1,2\n0.2,1,3\n")
-    done = trms("import", "short.csv")
-    assert "3 samples" in done.stdout
+    (tmp_path / "short.csv").write_text("t[s],u_v[V],alpha_v[rad]\n0,0,1\n0.1,1,2\n0.2,1,30\n")
+    told = trms("import", "short.csv").stdout
+    assert "3 samples" in told and "note: alpha_v reaches" in told and "full turn" in told

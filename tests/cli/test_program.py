@@ -9,7 +9,9 @@ import re
 import shlex
 import subprocess
 import sys
+import types
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -29,9 +31,8 @@ def test_alone_it_prints_the_picture_the_commands_and_what_to_try(trms):
 
 @pytest.mark.parametrize("flag", ["-h", "--help"])
 def test_help(trms, flag):
-    result = trms(flag)
-    assert "usage: trms COMMAND" in result.stdout
-    assert "--debug" in result.stdout
+    text = trms(flag).stdout
+    assert "usage: trms COMMAND" in text and "--debug" in text
 
 
 @pytest.mark.parametrize("words", [[str(INSTALLED)], [sys.executable, "-m", "trms_cli"]])
@@ -67,9 +68,7 @@ def test_every_module_with_a_summary_is_in_the_table():
 
 def test_the_help_of_run_shows_the_choices(trms):
     text = trms("run", "--help").stdout
-    assert "* square" in text
-    assert "newtonian_full" in text
-    assert "sample_time: 0.02" in text
+    assert all(words in text for words in ("* square", "newtonian_full", "sample_time: 0.02"))
 
 
 @pytest.mark.parametrize(
@@ -111,73 +110,61 @@ def test_a_terminal_without_greek_gets_question_marks_not_a_traceback(program):
 class TestErrors:
     """What the dispatcher makes of exceptions."""
 
+    @pytest.fixture
     @staticmethod
-    def run(monkeypatch, error):
-        class Command:
-            @staticmethod
-            def main(argv):
-                raise error
+    def said_of(monkeypatch, capsys):
+        """The exit code and the message of a command that raises."""
 
-        monkeypatch.setattr(cli, "load_command", lambda name: Command)
-        return cli.main(["run"])
+        def run(error: BaseException) -> tuple[int, str]:
+            command = types.SimpleNamespace(main=Mock(side_effect=error))
+            monkeypatch.setattr(cli, "load_command", lambda name: command)
+            return cli.main(["run"]), capsys.readouterr().err
 
-    def test_our_error(self, monkeypatch, capsys):
+        return run
+
+    def test_our_error(self, said_of):
         error = TrmsError("it was -1", where="controller.horizon", remedy="give 1 or more")
-        assert self.run(monkeypatch, error) == 2
-        assert capsys.readouterr().err == (
-            "error  it was -1\n   in  controller.horizon\n   do  give 1 or more\n"
-        )
+        told = "error  it was -1\n   in  controller.horizon\n   do  give 1 or more\n"
+        assert said_of(error) == (2, told)
 
-    def test_interruption(self, monkeypatch, capsys):
-        assert self.run(monkeypatch, KeyboardInterrupt()) == 130
-        assert "interrupted" in capsys.readouterr().err
+    def test_interruption(self, said_of):
+        code, told = said_of(KeyboardInterrupt())
+        assert code == 130 and "interrupted" in told
 
-    def test_bug(self, monkeypatch, capsys):
-        assert self.run(monkeypatch, ZeroDivisionError("oops")) == cli.EXIT_BUG
-        message = capsys.readouterr().err
-        assert "ZeroDivisionError: oops" in message
-        assert "bug in trms" in message
-        assert "trms --debug run" in message
-        assert "Traceback" not in message
+    def test_bug(self, said_of):
+        code, told = said_of(ZeroDivisionError("oops"))
+        assert code == cli.EXIT_BUG and "Traceback" not in told
+        for words in ("ZeroDivisionError: oops", "bug in trms", "trms --debug run"):
+            assert words in told
 
-    def test_colour_only_when_asked_for(self):
-        error = TrmsError("wrong", where="here", remedy="that")
-        assert "\033[" not in cli.describe_error(error, colour=False)
-        assert "\033[" in cli.describe_error(error, colour=True)
-
-    def test_long_texts_stay_on_the_screen(self):
+    def test_colour_only_when_asked_for_and_no_line_beyond_the_screen(self):
         error = TrmsError("word " * 100, where="key", remedy="name, " * 100)
-        assert max(map(len, cli.describe_error(error, colour=False).splitlines())) <= 92
+        plain = cli.describe_error(error, colour=False)
+        assert "\033[" not in plain and "\033[" in cli.describe_error(error, colour=True)
+        assert max(map(len, plain.splitlines())) <= 92
 
 
 class TestList:
     """``trms list``."""
 
-    def test_groups_with_descriptions(self, trms):
-        result = trms("list")
-        assert "model  (what the controller and the observer believe)" in result.stdout
-        assert "newtonian_full" in result.stdout
-
-    def test_every_group_has_a_heading(self, trms):
-        groups = json.loads(trms("list", "--json").stdout)["groups"]
-        assert [name for name, group in groups.items() if not group["about"]] == []
-
-    def test_json_says_the_same(self, trms):
+    def test_groups_with_descriptions_also_as_json(self, trms):
+        shown = trms("list").stdout
+        assert "model  (what the controller and the observer believe)" in shown
+        assert "newtonian_full" in shown
         document = json.loads(trms("list", "--json").stdout)
         assert document["schema"] == "trms.list/1"
+        assert all(group["about"] for group in document["groups"].values())
         options = document["groups"]["model"]["options"]
         assert "newtonian" in [option["name"] for option in options]
         assert all(option["summary"] for option in options)
 
     def test_one_option_with_its_comments(self, trms):
         text = trms("list", "model", "newtonian").stdout
-        assert "_target_:" in text
-        assert "# " in text
+        assert "_target_:" in text and "# " in text
 
     def test_own_folder(self, trms, lab):
         text = trms("list", "controller", "--config-dir", str(lab)).stdout
-        assert "the user's own controller" in text
-        assert str(lab) in text
+        assert "the user's own controller" in text and str(lab) in text
 
     @pytest.mark.parametrize(
         ("argv", "hint"),
@@ -196,39 +183,33 @@ class TestDoctor:
     """``trms doctor``."""
 
     def test_this_machine_is_ready(self, trms):
-        result = trms("doctor")
-        assert result.stdout.endswith("\nready\n")
-
-    def test_json(self, trms):
+        assert trms("doctor").stdout.endswith("\nready\n")
         document = json.loads(trms("doctor", "--json").stdout)
-        assert document["usable"] is True
-        assert {"Python", "C compiler", "cache", "disk"} <= {
-            finding["what"] for finding in document["findings"]
-        }
-
-    def test_without_a_compiler_it_is_a_note_with_a_remedy(self, program):
-        result = program("doctor", CC="/nowhere/cc")
-        assert "install a C compiler" in result.stdout
-
-    def test_a_compiler_that_does_not_work(self, program):
-        assert "does not build a generated function" in program("doctor", CC="false").stdout
-
-    def test_unwritable_cache(self, program, tmp_path):
-        (tmp_path / "file").touch()
-        result = program("doctor", TRMS_CACHE=str(tmp_path / "file" / "cache"))
-        assert "cannot be written" in result.stdout
-
-    def test_unknown_option(self, trms):
+        found = {finding["what"] for finding in document["findings"]}
+        assert document["usable"] is True and {"Python", "C compiler", "cache", "disk"} <= found
         trms("doctor", "--jsn", code=2)
+
+    @pytest.mark.parametrize(
+        ("environment", "words"),
+        [
+            ({"CC": "/nowhere/cc"}, "install a C compiler"),
+            ({"CC": "false"}, "does not build a generated function"),
+            ({"TRMS_CACHE": "file/cache"}, "cannot be written"),
+        ],
+    )
+    def test_what_is_missing_is_a_note(self, program, tmp_path, environment, words):
+        (tmp_path / "file").touch()
+        assert words in program("doctor", **environment).stdout
 
 
 @pytest.fixture
 def called(monkeypatch, tmp_path):
     """Call a made-up program in `tmp_path` as ``argv0``, with these folders on the path."""
-    script = tmp_path / "my venv" / "trms"
-    script.parent.mkdir()
-    script.write_text("#!/bin/sh\n")
-    script.chmod(0o755)
+    for folder in ("my venv", "bin"):
+        script = tmp_path / folder / "trms"
+        script.parent.mkdir()
+        script.write_text("#!/bin/sh\n")
+        script.chmod(0o755)
     monkeypatch.chdir(tmp_path)
 
     def call(argv0: str, *path: Path) -> str:
@@ -239,52 +220,29 @@ def called(monkeypatch, tmp_path):
     return call
 
 
-def test_found_on_the_path_it_has_its_name(called, tmp_path):
-    folder = tmp_path / "my venv"
-    assert called(str(folder / "trms"), folder) == "trms"
-
-
-def test_not_on_the_path_it_is_called_again_as_it_was(called):
+def test_it_is_called_again_as_it_was(called, tmp_path):
+    found = tmp_path / "my venv"
+    assert called(str(found / "trms"), found) == "trms"
     assert called("my venv/trms") == "'my venv/trms'"
-
-
-def test_another_program_of_this_name_on_the_path_is_another(called, tmp_path):
-    other = tmp_path / "bin" / "trms"
-    other.parent.mkdir()
-    other.write_text("#!/bin/sh\n")
-    other.chmod(0o755)
-    assert called("my venv/trms", other.parent) == "'my venv/trms'"
-
-
-def test_as_a_module_it_is_called_as_one(called):
+    # another program of this name on the path is another
+    assert called("my venv/trms", tmp_path / "bin") == "'my venv/trms'"
     assert called("somewhere/trms_cli/__main__.py").endswith(" -m trms_cli")
+    assert called("pytest") == "trms"  # by other programs
 
 
-def test_called_by_other_programs_it_has_its_name(called):
-    assert called("pytest") == "trms"
-
-
-def test_the_commands_after_a_run_can_be_typed(tmp_path):
+def test_the_commands_after_a_run_and_on_the_first_page_can_be_typed(tmp_path):
     here = os.path.relpath(INSTALLED, tmp_path)
     environment = os.environ | {"PATH": "/usr/bin:/bin", "NO_COLOR": "1"}
-    words = ["run", "controller=pid", "sim.duration=1", "picture=false", "out=o"]
-    run = subprocess.run(
-        [here, *words], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    )
-    line = next(line for line in run.stdout.splitlines() if line.startswith("next "))
+
+    def typed(*words: str) -> str:
+        return subprocess.run(
+            words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    shown = typed(here, "run", "controller=pid", "sim.duration=1", "picture=false", "out=o")
+    assert "1 s at 50 Hz simulated" in shown
+    line = next(line for line in shown.splitlines() if line.startswith("next "))
     command = shlex.split(line.removeprefix("next"))
     assert command == [here, "score", "o/run.mcap"]
-    again = subprocess.run(
-        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    )
-    assert "\n1 s, completed" in again.stdout  # as long as the run was
-    assert "1 s at 50 Hz simulated" in run.stdout
-
-
-def test_the_first_page_is_typed_alike(tmp_path):
-    here = os.path.relpath(INSTALLED, tmp_path)
-    environment = os.environ | {"PATH": "/usr/bin:/bin"}
-    page = subprocess.run(
-        [here], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    )
-    assert f"  {here} run --help" in page.stdout
+    assert "\n1 s, completed" in typed(*command)  # as long as the run was
+    assert f"  {here} run --help" in typed(here)

@@ -1,9 +1,10 @@
-"""Runs that end otherwise than meant: killed, interrupted, out of room, by a plugin's fault."""
+"""Runs that are watched, and that end otherwise than meant: killed, out of room, by a plugin."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -125,12 +126,10 @@ def test_a_killed_run_s_log_holds_everything_up_to_the_last_second(slow, tmp_pat
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=30)
     log = read_log(path)
-    assert not log.complete
-    assert log.outcome == "died"
+    assert not log.complete and log.outcome == "died"
     # One second more than the controller saw would be two flushes ahead of it.
     _holds_all_until(log, int(_reached(tmp_path)))
-    assert log.config
-    assert log.run["seed"] == "0"
+    assert log.config and log.run["seed"] == "0"
 
 
 @posix
@@ -139,18 +138,21 @@ def test_an_interrupted_run_leaves_a_complete_and_marked_log(slow, trms, ending,
     process, path = slow
     process.send_signal(ending)
     output, error = process.communicate(timeout=30)
-    assert process.returncode == code
-    assert "Traceback" not in error
-    assert "there/run.mcap" in error
-    assert "interrupted at" in error
-    assert output == ""
+    assert process.returncode == code and output == ""
+    assert "interrupted at" in error and "there/run.mcap" in error and "Traceback" not in error
     log = read_log(path)
-    assert log.complete
-    assert log.outcome == "interrupted"
-    assert log.score["complete"] is False
+    assert log.complete and log.outcome == "interrupted" and log.score["complete"] is False
     _holds_all_until(log, 4)
-    result = trms("score", "there/run.mcap")
-    assert "interrupted" in result.stdout
+    assert "interrupted" in trms("score", "there/run.mcap").stdout
+
+
+@posix
+def test_progress_is_shown_on_a_terminal(in_terminal, own):
+    words = ("run", *own, "controller.how=slow", "sim.duration=20")
+    screen = in_terminal(*words, size=(24, 100))
+    assert screen.end(60.0) == 0
+    for words in (rb"\d+ / 20 s", "× real time".encode(), rb"error 0\.\d+ rad"):
+        assert re.search(words, screen.shown)
 
 
 @posix
@@ -160,8 +162,7 @@ def test_ctrl_c_ends_a_sweep_and_not_only_its_job(started, own, tmp_path):
     wait_for(lambda: _reached(tmp_path) >= 2.0)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=30)
-    assert process.returncode == 130, error
-    assert "Traceback" not in error
+    assert process.returncode == 130 and "Traceback" not in error, error
     assert read_log(tmp_path / "swept" / "0" / "run.mcap").outcome == "interrupted"
     status = json.loads((tmp_path / "swept" / "0" / "status.json").read_text())
     assert status["state"] == "interrupted"
@@ -169,27 +170,20 @@ def test_ctrl_c_ends_a_sweep_and_not_only_its_job(started, own, tmp_path):
 
 
 def test_an_exception_in_a_plugin_names_it_and_marks_the_log(trms, own, tmp_path):
-    result = trms("run", *own, "controller.how=raise", "sim.duration=3", "out=there", code=1)
-    assert "Traceback" not in result.stderr
-    words = result.said
+    words = trms("run", *own, "controller.how=raise", "sim.duration=3", "out=there", code=1).said
     for part in (
-        "the controller misbehaving.Own failed at 1.00 s",
-        "ZeroDivisionError: a slip of mine",
-        "misbehaving.py, line",
-        "--debug",
-        "there/run.mcap",
+        *("the controller misbehaving.Own failed at 1.00 s", "ZeroDivisionError: a slip of mine"),
+        *("misbehaving.py, line", "--debug", "there/run.mcap"),
     ):
         assert part in words
     log = read_log(tmp_path / "there" / "run.mcap")
-    assert log.complete
-    assert log.outcome == "failed"
+    assert log.complete and log.outcome == "failed"
     assert len(log.table("/command")) == 50  # all before the sample that failed
 
 
 def test_its_trace_can_be_had(program, own):
-    result = program("run", *own, "controller.how=raise", "sim.duration=3", "--debug")
-    assert "Traceback" in result.stderr
-    assert "raise ZeroDivisionError" in result.stderr
+    told = program("run", *own, "controller.how=raise", "sim.duration=3", "--debug").stderr
+    assert "Traceback" in told and "raise ZeroDivisionError" in told
 
 
 @pytest.mark.parametrize(
@@ -202,21 +196,16 @@ def test_what_is_no_command_is_told_with_the_log(trms, own, how, told):
         assert part in words
 
 
-def _without_keys(tmp_path: Path, name: str) -> None:
-    file = tmp_path / "lab" / "configs" / "controller" / "own.yaml"
-    file.write_text(f"# {name}\n_target_: misbehaving.{name}\n", encoding="utf-8")
-
-
-def test_a_controller_without_a_sample_time_takes_every_sample(trms, own, tmp_path):
-    _without_keys(tmp_path, "Bare")
+def test_the_least_controller_takes_every_sample_and_one_that_lacks_a_method_is_refused(
+    trms, refused, own, tmp_path
+):
+    option = tmp_path / "lab" / "configs" / "controller" / "own.yaml"
+    option.write_text("# no sample time\n_target_: misbehaving.Bare\n", encoding="utf-8")
     trms("run", *own, "sim.duration=1", "out=there")
     assert len(read_log(tmp_path / "there" / "run.mcap").table("/controller")) == 50
-
-
-def test_a_controller_that_lacks_a_method_is_refused_before_the_run(refused, own, tmp_path):
-    _without_keys(tmp_path, "Unfinished")
+    option.write_text("# no step\n_target_: misbehaving.Unfinished\n", encoding="utf-8")
     words = ["controller misbehaving.Unfinished lacks step", "docs/writing-a-plugin.md"]
-    refused("run", *own, "out=there", words=words)
+    refused("run", *own, "out=elsewhere", words=words)
 
 
 @posix
@@ -269,14 +258,11 @@ def test_a_file_that_may_not_grow_keeps_what_it_holds(own, tmp_path):
         encoding="utf-8",
         timeout=60,
     )
-    assert result.returncode == 2
     words = " ".join(result.stderr.split())
-    assert "no room" in words
-    assert "Traceback" not in words
+    assert result.returncode == 2 and "no room" in words and "Traceback" not in words
     safe = float(words.partition("the log is safe up to ")[2].partition(" s")[0])
     log = read_log(tmp_path / "there" / "run.mcap")
-    assert not log.complete
-    assert safe > 1.0
+    assert not log.complete and safe > 1.0
     _holds_all_until(log, int(safe))
 
 
@@ -309,11 +295,9 @@ def test_a_full_disk(own, tmp_path):
         f"{program} score small/there/run.mcap",
         tmp_path,
     )
-    assert "exit 2" in result.stdout
-    assert "no room" in result.stderr
+    assert "exit 2" in result.stdout and "incomplete" in result.stdout
+    assert "no room" in result.stderr and "Traceback" not in result.stderr
     assert "the log is safe up to" in " ".join(result.stderr.split())
-    assert "incomplete" in result.stdout
-    assert "Traceback" not in result.stderr
 
 
 @posix

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import csv
-import fcntl
+import functools
 import io
 import json
 import os
-import pty
-import re
 import shutil
-import struct
 import subprocess
 import sys
-import termios
 from pathlib import Path
 
 import pytest
 
-from tests.program import INSTALLED, in_process, wait_for
+from tests.program import in_process, wait_for
 from trms_cli.runs.columns import COLUMNS
 
 
@@ -46,12 +42,13 @@ def lab_with_runs(made, tmp_path) -> Path:
 @pytest.fixture
 def ask(trms, lab_with_runs):
     """Run ``trms runs`` there, with an index of its own."""
+    return functools.partial(trms, "runs", TRMS_RUNS=str(lab_with_runs / ".index"))
 
-    def run(*argv: str, code: int = 0):
-        result = trms("runs", *argv, TRMS_RUNS=str(lab_with_runs / ".index"), code=code)
-        return result
 
-    return run
+@pytest.fixture
+def heading(ask):
+    """The heads of the table's columns."""
+    return lambda *argv: ask(*argv).stdout.splitlines()[0].split()
 
 
 @pytest.fixture
@@ -85,19 +82,16 @@ class TestFigures:
         assert {run["sample_time"] for run in runs} == {0.02}
 
     def test_what_was_chosen(self, runs_of, lab_with_runs):
-        assert [
-            (r["controller"], r["seed"]) for r in runs_of("--in", "sweep", "--sort", "path")
-        ] == [("pid", 1), ("pid", 2), ("lqr", 1), ("lqr", 2)]
+        swept = runs_of("--in", "sweep", "--sort", "path")
+        chosen = [("pid", 1), ("pid", 2), ("lqr", 1), ("lqr", 2)]
+        assert [(run["controller"], run["seed"]) for run in swept] == chosen
         (run,) = runs_of("effects contains 'friction'")
-        assert (run["effects"], run["path"]) == (
-            "yaw_coulomb_friction",
-            str(lab_with_runs / "friction"),
-        )
+        assert run["effects"] == "yaw_coulomb_friction"
+        assert run["path"] == str(lab_with_runs / "friction")
         (run,) = runs_of("plant.parameters.k_g == 0.1")
         assert run["path"].startswith(str(lab_with_runs / "outputs"))
         assert json.loads(run["overrides"])[0] == "controller=pid"
-        assert run["version"]
-        assert run["observer"] == "ukf"
+        assert run["version"] and run["observer"] == "ukf"
 
 
 class TestFolders:
@@ -138,8 +132,7 @@ class TestFolders:
         assert len(result.stderr.splitlines()) == 1
         assert "3 logs could not be read" in result.stderr
         assert "\x1b" not in result.stderr + result.stdout
-        told = ask("--unreadable").stdout.splitlines()
-        assert len(told) == 3
+        assert len(ask("--unreadable").stdout.splitlines()) == 3
         assert len(json.loads(ask("--json").stdout)["unreadable"]) == 3
 
     def test_a_run_ends_well_where_there_can_be_no_index(self, trms, tmp_path):
@@ -165,31 +158,25 @@ class TestOutput:
         assert errors == sorted(errors)
         assert len(rows) == 6
 
-    def test_columns_of_ones_own(self, ask):
+    def test_columns_of_ones_own(self, ask, heading):
         lines = ask("--columns", "controller,rmse_yaw", "--limit", "2").stdout.splitlines()
-        assert lines[0].split() == ["controller", "rmse_yaw"]
-        assert len(lines) == 3
-        assert "git" in ask("--columns", "+git").stdout.splitlines()[0].split()
-        everything = ask("--columns", "all", "--limit", "1").stdout.splitlines()[0].split()
-        assert everything == list(COLUMNS)
+        assert lines[0].split() == ["controller", "rmse_yaw"] and len(lines) == 3
+        assert "git" in heading("--columns", "+git")
+        assert heading("--columns", "all", "--limit", "1") == list(COLUMNS)
 
-    def test_settings_in_which_runs_differ_are_shown(self, ask):
-        heading = ask().stdout.splitlines()[0].split()
-        assert "plant.parameters.k_g" in heading
-        assert "overrides" not in heading
-        heading = ask("--in", "sweep").stdout.splitlines()[0].split()
-        assert "plant.parameters.k_g" not in heading
-        assert {"controller", "seed"} <= set(heading)
-
-    def test_what_is_asked_about_is_shown(self, ask):
-        heading = ask("seed > 0 and nees < 100", "--sort", "saturation").stdout.splitlines()[0]
-        assert {"seed", "nees", "saturation"} <= set(heading.split())
+    def test_what_is_asked_about_and_settings_in_which_runs_differ_are_shown(self, heading):
+        asked = heading("seed > 0 and nees < 100", "--sort", "saturation")
+        assert {"seed", "nees", "saturation"} <= {*asked}
+        every, one_sweep = heading(), heading("--in", "sweep")
+        assert "plant.parameters.k_g" in every and "overrides" not in every
+        assert "plant.parameters.k_g" not in one_sweep and {"controller", "seed"} <= {*one_sweep}
 
     def test_json(self, ask):
         document = json.loads(ask("controller == 'lqr'", "--json", "--limit", "1").stdout)
         assert document["schema"] == "trms.runs/1"
         assert (document["matching"], document["of"], len(document["runs"])) == (3, 6, 1)
         assert document["units"]["rmse_alpha_h"] == "rad"
+        assert ask("seed == 77").stdout == "none of the 6 runs matches\n"
 
     def test_csv_and_parquet(self, ask, lab_with_runs):
         import pyarrow.parquet as pq
@@ -209,15 +196,13 @@ class TestOutput:
         assert len(printed) == 7
 
     @pytest.mark.parametrize("width", [40, 80, 160])
-    def test_a_terminal_of_any_width(self, lab_with_runs, width):
-        lines = on_terminal(lab_with_runs, width)
-        assert max(map(len, lines)) <= width
-        assert any("pid" in line for line in lines)
-        assert lines[-1] == "6 runs"
-        assert not any("…" in line for line in lines)
-
-    def test_nothing_found(self, ask, trms, tmp_path):
-        assert ask("seed == 77").stdout == "none of the 6 runs matches\n"
+    def test_a_terminal_of_any_width(self, lab_with_runs, in_terminal, width):
+        index = str(lab_with_runs / ".index")
+        screen = in_terminal("runs", size=(40, width), TRMS_RUNS=index, NO_COLOR="1")
+        assert screen.end() == 0
+        assert max(map(len, screen.lines)) <= width and screen.lines[-1] == "6 runs"
+        assert any("pid" in line for line in screen.lines)
+        assert not any("…" in line for line in screen.lines)
 
     def test_it_starts_without_what_is_heavy(self, lab_with_runs, ask):
         ask()  # the logs are read
@@ -234,18 +219,8 @@ class TestOutput:
             env=os.environ | {"TRMS_RUNS": str(lab_with_runs / ".index")},
         )
         loaded = {name.split(".")[0] for name in result.stderr.split()}
-        heavy = [
-            "numpy",
-            "scipy",
-            "casadi",
-            "hydra",
-            "omegaconf",
-            "rich",
-            "pyarrow",
-            "mcap",
-            "yaml",
-        ]
-        assert not loaded.intersection(heavy)
+        slow = {"numpy", "scipy", "casadi", "hydra", "omegaconf", "rich", "pyarrow", "mcap", "yaml"}
+        assert not loaded & slow
 
 
 class TestWrong:
@@ -270,37 +245,3 @@ class TestWrong:
     def test_it(self, lab_with_runs, refused, monkeypatch, tmp_path_factory, argv, hint):
         monkeypatch.setenv("TRMS_RUNS", str(tmp_path_factory.mktemp("index")))
         refused("runs", *argv, words=hint)
-
-
-def on_terminal(folder: Path, width: int) -> list[str]:
-    """The lines that a terminal of a width is sent, without colours."""
-    reader, writer = pty.openpty()
-    fcntl.ioctl(writer, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
-    environment = {
-        "TRMS_RUNS": str(folder / ".index"),
-        "TERM": "xterm",
-        "NO_COLOR": "1",
-        "COLUMNS": "",
-    }
-    process = subprocess.Popen(
-        [str(INSTALLED), "runs"],
-        cwd=folder,
-        env={k: v for k, v in (os.environ | environment).items() if k != "COLUMNS"},
-        stdout=writer,
-        stderr=writer,
-        stdin=writer,
-    )
-    os.close(writer)
-    sent = b""
-    while True:
-        try:
-            part = os.read(reader, 65536)
-        except OSError:  # the other end is closed
-            break
-        if not part:
-            break
-        sent += part
-    process.wait(timeout=60)
-    os.close(reader)
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", sent.decode())
-    return [line.rstrip() for line in text.replace("\r", "").rstrip("\n").split("\n")]

@@ -33,10 +33,6 @@ class TestChoices:
             ("sim.duration=range(0.1,0.5,0.1)", ("0.1", "0.2", "0.3", "0.4")),
             ("signal@ref.alpha_v=sine,square", ("sine", "square")),
             (
-                "effect=yaw_coulomb_friction,main_dead_zone",
-                ("yaw_coulomb_friction", "main_dead_zone"),
-            ),
-            (
                 "effect=[],main_dead_zone,[main_dead_zone,tail_dead_zone]",
                 ("[]", "main_dead_zone", "[main_dead_zone,tail_dead_zone]"),
             ),
@@ -60,16 +56,14 @@ class TestChoices:
         [choice] = space(f"model={files[0]},{files[1].rename(tmp_path / 'b.yaml')}").choices
         assert choice.values == (str(files[0]), str(tmp_path / "b.yaml"))
 
-    def test_a_list_is_one_value(self):
-        found = space("effect=[main_dead_zone,tail_dead_zone]", "controller.move_blocks=[1,2,3]")
-        assert not found.choices and len(found.fixed) == 2
-
     def test_shuffling_is_the_same_each_time(self):
         first, again = (space("seed=shuffle(range(50))").choices[0].values for _ in range(2))
         assert first == again != tuple(map(str, range(50)))
         assert sorted(map(int, first)) == list(range(50))
 
-    def test_what_is_typed_last_counts(self):
+    def test_a_list_is_one_value_and_what_is_typed_last_counts(self):
+        found = space("effect=[main_dead_zone,tail_dead_zone]", "controller.move_blocks=[1,2,3]")
+        assert not found.choices and len(found.fixed) == 2
         assert space("seed=1,2", "seed=3") == Space(("seed=3",), ())
 
     def test_every_run_composes(self):
@@ -79,10 +73,11 @@ class TestChoices:
 
 class TestRanges:
     def test_bounds_scale_and_present_value(self):
-        word = "controller.state_weights.alpha_v=tag(log,interval(0.1,10))"
-        [found] = space(word).continuous
-        key = word.partition("=")[0]
+        key = "controller.state_weights.alpha_v"
+        [found] = space(f"{key}=tag(log,interval(0.1,10))").continuous
         assert found == Range(key, 0.1, 10.0, logarithmic=True, now=1.2)
+        [without] = space("plant.parameters.k_g=interval(0.01,0.02)").continuous
+        assert isinstance(without, Range) and without.now is None
 
     @pytest.mark.parametrize(
         ("word", "whole"),
@@ -98,10 +93,6 @@ class TestRanges:
         [found] = space(word).continuous
         assert isinstance(found, Range) and found.whole is whole
 
-    def test_a_key_without_a_value(self):
-        [found] = space("plant.parameters.k_g=interval(0.01,0.02)").continuous
-        assert isinstance(found, Range) and found.now is None
-
 
 class TestPriors:
     def test_of_one_parameter(self):
@@ -116,11 +107,8 @@ class TestPriors:
         assert all(float(f"{value:.6g}") == value for value in edges)
 
     def test_of_all_that_have_one_and_no_value(self):
-        found = space(
-            "plant.parameters=prior",
-            "plant.parameters.k_g=0.05",
-            "plant.parameters.R=interval(7,9)",
-        )
+        given = ("plant.parameters.k_g=0.05", "plant.parameters.R=interval(7,9)")
+        found = space("plant.parameters=prior", *given)
         table = build(compose([]).config["model"], "model").parameters
         expected = {p.name for p in table if p.prior_sd} - {"k_g"}
         assert {v.key.removeprefix("plant.parameters.") for v in found.continuous} == expected
@@ -143,15 +131,11 @@ class TestPriors:
     def test_of_the_model_and_of_effects(self):
         assert space("model.parameters.k_g=prior").continuous[0].key == "model.parameters.k_g"
         found = space("effect=yaw_stribeck_friction", "effect.yaw_stribeck_friction=prior")
-        assert [v.key.rpartition(".")[2] for v in found.continuous] == [
-            "torque",
-            "excess",
-            "velocity",
-        ]
-        [one] = space(
-            "effect=yaw_coulomb_friction", "effect.yaw_coulomb_friction.torque=prior"
-        ).continuous
-        assert one == Range(one.key, 0.002, 0.02, logarithmic=True)
+        sizes = [v.key.rpartition(".")[2] for v in found.continuous]
+        assert sizes == ["torque", "excess", "velocity"]
+        key = "effect.yaw_coulomb_friction.torque"
+        [one] = space("effect=yaw_coulomb_friction", f"{key}=prior").continuous
+        assert one == Range(key, 0.002, 0.02, logarithmic=True)
 
     def test_all_runs_see_the_same_draws(self):
         assert space("plant.parameters=prior", "controller=pid,lqr").choices

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
+import functools
 import json
 import math
 import os
-import pty
 import re
-import select
 import shutil
 import signal
-import struct
 import subprocess
 import sys
 import termios
@@ -24,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.text import Text
 
+from tests.cli.terminal import NORMAL
 from tests.program import INSTALLED, in_process, wait_for
 from trms_cli.commands.watch.frame import (
     NAMES,
@@ -43,8 +41,6 @@ from trms_cli.runs.follower import AxisMoment, Event, Input, Moment, RunFollower
 from trms_cli.runs.query import latest_run
 from trms_cli.sweeps.outcome import SweepFollower, _values
 from trms_cli.sweeps.record import drive_sweep
-
-ALTERNATE, NORMAL = b"\x1b[?1049h", b"\x1b[?1049l"
 
 
 @pytest.fixture(scope="module")
@@ -406,67 +402,9 @@ class TestWrong:
         refused("watch", words="there is no run under this folder")
 
 
-class Screen:
-    """A program in a terminal of its own."""
-
-    def __init__(self, argv: list[str], folder: Path, size: tuple[int, int] = (24, 80)) -> None:
-        self.master, self.slave = pty.openpty()
-        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
-        self.before = termios.tcgetattr(self.slave)
-        self.shown = b""
-        slave = self.slave
-        self.process = subprocess.Popen(
-            argv,
-            stdin=slave,
-            stdout=slave,
-            stderr=slave,
-            cwd=folder,
-            env=os.environ | {"TERM": "xterm-256color", "TRMS_RUNS": "off"},
-            start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(slave, termios.TIOCSCTTY, 0),
-        )
-
-    def read(self, seconds: float, until: bytes = b"\0") -> bool:
-        """Read what is shown; whether `until` was among it."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end and until not in self.shown:
-            if select.select([self.master], [], [], 0.05)[0]:
-                self.shown += os.read(self.master, 65536)
-            elif self.process.poll() is not None:
-                break
-        return until in self.shown
-
-    def type(self, keys: bytes) -> None:
-        os.write(self.master, keys)
-
-    def end(self) -> int:
-        self.read(20.0)
-        return self.process.wait(5)
-
-    def is_as_it_was(self) -> bool:
-        left = self.shown.rfind(NORMAL) > self.shown.rfind(ALTERNATE)
-        cursor = self.shown.rfind(b"\x1b[?25h") > self.shown.rfind(b"\x1b[?25l")
-        return left and cursor and termios.tcgetattr(self.slave) == self.before
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-            self.process.wait()
-        os.close(self.master)
-        os.close(self.slave)
-
-
 @pytest.fixture
-def on_screen(there, tmp_path):
-    opened = []
-
-    def start(*argv: str, **keys) -> Screen:
-        opened.append(Screen([str(INSTALLED), "watch", *argv], tmp_path, **keys))
-        return opened[-1]
-
-    yield start
-    for screen in opened:
-        screen.close()
+def on_screen(there, in_terminal):
+    return functools.partial(in_terminal, "watch")
 
 
 class TestTerminal:
