@@ -35,13 +35,10 @@ def test_it_leaves_a_table_a_document_and_a_picture(designed):
     assert (designed / "excitation.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_run_goes_where_it_was_predicted(designed, tmp_path):
+def test_the_run_goes_where_it_was_predicted(designed, trms, tmp_path):
     table = designed / "excitation.csv"
-    code = main(
-        ["run", "controller=played", f"controller.u_v.file={table}", "sim.duration=25",
-         "observer=full_state", "plant=ideal", "picture=false", f"out={tmp_path / 'run'}"]
-    )  # fmt: skip
-    assert code == 0
+    words = ("controller=played", f"controller.u_v.file={table}", "sim.duration=25", "out=run")
+    trms("run", *words, "observer=full_state", "plant=ideal", "picture=false")
     document = json.loads((designed / "excitation.json").read_text())
     state = read_log(tmp_path / "run" / "run.mcap").tables["/plant/state"].columns
     for name in ("alpha_v", "alpha_h", "omega_v", "omega_h"):
@@ -51,19 +48,12 @@ def test_the_run_goes_where_it_was_predicted(designed, tmp_path):
         assert seen.max() == pytest.approx(high, abs=0.01 * (high - low))
 
 
-def test_the_printed_command_plays_it(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["excite", *QUICK, "picture=false", "model=newtonian_vertical"]) == 0
-    line = next(l for l in capsys.readouterr().out.splitlines() if l.startswith("next"))
+def test_the_printed_command_plays_it(trms):
+    done = trms("excite", *QUICK, "picture=false", "model=newtonian_vertical")
+    line = next(line for line in done.stdout.splitlines() if line.startswith("next"))
     words = line.split(" run ", 1)[1].split()
     assert "model=newtonian_vertical" in words and "controller=open_loop" in words
-    quick = [
-        "observer=full_state",
-        "plant=ideal",
-        "picture=false",
-        "signal@controller.u_h=constant",
-    ]
-    assert main(["run", *words, *quick[:3]]) == 0
+    trms("run", *words, "observer=full_state", "plant=ideal", "picture=false")
 
 
 @pytest.mark.parametrize(
@@ -85,7 +75,7 @@ def test_slips_are_told_by_their_key(override, where, refused):
     refused("excite", *QUICK, override, words=where)
 
 
-def test_an_excitation_is_not_overwritten(designed, capsys):
+def test_an_excitation_is_not_overwritten(designed):
     before = (designed / "excitation.csv").read_bytes()
     assert main(["excite", *QUICK, "seed=3", f"out={designed}"]) == 2
     assert (designed / "excitation.csv").read_bytes() == before

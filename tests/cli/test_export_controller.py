@@ -42,19 +42,12 @@ def test_it_leaves_source_example_and_figures(exported):
     assert measured["samples"] == 5 * 100 and measured["failed"] == 0
     assert measured["largest_difference"] <= 1e-9
     assert 0 < measured["median"] <= measured["p99"] <= measured["longest"]
-    assert measured["context_bytes"] > 1000
+    assert measured["context_bytes"] > 1000 and measured["observer_bytes"] > 1000
     assert measured["observer_median"] > 0
-    assert measured["observer_bytes"] > 1000
-
-
-@needs_compiler
-def test_the_readme_names_every_signal_and_says_what_was_measured(exported):
-    text = (exported / "README.md").read_text()
+    readme = (exported / "README.md").read_text()
     for word in ("| `x_hat` | 2 | alpha_v", "| `y` | 0 | alpha_v", "torque on pitch", "N*m"):
-        assert word in text
-    median = json.loads((exported / "controller.json").read_text())["measured"]["median"]
-    assert f"{median:.1f} µs" in text
-    assert "trms export-controller" in text
+        assert word in readme
+    assert f"{measured['median']:.1f} µs" in readme and "trms export-controller" in readme
 
 
 @needs_compiler
@@ -109,21 +102,17 @@ def test_the_example_follows_the_table_it_is_given(exported, tmp_path):
 def test_without_a_compiler_it_writes_and_says_so(tmp_path, capsys, monkeypatch):
     compiler.cache_clear()
     monkeypatch.setenv("TRMS_COMPILE", "0")
+    out = tmp_path / "x"
+    words = ("observer=full_state", f"out={out}")
     try:
-        assert main(["export-controller", "newton_mpc", *SMALL, f"out={tmp_path / 'x'}"]) == 0
+        assert main(["export-controller", "newton_mpc", *SMALL, *words]) == 0
     finally:
         compiler.cache_clear()
     assert "not measured: no C compiler found" in capsys.readouterr().out
-    assert "Not measured here" in (tmp_path / "x" / "README.md").read_text()
-    assert json.loads((tmp_path / "x" / "controller.json").read_text())["measured"] is None
-    assert (tmp_path / "x" / "newton_mpc.c").is_file()
-
-
-def test_a_controller_without_its_observer(tmp_path):
-    out = tmp_path / "x"
-    command = ["export-controller", "newton_mpc", *SMALL, "observer=full_state", "measure=false"]
-    assert main([*command, f"out={out}"]) == 0
-    assert "observe(" not in (out / "newton_mpc.h").read_text()
+    assert "Not measured here" in (out / "README.md").read_text()
+    assert json.loads((out / "controller.json").read_text())["measured"] is None
+    assert (out / "newton_mpc.c").is_file()
+    assert "observe(" not in (out / "newton_mpc.h").read_text()  # full_state needs none
 
 
 @pytest.mark.parametrize(
@@ -150,10 +139,10 @@ def test_what_cannot_be_is_refused_in_words(override, where, words, refused):
     refused(*argv, words=[words, f"in {where}"])
 
 
-def test_another_word_in_place_of_the_controller(refused):
-    refused("export-controller", "newton_npc", words="newton_mpc")
-
-
-def test_a_folder_that_holds_something_is_left_alone(refused, tmp_path):
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [(["newtonn_mpc"], "newton_mpc"), (["newton_mpc", "out=."], "nothing is written over")],
+)
+def test_another_controller_and_a_full_folder_are_refused(refused, tmp_path, words, told):
     (tmp_path / "mine.txt").write_text("keep")
-    refused("export-controller", "newton_mpc", "out=.", words="nothing is written over")
+    refused("export-controller", *words, words=told)

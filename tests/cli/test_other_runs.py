@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ import yaml
 
 from tests.models.network_case import LIMITS, rig_like
 from trms_cli.cli import main
+from trms_cli.composition.catalogue import read_groups
+from trms_cli.composition.composer import compose
+from trms_cli.core.plugins import build
 from trms_cli.library.tasks.run import never_begun
 from trms_cli.models.narx_file import NarxFile, write_narx_file
 from trms_cli.plants.disturbance import ScheduledDisturbance
@@ -39,40 +43,33 @@ def command(folder: Path, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_signal_is_played_as_it_is(kind, tmp_path):
-    from trms_cli.composition.composer import compose
-    from trms_cli.core.plugins import build
-
-    overrides = (f"signal@controller.u_v={kind}", "sim.duration=6", f"out={tmp_path / 'run'}")
-    run(tmp_path / "run", *overrides[:2])
-    node = compose([*QUICK, *overrides]).config["controller"]["u_v"]
-    signal = build(node, "controller.u_v")
+    words = (f"signal@controller.u_v={kind}", "sim.duration=6")
+    run(tmp_path / "run", *words)
+    signal = build(compose([*QUICK, *words]).config["controller"]["u_v"], "controller.u_v")
     expected = signal.sample(np.arange(300) * 0.02)
     np.testing.assert_allclose(command(tmp_path / "run", "u_v"), expected, atol=1e-12)
 
 
 def test_all_kinds_of_signals_are_tried_here():
-    from trms_cli.composition.catalogue import read_groups
-
     assert {*KINDS, "from_csv"} == set(read_groups()["signal"])
 
 
 def test_a_csv_of_commands_is_played(tmp_path):
     table = tmp_path / "commands.csv"
     table.write_text("t[s],u_v[V],u_h[mV]\n0,0.5,0\n1,1.0,250\n2,-0.5,-250\n")
-    run(
-        tmp_path / "run",
-        "sim.duration=3",
-        "signal@controller.u_v=from_csv",
-        f"controller.u_v.file={table}",
-        "controller.u_v.column=u_v",
-        "signal@controller.u_h=from_csv",
-        f"controller.u_h.file={table}",
-        "controller.u_h.column=u_h",
-    )
-    assert command(tmp_path / "run", "u_v")[[0, 49, 50, 99, 100, 149]].tolist() == [
-        0.5, 0.5, 1.0, 1.0, -0.5, -0.5,
-    ]  # fmt: skip
-    assert command(tmp_path / "run", "u_h")[[0, 60, 149]] == pytest.approx([0, 0.25, -0.25])
+    words = [
+        f"{key}={value}"
+        for name in ("u_v", "u_h")
+        for key, value in (
+            (f"signal@controller.{name}", "from_csv"),
+            (f"controller.{name}.file", table),
+            (f"controller.{name}.column", name),
+        )
+    ]
+    folder = run(tmp_path / "run", "sim.duration=3", *words)
+    u_v, u_h = (command(folder, name) for name in ("u_v", "u_h"))
+    assert u_v[[0, 49, 50, 99, 100, 149]].tolist() == [0.5, 0.5, 1.0, 1.0, -0.5, -0.5]
+    assert u_h[[0, 60, 149]] == pytest.approx([0, 0.25, -0.25])
 
 
 def test_no_tracking_is_scored_and_the_log_says_that_the_loop_was_open(tmp_path, capsys):
@@ -87,14 +84,9 @@ def test_no_tracking_is_scored_and_the_log_says_that_the_loop_was_open(tmp_path,
 
 
 def test_around_an_operating_point_the_model_stays_there(tmp_path):
-    folder = run(
-        tmp_path / "run",
-        "sim.duration=2",
-        "controller.operating_point={alpha_v: -0.2}",
-        "signal@controller.u_v=constant",
-        "signal@controller.u_h=constant",
-        "model=newtonian_vertical",
-    )
+    point = ("controller.operating_point={alpha_v: -0.2}", "model=newtonian_vertical")
+    constant = (f"signal@controller.{name}=constant" for name in ("u_v", "u_h"))
+    folder = run(tmp_path / "run", "sim.duration=2", *point, *constant)
     # 1.06 V holds -0.2 rad: the table of equilibria gives -0.231 at 1.0 and -0.124 at 1.2 V.
     assert 1.0 < command(folder, "u_v")[0] < 1.2
 
@@ -136,10 +128,11 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_recording_is_replayed_scored_and_drawn(trms, recording, tmp_path):
-    done = trms(
-        "run", "plant=replay", "plant.file=mine.csv", "model=tras", "controller=pid", "out=here"
-    )
+def test_a_recording_is_replayed_scored_and_drawn_and_its_log_is_one_again(
+    trms, recording, tmp_path
+):
+    replay = ("run", "plant=replay", "model=tras")
+    done = trms(*replay, "plant.file=mine.csv", "controller=pid", "out=here")
     printed = " ".join(done.stdout.split())
     assert "cannot be steered" in printed and "(controller=pid)" in printed
     assert "a gap in t" in printed
@@ -148,15 +141,10 @@ def test_a_recording_is_replayed_scored_and_drawn(trms, recording, tmp_path):
     table = json.loads((folder / "innovations.json").read_text(encoding="utf-8"))
     assert table["schema"] == "trms.innovations/1"
     assert table["channels"]["alpha_v"]["samples"] == 198
-    scored = trms("score", "here/run.mcap", "--json")
-    score = json.loads(scored.stdout)
+    score = json.loads(trms("score", "here/run.mcap", "--json").stdout)
     assert score["complete"] and score["duration_s"] == pytest.approx(2.0, abs=0.011)
     assert score["estimate"]["prediction_rmse"]["omega_h"] < 1.0
-
-
-def test_the_log_is_a_recording_again(trms, recording):
-    trms("run", "plant=replay", "plant.file=mine.csv", "model=tras", "out=a", "picture=false")
-    trms("run", "plant=replay", "plant.file=a/run.mcap", "model=tras", "out=b", "picture=false")
+    trms(*replay, "plant.file=here/run.mcap", "out=b", "picture=false")
 
 
 @pytest.mark.parametrize(
@@ -165,15 +153,12 @@ def test_the_log_is_a_recording_again(trms, recording):
         (["plant.file=mine.csv"], ["model=tras", "plant.input_scale"]),
         (["plant.file=none.csv", "model=tras"], ["none.csv"]),
         ([], ["plant.file"]),
+        # full_state looks inside, where there is nothing to look at
+        (["plant.file=mine.csv", "model=tras", "observer=full_state"], ["observer=ukf"]),
     ],
 )
 def test_what_cannot_be_replayed_is_told(refused, recording, words, told):
     refused("run", "plant=replay", *words, words=told)
-
-
-def test_an_observer_that_looks_inside_has_nothing_to_look_at(trms, recording):
-    words = ("plant=replay", "plant.file=mine.csv", "model=tras", "observer=full_state")
-    assert "observer=ukf" in trms("run", *words, code=2).stderr
 
 
 @pytest.fixture
@@ -199,19 +184,28 @@ def composed(trms, *argv: str) -> dict:
 
 
 class TestRun:
-    def test_with_a_network_file_says_what_model_and_rig_are(self, program, network, tmp_path):
-        options = ("sim.duration=2", "out=run", "picture=false")
-        done = program("run", "model=net.yaml", *options, TRMS_COMPILE="0")
+    @staticmethod
+    def score(folder: Path) -> dict:
+        document: dict = json.loads((folder / "score.json").read_text(encoding="utf-8"))
+        return document
+
+    def test_with_a_network_file_says_what_it_is_and_is_repeated_from_its_log(
+        self, program, network, tmp_path
+    ):
+        interpreted = {"TRMS_COMPILE": "0"}
+        words = ("sim.duration=2", "out=a", "picture=false")
+        done = program("run", "model=net.yaml", *words, **interpreted)
         assert "model net · plant simulated (net)" in " ".join(done.stdout.split())
-        score = json.loads((tmp_path / "run" / "score.json").read_text())
-        assert score["solver"]["failures"] == 0
+        program("run", "--from", "a/run.mcap", "out=b", "picture=false", **interpreted)
+        first, again = (self.score(tmp_path / folder) for folder in "ab")
+        assert first["solver"]["failures"] == 0 and first["channels"] == again["channels"]
 
     def test_with_the_trained_network_reaches_the_reference(self, program, tmp_path):
         """All defaults; interpreted, which is quicker than to compile for so short a run."""
         options = ("controller=newton_mpc", "sim.duration=20", "out=run", "picture=false")
         done = program("run", "model=narx_2dof", *options, TRMS_COMPILE="0")
         assert "model narx_2dof" in done.stdout and "(newtonian)" in done.stdout
-        score = json.loads((tmp_path / "run" / "score.json").read_text())
+        score = self.score(tmp_path / "run")
         assert score["solver"]["failures"] == 0
         for axis in ("alpha_v", "alpha_h"):
             assert score["channels"][axis]["settling_time_s"] < 5.0
@@ -221,64 +215,45 @@ class TestRun:
     def test_with_the_trained_network_is_as_good_as_with_the_equations(self, trms, tmp_path):
         """The rig is white-box in both: the network is a model of it, not the rig itself."""
         scores = {}
+        usual = ("controller=newton_mpc", "sim.duration=40", "picture=false")
         for name, model, *others in (
             ("known", "newtonian"),
             ("learnt", "narx_2dof"),
             ("aged", "narx_2dof", "plant.parameters.k_fvp=1.45e-5", "effect=[main_dead_zone]"),
         ):
-            trms(
-                "run",
-                f"model={model}",
-                "controller=newton_mpc",
-                "sim.duration=40",
-                f"out={name}",
-                "picture=false",
-                *others,
-            )
-            scores[name] = json.loads((tmp_path / name / "score.json").read_text())["channels"]
+            trms("run", f"model={model}", *usual, f"out={name}", *others)
+            scores[name] = self.score(tmp_path / name)["channels"]
         for axis in ("alpha_v", "alpha_h"):
             rmse = {name: score[axis]["rmse"] for name, score in scores.items()}
             assert rmse["learnt"] < 1.1 * rmse["known"]
             for name in ("learnt", "aged"):  # within three quanta of the encoder
                 assert scores[name][axis]["steady_state_error"] < 0.0046
 
-    def test_is_repeated_from_its_log(self, program, network, tmp_path):
-        options = ("sim.duration=1", "out=a", "picture=false")
-        program("run", "model=net.yaml", *options, TRMS_COMPILE="0")
-        program("run", "--from", "a/run.mcap", "out=b", "picture=false", TRMS_COMPILE="0")
-        scores = [json.loads((tmp_path / f / "score.json").read_text()) for f in "ab"]
-        assert scores[0]["channels"] == scores[1]["channels"]
-
 
 class TestRig:
-    def test_of_a_file_that_names_none_is_the_network(self, trms, network):
+    def test_is_the_one_that_the_file_names_or_the_network_or_another(self, trms, network):
         assert composed(trms, "model=net.yaml")["plant"]["model"]["path"] == "net.yaml"
-
-    def test_is_the_one_that_the_file_names(self, trms, network):
-        config = composed(trms, f"model={with_rig(network, 'newtonian_full')}")
+        model = f"model={with_rig(network, 'newtonian_full')}"
+        config = composed(trms, model)
         assert config["plant"]["model"]["currents"] == "dynamic"
         assert config["model"]["path"] == "with_rig.yaml"
-
-    def test_may_be_another(self, trms, network):
-        config = composed(
-            trms, f"model={with_rig(network, 'newtonian_full')}", "model@model.rig=newtonian"
-        )
+        config = composed(trms, model, "model@model.rig=newtonian")
         assert config["plant"]["model"]["currents"] == "quasi_static"
-
-    @pytest.mark.parametrize("model", ["newtonian", "net.yaml"])
-    def test_chosen_outright_keeps_no_key_of_the_model(self, trms, network, model):
-        rig = composed(trms, f"model={model}", "model@plant.model=tras")["plant"]["model"]
-        assert set(rig) == set(composed(trms, "model=tras")["model"])
-
-    def test_chosen_outright_stays_what_it_is_on_a_plant_that_builds_on_another(self, trms):
-        config = composed(
-            trms, "model=newtonian", "model.freedom=both", "plant=ideal", "model@plant.model=tras"
-        )
-        assert "freedom" not in config["plant"]["model"]
-
-    def test_that_there_is_not(self, trms, network):
         done = trms("run", f"model={with_rig(network, 'newtonain')}", code=2)
         assert "newtonian" in done.stderr
+
+    @pytest.mark.parametrize(
+        "words",
+        [
+            ["model=newtonian"],
+            ["model=net.yaml"],
+            # also on a plant that builds on another
+            ["model=newtonian", "model.freedom=both", "plant=ideal"],
+        ],
+    )
+    def test_chosen_outright_keeps_no_key_of_the_model(self, trms, network, words):
+        rig = composed(trms, *words, "model@plant.model=tras")["plant"]["model"]
+        assert set(rig) == set(composed(trms, "model=tras")["model"])
 
 
 @pytest.mark.parametrize(
@@ -381,16 +356,12 @@ def test_what_makes_no_sense_is_told(words, told, refused) -> None:
     refused("run", *words, words=told)
 
 
-class _Rig:
-    def __init__(self, faults, disturbances) -> None:
-        self.faults, self.disturbances = faults, disturbances
-
-
 @pytest.mark.parametrize(("duration", "told"), [(10.0, True), (21.0, True), (22.0, False)])
 def test_what_begins_after_the_end_is_told(duration: float, told: bool) -> None:
     fault = FrozenSensor(channel="alpha_h", start=21.0, duration=3.0)
     push = ScheduledDisturbance(equation="yaw_moment", torque=Step(amplitude=0.01, start=21.0))
-    said = list(never_begun(_Rig({"frozen": fault}, {"push": push}), duration))
+    rig = SimpleNamespace(faults={"frozen": fault}, disturbances={"push": push})
+    said = list(never_begun(rig, duration))
     names = ["fault frozen begins at 21 s", "disturbance push begins at 21 s"]
     assert [words.partition(",")[0] for words in said] == (names if told else [])
 
@@ -401,7 +372,8 @@ def test_a_torque_that_is_there_before_it_begins_acts() -> None:
         str(i): ScheduledDisturbance(equation="yaw_moment", torque=torque)
         for i, torque in enumerate(torques)
     }
-    assert not list(never_begun(_Rig({}, pushes), 10.0))
+    rig = SimpleNamespace(faults={}, disturbances=pushes)
+    assert not list(never_begun(rig, 10.0))
 
 
 def test_a_run_says_it_before_it_begins(trms) -> None:

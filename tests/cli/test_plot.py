@@ -54,6 +54,12 @@ def texts_of(figure) -> list[tuple[str, object]]:
     ]
 
 
+@pytest.fixture
+def said(capsys):
+    """Gives the message of the last command, without the breaks of its lines."""
+    return lambda: " ".join(capsys.readouterr().err.split())
+
+
 COMMON = ["estimate", "prediction"]
 COMPARED = ["tracking", "inputs", "comparison"]
 
@@ -95,11 +101,12 @@ def test_letters_of_a_column_are_seven_to_nine_points(logs):
     assert figure.get_figwidth() * 25.4 == pytest.approx(89)
 
 
-def test_every_axis_has_its_unit(logs):
-    figure = plot(logs[:1], ["rates", "torques", "solver", "phase", "errors"])
-    for axes in figure.axes:
+def test_every_axis_has_its_unit_and_panels_of_the_estimate_say_that_they_show_errors(logs):
+    for axes in plot(logs[:1], ["rates", "torques", "solver", "phase", "errors"]).axes:
         label = axes.get_ylabel()
         assert re.search(r"\[.+\]", label) or label == "iterations", label
+    for axes in plot(logs[:1], "estimate").axes:
+        assert re.search(r"\n(error|innovation) \[", axes.get_ylabel()), axes.get_ylabel()
 
 
 @pytest.mark.parametrize("format_", ["png", "svg", "pdf"])
@@ -113,28 +120,26 @@ def test_equal_logs_give_equal_bytes_and_nothing_is_overwritten(folder, tmp_path
     assert "nothing is overwritten" in capsys.readouterr().err
 
 
-def test_fonts_are_embedded_in_a_pdf(folder, tmp_path):
-    out = tmp_path / "a.pdf"
-    assert main(["plot", str(folder / "mpc"), "--out", str(out)]) == 0
-    content = out.read_bytes()
+def test_letters_are_embedded_in_a_pdf_and_in_an_svg_outlines_or_text(folder, tmp_path):
+    pdf, outlines, text = (tmp_path / name for name in ("a.pdf", "a.svg", "b.svg"))
+    for out, more in ((pdf, ()), (outlines, ()), (text, ("--svg-text",))):
+        assert main(["plot", str(folder / "mpc"), "--out", str(out), *more]) == 0
+    content = pdf.read_bytes()
     assert b"/FontFile2" in content and b"/Type3" not in content  # Type 42: TrueType outlines
+    assert "<text" not in outlines.read_text(encoding="utf-8")
+    assert "pitch [rad]" in text.read_text(encoding="utf-8")
 
 
-def test_letters_of_an_svg_are_outlines_or_text(folder, tmp_path):
-    one, other = tmp_path / "one.svg", tmp_path / "other.svg"
-    assert main(["plot", str(folder / "mpc"), "--out", str(one)]) == 0
-    assert main(["plot", str(folder / "mpc"), "--out", str(other), "--svg-text"]) == 0
-    assert "<text" not in one.read_text(encoding="utf-8")
-    assert "pitch [rad]" in other.read_text(encoding="utf-8")
-
-
-def test_several_logs_are_named_by_what_they_differ_in(logs):
+def test_several_logs_are_named_by_what_they_differ_in_and_one_by_its_folder(logs):
     one, other = names_of(logs)
     assert "newton_mpc" in one and "lqr" in other
     assert "seed 4" in other and "prior_seed 3" in other
     figure = plot(logs, "tracking")
     told = [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()]
     assert one in told and other in told and "reference" in told
+    assert names_of(logs[:1]) == ["mpc"]
+    with pytest.raises(ConfigurationError, match="told apart"):
+        plot(logs * 10, "tracking")
 
 
 def looks(figure) -> dict[str, set[tuple[str, str]]]:
@@ -169,11 +174,6 @@ def test_what_belongs_to_an_axis_has_its_colour_in_all_plots_of_a_log(logs):
     assert {"tail rotor command", "tail rotor", "yaw rate", "pitch moment"} <= set(curves)
 
 
-def test_panels_of_the_estimate_say_that_they_show_errors(logs):
-    for axes in plot(logs[:1], "estimate").axes:
-        assert re.search(r"\n(error|innovation) \[", axes.get_ylabel()), axes.get_ylabel()
-
-
 def test_each_log_is_held_against_its_own_deadline(logs):
     figure = plot(logs, "solver", names=["slow", "fast"])
     lines = [line for line in figure.axes[0].lines if "deadline" in line.get_label()]
@@ -191,11 +191,6 @@ def test_each_log_is_held_against_its_own_deadline(logs):
     assert line.get_label() == "deadline"
 
 
-def test_logs_of_one_kind_are_named_by_their_folders(folder):
-    log = read_log(folder / "mpc" / "run.mcap")
-    assert names_of([log]) == ["mpc"]
-
-
 def test_what_a_log_lacks_is_told(folder, logs, tmp_path, capsys):
     reasons = absences(logs[1:], ["prediction", "comparison", "tracking"])
     assert set(reasons) == {"prediction", "comparison"}
@@ -207,33 +202,18 @@ def test_what_a_log_lacks_is_told(folder, logs, tmp_path, capsys):
     assert "controllers that plan ahead" in document["absent"]["prediction"]
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["--what", "prediction"], ["nothing to be drawn"]),
-        (["--what", "trakcing"], ["there is no plot", "in --what"]),
-        (["--width", "3km"], ["is no size", "in --width"]),
-        (["--width", "5mm"], ["from 30 to 1200 mm"]),
-        (["--from", "9"], ["from 0 to 6 s"]),
-        (["--from", "3", "--to", "2"], ["is empty", "in --from, --to"]),
-        (["--out", "a.jpg"], ["a figure is no .jpg"]),
-        (["--format", "gif"], ["is no gif"]),
-        (["--names", "a,b"], ["2 names for 1 logs", "in --names"]),
-        (["--what", "scene,tracking"], ["a figure of its own"]),
-    ],
-)
-def test_wrong_words_are_answered_by_the_name_that_was_typed(folder, capsys, words, told):
+def test_wrong_words_are_answered_by_the_name_that_was_typed(folder, said, words, told):
     assert main(["plot", str(folder / "lqr"), *words]) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert all(part in said for part in told), said
+    answer = said()
+    assert all(part in answer for part in told), answer
 
 
-def test_a_folder_that_is_no_runs_is_answered_with_what_to_type(folder, tmp_path, capsys):
+def test_a_folder_that_is_no_runs_is_answered_with_what_to_type(folder, tmp_path, said):
     assert main(["plot", str(folder)]) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "the folder of 2 runs" in said and f"report {folder}" in said
+    answer = said()
+    assert "the folder of 2 runs" in answer and f"report {folder}" in answer
     assert main(["plot", str(tmp_path)]) == 2
-    assert "there is no run.mcap in this folder" in " ".join(capsys.readouterr().err.split())
+    assert "there is no run.mcap in this folder" in said()
 
 
 def test_a_folder_takes_a_file_a_kind_or_none(folder, tmp_path):
@@ -266,13 +246,8 @@ def test_sizes(text, size):
     assert across == pytest.approx(size[0]) and high == (size[1] and pytest.approx(size[1]))
 
 
-def test_too_many_logs_are_refused(logs):
-    with pytest.raises(ConfigurationError, match="told apart"):
-        plot(logs * 10, "tracking")
-
-
-def test_a_figure_too_small_for_its_panels_is_told_in_our_words(folder, tmp_path, capsys, recwarn):
+def test_a_figure_too_small_for_its_panels_is_told_in_our_words(folder, tmp_path, said, recwarn):
     words = ["--what", "tracking,inputs,solver", "--width", "40x30mm"]
     assert main(["plot", str(folder / "mpc"), *words, "--out", str(tmp_path / "small.png")]) == 0
-    assert "the panels do not fit into 40 x 30 mm" in capsys.readouterr().err
+    assert "the panels do not fit into 40 x 30 mm" in said()
     assert not [str(w.message) for w in recwarn if "layout" in str(w.message)]

@@ -54,6 +54,23 @@ def report(*argv: str) -> int:
     return main(["report", *argv])
 
 
+def told_of(capsys, *argv: str) -> dict:
+    """The JSON document of a page that is made."""
+    capsys.readouterr()
+    assert report(*argv, "--json") == 0
+    document: dict = json.loads(capsys.readouterr().out)
+    return document
+
+
+def page_of(folder: str) -> str:
+    return Path(folder, "report.html").read_text(encoding="utf-8")
+
+
+def section_of(folder: str, heading: str) -> str:
+    """A part of a folder's page."""
+    return page_of(folder).partition(f">{heading}</h2>")[2].partition("</section>")[0]
+
+
 def title(page: Path) -> str:
     return unescape(re.search("<title>(.*?)</title>", page.read_text(encoding="utf-8"))[1])
 
@@ -61,7 +78,7 @@ def title(page: Path) -> str:
 class TestWhatItIsOf:
     def test_a_run(self, here, capsys):
         assert report("first") == 0
-        text = (here / "first/report.html").read_text(encoding="utf-8")
+        text = page_of("first")
         assert title(here / "first/report.html") == f"{WHAT}: first"
         assert "<h2>Angles and commands</h2>" in text and "<h2>Score</h2>" in text
         said = capsys.readouterr().out
@@ -69,17 +86,27 @@ class TestWhatItIsOf:
         assert "lqr followed pitch to" in said
         markup = re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
         assert re.search(r'(src|href)="(?!#|data:|\./)', markup) is None and "http:" not in markup
+        told = told_of(capsys, "first", "--force")
+        assert told["schema"] == "trms.report/1" and told["kind"] == "run"
+        assert told["runs"] == ["first/run.mcap"] and told["file"] == "first/report.html"
+        assert told["bytes"] == (here / "first/report.html").stat().st_size
 
-    def test_the_score_of_a_run_is_that_run(self, here):
-        assert report("first/score.json") == 0
-        assert title(here / "first/report.html") == f"{WHAT}: first"
-
-    def test_a_log_beside_others(self, here):
+    @pytest.mark.parametrize(
+        ("given", "page", "name"),
+        [
+            ("first/score.json", "first/report.html", f"{WHAT}: first"),
+            ("monday.mcap", "report.html", f"{WHAT}: monday"),
+            ("two", "two/report.html", "Comparison of a and b"),
+        ],
+    )
+    def test_is_told_from_where_it_lies(self, here, given, page, name):
         shutil.copy("first/run.mcap", "monday.mcap")
-        assert report("monday.mcap") == 0
-        assert title(here / "report.html") == f"{WHAT}: monday"
+        shutil.copytree("first", "two/a")
+        shutil.copytree("second", "two/b")
+        assert report(given) == 0
+        assert title(here / page) == name
 
-    def test_two_runs(self, here, capsys):
+    def test_two_runs(self, here):
         assert report("first", "second/run.mcap", "--out", "both.html", "--title", "Two") == 0
         assert title(here / "both.html") == "Two"
         text = (here / "both.html").read_text(encoding="utf-8")
@@ -87,20 +114,11 @@ class TestWhatItIsOf:
         row = re.search(r'<th scope="row">controller</th>(.*?)</tr>', text)
         assert re.findall(r">(\w+)</td>", row[1]) == ["lqr", "pid"]
 
-    def test_a_folder_of_few_runs_is_a_comparison(self, here):
-        os.mkdir("two")
-        shutil.copytree("first", "two/a")
-        shutil.copytree("second", "two/b")
-        assert report("two") == 0
-        assert title(here / "two/report.html") == "Comparison of a and b"
-
     def test_few_runs_of_a_sweep_are_a_sweep(self, here, capsys):
-        os.mkdir("few")
         shutil.copytree("sweep/0", "few/0")
         shutil.copytree("sweep/4", "few/1")
         Path("few/sweep.json").write_text(json.dumps({"schema": "trms.sweep/1", "total": 5}))
-        assert report("few", "--json") == 0
-        told = json.loads(capsys.readouterr().out)
+        told = told_of(capsys, "few")
         assert told["kind"] == "sweep" and title(here / "few/report.html") == "Sweep few"
         # what was asked counts, not what came of it
         assert told["lead"][0].startswith("2 of 5 runs completed; 3 not begun")
@@ -109,26 +127,22 @@ class TestWhatItIsOf:
         drawn = ("plant=simulated", "plant.parameters.k_g=prior", "plant.parameters.k_m=prior")
         sampler = ("sampler=random", "sampler.samples=3", "sampler.limits.rmse_yaw=0.001")
         argv = ("-m", "controller=lqr,pid", *drawn, *sampler, "sim.duration=2", "picture=false")
-        argv += ("launcher.workers=0",)
-        assert main(["run", *argv, "observer=full_state", "out=drawn"]) == 0
-        capsys.readouterr()
-        assert report("drawn", "--json") == 0
-        told = json.loads(capsys.readouterr().out)
+        argv += ("launcher.workers=0", "observer=full_state", "out=drawn")
+        assert main(["run", *argv]) == 0
+        told = told_of(capsys, "drawn")
         assert told["kind"] == "sweep"
         assert "lqr 3 of 3 (100.0 %" in told["lead"][2] and "rmse_yaw ≤ 0.001" in told["lead"][2]
-        text = (here / "drawn/report.html").read_text(encoding="utf-8")
-        ranking = text.partition(">Ranking</h2>")[2].partition("</section>")[0]
+        ranking = section_of("drawn", "Ranking")
         assert "on the same draw;" in ranking and "k_g" not in ranking
         assert set(re.findall(r'<th scope="row">([a-z]+)</th>', ranking)) == {"lqr", "pid"}
 
     def test_a_sweep_with_failures(self, here, capsys):
         assert report("first", "--out", "sweep/0/report.html") == 0
         assert report("sweep") == 0
-        text = (here / "sweep/report.html").read_text(encoding="utf-8")
-        assert text.count("<tr><td>") == 8
+        assert page_of("sweep").count("<tr><td>") == 8
         assert "4 of 8 runs completed; 4 failed." in capsys.readouterr().out
-        assert "0.03" in text.partition("What failed</h2>")[2].partition("</section>")[0]
-        assert '<a href="./0/report.html">0</a>' in text
+        assert "0.03" in section_of("sweep", "What failed")
+        assert '<a href="./0/report.html">0</a>' in page_of("sweep")
         # the reports of single runs are no runs, and change nothing
         assert report("sweep", "--force") == 0
 
@@ -136,10 +150,9 @@ class TestWhatItIsOf:
         assert main(["compare", "sweep", "--json"]) == 0
         compared = json.loads(capsys.readouterr().out)
         assert report("sweep") == 0
-        text = (here / "sweep/report.html").read_text(encoding="utf-8")
-        section = text.partition(">Ranking</h2>")[2].partition("</section>")[0]
         ranks = re.findall(
-            r'<th scope="row">(\d+)</th><th scope="row">(.*?)</th>(.*?)</tr>', section
+            r'<th scope="row">(\d+)</th><th scope="row">(.*?)</th>(.*?)</tr>',
+            section_of("sweep", "Ranking"),
         )
         cells = [(rank, who, re.findall(">(.*?)</td>", rest)) for rank, who, rest in ranks]
         rows = [(int(rank), who, float(values[2])) for rank, who, values in cells[:4]]
@@ -150,33 +163,24 @@ class TestWhatItIsOf:
         assert rows == expected and len(rows) == 4
 
     def test_an_optimisation_has_its_front(self, here):
-        plan = {
-            "schema": "trms.sweep/1",
-            "objectives": [{"figure": "rmse_alpha_h", "direction": "minimize"}, "effort"],
-            "pareto": [0, 2],
-        }
+        objectives = [{"figure": "rmse_alpha_h", "direction": "minimize"}, "effort"]
+        plan = {"schema": "trms.sweep/1", "objectives": objectives, "pareto": [0, 2]}
         Path("sweep/sweep.json").write_text(json.dumps(plan))
         assert report("sweep") == 0
-        text = (here / "sweep/report.html").read_text(encoding="utf-8")
-        section = text.partition(">Objectives</h2>")[2].partition("</section>")[0]
+        section = section_of("sweep", "Objectives")
         assert "the least rmse_yaw, the least effort" in section
         assert set(re.findall(r'<tr><th scope="row">(\d)</th>', section)) == {"0", "2"}
 
     def test_a_search_under_several_conditions_shows_its_trials(self, here):
         trials = [
-            {
-                "trial": n,
-                "values": {"gain": 0.5 * n},
-                "figures": {"rmse": 1.0 - 0.1 * n, "effort": n},
-                "allowed": True,
-            }
+            {"trial": n, "values": {"gain": 0.5 * n}, "allowed": True,
+             "figures": {"rmse": 1.0 - 0.1 * n, "effort": n}}
             for n in range(3)
-        ] + [{"trial": 3, "figures": {}, "problem": "it fell", "allowed": False}]
+        ]  # fmt: skip
+        trials.append({"trial": 3, "figures": {}, "problem": "it fell", "allowed": False})
+        directions = {"rmse": "minimise", "effort": "maximise"}
         summary = {
-            "objectives": [
-                {"name": "rmse", "direction": "minimise"},
-                {"name": "effort", "direction": "maximise"},
-            ],
+            "objectives": [{"name": n, "direction": way} for n, way in directions.items()],
             "pareto": [2],
             "trials": trials,
             "history": [None, 0.5, 0.75],
@@ -184,8 +188,7 @@ class TestWhatItIsOf:
         plan = {"schema": "trms.sweep/1", "sampler": {"objectives": ["rmse"]}, "summary": summary}
         Path("sweep/sweep.json").write_text(json.dumps(plan))
         assert report("sweep") == 0
-        text = (here / "sweep/report.html").read_text(encoding="utf-8")
-        section = text.partition(">Objectives</h2>")[2].partition("</section>")[0]
+        section = section_of("sweep", "Objectives")
         assert "the least rmse, the largest effort" in section and "the best so far" in section
         rows = re.findall(r'<tr><th scope="row">(\d)</th><td class="number">(.*?)</td>', section)
         assert rows == [("2", "0.8")]
@@ -211,26 +214,16 @@ class TestWhatItIsOf:
             os.makedirs(f"scores/{folder}")
             Path(f"scores/{folder}/score.json").write_text(json.dumps(score))
         assert report("scores") == 0
-        text = (here / "scores/report.html").read_text(encoding="utf-8")
-        assert "scores alone" in text and text.count("<tr><td>") == 2
-
-    def test_json_tells_what_and_where(self, here, capsys):
-        assert report("first", "--json") == 0
-        told = json.loads(capsys.readouterr().out)
-        assert told["schema"] == "trms.report/1" and told["kind"] == "run"
-        assert told["runs"] == ["first/run.mcap"] and told["file"] == "first/report.html"
-        assert told["bytes"] == (here / "first/report.html").stat().st_size
+        assert "scores alone" in page_of("scores") and page_of("scores").count("<tr><td>") == 2
 
 
 class TestWhatIsBroken:
     def test_nothing_is_overwritten_unasked(self, here, capsys):
         Path("first/report.html").write_text("mine")
-        assert report("first") == 2
-        assert Path("first/report.html").read_text() == "mine"
+        assert report("first") == 2 and page_of("first") == "mine"
         assert "--force" in capsys.readouterr().err
-        assert (
-            report("first", "--force") == 0 and report("first", "--out", "first/report.html") == 2
-        )
+        assert report("first", "--force") == 0
+        assert report("first", "--out", "first/report.html") == 2
         assert title(here / "first/report.html") == f"{WHAT}: first"
 
     @pytest.mark.parametrize(
@@ -258,6 +251,23 @@ class TestWhatIsBroken:
         assert report("first") == 0
         assert "Incomplete: the file was not finished" in capsys.readouterr().out
 
+    def test_an_unreadable_log_among_others_is_named(self, here, capsys):
+        shutil.copytree("first", "mixed/a")
+        shutil.copytree("second", "mixed/b")
+        Path("mixed/c.mcap").write_bytes(b"hello")
+        assert report("mixed") == 0
+        assert "c.mcap" in capsys.readouterr().out
+
+    def test_recordings_and_runs_without_a_reference_are_drawn(self, here, capsys):
+        rows = "".join(f"{0.1 * i:.1f},1,0,{0.01 * i:.2f},0\n" for i in range(50))
+        Path("mine.csv").write_text(f"t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]\n{rows}")
+        open_loop = ("controller=open_loop", "sim.duration=2", "picture=false", "out=open")
+        assert main(["import", "mine.csv"]) == 0 and main(["run", *open_loop]) == 0
+        for what in ("mine.mcap", "open"):
+            capsys.readouterr()
+            assert report(what) == 0
+            assert "without a reference to follow" in capsys.readouterr().out
+
     def test_damage_anywhere_gives_a_page_or_a_message(self, here, capsys):
         whole = Path("first/run.mcap").read_bytes()
         generator = np.random.default_rng(3)
@@ -269,34 +279,10 @@ class TestWhatIsBroken:
             assert report("first", "--force") in (0, 2)
             assert "bug in trms" not in capsys.readouterr().err
 
-    def test_an_unreadable_log_among_others_is_named(self, here, capsys):
-        os.mkdir("mixed")
-        shutil.copytree("first", "mixed/a")
-        shutil.copytree("second", "mixed/b")
-        Path("mixed/c.mcap").write_bytes(b"hello")
-        assert report("mixed") == 0
-        assert "c.mcap" in capsys.readouterr().out
-
     def test_a_giant_is_refused_before_it_is_read(self, here, capsys, monkeypatch):
         monkeypatch.setenv("TRMS_LARGEST_FILE", "0.01")
         assert report("first") == 2
         assert "are read" in capsys.readouterr().err
-
-    def test_an_imported_recording_is_drawn(self, here, capsys):
-        Path("mine.csv").write_text(
-            "t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]\n"
-            + "".join(f"{0.1 * i:.1f},1,0,{0.01 * i:.2f},0\n" for i in range(50))
-        )
-        assert main(["import", "mine.csv"]) == 0
-        assert report("mine.mcap") == 0
-        assert "without a reference to follow" in capsys.readouterr().out
-
-    def test_a_run_without_a_reference(self, here, capsys):
-        assert (
-            main(["run", "controller=open_loop", "sim.duration=2", "picture=false", "out=open"])
-            == 0
-        )
-        assert report("open") == 0
 
 
 def hostile_log(path: Path) -> None:

@@ -199,6 +199,7 @@ BAD_INPUT = [
     ("ref=from_csv ref.alpha_v.file=a ref.alpha_v.column=nan", "ref.alpha_v.column", "a text"),
     ("--bogus", "the command line", "--from"),
     ("sim.prediction_every=-1", "sim.prediction_every", "from 0 on"),
+    ("sim.scene_every=-1", "sim.scene_every"),
     ("seed=1.5", "seed", "whole number"),
     ("seed=-1", "seed", "whole number"),
     ("plant.parameters.k_gg=1", "plant.parameters.k_gg", "did you mean k_g?"),

@@ -15,7 +15,7 @@ from trms_cli.library.tasks.scene import scene_of_log
 from trms_cli.recordings.export import export_log
 from trms_cli.recordings.foxglove.scene_log import scene_messages
 from trms_cli.recordings.foxglove.types import SCENE_TOPICS, layout
-from trms_cli.recordings.log_reader import LogTail, read_log
+from trms_cli.recordings.log_reader import LogTail, TopicTable, read_log
 from trms_cli.reporting.scene_picture import frames_of
 
 ROOT = Path(__file__).parents[2]
@@ -43,40 +43,35 @@ def messages(path: Path) -> dict[str, list[tuple[int, dict, bytes]]]:
     return found
 
 
+def at(table: TopicTable, time_ns: int, *names: str) -> list[float]:
+    """Values of a table at a message's time."""
+    k = int(np.flatnonzero(table.time_ns == time_ns)[0])
+    return [float(table.columns[name][k]) for name in names]
+
+
 def test_every_message_is_as_its_schema_says(log):
-    found = messages(log)
-    assert {topic: len(told) > 0 for topic, told in found.items()} == dict.fromkeys(
-        SCENE_TOPICS, True
-    )
-    for told in found.values():
+    for told in messages(log).values():
+        assert told
         validator = jsonschema.Draft202012Validator(json.loads(told[0][2]))
         for _, message, _ in told[:20]:
             validator.validate(message)
 
 
-def test_the_pose_is_the_angles(log):
+def test_the_pose_is_the_angles_and_the_ghost_the_reference(log):
     """The beam's axis in space is e_ξ of the model's sign conventions, at every pose."""
-    state = read_log(log).table("/plant/state")
+    state, reference = (read_log(log).table(topic) for topic in ("/plant/state", "/reference"))
     found = messages(log)["/tf"]
     assert len(found) == 50
     for time_ns, message, _ in found:
-        k = int(np.flatnonzero(state.time_ns == time_ns)[0])
-        yaw, pitch = state.columns["alpha_h"][k], state.columns["alpha_v"][k]
+        yaw, pitch = at(state, time_ns, "alpha_h", "alpha_v")
         rotation, _ = frames_of(message)["beam"]
         along = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
         np.testing.assert_allclose(rotation[:, 0], along, atol=1e-6)
         np.testing.assert_allclose(rotation[:, 1], [-np.sin(yaw), np.cos(yaw), 0], atol=1e-6)
         assert np.linalg.det(rotation) == pytest.approx(1.0, abs=1e-5)
-
-
-def test_the_ghost_is_the_reference(log):
-    reference = read_log(log).table("/reference")
-    time_ns, message, _ = messages(log)["/tf"][-1]
-    k = int(np.flatnonzero(reference.time_ns == time_ns)[0])
     rotation, _ = frames_of(message)["reference_beam"]
-    assert np.arcsin(rotation[2, 0]) == pytest.approx(reference.columns["alpha_v"][k], abs=1e-5)
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    assert yaw == pytest.approx(reference.columns["alpha_h"][k], abs=1e-5)
+    shown = [np.arctan2(rotation[1, 0], rotation[0, 0]), np.arcsin(rotation[2, 0])]
+    assert shown == pytest.approx(at(reference, time_ns, "alpha_h", "alpha_v"), abs=1e-5)
 
 
 def test_positive_pitch_raises_the_main_rotor(log):
@@ -85,14 +80,14 @@ def test_positive_pitch_raises_the_main_rotor(log):
     bodies = found["/scene"][0][1]
     beam = next(entity for entity in bodies["entities"] if entity["id"] == "beam")
     motor = max(beam["cylinders"], key=lambda part: part["pose"]["position"]["x"])
-    at = np.array([motor["pose"]["position"][axis] for axis in "xyz"])
-    assert at[0] == pytest.approx(0.246)  # l_m of the set `bench`
+    place = np.array([motor["pose"]["position"][axis] for axis in "xyz"])
+    assert place[0] == pytest.approx(0.246)  # l_m of the set `bench`
     heights, pitches = [], []
     state = read_log(log).table("/plant/state")
     for time_ns, message, _ in found["/tf"]:
         rotation, origin = frames_of(message)["beam"]
-        heights.append(float((rotation @ at + origin)[2]))
-        pitches.append(state.columns["alpha_v"][np.flatnonzero(state.time_ns == time_ns)[0]])
+        heights.append(float((rotation @ place + origin)[2]))
+        pitches += at(state, time_ns, "alpha_v")
     pivot = frames_of(found["/tf"][0][1])["yaw"][1][2]
     np.testing.assert_allclose(heights, pivot + 0.246 * np.sin(pitches), atol=1e-6)
 
@@ -101,9 +96,8 @@ def test_arrows_are_the_commands(log):
     command = read_log(log).table("/command")
     seen = 0
     for time_ns, message, _ in messages(log)["/scene/commands"]:
-        k = int(np.flatnonzero(command.time_ns == time_ns)[0])
+        share = at(command, time_ns, "u_v")[0] / 2.5
         arrows = message["entities"][0]["arrows"]
-        share = command.columns["u_v"][k] / 2.5
         main_rotor = [a for a in arrows if a["pose"]["position"]["x"] > 0]
         if abs(share) < 1e-6:
             continue
@@ -173,45 +167,24 @@ def test_a_log_of_a_run_that_died_gains_a_view(log, tmp_path, capsys):
     assert len(messages(tmp_path / "cut.foxglove.mcap")["/tf"]) >= 20
 
 
-@pytest.mark.parametrize(
-    ("words", "moves"),
-    [
-        (("model=newtonian_vertical", "controller=pid", "observer=full_state"), "alpha_v"),
-        (("model=newtonian_horizontal", "controller=pid", "observer=full_state"), "alpha_h"),
-        (("experiment=quanser_aero",), "alpha_v"),
-        (("model=tras", "controller=open_loop", "observer=full_state"), "alpha_v"),
-        (("model=narx_2dof", "controller=open_loop", "observer=full_state"), "alpha_v"),
-    ],
-)
-@pytest.mark.slow
 def test_every_rig_with_an_attitude_has_a_view(tmp_path, words, moves):
     path = run(tmp_path / "there", *words)
     found = messages(path)
     assert len(found["/scene"]) == 1 and len(found["/tf"]) > 5
-    signal = read_log(path).table("/plant/state").columns[moves]
-    rotation, _ = frames_of(found["/tf"][-1][1])["beam"]
+    time_ns, message, _ = found["/tf"][-1]
+    [angle] = at(read_log(path).table("/plant/state"), time_ns, moves)
+    rotation, _ = frames_of(message)["beam"]
     told = np.arcsin(rotation[2, 0]) if moves == "alpha_v" else np.arctan2(*rotation[1::-1, 0])
-    last = np.flatnonzero(read_log(path).table("/plant/state").time_ns == found["/tf"][-1][0])[0]
-    assert told == pytest.approx((signal[last] + np.pi) % (2 * np.pi) - np.pi, abs=1e-5)
+    assert told == pytest.approx((angle + np.pi) % (2 * np.pi) - np.pi, abs=1e-5)
 
 
 def test_a_motor_alone_has_none_and_says_why(tmp_path, capsys):
-    path = run(
-        tmp_path / "motor",
-        "model=motor_main",
-        "ref=speed",
-        "controller=open_loop",
-        "observer=full_state",
-    )
+    words = ("model=motor_main", "ref=speed", "controller=open_loop", "observer=full_state")
+    path = run(tmp_path / "motor", *words)
     assert messages(path) == {topic: [] for topic in SCENE_TOPICS}
     capsys.readouterr()
     assert main(["export", str(path), "--format", "foxglove"]) == 2
     assert "has no attitude" in capsys.readouterr().err
-
-
-def test_how_often_is_checked(tmp_path, capsys):
-    assert main(["run", "sim.scene_every=-1", f"out={tmp_path / 'no'}"]) == 2
-    assert "sim.scene_every" in capsys.readouterr().err
 
 
 class TestLayout:

@@ -79,17 +79,11 @@ def test_a_study_leaves_sentences_tables_figures_and_numbers(trms, tmp_path, fol
     assert "https:" not in page
 
 
-def test_without_a_page(trms, tmp_path, folder):
-    argv = ("--config-dir", str(folder), "study=slowest", "page=false", "out=found")
-    trms("stability", *argv)
-    assert [file.name for file in (tmp_path / "found").iterdir()] == ["stability.json"]
-
-
 def test_effects_are_named_and_what_equations_do_not_hold_is_told(trms, tmp_path, folder):
     effects = "effect=[main_reaction_on_yaw,pitch_coulomb_friction]"
-    sizes = "effect.main_reaction_on_yaw.drag=3e-7"
-    argv = ("--config-dir", str(folder), "study=slowest", "out=found", effects, sizes)
-    trms("stability", *argv)
+    more = (effects, "effect.main_reaction_on_yaw.drag=3e-7", "page=false")
+    trms("stability", "--config-dir", str(folder), "study=slowest", "out=found", *more)
+    assert [file.name for file in (tmp_path / "found").iterdir()] == ["stability.json"]
     document = read(tmp_path / "found")
     assert document["effects"] == ["main_reaction_on_yaw", "pitch_coulomb_friction"]
     (told,) = [words for words in document["warnings"] if "no part of" in words]

@@ -40,17 +40,14 @@ class TestSearch:
         assert table.columns.count("again") == len(summary["objectives"])
         assert pixels(tmp_path / "pareto.png") > 5000
 
-    def test_the_command_runs_the_chosen_one_alone(self):
+    def test_one_objective_is_drawn_over_the_trials_and_the_best_is_run(self, tmp_path):
         summary = summary_of(trials=20, objectives=("rmse_yaw",))
+        assert draw(tmp_path, summary) == [tmp_path / "search.png"]
+        assert pixels(tmp_path / "search.png") > 3000
         summary["fixed"] = ["controller=lqr", "picture=false"]
         [command] = summary_findings(summary).next
         [best] = [t for t in summary["trials"] if t["trial"] == summary["best"]]
         assert shlex.split(command.text)[-4:] == ["controller=lqr", *best["overrides"]]
-
-    def test_one_objective_is_drawn_over_the_trials(self, tmp_path):
-        summary = summary_of(trials=20, objectives=("rmse_yaw",))
-        assert draw(tmp_path, summary) == [tmp_path / "search.png"]
-        assert pixels(tmp_path / "search.png") > 3000
 
     def test_three_objectives_in_pairs(self, tmp_path):
         summary = summary_of(trials=15, objectives=TWO, limits={"effort": 5})

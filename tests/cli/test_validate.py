@@ -10,6 +10,7 @@ import pytest
 
 from trms_cli.cli import main
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.resources import config_folder
 from trms_cli.library.tasks.validated_models import model_list, named_sets, one_of, shown_names
 
 HEADER = "t[s],u_v[V],alpha_v[deg],omega_v[rpm]\n"
@@ -33,61 +34,52 @@ def write(path: Path, seconds: float = 8.0, commands: bool = True) -> Path:
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def here(tmp_path) -> Path:
     write(tmp_path / "rig.csv")
     return tmp_path
 
 
-def test_leaves_figures_and_a_page(trms, tmp_path):
-    write(tmp_path / "rig.csv")
+def read(folder: Path) -> dict:
+    document: dict = json.loads((folder / "validation.json").read_text(encoding="utf-8"))
+    return document
+
+
+def test_leaves_figures_and_a_page(here, trms):
     done = trms("validate", "real=rig.csv", "model=newtonian_vertical", "out=here")
     assert "Left alone for 2 s" in " ".join(done.stdout.split())
-    document = json.loads((tmp_path / "here/validation.json").read_text(encoding="utf-8"))
+    document = read(here / "here")
     assert document["schema"] == "trms.validation/1"
     assert document["model"] == "newtonian_vertical"
     assert list(document["error"]) == ["alpha_v", "omega_v"]
     assert list(document["error"]["alpha_v"]) == ["0.1", "0.5", "2.0"]
     assert document["left_out_horizons_s"] == [10.0]
     assert document["fit_percent"]["alpha_v"] < 90  # it is no model's rig
-    page = (tmp_path / "here/validation.html").read_text(encoding="utf-8")
+    page = (here / "here/validation.html").read_text(encoding="utf-8")
     assert "newtonian_vertical" in page and page.count("data:image/") >= 5
     again = trms("validate", "real=rig.csv", "model=newtonian_vertical", "out=here", code=2)
     assert "not empty" in again.stderr
 
 
-def test_a_recording_of_a_few_seconds_has_errors_but_no_correlations(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_recording_of_a_few_seconds_has_errors_but_no_correlations(trms, tmp_path):
     write(tmp_path / "rig.csv", seconds=3.0)
-    assert main(["validate", "real=rig.csv", "model=newtonian_vertical", "out=here"]) == 0
-    document = json.loads((tmp_path / "here/validation.json").read_text(encoding="utf-8"))
-    assert document["error"]["alpha_v"]["0.5"] > 0
+    trms("validate", "real=rig.csv", "model=newtonian_vertical", "out=here")
+    assert read(tmp_path / "here")["error"]["alpha_v"]["0.5"] > 0
     page = (tmp_path / "here/validation.html").read_text(encoding="utf-8")
     assert "newtonian_vertical: the recording is too short for tests of correlation." in page
 
 
-def test_compares_models_a_file_among_them(here, capsys):
-    (here / "mine.yaml").write_text(
-        "name: mine\nmodel: newtonian_vertical\n" + _parameters(), encoding="utf-8"
-    )
-    code = main(
-        ["validate", "real=rig.csv", "model=[newtonian_vertical,mine.yaml]", "out=both",
-         "page=false", "horizons=[0.5,2]"]
-    )  # fmt: skip
-    assert code == 0
-    document = json.loads((here / "both/validation.json").read_text(encoding="utf-8"))
+def test_compares_models_a_file_among_them(here, trms):
+    text = (config_folder() / "parameters/bench.yaml").read_text(encoding="utf-8")
+    mine = "name: mine\nmodel: newtonian_vertical\n" + text[text.index("parameters:") :]
+    (here / "mine.yaml").write_text(mine, encoding="utf-8")
+    words = ("model=[newtonian_vertical,mine.yaml]", "page=false", "horizons=[0.5,2]")
+    done = trms("validate", "real=rig.csv", *words, "out=both")
+    document = read(here / "both")
     assert set(document["models"]) == {"newtonian_vertical", "mine"}
     assert [row["model"] for row in document["ranking"]]
     assert document["comparison"][0]["ratio"] == pytest.approx(1.0)  # the same parameters
     assert not (here / "both/validation.html").exists()
-    assert "do not tell" in capsys.readouterr().out
-
-
-def _parameters() -> str:
-    from trms_cli.core.resources import config_folder
-
-    text = (config_folder() / "parameters/bench.yaml").read_text(encoding="utf-8")
-    return text[text.index("parameters:") :]
+    assert "do not tell" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -125,62 +117,44 @@ def test_a_recording_in_which_nothing_moves_is_refused(here, refused):
 class TestWhatTheRecordingsTell:
     """Recordings are looked at before models are held against them, as before a fit."""
 
-    @pytest.fixture
-    def played(self, here) -> Path:
-        write(here / "long.csv", seconds=30.0)
-        return here
-
-    def spoil(self, folder: Path, *changes: tuple[str, str]) -> None:
-        text = (folder / "long.csv").read_text(encoding="utf-8")
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        (folder / "spoilt.csv").write_text(text, encoding="utf-8")
-
     @pytest.mark.parametrize(
         ("more", "told"),
         [
-            ([], ["rpm read as rad/s", "omega_v[rpm]"]),
+            (["model=newtonian_vertical"], ["rpm read as rad/s", "omega_v[rpm]"]),
             # also where its speed would drive the beam
-            (["driven=[omega_v]"], ["rpm read as rad/s"]),
+            (["model=newtonian_vertical", "driven=[omega_v]"], ["rpm read as rad/s"]),
+            # of the models the one that it is of
+            (["model=[newtonian_vertical,narx_vertical]"], ["newtonian_vertical: omega_v is"]),
         ],
     )
-    def test_a_wrong_unit_is_named(self, played, refused, more, told):
-        self.spoil(played, ("omega_v[rpm]", "omega_v[rad/s]"))
-        refused("validate", "real=spoilt.csv", "model=newtonian_vertical", *more, words=told)
+    def test_a_wrong_unit_is_named(self, here, trms, more, told):
+        text = write(here / "long.csv", seconds=30.0).read_text(encoding="utf-8")
+        assert "omega_v[rpm]" in text
+        (here / "spoilt.csv").write_text(text.replace("omega_v[rpm]", "omega_v[rad/s]"), "utf-8")
+        said = trms("validate", "real=spoilt.csv", *more, "out=never", code=2).said
+        assert all(words in said for words in told) and "narx" not in said
+        assert not (here / "never").exists()
 
-    def test_only_the_model_that_it_is_of_is_named(self, played, trms):
-        self.spoil(played, ("omega_v[rpm]", "omega_v[rad/s]"))
-        words = "model=[newtonian_vertical,narx_vertical]"
-        said = trms("validate", "real=spoilt.csv", words, code=2).said
-        assert "newtonian_vertical: omega_v is" in said and "narx" not in said
-
-    def test_a_warning_stands_everywhere(self, here, capsys):
+    def test_a_warning_stands_everywhere(self, here, trms):
         write(here / "still.csv", commands=False)
-        words = ["real=still.csv", "model=newtonian_vertical", "out=here", "horizons=[0.5]"]
-        assert main(["validate", *words]) == 0
-        assert "warning    still: the inputs never move" in capsys.readouterr().out
-        document = json.loads((here / "here/validation.json").read_text(encoding="utf-8"))
-        assert document["warnings"][0]["check"] == "excitation"
+        words = ("real=still.csv", "model=newtonian_vertical", "out=here", "horizons=[0.5]")
+        assert "warning    still: the inputs never move" in trms("validate", *words).stdout
+        assert read(here / "here")["warnings"][0]["check"] == "excitation"
         page = (here / "here/validation.html").read_text(encoding="utf-8")
         assert "the inputs never move" in page
 
 
 class TestListsOfModels:
-    def test_one_model_is_left_to_the_composition(self):
+    def test_a_list_is_taken_apart_and_one_model_left_to_the_composition(self):
         assert model_list(["real=a.csv", "model=newtonian"]) is None
         assert model_list(["real=a.csv"]) is None
-
-    def test_a_list_is_taken_apart(self):
         argv = ["real=a.csv", "model=[newtonian,fits/b.yaml]", "seed=1"]
         assert model_list(argv) == ("newtonian", "fits/b.yaml")
         assert one_of(argv, "newtonian") == ["model=newtonian", "real=a.csv", "seed=1"]
 
-    def test_a_parameter_set_stands_for_its_file(self):
+    def test_a_parameter_set_stands_for_its_file(self, capsys):
         (choice, *_) = one_of(["real=a.csv", "model=[tras,tras_record]"], "tras_record")
         assert choice.endswith("parameters/tras_record.yaml")
-
-    def test_one_parameter_set_stands_for_its_file_too(self, capsys):
         assert main(["validate", "real=a.csv", "model=bench", "--cfg", "job"]) == 0
         assert "parameters/bench.yaml" in capsys.readouterr().out
         (alternatives,) = named_sets(["model=bench,newtonian"])
@@ -188,25 +162,21 @@ class TestListsOfModels:
         assert named_sets(["real=a.csv", "model=tras"]) == ["real=a.csv", "model=tras"]
 
     @pytest.mark.parametrize(
-        "value, words",
-        [("model=[]", "no model"), ("model=[a,a]", "twice"), ("model=[a", "bracket")],
+        ("words", "told"),
+        [
+            (["model=[]"], "no model"),
+            (["model=[a,a]"], "twice"),
+            (["model=[a"], "bracket"),
+            (["-m", "model=[a,b]"], "model=a,b"),  # a sweep takes alternatives instead
+        ],
     )
-    def test_what_is_no_list(self, value, words):
-        with pytest.raises(ConfigurationError, match=words):
-            model_list([value])
-
-    def test_a_sweep_takes_alternatives_instead(self):
-        with pytest.raises(ConfigurationError) as caught:
-            model_list(["-m", "model=[a,b]"])
-        assert "model=a,b" in caught.value.remedy
+    def test_what_is_no_list(self, words, told):
+        with pytest.raises(ConfigurationError, match=told):
+            model_list(words)
 
     def test_names_stay_unique(self):
-        assert shown_names(["x/fit.yaml", "y/fit.yaml", "tras"]) == [
-            "x/fit.yaml", "y/fit.yaml", "tras",
-        ]  # fmt: skip
+        namesakes = ["x/fit.yaml", "y/fit.yaml", "tras"]
+        assert shown_names(namesakes) == namesakes
         assert shown_names(["x/fit.yaml", "tras"]) == ["fit", "tras"]
-        assert shown_names(["monday/model.yaml", "b/tuesday/model.yaml", "model.yaml"]) == [
-            "monday",
-            "tuesday",
-            "model",
-        ]
+        fits = ["monday/model.yaml", "b/tuesday/model.yaml", "model.yaml"]
+        assert shown_names(fits) == ["monday", "tuesday", "model"]

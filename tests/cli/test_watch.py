@@ -37,9 +37,10 @@ from trms_cli.commands.watch.frame import (
 )
 from trms_cli.commands.watch.screen import keys_in
 from trms_cli.commands.watch.sweep import sweep_frame, sweep_line
+from trms_cli.core.wording import SIGNALS
 from trms_cli.runs.follower import AxisMoment, Event, Input, Moment, RunFollower, Solver
 from trms_cli.runs.query import latest_run
-from trms_cli.sweeps.outcome import SweepFollower, _values
+from trms_cli.sweeps.outcome import Job, SweepFollower, SweepState, _values
 from trms_cli.sweeps.record import drive_sweep
 
 
@@ -47,17 +48,9 @@ from trms_cli.sweeps.record import drive_sweep
 def made(tmp_path_factory) -> Path:
     """A folder with a run of 6 s and a sweep of four, of which two fail."""
     folder = tmp_path_factory.mktemp("lab")
-    for argv in (
-        [
-            "-m",
-            "controller=pid,lqr",
-            "seed=1,2",
-            "launcher.workers=0",
-            "out=sweep",
-            "sim.duration=2",
-        ],
-        ["controller=lqr", "effect=yaw_coulomb_friction", "out=one", "sim.duration=6"],
-    ):
+    sweep = ("-m", "controller=pid,lqr", "seed=1,2", "launcher.workers=0", "out=sweep")
+    one = ("controller=lqr", "effect=yaw_coulomb_friction", "out=one")
+    for argv in ((*sweep, "sim.duration=2"), (*one, "sim.duration=6")):
         in_process(folder, "run", *argv, "picture=false", TRMS_RUNS="off")
     return folder
 
@@ -78,15 +71,13 @@ def there(made, trms, tmp_path):
 def a_view(axes: int = 2, events: int = 5, words: str = "", **changes) -> View:
     """A run at 12.5 s with everything that a run can have."""
     t = np.arange(0.0, 12.5, 0.02)
+    figures = (0.3, 0.29, 0.291, 0.2905, 0.009, 0.12)
     names = ["alpha_v", "alpha_h", "omega_v", "third 出力"][:axes]
     moment = Moment(
         time=12.5,
         speed=37.2,
         axes=tuple(
-            AxisMoment(
-                n, "rad", 0.3, 0.29, 0.291, 0.2905, 0.009, 0.12, t, np.sign(np.sin(t)), np.sin(t)
-            )
-            for n in names
+            AxisMoment(name, "rad", *figures, t, np.sign(np.sin(t)), np.sin(t)) for name in names
         ),
         inputs=(
             Input("u_v", "V", 2.5, -2.5, 2.5, True, 0.25),
@@ -99,12 +90,10 @@ def a_view(axes: int = 2, events: int = 5, words: str = "", **changes) -> View:
         events=tuple(Event(i, "fault", "plant", f"happening {i} {words}") for i in range(events)),
         event_count=events,
     )
-    made_of = {
-        "about": About(
-            f"newton_mpc · ref square {words}", "effects x", f"runs/{words}/run.mcap", 80.0
-        )
-    }
-    return View(**({"moment": moment, "state": "running", "keys": "q quit"} | made_of | changes))
+    what = About(f"newton_mpc · ref square {words}", "effects x", f"runs/{words}/run.mcap", 80.0)
+    return View(
+        **({"moment": moment, "state": "running", "keys": "q quit", "about": what} | changes)
+    )
 
 
 def text_of(lines: list[Text]) -> str:
@@ -151,20 +140,13 @@ class TestFrame:
             assert line.plain.isprintable()
             assert not plain or line.plain.isascii()
 
-    def test_a_small_terminal_keeps_the_figures(self):
+    def test_a_small_terminal_keeps_the_figures_and_a_large_one_has_more(self):
         text = text_of(run_frame(a_view(), 80, 12))
         assert "RMSE" in text and "7 missed" in text and "q quit" in text
         assert "⣀" not in text
-
-    def test_more_room_is_given_to_curves_and_events(self):
         small, large = run_frame(a_view(), 80, 24), run_frame(a_view(), 160, 50)
         assert len(small) <= 24 < len(large) <= 50
         assert max(line.cell_len for line in large) == 160
-
-    def test_what_a_run_does_not_have_is_left_out(self):
-        moment = Moment(0.0, math.nan, (), (), None, (), 0)
-        text = text_of(run_frame(View(About("x", "", "l", None), moment, "running"), 80, 24))
-        assert "no sample yet" in text and "nan" not in text and "solver" not in text
 
     @pytest.mark.parametrize(
         ("state", "words"),
@@ -174,14 +156,12 @@ class TestFrame:
         assert words in text_of(run_frame(a_view(state=state), 80, 24))
         assert words in plain_line(a_view(state=state))
 
-    def test_says_that_nothing_comes(self):
+    def test_says_that_nothing_comes_and_leaves_out_what_a_run_does_not_have(self):
         assert "no sample for 12 s" in text_of(run_frame(a_view(silent=12.0), 100, 24))
         assert "no sample for" not in text_of(run_frame(a_view(silent=1.0), 100, 24))
-
-    def test_names_are_those_of_the_figures(self):
-        from trms_cli.core.wording import SIGNALS
-
-        assert {name: SIGNALS[name] for name in NAMES} == NAMES
+        moment = Moment(0.0, math.nan, (), (), None, (), 0)
+        text = text_of(run_frame(View(About("x", "", "l", None), moment, "running"), 80, 24))
+        assert "no sample yet" in text and "nan" not in text and "solver" not in text
 
     def test_what_a_run_is(self):
         choices = {"controller": "lqr", "ref": "sine", "observer": "ekf", "plant": "simulated",
@@ -193,6 +173,7 @@ class TestFrame:
         assert about({}, {"file": "rig.csv"}, "run.mcap", 1.0).what == "rig.csv"
         replayed = about(choices, {"recording.file": "rig.csv"}, "run.mcap", 1.0)
         assert replayed.what == "rig.csv · observer ekf · model newtonian"
+        assert {name: SIGNALS[name] for name in NAMES} == NAMES
 
 
 class TestChart:
@@ -273,30 +254,22 @@ class TestPlayer:
         yield Player(run, live=False, speed=2.0, begin=1.0, span=20.0)
         run.close()
 
-    def test_goes_at_its_speed_to_the_end(self, player):
-        player.advance(0.5)
-        assert player.position == pytest.approx(2.0)
-        player.press("+")
-        player.advance(0.5)
-        assert player.position == pytest.approx(4.0)
-        player.press("-")
-        player.advance(0.25)
-        assert player.position == pytest.approx(4.5) and not player.at_end
-        player.advance(10.0)
-        assert player.position == pytest.approx(5.98) and player.at_end
-
-    def test_pauses_and_seeks(self, player):
-        player.press(" ")
-        player.advance(1.0)
-        assert player.position == 1.0
-        player.press("right")
-        assert player.position == pytest.approx(5.98)
-        player.press("left")
-        assert player.position == pytest.approx(0.98)
-        player.press("end")
-        assert player.position == pytest.approx(5.98)
-        player.press("home")
-        assert player.position == 0.0
+    @pytest.mark.parametrize(
+        "steps",
+        [
+            # what is pressed, how long is waited (s), and where one is then (s)
+            [("", 0.5, 2.0), ("+", 0.5, 4.0), ("-", 0.25, 4.5), ("", 10.0, 5.98)],
+            [(" ", 1.0, 1.0), ("right", 0.0, 5.98), ("left", 0.0, 0.98), ("end", 0.0, 5.98)],
+            [(" ", 0.0, 1.0), ("home", 0.0, 0.0)],
+        ],
+        ids=["speed", "pause and seek", "home"],
+    )
+    def test_goes_where_it_is_told(self, player, steps):
+        for key, seconds, place in steps:
+            assert not key or player.press(key)
+            player.advance(seconds)
+            assert player.position == pytest.approx(place)
+            assert player.at_end == (place == 5.98)
         assert player.press("x") and not player.press("q")
 
     def test_a_moment_seen_again_is_the_same(self, player):
@@ -358,13 +331,9 @@ class TestLines:
         assert "pitch" in lines[0] and "RMSE" in lines[0] and "completed" in lines[-1]
 
     def test_a_reader_that_leaves(self, there, tmp_path):
+        line = f"'{INSTALLED}' watch one --speed 2 | head -1"
         result = subprocess.run(
-            f"'{INSTALLED}' watch one --speed 2 | head -1",
-            shell=True,
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=30,
+            line, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=30
         )
         assert result.stdout.count("\n") == 1 and result.stderr == ""
 
@@ -496,9 +465,8 @@ class TestSweep:
     def say(folder: Path, job: int, at: float | None = None, **words) -> None:
         file = folder / str(job) / "status.json"
         given = ["controller=pid", f"seed={job}", "ref=sine"]
-        file.write_text(
-            json.dumps({"schema": "trms.status/1", "job": job, "overrides": given} | words)
-        )
+        status = {"schema": "trms.status/1", "job": job, "overrides": given}
+        file.write_text(json.dumps(status | words))
         if at is not None:
             os.utime(file, (at, at))
 
@@ -556,24 +524,21 @@ class TestSweep:
     def test_the_end_is_what_the_record_says(self, folder, state, words):
         record = {"schema": "trms.sweep/1", "overrides": [], "state": state, "total": 1}
         (folder / "sweep.json").write_text(json.dumps(record))
-        self.say(folder, 0, 100.0, state="done", objective=1.0)
-        assert words in text_of(sweep_frame(SweepFollower(folder).now(), 80, 24))
-
-    def test_what_has_changed_is_seen(self, folder):
         sweep = SweepFollower(folder)
         self.say(folder, 0, 100.0, state="running", pid=os.getpid())
         assert sweep.now().count("running") == 1
         self.say(folder, 0, 110.0, state="done", objective=1.0)
-        assert sweep.now().count("done") == 1
+        assert sweep.now().count("done") == 1  # what has changed is seen
+        assert words in text_of(sweep_frame(sweep.now(), 80, 24))
 
     @settings(max_examples=40, deadline=None)
     @given(width=st.integers(1, 150), height=st.integers(1, 50), plain=st.booleans())
     def test_fits(self, width, height, plain):
-        jobs = [
-            {"state": state, "objective": 1.0}
-            for state in ("done", "failed", "running", "interrupted") for _ in range(5)
-        ]  # fmt: skip
-        seen = _seen(jobs)
+        jobs = tuple(
+            Job(str(i), state, ("a=1", f"b={i}"), 1.0, "a problem " * 9, 100.0 + i)
+            for i, state in enumerate(5 * ("done", "failed", "running", "interrupted"))
+        )
+        seen = SweepState(Path("a/folder"), ("a=1",), 30, jobs, 0.3, 200.0)
         lines = sweep_frame(seen, width, height, plain=plain)
         assert 0 < len(lines) <= height and all(line.cell_len <= width for line in lines)
         assert not plain or all(line.plain.isascii() for line in lines)
@@ -602,13 +567,3 @@ class TestSweep:
     )
     def test_what_only_hydra_can_count_is_not_known(self, text):
         assert _values(text) is None
-
-
-def _seen(jobs):
-    from trms_cli.sweeps.outcome import Job, SweepState
-
-    made = tuple(
-        Job(str(i), job["state"], ("a=1", f"b={i}"), job["objective"], "a problem " * 9, 100.0 + i)
-        for i, job in enumerate(jobs)
-    )
-    return SweepState(Path("a/folder"), ("a=1",), 30, made, 0.3, 200.0)
