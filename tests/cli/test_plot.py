@@ -202,6 +202,21 @@ def test_what_a_log_lacks_is_told(folder, logs, tmp_path, capsys):
     assert "controllers that plan ahead" in document["absent"]["prediction"]
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--what", "prediction"], ["nothing to be drawn"]),
+        (["--what", "trakcing"], ["there is no plot", "in --what"]),
+        (["--width", "3km"], ["is no size", "in --width"]),
+        (["--width", "5mm"], ["from 30 to 1200 mm"]),
+        (["--from", "9"], ["from 0 to 6 s"]),
+        (["--from", "3", "--to", "2"], ["is empty", "in --from, --to"]),
+        (["--out", "a.jpg"], ["a figure is no .jpg"]),
+        (["--format", "gif"], ["is no gif"]),
+        (["--names", "a,b"], ["2 names for 1 logs", "in --names"]),
+        (["--what", "scene,tracking"], ["a figure of its own"]),
+    ],
+)
 def test_wrong_words_are_answered_by_the_name_that_was_typed(folder, said, words, told):
     assert main(["plot", str(folder / "lqr"), *words]) == 2
     answer = said()

@@ -167,6 +167,17 @@ def test_a_log_of_a_run_that_died_gains_a_view(log, tmp_path, capsys):
     assert len(messages(tmp_path / "cut.foxglove.mcap")["/tf"]) >= 20
 
 
+@pytest.mark.parametrize(
+    ("words", "moves"),
+    [
+        (("model=newtonian_vertical", "controller=pid", "observer=full_state"), "alpha_v"),
+        (("model=newtonian_horizontal", "controller=pid", "observer=full_state"), "alpha_h"),
+        (("experiment=quanser_aero",), "alpha_v"),
+        (("model=tras", "controller=open_loop", "observer=full_state"), "alpha_v"),
+        (("model=narx_2dof", "controller=open_loop", "observer=full_state"), "alpha_v"),
+    ],
+)
+@pytest.mark.slow
 def test_every_rig_with_an_attitude_has_a_view(tmp_path, words, moves):
     path = run(tmp_path / "there", *words)
     found = messages(path)

@@ -47,15 +47,11 @@ def test_its_topics_and_fields_are_those_of_a_log(run_folder):
             assert f"`{name}`" in described[topic], (topic, name)
 
 
-def test_measured_torques_are_there_by_equation(run_folder):
+def test_measured_torques_and_predictions_are_as_it_says(run_folder):
     log = read_log(run_folder / "run.mcap")
     assert list(log.table("/disturbance").columns) == ["d_yaw_moment"]
     assert len(log.table("/disturbance")) == len(log.table("/measurement")) == 50
     assert "`d_yaw_moment`" in PAGE.read_text(encoding="utf-8")
-
-
-def test_predictions_come_as_often_as_it_says(run_folder):
-    log = read_log(run_folder / "run.mcap")
     np.testing.assert_allclose(log.table("/prediction").time, [0.0, 0.4, 0.8])
 
 

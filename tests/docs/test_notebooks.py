@@ -38,10 +38,11 @@ class TestNotebook:
         made = module.without_machine(module.execute(file, tmp_path))
         kept = nbformat.read(file, as_version=4)
         assert sources(made) == sources(kept)
-        shown = [[output.output_type for output in c.get("outputs", ())] for c in made.cells]
-        assert shown == [
-            [output.output_type for output in c.get("outputs", ())] for c in kept.cells
-        ]
+        shown, expected = (
+            [[output.output_type for output in cell.get("outputs", ())] for cell in notebook.cells]
+            for notebook in (made, kept)
+        )
+        assert shown == expected
 
     def test_is_kept_with_small_outputs_and_nothing_of_a_machine(self, file):
         text = file.read_text(encoding="utf-8")

@@ -17,6 +17,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+import trms_cli
 from trms_cli.cli import COMMANDS
 from trms_cli.core.resources import config_folder
 
@@ -94,24 +95,30 @@ def pages(site: Path) -> dict[Path, Read]:
     return found
 
 
-def test_every_link_and_anchor_leads_somewhere(site: Path, pages: dict[Path, Read]) -> None:
-    lost = []
+def test_every_link_and_anchor_leads_somewhere_and_never_to_the_disk_of_who_built_it(
+    site: Path, pages: dict[Path, Read]
+) -> None:
+    lost = set()
     for file, page in pages.items():
         for link in page.links:
             parts = urlsplit(link)
+            what = f"{file.relative_to(site)}: {link}"
+            assert parts.scheme in ("", "https", "mailto"), what
+            # what has no address is told from the page
+            assert parts.netloc or not parts.path.startswith("/"), what
+            assert str(ROOT) not in unquote(link), what
             if parts.scheme or parts.netloc:
                 continue
             target = (file.parent / unquote(parts.path)).resolve() if parts.path else file
-            if not target.is_file() or (
-                parts.fragment
-                and target.suffix == ".html"
-                and unquote(parts.fragment) not in pages[target].anchors
-            ):
-                lost.append(f"{file.relative_to(site)}: {link}")
-    assert not lost, "\n".join(sorted(set(lost))[:40])
+            anchor = unquote(parts.fragment) if target.suffix == ".html" else ""
+            if not target.is_file() or (anchor and anchor not in pages[target].anchors):
+                lost.add(what)
+    assert not lost, "\n".join(sorted(lost)[:40])
 
 
-def test_pictures_styles_and_scripts_are_there(site: Path, pages: dict[Path, Read]) -> None:
+def test_all_that_is_fetched_is_there_and_nothing_is_from_elsewhere(
+    site: Path, pages: dict[Path, Read]
+) -> None:
     for file, page in pages.items():
         for link in page.fetched:
             if link.startswith("data:"):
@@ -119,24 +126,10 @@ def test_pictures_styles_and_scripts_are_there(site: Path, pages: dict[Path, Rea
             assert not re.match(r"(https?:)?//", link), f"{file.name} fetches {link}"
             target = file.parent / unquote(urlsplit(link).path)
             assert target.is_file(), f"{file.relative_to(site)}: {link}"
-
-
-def test_nothing_is_fetched_from_elsewhere(site: Path, pages: dict[Path, Read]) -> None:
-    for file, page in pages.items():
         assert not re.search(r"(https?:)?//[\w.-]*(cdn|googleapis|unpkg)", page.scripts), file.name
     for file in site.rglob("*.css"):
         text = file.read_text(encoding="utf-8")
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", text), file.name
-
-
-def test_only_web_pages_that_a_page_names_are_linked(site: Path, pages: dict[Path, Read]) -> None:
-    for file, page in pages.items():
-        for link in page.links:
-            parts = urlsplit(link)
-            assert parts.scheme in ("", "https", "mailto"), f"{file.name}: {link}"
-            # nothing on the disk of who built it: what has no address is told from the page
-            assert parts.netloc or not parts.path.startswith("/"), f"{file.name}: {link}"
-            assert str(ROOT) not in unquote(link), f"{file.name}: {link}"
 
 
 def test_every_page_is_reached_from_the_front_page(site: Path, pages: dict[Path, Read]) -> None:
@@ -155,54 +148,39 @@ def test_every_page_is_reached_from_the_front_page(site: Path, pages: dict[Path,
     assert lost <= apart, f"pages that nothing leads to: {sorted(lost - apart)}"
 
 
-def test_every_command_is_in_the_reference(pages: dict[Path, Read], site: Path) -> None:
+def test_every_command_and_schema_is_in_the_reference(pages: dict[Path, Read], site: Path) -> None:
     for name in COMMANDS:
         page = pages[site / "reference" / "commands" / f"{name}.html"]
         assert f"trms {name}" in page.text
     run = pages[site / "reference" / "commands" / "run.html"].text
     assert "sim.sample_time" in run and "s, period" not in run and "period of the log" in run
+    formats = pages[site / "reference" / "formats.html"].text
+    for schema in ("trms.score/1", "trms.run/1", "trms.diagnosis/1", "trms.validation/1"):
+        assert schema in formats
 
 
 def test_every_group_and_option_is_in_the_reference(pages: dict[Path, Read], site: Path) -> None:
-    for folder in config_folder().iterdir():
-        options = [file.stem for file in folder.glob("*.yaml")] if folder.is_dir() else []
-        if not options:
-            continue
-        page = pages[site / "reference" / "configuration" / f"{folder.name}.html"]
-        headings = page.anchors
-        for option in options:
-            named = {option.lower(), option.replace("_", "-").lower()}
-            assert named & headings, option
-
-
-def test_a_key_has_its_default_unit_and_meaning(pages: dict[Path, Read], site: Path) -> None:
-    text = " ".join(pages[site / "reference" / "configuration" / "controller.html"].text.split())
+    reference = site / "reference" / "configuration"
+    for file in config_folder().glob("*/*.yaml"):
+        option = file.stem.lower()
+        anchors = pages[reference / f"{file.parent.name}.html"].anchors
+        assert {option, option.replace("_", "-")} & anchors, option
+    # a key has its default, unit and meaning
+    text = " ".join(pages[reference / "controller.html"].text.split())
     assert "controller.sample_time 0.1 s control period; a whole multiple" in text
-    sets = " ".join(pages[site / "reference" / "configuration" / "parameters.html"].text.split())
+    sets = " ".join(pages[reference / "parameters.html"].text.split())
     assert "k_g 0.0123 m*s 30 %" in sets
 
 
-@pytest.mark.parametrize("name", ["Model", "Effect", "Controller", "Observer", "Signal", "Plant"])
-def test_protocols_of_plugins_are_in_the_reference(
-    pages: dict[Path, Read], site: Path, name: str
+def test_protocols_of_plugins_and_what_the_library_exports_are_in_the_reference(
+    pages: dict[Path, Read], site: Path
 ) -> None:
-    found = [page for file, page in pages.items() if "reference/python" in file.as_posix()]
-    assert any(anchor.endswith(f".{name}") for page in found for anchor in page.anchors)
-
-
-def test_what_the_library_exports_is_in_the_reference(pages: dict[Path, Read], site: Path) -> None:
-    import trms_cli
-
-    anchors = pages[site / "reference" / "python" / "library.html"].anchors
-    for name in trms_cli.__all__:
-        if name[0] != "_":
-            assert any(anchor.endswith(f".{name}") for anchor in anchors), name
-
-
-def test_schemas_are_listed(pages: dict[Path, Read], site: Path) -> None:
-    text = pages[site / "reference" / "formats.html"].text
-    for schema in ("trms.score/1", "trms.run/1", "trms.diagnosis/1", "trms.validation/1"):
-        assert schema in text
+    python = {file: p.anchors for file, p in pages.items() if "reference/python" in file.as_posix()}
+    every = {anchor.rpartition(".")[2] for anchors in python.values() for anchor in anchors}
+    assert {"Model", "Effect", "Controller", "Observer", "Signal", "Plant"} <= every
+    library = python[site / "reference" / "python" / "library.html"]
+    told = {anchor.rpartition(".")[2] for anchor in library}
+    assert {name for name in trms_cli.__all__ if name[0] != "_"} <= told
 
 
 def test_the_search_finds_pages_that_exist(site: Path) -> None:

@@ -32,10 +32,8 @@ def test_the_loop_takes_it_and_the_log_tells_of_it(steady):
 
 def test_it_cannot_be_repeated_from_the_log_alone(steady, here, capsys):
     assert main(["run", "--from", str(steady.log), "out=again"]) == 2
-    told = capsys.readouterr().err
-    assert "Steady(volts=(1.2, 0.1)" in told and "an object in a Python session" in " ".join(
-        told.split()
-    )
+    told = " ".join(capsys.readouterr().err.split())
+    assert "Steady(volts=(1.2, 0.1)" in told and "an object in a Python session" in told
     assert not (here / "again").exists()
     with pytest.raises(ConfigurationError, match="controller was Steady"):
         load(steady.folder).again()

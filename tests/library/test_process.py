@@ -30,16 +30,13 @@ def test_importing_it_loads_nothing():
 
 
 def test_every_name_is_there_documented_and_typed():
-    for name in trms_cli.__all__:
+    for name in set(trms_cli.__all__) - {"__version__"}:
         found = getattr(trms_cli, name)
-        if name == "__version__":
-            continue
         function = found.__call__ if name in ("runs", "stability") else found
         assert function.__doc__ and len(function.__doc__) > 30, name
         if callable(function) and not isinstance(function, type):
-            hints = (
-                typing.get_type_hints(function) if name == "options" else function.__annotations__
-            )
+            overloaded = name == "options"
+            hints = typing.get_type_hints(function) if overloaded else function.__annotations__
             assert "return" in hints, name
             assert "Examples" in function.__doc__ and "Raises" in function.__doc__, name
     assert set(trms_cli.__all__) == set(dir(trms_cli))
@@ -66,19 +63,6 @@ def test_nothing_of_the_process_is_changed(here):
     assert state() == before
 
 
-def test_a_notebook_that_uses_hydra_itself_keeps_its_own(here):
-    import hydra
-    from hydra.core.global_hydra import GlobalHydra
-
-    (here / "conf").mkdir()
-    (here / "conf" / "mine.yaml").write_text("a: 1\n")
-    with hydra.initialize_config_dir(str(here / "conf"), version_base="1.2"):
-        mine = GlobalHydra.instance().hydra
-        run(**SHORT)
-        assert GlobalHydra.instance().hydra is mine
-        assert hydra.compose("mine").a == 1
-
-
 def test_it_is_quiet_and_can_be_heard(here, capsys):
     quiet = run(**SHORT, out="quiet")
     captured = capsys.readouterr()
@@ -96,7 +80,7 @@ def test_it_is_quiet_and_can_be_heard(here, capsys):
     assert steady(loud) == steady(typed) == steady(quiet.text)
 
 
-def test_notes_are_warnings(lqr, here, monkeypatch):
+def test_notes_are_warnings(here, monkeypatch):
     monkeypatch.setattr("trms_cli.core.compilation.compiler", lambda: None)
     monkeypatch.delenv("TRMS_COMPILE", raising=False)
     with pytest.warns(TrmsNote, match="no C compiler"):
@@ -119,23 +103,29 @@ def test_threads_take_turns_and_others_are_not_silenced(here, capsys):
     assert sorted(capsys.readouterr().out.split()) == ["a", "bb", "done", "done"]
 
 
-def test_it_works_inside_a_running_event_loop(here):
-    async def cell():
-        return run(**SHORT, out="inside")
+def test_it_works_inside_a_running_event_loop_and_beside_a_notebook_s_own_hydra(here):
+    import hydra
+    from hydra.core.global_hydra import GlobalHydra
 
-    assert asyncio.run(cell()).outcome == "completed"
+    (here / "conf").mkdir()
+    (here / "conf" / "mine.yaml").write_text("a: 1\n")
+
+    async def cell():
+        return run(**SHORT)
+
+    with hydra.initialize_config_dir(str(here / "conf"), version_base="1.2"):
+        mine = GlobalHydra.instance().hydra
+        assert asyncio.run(cell()).outcome == "completed"
+        assert GlobalHydra.instance().hydra is mine
+        assert hydra.compose("mine").a == 1
 
 
 def test_the_second_run_is_that_of_a_fresh_process(here):
-    run(controller="newton_mpc", sim={"duration": 0.5}, picture=False)
+    run(**SHORT | {"controller": "newton_mpc"})
     second = run(**SHORT, out="second")
-    code = (
-        "from trms_cli import run; "
-        "run(controller='lqr', sim={'duration': 0.5}, picture=False, out='fresh')"
-    )
+    code = f"from trms_cli import run; run(**{SHORT}, out='fresh')"
     subprocess.run([sys.executable, "-c", code], check=True)
-    fresh = trms_cli.read_log("fresh")
-    assert fresh["/plant/state"].equals(second["/plant/state"])
+    assert trms_cli.read_log("fresh")["/plant/state"].equals(second["/plant/state"])
 
 
 def test_in_a_notebook_nothing_is_displayed_beside_the_result(here, monkeypatch):

@@ -35,13 +35,17 @@ def test_it_is_the_run_of_the_command_line_sample_by_sample(lqr, here):
         assert typed[topic].equals(lqr[topic]), topic
 
 
-def test_a_topic_is_a_frame_with_units(lqr):
+def test_a_topic_is_a_frame_with_units(lqr, monkeypatch):
     estimate = lqr["estimate"]
     assert estimate.index.name == "time [s]" and len(estimate) == 100
     assert estimate.attrs["units"]["omega_v"] == "rad/s"
     assert set(lqr) == set(lqr.topics) and "/command" in lqr and "/nothing" not in lqr
     with pytest.raises(RecordingError, match="/estimate"):
         lqr["/nothing"]
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(trms_cli.TrmsError, match="pip install"):  # pandas
+        lqr["/estimate"]
+    assert np.isfinite(lqr.logged.table("/estimate").columns["alpha_h"]).all()
 
 
 def test_it_tells_what_it_is(lqr):
@@ -56,12 +60,17 @@ def test_it_tells_what_it_is(lqr):
     assert command[:3] == ["trms", "run", "controller=lqr"]
 
 
-def test_its_figure_is_shown_and_saved(lqr, tmp_path):
+def test_its_figures_scores_and_pages(lqr, here):
     figure = lqr.figure()
     assert figure._repr_png_().startswith(b"\x89PNG")
-    figure.savefig(tmp_path / "run.pdf")
-    assert (tmp_path / "run.pdf").stat().st_size > 1000
+    figure.savefig(here / "run.pdf")
+    assert (here / "run.pdf").stat().st_size > 1000
     assert [axes.get_ylabel() for axes in figure.axes[:2]] == ["pitch [rad]", "yaw [rad]"]
+    assert plot(lqr, what="tracking")._repr_png_().startswith(b"\x89PNG")
+    assert score(lqr)["channels"] == lqr.score["channels"]
+    both = score(lqr, lqr, baseline=lqr.folder / "score.json")
+    assert both["schema"] == "trms.scores/1" and not both["scores"][0]["comparison"]["worse"]
+    assert "<html" in report(lqr, out="page.html").read_text()[:200]
 
 
 def test_again_is_the_same_but_for_what_is_given(lqr, here):
@@ -71,30 +80,15 @@ def test_again_is_the_same_but_for_what_is_given(lqr, here):
     assert pid.choices["controller"] == "pid" and pid.choices["ref"] == "sine"
     assert pid["/reference"].equals(lqr["/reference"])
     assert [same.folder.parts[0], pid.folder.parts[0]] == ["outputs", "outputs"]
+    with pytest.raises(trms_cli.TrmsError, match="nothing is written over"):
+        lqr.again(out=lqr.folder)
     found = compare(lqr, pid)
     assert found.is_pair and found.winner is None and len(found.frame) > 5
     assert "<table>" in found._repr_html_()
-
-
-def test_nothing_is_written_over(lqr):
-    with pytest.raises(trms_cli.TrmsError, match="nothing is written over"):
-        lqr.again(out=lqr.folder)
-
-
-def test_scores_and_pages_and_figures_of_runs(lqr, here):
-    assert score(lqr)["channels"] == lqr.score["channels"]
-    both = score(lqr, lqr, baseline=lqr.folder / "score.json")
-    assert both["schema"] == "trms.scores/1" and not both["scores"][0]["comparison"]["worse"]
-    page = report(lqr, out="page.html")
-    assert page.read_text().startswith("<!DOCTYPE html>") or "<html" in page.read_text()[:200]
-    assert plot(lqr, what="tracking")._repr_png_().startswith(b"\x89PNG")
-
-
-def test_three_runs_are_ranked(lqr, here):
-    others = [lqr.again(controller=name, picture=False) for name in ("pid", "newton_mpc")]
-    found = compare(lqr, others)
-    assert sorted(found.frame["rank"]) == [1, 2, 3]
-    assert found.winner == found.frame.set_index("rank").loc[1, "name"]
+    others = [pid, lqr.again(controller="newton_mpc", picture=False)]
+    ranked = compare(lqr, others)
+    assert sorted(ranked.frame["rank"]) == [1, 2, 3]
+    assert ranked.winner == ranked.frame.set_index("rank").loc[1, "name"]
     with pytest.raises(ConfigurationError, match="rmse"):
         compare(lqr, others, metric="rms")
 
@@ -116,7 +110,7 @@ def test_a_folder_is_opened_again(lqr, tmp_path):
         read_log(tmp_path)
 
 
-def test_options_are_those_of_the_list(capsys):
+def test_options_are_those_of_the_list_and_are_built_to_be_looked_at(capsys):
     assert main(["list", "controller", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["groups"]["controller"]["options"]
     found = options("controller")
@@ -125,9 +119,6 @@ def test_options_are_those_of_the_list(capsys):
     assert "controller" in options() and "_target_" in repr(options("controller", "lqr"))
     with pytest.raises(ConfigurationError, match="did you mean lqr"):
         options("controller", "lrq")
-
-
-def test_a_part_is_built_to_be_looked_at():
     model = build("model", "newtonian", parameters={"k_g": 0.1})
     assert model.parameters["k_g"].value == 0.1
     assert build("effect", "yaw_coulomb_friction", torque=0.02).torque == 0.02
@@ -143,10 +134,3 @@ def test_a_misspelt_key_is_answered_as_on_the_command_line(here):
     assert "did you mean controller" in str(error) and not list(here.iterdir())
     shown = error._render_traceback_()
     assert shown[0].startswith("ConfigurationError: ") and "   in  controler" in shown
-
-
-def test_frames_say_what_is_missing_without_pandas(lqr, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(trms_cli.TrmsError, match="pip install"):
-        lqr["/estimate"]
-    assert np.isfinite(lqr.logged.table("/estimate").columns["alpha_h"]).all()

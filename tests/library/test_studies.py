@@ -32,9 +32,8 @@ def rig(tmp_path_factory):
         picture=False,
         out=folder / "rig",
     )
-    assert (
-        list(excited.commands) == ["u_v", "u_h"] and excited.commands.attrs["units"]["u_v"] == "V"
-    )
+    assert list(excited.commands) == ["u_v", "u_h"]
+    assert excited.commands.attrs["units"]["u_v"] == "V"
     assert made["/command"].u_v.iloc[-1] == pytest.approx(excited.commands.u_v.iloc[999], abs=1e-6)
     return made
 
@@ -98,8 +97,8 @@ def test_a_sweep_is_a_frame_and_goes_on(here):
 
 
 def test_objects_are_no_part_of_a_sweep(here):
-    with pytest.raises(ConfigurationError, match="other processes"):
-        sweep(controller=["pid", build("controller", "lqr")])
-    with pytest.raises(ConfigurationError, match="other processes"):
-        sweep(seed=[1, 2], controller=build("controller", "lqr"))
+    lqr = build("controller", "lqr")
+    for keys in ({"controller": ["pid", lqr]}, {"seed": [1, 2], "controller": lqr}):
+        with pytest.raises(ConfigurationError, match="other processes"):
+            sweep(**keys)
     assert not list(here.iterdir())

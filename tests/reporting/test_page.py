@@ -70,24 +70,23 @@ def test_is_well_formed_and_fetches_nothing(page):
     assert "http" not in page.replace("http-equiv", "")
     assert len(set(tree.ids)) == len(tree.ids)
     assert all(source[1:] in tree.ids for source in tree.sources if source[0] == "#")
-
-
-def test_text_is_escaped_and_two_marks_are_understood(page):
+    # text is escaped and two marks are understood
     assert "A &lt;title&gt;" in page and "a&lt;b&gt;.csv" in page and "wrong &lt;here&gt;" in page
     assert "<strong>good</strong>" in page and "<code>x &amp; y</code>" in page
-
-
-def test_a_column_of_numbers_stands_right(page):
+    # a column of numbers stands right, and a table of many columns is set smaller
     assert '<th scope="col" class="number">RMS [rad]</th>' in page
     assert '<td class="bad number">–</td>' in page
+    assert page.count('<table class="wide">') == 1 < page.count("<table")
 
 
-def test_few_points_are_curves_many_are_pixels_and_both_are_reproducible():
-    assert embed_figure(drawing())[0] == "image/svg+xml"
-    kind, content = embed_figure(drawing(20_000))
-    assert kind == "image/png" and content[:4] == b"\x89PNG"
-    assert embed_figure(drawing()) == embed_figure(drawing())
-    assert embed_figure(drawing(20_000))[1] == content
+@pytest.mark.parametrize(
+    ("points", "kind", "begin"),
+    [(50, "image/svg+xml", b"<"), (20_000, "image/png", b"\x89PNG")],
+)
+def test_few_points_are_curves_many_are_pixels_and_both_are_reproducible(points, kind, begin):
+    told, content = embed_figure(drawing(points))
+    assert told == kind and content.startswith(begin)
+    assert embed_figure(drawing(points)) == (told, content)
 
 
 def test_is_written_whole_or_not_at_all(findings, page, tmp_path, monkeypatch, capsys):
@@ -103,7 +102,3 @@ def test_is_written_whole_or_not_at_all(findings, page, tmp_path, monkeypatch, c
     assert "No space left on device" in capsys.readouterr().err
     assert path.read_text(encoding="utf-8") == page
     assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
-
-
-def test_a_table_of_many_columns_is_set_smaller(page):
-    assert page.count('<table class="wide">') == 1 < page.count("<table")

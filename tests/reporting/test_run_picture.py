@@ -27,6 +27,11 @@ def told(columns: dict[str, dict[str, Any]], *happened: Any) -> dict[str, Series
     return logged(columns, times)
 
 
+@pytest.fixture
+def history() -> dict[str, Series]:
+    return told(everything())
+
+
 def wave(lag: float = 0.0) -> np.ndarray:
     return np.sin(TIME - lag)
 
@@ -85,8 +90,7 @@ def test_every_kind_of_run_is_drawn(tmp_path, columns):
     path = tmp_path / "run.png"
     draw_run(history, score(history), path, title="x", limits=LIMITS)
     width, height = size(path)
-    assert width == 990
-    assert height > 250
+    assert width == 990 and height > 250
 
 
 ROTORS = {"main_motor": 0.001 * wave(), "sd_main_motor": np.full(500, 1e-4)}
@@ -126,27 +130,23 @@ def test_events_change_the_picture(tmp_path):
     assert len(pictures) == 4  # the end of a fault alone is no mark
 
 
-def test_equal_runs_are_equal_pictures_beside_or_in_line(tmp_path):
-    history = told(everything())
+def test_equal_runs_are_equal_pictures_beside_or_in_line(tmp_path, history):
     with Painter(beside=True) as beside, Painter(beside=False) as in_line:
         beside.draw(history, score(history), tmp_path / "a.png", title="x")
         in_line.draw(history, score(history), tmp_path / "b.png", title="x")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_without_the_process_beside_the_picture_is_drawn_in_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_picture.sys, "executable", str(tmp_path / "no_python"))
-    history = told(everything())
+@pytest.mark.parametrize("missing", [True, False], ids=["never began", "died"])
+def test_without_the_process_beside_the_picture_is_drawn_in_line(
+    tmp_path, monkeypatch, history, missing
+):
+    if missing:
+        monkeypatch.setattr(run_picture.sys, "executable", str(tmp_path / "no_python"))
     with Painter(beside=True) as painter:
-        painter.draw(history, score(history), tmp_path / "run.png")
-    assert size(tmp_path / "run.png")
-
-
-def test_a_process_that_died_is_no_matter(tmp_path):
-    history = told(everything())
-    with Painter(beside=True) as painter:
-        painter._process.kill()
-        painter._process.wait()
+        if not missing:
+            painter._process.kill()
+            painter._process.wait()
         painter.draw(history, score(history), tmp_path / "run.png")
     assert size(tmp_path / "run.png")
 
@@ -156,11 +156,9 @@ def test_a_run_that_fails_leaves_no_process():
     process = painter._process
     with pytest.raises(RuntimeError), painter:
         raise RuntimeError
-    assert process is not None
-    assert process.poll() is not None
+    assert process is not None and process.poll() is not None
 
 
-def test_a_folder_that_is_gone_is_an_error_of_the_disk(tmp_path):
-    history = told(everything())
+def test_a_folder_that_is_gone_is_an_error_of_the_disk(tmp_path, history):
     with Painter(beside=True) as painter, pytest.raises(OSError, match="nowhere"):
         painter.draw(history, score(history), tmp_path / "nowhere" / "run.png")

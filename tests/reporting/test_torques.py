@@ -24,19 +24,13 @@ def estimating(**columns: Any) -> RunSignals:
 
 
 def test_torques_by_where_they_act_without_those_that_nobody_estimates():
-    run = estimating(
-        alpha_v=column(0.1),
-        sd_alpha_v=column(0.1),
-        pitch_moment=column(0.0),
-        sd_pitch_moment=column(1e-3),
-        yaw_moment=column(0.0),
-        sd_yaw_moment=column(0.0),
-        tail_motor=column(0.0),
-        sd_tail_motor=column(1e-3),
-        main_motor=column(0.0),
-    )
+    deviations = {"alpha_v": 0.1, "pitch_moment": 1e-3, "yaw_moment": 0.0, "tail_motor": 1e-3}
+    columns = dict.fromkeys([*deviations, "main_motor"], column(0.0))
+    columns |= {f"sd_{name}": column(value) for name, value in deviations.items()}
+    run = estimating(**columns)
     assert run.torques() == {"axes": ["pitch_moment"], "rotors": ["tail_motor"]}
     assert [panel.y.unit for panel in torque_panels(run)] == ["mN m", "mN m"]
+    assert torque_panels(RunSignals(tables={})) == []
 
 
 @pytest.mark.parametrize(("value", "sd"), [(0.005, 1e-4), (0.0, 1e-3), (-0.02, 2e-3)])
@@ -49,7 +43,3 @@ def test_a_panel_reaches_as_far_as_the_line_and_its_band(value, sd):
     low, high = panel.y.limits
     assert low <= 1e3 * min(value - 2 * sd, 0) and high >= 1e3 * max(value + 2 * sd, 0)
     assert high - low < 1.2e3 * (abs(value) + 4 * sd)
-
-
-def test_without_torques_there_is_no_panel():
-    assert torque_panels(RunSignals(tables={})) == []

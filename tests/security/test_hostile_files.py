@@ -6,7 +6,6 @@ read it; the answer is a sentence and exit code 2, within some seconds of proces
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import resource
@@ -137,10 +136,9 @@ def _wide_log() -> bytes:
 def _many_messages() -> bytes:
     import zstandard
 
-    schema = _channel(b'{"properties": {"alpha_v": {"type": "number"}}}')
     data = _messages(b"{}", 200_000)
     packed = _chunk(zstandard.ZstdCompressor().compress(data), len(data), b"zstd")
-    return _log(schema, *[packed] * 40)
+    return _log(_PITCH, *[packed] * 40)
 
 
 def _nested(depth: int) -> bytes:
@@ -183,98 +181,85 @@ def _aliases(width: int, depth: int) -> bytes:
     return "\n".join(lines).encode()
 
 
-_HOSTILE: dict[str, tuple[str, Callable[[], bytes]]] = {
-    "a chunk of lz4 that unpacks to 2.5 GiB and says so": ("log", _lz4_log(2**32)),
-    "a chunk of lz4 that unpacks to 2.5 GiB and claims 1 KiB": ("log", _lz4_log(1024)),
-    "a chunk of zstd that unpacks to 2.5 GiB and says so": ("log", _zstd_log(2**32)),
-    "a chunk of zstd that unpacks to 2.5 GiB and claims 1 KiB": ("log", _zstd_log(1024)),
-    "the same, while it is written": ("tail", _zstd_log(2**32)),
-    "a schema of 20 000 columns for 20 000 empty messages": ("log", _wide_log),
-    "the same, while it is written ": ("tail", _wide_log),
-    "eight million messages in 40 chunks": ("log", _many_messages),
-    "messages that nest 100 000 deep": (
-        "log",
-        lambda: _log(
-            _channel(b'{"properties": {"alpha_v": {"type": "number"}}}'),
-            _messages(b'{"alpha_v": ' + _nested(100_000) + b"}", 3),
-        ),
-    ),
-    "a record that claims 2^63 bytes": (
-        "log",
-        lambda: _log() + struct.pack("<BQ", 6, 2**63) + b"xx",
-    ),
-    "a schema that nests 100 000 deep": ("tail", lambda: _log(_channel(_nested(100_000)))),
-    "a configuration that nests 100 000 deep": (
-        "head",
-        lambda: _log(
-            _record(12, _text(b"trms.run") + _text(b"")),
-            _record(
-                9,
-                struct.pack("<QQ", 0, 0)
-                + _text(b"config.yaml")
-                + _text(b"")
-                + struct.pack("<Q", 200_000)
-                + _nested(100_000)
-                + bytes(4),
-            ),
-        ),
-    ),
-    "one line of 60 MB": ("csv", lambda: b"t[s]," + b"u_v[V]," * 9_000_000),
-    "a million columns": ("csv", lambda: b",".join(b"d_%d[N]" % i for i in range(1_000_000))),
-    "a row of 30 million cells": (
-        "csv",
-        lambda: b"t[s],u_v[V],alpha_v[rad]\n0,0,0\n" + b"," * 30_000_000,
-    ),
-    "sixty million empty lines": (
-        "csv",
-        lambda: b"t[s],u_v[V],alpha_v[rad]\n" + b"\n" * 60_000_000,
-    ),
-    "sixteen million short rows": (
-        "csv",
-        lambda: b"t[s],u_v[V],alpha_v[rad]\n" + b"1,,\n" * 16_000_000,
-    ),
-    "a number of a million digits": (
-        "csv",
-        lambda: b"t[s],u_v[V],alpha_v[rad]\n0,0,0\n1," + b"9" * 1_000_000 + b",0\n",
-    ),
-    "a signal of 30 million cells": ("signal", lambda: b"t[s],alpha_v[rad]\n" + b"," * 30_000_000),
-    "a signal with one cell of 1 MB": (
-        "signal",
-        lambda: b"t[s],alpha_v[rad]\n0," + b"1" * 1_000_000,
-    ),
-    "a compressed variable of 2.5 GiB of 4": ("mat", _mat_of_zeros),
-    "a type that is none": (
-        "mat",
-        lambda: _mat(_matrix(6, (1, 3), struct.pack("<II", 63, 24) + bytes(24))),
-    ),
-    "a text of two thousand million letters in no bytes": (
-        "mat",
-        lambda: _mat(_matrix(4, (1, 2**31 - 1), struct.pack("<II", 16, 0))),
-    ),
-    "a cell array of 2^40 elements": ("mat", lambda: _mat(_matrix(1, (2**20, 2**20)))),
-    "cells in cells in cells": ("mat", lambda: _mat(_nested_cells(3000))),
-    "a compressed text of 2^31 letters": (
-        "mat",
-        lambda: _mat(_packed(_matrix(4, (2**15, 2**16), struct.pack("<II", 1, 0)))),
-    ),
-    "aliases that unfold to 9^20 values": ("yaml", lambda: _aliases(9, 20)),
-    "a model with such aliases": ("model", lambda: _aliases(9, 20)),
-    "a network with such aliases": ("network", lambda: _aliases(9, 20)),
-    "a YAML that nests 100 000 deep": ("yaml", lambda: _nested(100_000)),
-    "a model that nests 100 000 deep": ("model", lambda: b"- " * 100_000 + b"x"),
-    "a whole number of 100 000 digits": ("model", lambda: b"name: " + b"9" * 100_000),
-    "an alias inside of itself": ("yaml", lambda: b"a: &a [*a]"),
-    "a YAML of 40 MiB": ("yaml", lambda: b"a: " + b"x" * (40 * 2**20)),
-    "a baseline that nests 100 000 deep": ("baseline", lambda: _nested(100_000)),
-    "a baseline with a number of 100 000 digits": ("baseline", lambda: b"9" * 100_000),
-}
-
-
 def _nested_cells(depth: int) -> bytes:
     inner = _matrix(6, (1, 1), struct.pack("<II", 9, 8) + bytes(8), name=b"")
     for _ in range(depth):
         inner = _matrix(1, (1, 1), inner, name=b"")
     return inner
+
+
+_HEAD = b"t[s],u_v[V],alpha_v[rad]\n"
+_PITCH = _channel(b'{"properties": {"alpha_v": {"type": "number"}}}')
+_DEEP_CONFIGURATION = (
+    struct.pack("<QQ", 0, 0) + _text(b"config.yaml") + _text(b"")
+    + struct.pack("<Q", 200_000) + _nested(100_000) + bytes(4)
+)  # fmt: skip
+_HOSTILE: dict[str, dict[str, Callable[[], bytes]]] = {
+    "log": {
+        "a chunk of lz4 that unpacks to 2.5 GiB and says so": _lz4_log(2**32),
+        "a chunk of lz4 that unpacks to 2.5 GiB and claims 1 KiB": _lz4_log(1024),
+        "a chunk of zstd that unpacks to 2.5 GiB and says so": _zstd_log(2**32),
+        "a chunk of zstd that unpacks to 2.5 GiB and claims 1 KiB": _zstd_log(1024),
+        "a schema of 20 000 columns for 20 000 empty messages": _wide_log,
+        "eight million messages in 40 chunks": _many_messages,
+        "messages that nest 100 000 deep": lambda: _log(
+            _PITCH, _messages(b'{"alpha_v": ' + _nested(100_000) + b"}", 3)
+        ),
+        "a record that claims 2^63 bytes": lambda: _log() + struct.pack("<BQ", 6, 2**63) + b"xx",
+    },
+    "tail": {
+        "a chunk that unpacks to 2.5 GiB, while it is written": _zstd_log(2**32),
+        "a schema of 20 000 columns, while it is written": _wide_log,
+        "a schema that nests 100 000 deep": lambda: _log(_channel(_nested(100_000))),
+    },
+    "head": {
+        "a configuration that nests 100 000 deep": lambda: _log(
+            _record(12, _text(b"trms.run") + _text(b"")), _record(9, _DEEP_CONFIGURATION)
+        ),
+    },
+    "csv": {
+        "one line of 60 MB": lambda: b"t[s]," + b"u_v[V]," * 9_000_000,
+        "a million columns": lambda: b",".join(b"d_%d[N]" % i for i in range(1_000_000)),
+        "a row of 30 million cells": lambda: _HEAD + b"0,0,0\n" + b"," * 30_000_000,
+        "sixty million empty lines": lambda: _HEAD + b"\n" * 60_000_000,
+        "sixteen million short rows": lambda: _HEAD + b"1,,\n" * 16_000_000,
+        "a number of a million digits": lambda: _HEAD + b"0,0,0\n1," + b"9" * 1_000_000 + b",0\n",
+    },
+    "signal": {
+        "a signal of 30 million cells": lambda: b"t[s],alpha_v[rad]\n" + b"," * 30_000_000,
+        "a signal with one cell of 1 MB": lambda: b"t[s],alpha_v[rad]\n0," + b"1" * 1_000_000,
+    },
+    "mat": {
+        "a compressed variable of 2.5 GiB of 4": _mat_of_zeros,
+        "a type that is none": lambda: _mat(
+            _matrix(6, (1, 3), struct.pack("<II", 63, 24) + bytes(24))
+        ),
+        "a text of two thousand million letters in no bytes": lambda: _mat(
+            _matrix(4, (1, 2**31 - 1), struct.pack("<II", 16, 0))
+        ),
+        "a cell array of 2^40 elements": lambda: _mat(_matrix(1, (2**20, 2**20))),
+        "cells in cells in cells": lambda: _mat(_nested_cells(3000)),
+        "a compressed text of 2^31 letters": lambda: _mat(
+            _packed(_matrix(4, (2**15, 2**16), struct.pack("<II", 1, 0)))
+        ),
+    },
+    "yaml": {
+        "aliases that unfold to 9^20 values": lambda: _aliases(9, 20),
+        "a YAML that nests 100 000 deep": lambda: _nested(100_000),
+        "an alias inside of itself": lambda: b"a: &a [*a]",
+        "a YAML of 40 MiB": lambda: b"a: " + b"x" * (40 * 2**20),
+    },
+    "model": {
+        "a model with such aliases": lambda: _aliases(9, 20),
+        "a model that nests 100 000 deep": lambda: b"- " * 100_000 + b"x",
+        "a whole number of 100 000 digits": lambda: b"name: " + b"9" * 100_000,
+    },
+    "network": {"a network with such aliases": lambda: _aliases(9, 20)},
+    "baseline": {
+        "a baseline that nests 100 000 deep": lambda: _nested(100_000),
+        "a baseline with a number of 100 000 digits": lambda: b"9" * 100_000,
+    },
+}
 
 
 #: A log that is damaged is read as far as it goes.
@@ -291,7 +276,7 @@ _SLOWEST = 15.0  # s of processor time for a file, on a machine that does other 
     "reader", [pytest.param(r, marks=pytest.mark.slow) if r in _LONG else r for r in _READERS]
 )
 def test_hostile_files_are_refused_in_bounded_memory(reader: str, tmp_path: Path) -> None:
-    cases = {what: content for what, (its, content) in _HOSTILE.items() if its == reader}
+    cases = _HOSTILE[reader]
     suffix = {"csv": ".csv", "signal": ".csv", "mat": ".mat", "log": ".mcap"}.get(reader, ".yaml")
     paths = []
     for number, content in enumerate(cases.values()):
@@ -310,12 +295,9 @@ def test_a_larger_file_is_read_where_the_user_says_so(tmp_path: Path) -> None:
     from trms_cli.core.errors import TrmsError
     from trms_cli.recordings.csv_recording import read_csv
 
-    stream = io.StringIO()
-    stream.write("t[s],u_v[V],alpha_v[rad]\n")
-    for i in range(40_000):
-        stream.write(f"{i * 0.01:.6f},0.5000,{i % 7:.9f}\n")
+    rows = (f"{i * 0.01:.6f},0.5000,{i % 7:.9f}\n" for i in range(40_000))
     path = tmp_path / "long.csv"
-    path.write_text(stream.getvalue())
+    path.write_text(_HEAD.decode() + "".join(rows))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TRMS_LARGEST_FILE", "1")
         with pytest.raises(TrmsError, match="TRMS_LARGEST_FILE=2"):
