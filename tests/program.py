@@ -89,6 +89,19 @@ def installed(folder: Path, *argv: str, code: int | None = 0, **environment: str
     return left if "--debug" in argv else left.checked(code)
 
 
+def loaded_by(code: str, folder: Path, **environment: str) -> set[str]:
+    """Modules that a Python of its own has loaded after this code, and their packages."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}; import sys; print(*sys.modules, file=sys.stderr)"],
+        cwd=folder,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return {name.partition(".")[0] for name in done.stderr.split()} | {*done.stderr.split()}
+
+
 def wait_for(condition: Callable[[], T], seconds: float = 60.0) -> T:
     """What `condition` gives as soon as that is true."""
     until = time.monotonic() + seconds

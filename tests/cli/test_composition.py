@@ -6,13 +6,12 @@ import functools
 import json
 import logging
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
+from tests.program import loaded_by
 from trms_cli.cli import COMMANDS, load_command, main
 from trms_cli.commands.execution import execute
 from trms_cli.commands.plain_options import as_options
@@ -196,22 +195,18 @@ def test_bad_input_is_answered_on_one_screen(refused, own, tmp_path, case):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("choice", "text", "words"),
     [
-        ("a: [1\nb: 2\n", ["own.yaml, line 3", "not valid YAML"]),
-        ("a: ${nope.x}\n", ["controller.a", "nope.x"]),
-        ("a: ???\n", ["controller.a must be given", "controller.a=…"]),
-        ("defaults:\n  - /signal@s: nothing\n", ["signal has no option 'nothing'"]),
+        ("controller=own", "# mine\na: [1\nb: 2\n", ["own.yaml, line 3", "not valid YAML"]),
+        ("controller=own", "a: ${nope.x}\n", ["controller.a", "nope.x"]),
+        ("controller=own", "a: ???\n", ["controller.a must be given", "controller.a=…"]),
+        ("controller=own", "defaults:\n  - /signal@s: none\n", ["signal has no option 'none'"]),
+        ("experiment=short", "# @package _global_\nsmi: {a: 1}\n", ["did you mean sim?"]),
     ],
 )
-def test_a_broken_yaml_of_the_user_s(refused, own, lab, text, words):
-    (lab / "controller" / "own.yaml").write_text(f"# broken\n{text}")
-    refused("run", *own, words=words)
-
-
-def test_an_experiment_with_a_key_that_is_not_there(refused, own, lab):
-    (lab / "experiment" / "wrong.yaml").write_text("# @package _global_\n# wrong\nsmi: {a: 1}\n")
-    refused("run", *own, "experiment=wrong", words="did you mean sim?")
+def test_a_broken_yaml_of_the_user_s(refused, own, lab, choice, text, words):
+    (lab / f"{choice.replace('=', '/')}.yaml").write_text(text)
+    refused("run", *own, choice, words=words)
 
 
 class TestSweep:
@@ -455,13 +450,9 @@ class TestMapping:
         mine, theirs = compose(given), compose(typed)
         assert mine.config == theirs.config and mine.choices == theirs.choices
 
-    def test_without_the_commands(self):
-        code = (
-            "import sys; from trms_cli.composition.composer import compose;"
-            "compose({'controller': 'pid'}, primary='run');"
-            "assert not any(name.startswith('trms_cli.commands') for name in sys.modules)"
-        )
-        subprocess.run([sys.executable, "-c", code], check=True)
+    def test_without_the_commands(self, tmp_path):
+        code = "from trms_cli.composition.composer import compose; compose({'controller': 'pid'})"
+        assert not any(name.startswith("trms_cli.commands") for name in loaded_by(code, tmp_path))
 
     def test_an_object_stands_in_it(self):
         from trms_cli.composition.given_object import place_objects

@@ -6,15 +6,12 @@ import csv
 import functools
 import io
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.program import in_process, wait_for
+from tests.program import in_process, loaded_by, wait_for
 from trms_cli.runs.columns import COLUMNS
 
 
@@ -206,19 +203,8 @@ class TestOutput:
 
     def test_it_starts_without_what_is_heavy(self, lab_with_runs, ask):
         ask()  # the logs are read
-        code = (
-            "import sys, trms_cli.cli as c; c.main(['runs', '--json', 'seed == 1']);"
-            "print(*sys.modules, file=sys.stderr)"
-        )
-        result = subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd=lab_with_runs,
-            env=os.environ | {"TRMS_RUNS": str(lab_with_runs / ".index")},
-        )
-        loaded = {name.split(".")[0] for name in result.stderr.split()}
+        code = "import trms_cli.cli as c; c.main(['runs', '--json', 'seed == 1'])"
+        loaded = loaded_by(code, lab_with_runs, TRMS_RUNS=str(lab_with_runs / ".index"))
         slow = {"numpy", "scipy", "casadi", "hydra", "omegaconf", "rich", "pyarrow", "mcap", "yaml"}
         assert not loaded & slow
 

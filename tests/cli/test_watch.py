@@ -10,7 +10,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import termios
 import time
 from pathlib import Path
@@ -22,7 +21,7 @@ from hypothesis import strategies as st
 from rich.text import Text
 
 from tests.cli.terminal import NORMAL
-from tests.program import INSTALLED, in_process, wait_for
+from tests.program import INSTALLED, in_process, loaded_by, wait_for
 from trms_cli.commands.watch.frame import (
     NAMES,
     About,
@@ -310,14 +309,7 @@ class TestOnce:
         assert "4 / 4 done" in text and "ended" in text and "controller=lqr seed=1" in text
 
     def test_is_quick_and_without_hydra(self, there, tmp_path):
-        code = (
-            "import sys, trms_cli.cli as c; c.main(['watch', 'one', '--once']);"
-            "print(*sys.modules, file=sys.stderr)"
-        )
-        result = subprocess.run(
-            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-        )
-        loaded = {name.partition(".")[0] for name in result.stderr.split()}
+        loaded = loaded_by("import trms_cli.cli as c; c.main(['watch', 'one', '--once'])", tmp_path)
         assert not loaded & {"hydra", "omegaconf", "casadi", "scipy", "matplotlib", "pyarrow"}
 
 

@@ -27,20 +27,12 @@ class Steady:
 
 
 @dataclass(frozen=True)
-class Failing(Steady):
-    """One that has a mistake in it."""
+class Raising(Steady):
+    """One that has a mistake in it, or that somebody ends by Ctrl-C."""
+
+    error: type[BaseException] = ZeroDivisionError
 
     def step(self, state, sample, *, want_prediction):
         if sample.time >= 0.5:
-            raise ZeroDivisionError("mine")
-        return super().step(state, sample, want_prediction=want_prediction)
-
-
-@dataclass(frozen=True)
-class Stopped(Steady):
-    """Somebody presses Ctrl-C."""
-
-    def step(self, state, sample, *, want_prediction):
-        if sample.time >= 0.5:
-            raise KeyboardInterrupt
+            raise self.error("mine")
         return super().step(state, sample, want_prediction=want_prediction)

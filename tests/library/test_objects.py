@@ -10,7 +10,7 @@ import pytest
 from trms_cli import ConfigurationError, Experiment, Interrupted, TrmsError, build, load, run
 from trms_cli.cli import main
 
-from .own_parts import Failing, Steady, Stopped
+from .own_parts import Raising, Steady
 
 SHORT = {"sim": {"duration": 1}, "picture": False}
 
@@ -108,15 +108,15 @@ def test_what_does_not_fit_is_told(keys, words, here):
 
 
 def test_a_mistake_in_it_is_shown_with_its_own_trace(here):
-    with pytest.raises(TrmsError, match=r"Failing failed at 0\.50 s") as caught:
-        run(controller=Failing(), **SHORT)
+    with pytest.raises(TrmsError, match=r"Raising failed at 0\.50 s") as caught:
+        run(controller=Raising(), **SHORT)
     shown = "\n".join(caught.value._render_traceback_())
     assert "ZeroDivisionError: mine" in shown and "--debug" not in shown
 
 
 def test_ctrl_c_keeps_what_was_done(here):
     with pytest.raises(KeyboardInterrupt) as caught:
-        run(controller=Stopped(), out="kept", **SHORT)
+        run(controller=Raising(error=KeyboardInterrupt), out="kept", **SHORT)
     assert isinstance(caught.value, Interrupted)
     kept = load(caught.value.folder)
     assert kept.outcome == "interrupted" and 0.4 < kept["/command"].index[-1] <= 0.5

@@ -15,18 +15,17 @@ import typing
 import pytest
 
 import trms_cli
+from tests.program import loaded_by
 from trms_cli import TrmsNote, run
 from trms_cli.cli import main
 
 SHORT = {"controller": "lqr", "sim": {"duration": 0.5}, "picture": False}
 
 
-def test_importing_it_loads_nothing():
-    code = "import sys, trms_cli; dir(trms_cli); print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
-    ours = [name for name in loaded.split() if name.partition(".")[0] == "trms_cli"]
-    assert ours == ["trms_cli"]
-    assert not {"numpy", "hydra", "matplotlib", "pandas"} & set(loaded.split())
+def test_importing_it_loads_nothing(tmp_path):
+    loaded = loaded_by("import trms_cli; dir(trms_cli)", tmp_path)
+    assert {name for name in loaded if name.partition(".")[0] == "trms_cli"} == {"trms_cli"}
+    assert not {"numpy", "hydra", "matplotlib", "pandas"} & loaded
 
 
 def test_every_name_is_there_documented_and_typed():

@@ -64,6 +64,11 @@ class Opened:
     messages: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
 
+    @property
+    def fetched(self) -> list[str]:
+        """What it asked for that is not in it."""
+        return [url for url in self.requests if not url.startswith(("file:", "data:", "blob:"))]
+
     def __call__(self, script: str, *given: Any) -> Any:
         """What a script says."""
         return self.tab.evaluate(script, *given)

@@ -20,8 +20,7 @@ _LONG = 2000
 
 
 def _command(*words: str) -> list[str]:
-    program = "import sys; from trms_cli.cli import main; sys.exit(main())"
-    return [sys.executable, "-c", program, *words]
+    return [sys.executable, "-m", "trms_cli", *words]
 
 
 def _environment(**more: str) -> dict[str, str]:
