@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
@@ -18,8 +19,6 @@ from tests.program import INSTALLED, Done, Program, forgotten, in_process, insta
 OWN_PACKAGES = (
     "own_lab_plugins",
     "misbehaving",
-    "deadly_lab",
-    "slow_plugin",
     "slowest",
     "sail_of_diagnose",
     "our_rig_of_diagnose",
@@ -107,6 +106,21 @@ def in_terminal(tmp_path: Path) -> Iterator[Callable[..., Screen]]:
     yield start
     for screen in opened:
         screen.close()
+
+
+@pytest.fixture
+def misbehaving(tmp_path: Path) -> list[str]:
+    """Words for controllers of that module: `own`, `deadly`, and `held` until the file ``go``."""
+    options = tmp_path / "lab" / "configs" / "controller"
+    for name, more in {
+        "own": "how: ''     # refuse, raise, garbage, slow\nafter: 1.0  # s\n",
+        "deadly": "how: bad  # or dies\n",
+        "held": f"how: held\nmarker: {tmp_path / 'go'}  # file\n",
+    }.items():
+        text = f"# controls, or misbehaves\n_target_: misbehaving.Own\n{more}"
+        _write(options / f"{name}.yaml", text)
+    shutil.copy(Path(__file__).with_name("misbehaving.py"), tmp_path / "lab")
+    return ["--config-dir", str(options.parent)]
 
 
 @pytest.fixture

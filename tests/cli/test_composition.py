@@ -222,38 +222,31 @@ class TestSweep:
         file.write_text(composition.yaml, encoding="utf-8")
         return 0
 
-    @staticmethod
-    def status(folder: Path) -> dict:
-        return yaml.safe_load((folder / "status.json").read_text(encoding="utf-8"))
-
     def test_each_job_has_its_numbered_folder_and_status(self, own, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)
-        here = "launcher.workers=0"
-        argv = [*own, "-m", "seed=1,2,3", "effect=late,sticky", "out=swept", here]
-        assert execute(argv, "run", self.task) == 1
-        states = [self.status(tmp_path / "swept" / str(job))["state"] for job in range(6)]
-        assert states == ["done"] * 2 + ["failed"] * 4
-        seen = yaml.safe_load((tmp_path / "swept" / "1" / "seen.yaml").read_text())
-        assert list(seen["effect"]) == ["sticky"]
-        assert seen["out"] == str(tmp_path / "swept" / "1")
-        error = self.status(tmp_path / "swept" / "2")["error"]
+        words = ("seed=1,2,3", "effect=late,sticky", "out=swept", "launcher.workers=0")
+        assert execute([*own, "-m", *words], "run", self.task) == 1
+        folders = [tmp_path / "swept" / str(job) for job in range(6)]
+        status = [json.loads((folder / "status.json").read_text()) for folder in folders]
+        assert [each["state"] for each in status] == ["done"] * 2 + ["failed"] * 4
+        seen = yaml.safe_load((folders[1] / "seen.yaml").read_text())
+        assert list(seen["effect"]) == ["sticky"] and seen["out"] == str(folders[1])
         told = {"problem": "two is bad", "where": "seed", "remedy": "take three"}
-        assert error == told | {"type": "ConfigurationError"}
-        assert "ZeroDivisionError" in self.status(tmp_path / "swept" / "5")["error"]["trace"]
-        output = capsys.readouterr()
-        assert "2 of 6 runs done" in output.out
-        assert output.out.count("two is bad") == 1 and "2×" in output.out
+        assert status[2]["error"] == told | {"type": "ConfigurationError"}
+        assert "ZeroDivisionError" in status[5]["error"]["trace"]
+        output = capsys.readouterr().out
+        assert "2 of 6 runs done" in output
+        assert output.count("two is bad") == 1 and "2×" in output
         assert not list(tmp_path.rglob(".hydra"))
 
 
-def test_a_model_files_parameters_can_be_overridden(tmp_path: Path) -> None:
+def test_a_model_files_parameters_can_be_overridden_and_the_rig_may_have_other_equations(
+    tmp_path: Path,
+) -> None:
     file = tmp_path / "fit.yaml"
     file.write_text("name: fit\nmodel: newtonian\nparameters: {}\n")
     composition = compose([f"model={file}", "model.parameters.k_g=0.1"])
     assert composition.config["model"]["parameters"] == {"k_g": 0.1}
-
-
-def test_the_rig_may_have_other_equations_than_the_model() -> None:
     composition = compose(["model@plant.model=newtonian_full"])
     assert composition.config["plant"]["model"]["currents"] == "dynamic"
     assert composition.config["model"]["currents"] == "quasi_static"
@@ -280,11 +273,8 @@ def test_every_command_takes_the_folder_of_a_fit(fit, primary, more):
         composition = compose([f"model={typed}", *more], primary)
         assert composition.choices["model"] == "from_file"
         assert composition.config["model"]["path"].endswith("fit/model.yaml")
-
-
-def test_an_option_is_not_hidden_by_a_folder(fit):
-    fit.rename("newtonian")
-    assert compose(["model=newtonian"]).choices["model"] == "newtonian"
+    fit.rename("newtonian")  # an option is not hidden by a folder
+    assert compose(["model=newtonian", *more], primary).choices["model"] == "newtonian"
 
 
 @pytest.mark.parametrize(
@@ -332,9 +322,8 @@ NEITHER = {"blind", "sweep", "completion", "help"}  # these have words of their 
 
 def test_every_command_is_looked_at():
     assert {*NEEDED, *PLAIN, *NEITHER} == {*COMMANDS}
-    assert {name for name in COMMANDS if hasattr(load_command(name), "COMPOSES")} - {"sweep"} == {
-        *NEEDED
-    }
+    composing = {name for name in COMMANDS if hasattr(load_command(name), "COMPOSES")}
+    assert composing - {"sweep"} == {*NEEDED}
 
 
 @pytest.mark.parametrize("spelling", [["--out", "a b=c"], ["--out=a b=c"], ["out=a b=c"]])
@@ -365,55 +354,46 @@ def test_a_command_without_out_says_so(command, capsys):
     assert "--out" in capsys.readouterr().err
 
 
-class TestWordsOfOptions:
-    """What is taken as an option, and what is not."""
-
-    TAKES = {"out": True, "where": True, "json": False}  # noqa: RUF012
-
-    @pytest.mark.parametrize(
-        ("argv", "words"),
-        [
-            (["out=x"], ["--out=x"]),
-            (["a.mcap", "json=true"], ["a.mcap", "--json"]),
-            (["json=false"], []),
-            (["json=maybe"], ["json=maybe"]),
-            (["--where", "out=x"], ["--where", "out=x"]),
-            (["--where=a=b", "out=x=y"], ["--where=a=b", "--out=x=y"]),
-            (["controller=pid"], ["controller=pid"]),
-        ],
-    )
-    def test_words(self, argv, words):
-        assert as_options(argv, self.TAKES) == words
-
-    def test_a_file_of_that_name_stays_one(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        (tmp_path / "out=x").touch()
-        assert as_options(["out=x"], self.TAKES) == ["out=x"]
+#: What is taken as an option, and what is not.
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["out=x"], ["--out=x"]),
+        (["out=file"], ["out=file"]),  # there is a file of that name
+        (["a.mcap", "json=true"], ["a.mcap", "--json"]),
+        (["json=false"], []),
+        (["json=maybe"], ["json=maybe"]),
+        (["--where", "out=x"], ["--where", "out=x"]),
+        (["--where=a=b", "out=x=y"], ["--where=a=b", "--out=x=y"]),
+        (["controller=pid"], ["controller=pid"]),
+    ],
+)
+def test_words_of_options(argv, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out=file").touch()
+    assert as_options(argv, {"out": True, "where": True, "json": False}) == words
 
 
-class TestKeysTypedAsOptions:
-    """The corrected line is told whole."""
-
-    @pytest.mark.parametrize(
-        ("primary", "argv", "line"),
-        [
-            ("run", ["--controller", "pid"], "run controller=pid"),
-            ("run", ["--controller=pid", "seed=2"], "run controller=pid seed=2"),
-            ("run", ["ref=sine", "--sim.duration", "20"], "run ref=sine sim.duration=20"),
-            ("run", ["--controller.sample_time=0.05"], "run controller.sample_time=0.05"),
-            ("run", ["--seed", "3", "--ref", "square"], "run seed=3 ref=square"),
-            ("run", ["--effect", "--seed", "3"], "run effect=VALUE seed=3"),
-            ("run", ["--out", "x y", "--seed", "3"], "run 'out=x y' seed=3"),
-            ("run", ["--signal@ref.alpha_v", "sine"], "run signal@ref.alpha_v=sine"),
-            ("run", ["-m", "--sampler", "sobol"], "run -m sampler=sobol"),
-            ("identify", ["--real", "rig.csv"], "identify real=rig.csv"),
-        ],
-    )
-    def test_known_keys(self, primary, argv, line):
-        with pytest.raises(ConfigurationError) as caught:
-            compose(argv, primary)
-        assert caught.value.where.startswith("--") and caught.value.exit_code == 2
-        assert f"trms {line}" in caught.value.remedy.splitlines()[-1]
+@pytest.mark.parametrize(
+    ("primary", "argv", "line"),
+    [
+        ("run", ["--controller", "pid"], "run controller=pid"),
+        ("run", ["--controller=pid", "seed=2"], "run controller=pid seed=2"),
+        ("run", ["ref=sine", "--sim.duration", "20"], "run ref=sine sim.duration=20"),
+        ("run", ["--controller.sample_time=0.05"], "run controller.sample_time=0.05"),
+        ("run", ["--seed", "3", "--ref", "square"], "run seed=3 ref=square"),
+        ("run", ["--effect", "--seed", "3"], "run effect=VALUE seed=3"),
+        ("run", ["--out", "x y", "--seed", "3"], "run 'out=x y' seed=3"),
+        ("run", ["--signal@ref.alpha_v", "sine"], "run signal@ref.alpha_v=sine"),
+        ("run", ["-m", "--sampler", "sobol"], "run -m sampler=sobol"),
+        ("identify", ["--real", "rig.csv"], "identify real=rig.csv"),
+    ],
+)
+def test_a_key_typed_as_an_option_is_answered_with_the_corrected_line(primary, argv, line):
+    with pytest.raises(ConfigurationError) as caught:
+        compose(argv, primary)
+    assert caught.value.where.startswith("--") and caught.value.exit_code == 2
+    assert f"trms {line}" in caught.value.remedy.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

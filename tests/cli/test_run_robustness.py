@@ -19,82 +19,11 @@ from trms_cli.recordings.log_reader import LoggedRun, read_log
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 
-#: A controller that does what a plugin should not, as a user might write it.
-MODULE = r"""
-import math
-import time
-from dataclasses import dataclass
-from pathlib import Path
-
-import numpy as np
-
-from trms_cli.controllers.controller import Command
-
-
-@dataclass(frozen=True, kw_only=True)
-class Own:
-    how: str = ""
-    after: float = 1.0
-    sample_time: float | None = None
-
-    def preview(self, setup):
-        return 0
-
-    def init(self, setup):
-        if self.how == "refuse":
-            raise ValueError("cannot start")
-        return len(setup.model.inputs)
-
-    def step(self, state, sample, *, want_prediction):
-        if self.how == "slow":
-            time.sleep(0.002)
-            with Path("reached.txt").open("a") as file:
-                file.write(f"{sample.time!r}\n")
-        elif sample.time >= self.after:
-            if self.how == "raise":
-                raise ZeroDivisionError("a slip of mine")
-            if self.how == "garbage":
-                return Command(np.full(state, math.nan))
-            if self.how == "nothing":
-                return None
-            if self.how == "words":
-                return Command(["up", "down"])
-        return Command(np.full(state, 0.1))
-
-
-class Bare:
-    # the least that a controller is: not even a sample time
-    def preview(self, setup):
-        return 0
-
-    def init(self, setup):
-        return len(setup.model.inputs)
-
-    def step(self, state, sample, *, want_prediction):
-        return Command(np.full(state, 0.1))
-
-
-class Unfinished:
-    def preview(self, setup):
-        return 0
-
-    def init(self, setup):
-        return None
-"""
-
 
 @pytest.fixture
-def own(tmp_path: Path) -> list[str]:
+def own(misbehaving: list[str]) -> list[str]:
     """Words that choose the misbehaving controller."""
-    configs = tmp_path / "lab" / "configs"
-    (configs / "controller").mkdir(parents=True)
-    (configs / "controller" / "own.yaml").write_text(
-        "# holds 0.1 V, or misbehaves\n_target_: misbehaving.Own\n"
-        'how: ""     # refuse, raise, garbage, slow\nafter: 1.0  # s\n',
-        encoding="utf-8",
-    )
-    (tmp_path / "lab" / "misbehaving.py").write_text(MODULE, encoding="utf-8")
-    words = ["--config-dir", str(configs), "controller=own", "picture=false"]
+    words = [*misbehaving, "controller=own", "picture=false"]
     return [*words, "observer=full_state", "plant=ideal"]
 
 

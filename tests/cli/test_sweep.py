@@ -20,60 +20,10 @@ from trms_cli.sweeps.outcome import outcome_of
 REST = ["observer=full_state", "plant=ideal", "sim.duration=0.5"]
 SHORT = ["controller=pid", *REST]
 
-PLUGIN = '''"""Controllers that kill their process, fail, or wait until they are let go."""
-
-import os
-import signal
-import time
-from dataclasses import dataclass
-from pathlib import Path
-
-import numpy as np
-
-from trms_cli.controllers.controller import Command
-
-
-@dataclass(frozen=True, kw_only=True)
-class Deadly:
-    how: str = "well"
-
-    def __post_init__(self):
-        if self.how == "dies":
-            os.kill(os.getpid(), signal.SIGKILL)
-        raise RuntimeError("no such gain\\nand more")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Held:
-    marker: str
-    sample_time: float | None = None
-
-    def preview(self, setup):
-        return 0
-
-    def init(self, setup):
-        return len(setup.model.inputs)
-
-    def step(self, state, sample, *, want_prediction):
-        while not Path(self.marker).exists():
-            time.sleep(0.01)
-        return Command(np.zeros(state))
-'''
-
 
 @pytest.fixture
-def plugins(tmp_path) -> list[str]:
-    """Words that make `deadly` and `held` controllers; the latter waits for the file ``go``."""
-    lab = tmp_path / "lab" / "configs" / "controller"
-    lab.mkdir(parents=True)
-    (tmp_path / "lab" / "deadly_lab.py").write_text(PLUGIN)
-    (lab / "deadly.yaml").write_text(
-        "# a controller that does not control\n_target_: deadly_lab.Deadly\nhow: well  # it does\n"
-    )
-    (lab / "held.yaml").write_text(
-        f"# waits\n_target_: deadly_lab.Held\nmarker: {tmp_path / 'go'}  # file\n"
-    )
-    return ["--config-dir", "lab/configs", "--allow", "deadly_lab"]
+def plugins(misbehaving) -> list[str]:
+    return [*misbehaving, "--allow", "misbehaving"]
 
 
 @pytest.fixture
@@ -231,7 +181,7 @@ def test_resumed_after_its_driver_has_gone(started, trms, tmp_path, begun, plugi
         assert record["state"] == "interrupted"
         assert "stopped before its end" in trms("sweep", "status", "s").stdout
     (tmp_path / "go").touch()
-    result = trms("sweep", "resume", "s", "launcher.workers=1", "--allow", "deadly_lab")
+    result = trms("sweep", "resume", "s", "launcher.workers=1", "--allow", "misbehaving")
     assert "4 of 4 runs done" in result.stdout
     after = statuses(sweep)
     assert len(after) == 4 and states(sweep) == {"done": 4}
@@ -274,9 +224,9 @@ class TestFailures:
         assert "3×" in result.stdout and "no such gain" in result.stdout
         assert "--retry-failed" in result.stdout
         assert "RuntimeError" in json.dumps(statuses(tmp_path / "s")[0]["error"])
-        trms("sweep", "resume", "s", "--allow", "deadly_lab", code=1)
+        trms("sweep", "resume", "s", "--allow", "misbehaving", code=1)
         assert statuses(tmp_path / "s")[0]["attempt"] == 1
-        trms("sweep", "resume", "s", "--retry-failed", "--allow", "deadly_lab", code=1)
+        trms("sweep", "resume", "s", "--retry-failed", "--allow", "misbehaving", code=1)
         assert statuses(tmp_path / "s")[0]["attempt"] == 2
         document = json.loads(trms("sweep", "status", "s", "--json").stdout)
         assert [(f["count"], f["runs"]) for f in document["failures"]] == [(3, [0, 1, 2])]
