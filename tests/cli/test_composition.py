@@ -20,6 +20,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 
 LATE = {"_target_": "own_lab_plugins.Own", "gain": 0.1}
+SINE = "trms_cli.references.sine.Sine"
 CONSTANT = {"_target_": "trms_cli.references.constant.Constant", "offset": 0.0}
 WHAT_WORKS = [
     # typed, values by their keys
@@ -43,7 +44,10 @@ WHAT_WORKS = [
     ),
     (["experiment=short"], {"sim.duration": 3.0}),
     # a nested choice keeps what it knows of what was set for another, and drops the rest
-    (["ref=square", "signal@ref.alpha_h=sine"], {"ref.alpha_h.amplitude": 0.5}),
+    (
+        ["ref=square", "signal@ref.alpha_h=sine"],
+        {"ref.alpha_h._target_": SINE, "ref.alpha_h.amplitude": 0.5},
+    ),
     (
         ["ref=square", "signal@ref.alpha_v=constant"],
         {"ref.alpha_v": CONSTANT, "ref.alpha_h.amplitude": 0.5},

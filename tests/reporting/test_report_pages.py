@@ -170,18 +170,16 @@ class TestRun:
         more = {**state.columns, "S_h": np.zeros(len(state.time))}
         assert said in page_html(findings_of_run(with_columns(run, "/plant/state", more)))
 
-    def test_all_plots_of_the_time_share_group_and_range(self, plots):
-        timed = [spec for spec in plots.values() if spec["group"] == "time"]
-        assert len(timed) >= 8
-        assert {tuple(spec["layout"]["xaxis"]["range"]) for spec in timed} == {(0.0, 20.0)}
-
-    def test_curves_are_the_samples(self, run, plots):
+    def test_curves_are_the_samples_and_all_plots_of_the_time_share_a_range(self, run, plots):
         by_name = traces_of(plots["yaw"])
         assert set(by_name) >= {"rig", "measured", "reference", "estimate ± 2 sd"}
         x, y = (unpacked(by_name["rig"][axis]) for axis in "xy")
         state = run.tables["/plant/state"]
         np.testing.assert_allclose(y, state.columns["alpha_h"], rtol=1e-6)
         np.testing.assert_allclose(x, state.time, rtol=1e-6)
+        timed = [spec for spec in plots.values() if spec["group"] == "time"]
+        assert len(timed) >= 8
+        assert {tuple(spec["layout"]["xaxis"]["range"]) for spec in timed} == {(0.0, 20.0)}
 
     def test_events_limits_and_saturation_are_drawn(self, plots):
         marks = traces_of(plots["pitch"])["event"]
@@ -253,29 +251,27 @@ class TestComparison:
     """Several runs over one another."""
 
     def test_runs_lie_over_one_another_and_the_best_is_marked(self, make_run):
-        page = findings_of_comparison([make_run("one"), make_run("other", shift=0.2)])
-        names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
-        assert names == ["reference", "one", "other"]
+        one = make_run("one")
+        page = findings_of_comparison([one, make_run("other", shift=0.2)])
+        plots = plots_of(page)
+        assert list(traces_of(plots["yaw"])) == ["reference", "one", "other"]
         assert "**one** tracks best" in page.lead[0]
         row = re.search(r"pitch: RMSE \[rad\]</th>(.*?)</tr>", page_html(page))
         assert re.findall(r'class="(.*?)">', row[1]) == ["best number", "number"]
         iae = re.search(r"pitch: IAE \[rad s\]</th>(.*?)</tr>", page_html(page))
         assert "best" not in iae[1]  # alike
-
-    def test_error_is_reference_minus_actual(self, make_run):
-        run = make_run()
-        trace = plots_of(findings_of_comparison([run, run]))["tracking error of yaw"]["traces"][0]
+        error = unpacked(plots["tracking error of yaw"]["traces"][0]["y"])
         wanted, actual = (
-            run.tables[topic].columns["alpha_h"] for topic in ("/reference", "/plant/state")
+            one.tables[topic].columns["alpha_h"] for topic in ("/reference", "/plant/state")
         )
-        np.testing.assert_allclose(unpacked(trace["y"]), wanted - actual, atol=1e-7)
+        np.testing.assert_allclose(error, wanted - actual, atol=1e-7)
 
     def test_different_references_are_drawn_each(self, make_run):
         other = make_run("other")
         higher = {n: v + 0.1 for n, v in other.tables["/reference"].columns.items()}
         page = findings_of_comparison([make_run("one"), with_columns(other, "/reference", higher)])
-        names = [trace["name"] for trace in plots_of(page)["yaw"]["traces"]]
-        assert names == ["reference of one", "reference of other", "one", "other"]
+        names = ["reference of one", "reference of other", "one", "other"]
+        assert list(traces_of(plots_of(page)["yaw"])) == names
 
     def test_runs_without_anything_in_common(self, make_run):
         empty = RunReport(name="dead", tables={}, outcome="died")
@@ -297,26 +293,22 @@ class TestComparison:
 class TestSweep:
     """Many runs."""
 
-    def test_draws_show_failures_correlations_and_limits(self, drawn):
-        text = page_html(findings_of_sweep(drawn))
+    def test_draws_show_failures_correlations_and_limits_and_the_strongest_are_plotted(self, drawn):
+        page = findings_of_sweep(drawn)
+        text, plots = page_html(page), plots_of(page)
         failures = text.partition("Failures among the draws</h2>")[2].partition("</section>")[0]
         assert "rmse ≤ 0.2" in failures and "25.0 %" in failures and "0.6" in failures
         table = text.partition("Sensitivities</h2>")[2].partition("</section>")[0]
         assert table.index("-0.90") < table.index("+0.80") and "k_9" in table
-        assert "lqr **1 of 4** (25.0 %" in findings_of_sweep(drawn).lead[1]
-
-    def test_of_many_drawn_values_the_strongest_are_plotted_and_it_says_so(self, drawn):
-        page = findings_of_sweep(drawn)
-        found = plots_of(page)
-        assert "against k_9" in found and "against k_0" not in found
-        assert "Of 12 values that were varied 8 are here: those with the largest" in page_html(page)
+        assert "lqr **1 of 4** (25.0 %" in page.lead[1]
+        assert "against k_9" in plots and "against k_0" not in plots
+        assert "Of 12 values that were varied 8 are here: those with the largest" in text
         assert "12 drawn values" in page.lead[-1] and "k_9" not in page.lead[-1]
-        heads = re.findall(r"<th[^>]*>(.*?)</th>", page_html(page).partition("All runs</h2>")[2])
+        heads = re.findall(r"<th[^>]*>(.*?)</th>", text.partition("All runs</h2>")[2])
         told = re.sub("<.*?>", "", " ".join(heads))
         assert told.index("rmse") < told.index("k_9")  # what came of it before what was drawn
-
-    def test_equal_draws_of_two_entrants_are_both_seen(self, drawn):
-        [spec] = [v for k, v in plots_of(findings_of_sweep(drawn)).items() if "over " in k]
+        # equal draws of two entrants are both seen
+        [spec] = [plot for heading, plot in plots.items() if "over " in heading]
         dot, ring = (trace["marker"] for trace in spec["traces"])
         assert (dot["symbol"], ring["symbol"]) == ("circle", "circle-open")
         assert ring["size"] > 1.5 * dot["size"] and ring["coloraxis"] == dot["coloraxis"]
@@ -381,6 +373,9 @@ class TestSweep:
         runs.append(replace(swept(22), figures={"rmse": 0.6, "effort": 9.0}))
         out = replace(sweep, runs=runs, objectives=objectives)
         assert {run.number for run in out.front()} == {*range(20), 21}
+        # equals are kept, and what is beaten is dropped
+        costs = np.array([[1, 2], [2, 1], [2, 2], [1, 2], [0.5, 3]])
+        assert front(costs).tolist() == [0, 1, 3, 4]
 
     def test_three_objectives_are_drawn_in_pairs(self, sweep):
         runs = [replace(r, figures={**r.figures, "x": 1.0 * i}) for i, r in enumerate(sweep.runs)]
@@ -436,11 +431,6 @@ class TestSweep:
         text = page_html(findings_of_sweep(replace(sweep, runs=runs)))
         assert text.count("<tr><td>") == 10_000 and "first 10000 of 12000" in text
         assert len(text) < 8e6
-
-
-def test_undominated_keeps_equals_and_drops_what_is_beaten():
-    costs = np.array([[1, 2], [2, 1], [2, 2], [1, 2], [0.5, 3]])
-    assert front(costs).tolist() == [0, 1, 3, 4]
 
 
 class TestSafety:
