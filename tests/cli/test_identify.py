@@ -139,7 +139,7 @@ class TestInterruption:
     @pytest.mark.parametrize(
         ("word", "told"),
         [
-            ("method.individuals=9", "individuals was 8, and is 9 now"),
+            ("method.individuals=9", "individuals was 8 and is 9 now"),
             *((w, "for all else fit anew") for w in ("seed=4", "real=rig", "method=narx")),
             ("model=lagrangian", "for all else fit anew"),
         ],
