@@ -36,8 +36,10 @@ WHAT_WORKS = [
     (["-m", "seed=5,6", "effect=late,sticky"], {"seed": 5, "effect": {"late": LATE}}),
     (["-m", "effect=[],late,[late,sticky]"], {"effect": {}}),
     # open mappings need no plus, also beside other overrides
-    (["plant.parameters.k_g=0.05"], {"plant.parameters": {"k_g": 0.05}, "model.parameters": {}}),
-    (["model.parameters.k_g=0.1"], {"model.parameters": {"k_g": 0.1}}),
+    (
+        ["plant.parameters.k_g=0.05", "model.parameters.k_g=0.1"],
+        {"plant.parameters": {"k_g": 0.05}, "model.parameters": {"k_g": 0.1}},
+    ),
     *(
         (["effect=late", word, "controller.parameters.b=1.0"], {"controller.parameters.b": 1.0})
         for word in ("controller.parameters={a: 2.0}", "effect=late", "effect.late.gain=1")
