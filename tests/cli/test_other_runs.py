@@ -153,12 +153,15 @@ def test_a_recording_is_replayed_scored_and_drawn_and_its_log_is_one_again(
         (["plant.file=mine.csv"], ["model=tras", "plant.input_scale"]),
         (["plant.file=none.csv", "model=tras"], ["none.csv"]),
         ([], ["plant.file"]),
-        # full_state looks inside, where there is nothing to look at
-        (["plant.file=mine.csv", "model=tras", "observer=full_state"], ["observer=ukf"]),
     ],
 )
 def test_what_cannot_be_replayed_is_told(refused, recording, words, told):
     refused("run", "plant=replay", *words, words=told)
+
+
+def test_an_observer_that_looks_inside_has_nothing_to_look_at(trms, recording):
+    words = ("plant=replay", "plant.file=mine.csv", "model=tras", "observer=full_state")
+    assert "observer=ukf" in trms("run", *words, code=2).stderr
 
 
 @pytest.fixture

@@ -111,6 +111,9 @@ def test_a_sweep_prints_a_line_each(trms, folder):
         (["++study._target_=slowest.np.array"], ["_target_"]),
     ],
 )
-def test_bad_requests_are_explained_and_leave_nothing(refused, folder, overrides, words):
-    study = ("--config-dir", str(folder), "study=slowest")
-    refused("stability", *study, *overrides, words=words)
+def test_bad_requests_are_explained_and_leave_nothing(trms, tmp_path, folder, overrides, words):
+    result = trms("stability", "--config-dir", str(folder), "study=slowest", *overrides, code=2)
+    assert all(word in result.said for word in words) and len(result.stderr.splitlines()) < 15
+    left = [path for path in tmp_path.rglob("*") if path.is_file() and path.suffix != ".pyc"]
+    assert {path.name for path in left} == {"slowest.yaml", "slowest.py"}
+    assert not list(tmp_path.rglob("*stability"))
