@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.gap.calibrate import features_of, fit_constants, loss, right_answers, usual_shares
+from trms_cli.core.findings import json_data
 from trms_cli.gap.posterior import Features, calibration, probabilities_of
 
 NAMES = (("a",), ("b",), ("a", "b"))
@@ -93,9 +94,7 @@ def test_what_is_right_for_each_kind_of_case():
 
 def test_features_survive_the_file():
     made = features(3.0, 4.0, (1.0, np.nan, 2.0), (0.0, 1.0, 2.0))
-    document = made.as_json()
-    document["scores"] = [None if s != s else s for s in document["scores"]]
-    again = features_of(document)
+    again = features_of(json_data(made))
     np.testing.assert_array_equal(again.scores, made.scores)
     assert again.names == NAMES
 

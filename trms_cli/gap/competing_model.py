@@ -31,9 +31,10 @@ from trms_cli.identification.greybox.objective import (
 )
 from trms_cli.identification.greybox.windows import Residuals, Windows
 from trms_cli.identification.problem import (
-    FitOutcome,
     FitProblem,
     FreeParameter,
+    Prior,
+    acting_parameters,
     free_parameters,
     with_values,
 )
@@ -188,8 +189,6 @@ class CandidateFit:
 
     theta: FloatArray  #: (n_f,) array; nominal parameters, then the effects' sizes
     starts: FloatArray  #: (m, n_x) array
-    cost: float  #: Nats
-    outcome: FitOutcome
     evidence: Evidence | None = None  #: Where it was asked for
 
     @property
@@ -350,13 +349,11 @@ class ModelStructure:
                     tolerance=tolerance,
                 )
             )
-        best = min(searches, key=lambda search: search.point.cost)
-        at, worth = best.point, None
+        at, worth = min((search.point for search in searches), key=lambda p: p.cost), None
         if with_evidence and np.isfinite(at.cost):
             objective = InnovationObjective(self.windows, metric, self.starts(at.theta, centres))
             worth = evidence(objective, at.theta, at.starts, bounds)
-        fit = CandidateFit(at.theta, at.starts, at.cost, best.outcome, worth)
-        return FittedModel(self, fit, metric, centres)
+        return FittedModel(self, CandidateFit(at.theta, at.starts, worth), metric, centres)
 
     def held(self) -> ModelStructure:
         """The same with its parameters as they were."""
@@ -390,8 +387,6 @@ def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
         return free_parameters(model.parameters, names)
     known = [p for p in model.parameters if "." not in p.name and p.value != 0.0]
     try:
-        from trms_cli.identification.problem import Prior, acting_parameters
-
         used = acting_parameters(model)
         chosen = [p.name for p in known if p.name in used and p.name != "g"]
         return free_parameters(

@@ -16,6 +16,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.findings import json_data
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
 from trms_cli.gap.competing_model import FittedModel, Metric, Refit, nominal_parameters, refit
 from trms_cli.gap.diagnosis import (
@@ -235,7 +236,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         effort=problem.effort,
         refit=refit.values,
         evidence={
-            **posterior.features.as_json(),
+            **json_data(posterior.features),
             "shares": {channel.location: s for channel, s in shares if channel.fixed is None},
             "outside": posterior.outside,
         },

@@ -303,7 +303,7 @@ class TrajectoryLinearisation:
         self, trajectory: Trajectory, j: int, k: int, x: FloatArray, p: FloatArray
     ) -> FloatArray:
         """Evaluate at one sample; the state after it."""
-        u = self.windows.command(j, k)
+        u = self.windows.commands[j, k]
         trajectory.x[j, k] = x
         y, h = self._measure.evaluate(x, u, p)
         after, a, b, g = self._step.evaluate(x, u, p, self._none)

@@ -8,21 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from trms_cli.core import chart as draw
 from trms_cli.core import wording
-from trms_cli.core.chart import (
-    Axis,
-    Band,
-    Bars,
-    Chart,
-    Colour,
-    Curve,
-    Line,
-    Mark,
-    Panel,
-    Points,
-    RigDiagram,
-    Style,
-)
 from trms_cli.core.findings import (
     Block,
     Cell,
@@ -81,7 +68,7 @@ _LENGTH, _CLOSED = "free run [s]", ("closed", "95 % interval")
 #: Units of sizes besides, and the factors to them.
 _SIZES = {"s": ("ms", 1e3), "kg": ("g", 1e3)}
 #: Models of the pictures: name, colour, line.
-_RUNS: Mapping[str, tuple[str, Colour, Style]] = {
+_RUNS: Mapping[str, tuple[str, draw.Colour, draw.Style]] = {
     "raw": ("as it was", "grey", "dashed"),
     "refit": ("refitted", "vermilion", "solid"),
     "corrected": ("corrected", "blue", "solid"),
@@ -329,7 +316,7 @@ def _where(diagnosis: DiagnosisResult) -> Section | None:
         "Where the gap lies",
         [_where_words(diagnosis)],
         [
-            RigDiagram(
+            draw.RigDiagram(
                 "places",
                 {p.location: (p.share, *p.ci95) for p in diagnosis.where},
                 [c for recording in diagnosis.recordings for c in recording.channels],
@@ -426,7 +413,7 @@ def _result(entry: RaceEntry) -> str:
     return _apart(entry) + ("" if _beats_no_effect(entry) else ": not told apart")
 
 
-def race_chart(diagnosis: DiagnosisResult) -> Chart:
+def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
     """Bars of the held-out score of each competitor above the refitted model's."""
     entries = sorted((e for e in diagnosis.race if np.isfinite(e.score)), key=lambda e: -e.score)
     kept = entries[:_MOST_BARS]
@@ -438,14 +425,14 @@ def race_chart(diagnosis: DiagnosisResult) -> Chart:
     top = max([e.score + (e.se if is_effect(e.effects) else 0.0) for e in kept] + [1.0])
     low = min(0.0, max(min((e.score for e in kept), default=0.0), -0.25 * top))
 
-    def colour(entry: RaceEntry) -> Colour:
+    def colour(entry: RaceEntry) -> draw.Colour:
         if not is_effect(entry.effects):
             return "pale"
         if best is not None and entry.effects == best.effects:
             return "blue"
         return "sky" if entry.effects in alike else "grey"
 
-    bars = Bars(
+    bars = draw.Bars(
         [cause_name(e.effects) if e.effects != ("no_gap",) else "as it was" for e in kept],
         [max(e.score, low) for e in kept],
         [colour(e) for e in kept],
@@ -459,10 +446,12 @@ def race_chart(diagnosis: DiagnosisResult) -> Chart:
             for e in kept
         ],
     )
-    axis = Axis("held-out log density above the refitted model", "nats", (1.05 * low, 1.04 * top))
-    return Chart(
+    axis = draw.Axis(
+        "held-out log density above the refitted model", "nats", (1.05 * low, 1.04 * top)
+    )
+    return draw.Chart(
         "race",
-        [Panel(axis, Axis(""), [bars])],
+        [draw.Panel(axis, draw.Axis(""), [bars])],
         "How much better each candidate, fitted together with the model's parameters, foretells "
         "blocks that it was not fitted to, one step ahead; whiskers: one standard error.",
         columns=1,
@@ -491,7 +480,7 @@ def _force(diagnosis: DiagnosisResult) -> Section | None:
     return Section("The missing force", [text], blocks)
 
 
-def force_chart(traces: Traces, locations: Sequence[str]) -> Chart | None:
+def force_chart(traces: Traces, locations: Sequence[str]) -> draw.Chart | None:
     """The smoothed missing force at some places with its band, and what the cause says it is.
 
     None where nothing was smoothed. Of the first place a part is enlarged below.
@@ -507,27 +496,27 @@ def force_chart(traces: Traces, locations: Sequence[str]) -> Chart | None:
         enlarged = number == 1
         unit, scale = wording.small_unit(traces.force_unit.get(name, ""))
         force = scale * np.asarray(traces.force[name], dtype=float)
-        marks: list[Mark] = []
+        marks: list[draw.Mark] = []
         if f"{name}.sd" in traces.force:
             sd = scale * np.asarray(traces.force[f"{name}.sd"], dtype=float)
-            marks.append(Band(time, force - 2 * sd, force + 2 * sd, "± 2 sd", "grey"))
-        marks.append(Curve(time, force, "missing", "ink", width=0.8))
+            marks.append(draw.Band(time, force - 2 * sd, force + 2 * sd, "± 2 sd", "grey"))
+        marks.append(draw.Curve(time, force, "missing", "ink", width=0.8))
         if name in traces.explained:
             says = scale * np.asarray(traces.explained[name], dtype=float)
-            marks.append(Curve(time, says, "what the cause says", "blue", width=1.3))
-        marks.append(Line(y=0.0))
+            marks.append(draw.Curve(time, says, "what the cause says", "blue", width=1.3))
+        marks.append(draw.Line(y=0.0))
         if number == 0:
-            marks += [Line(x=begin, colour="ink"), Line(x=end, colour="ink")]
+            marks += [draw.Line(x=begin, colour="ink"), draw.Line(x=end, colour="ink")]
         label = f"{place_name(name)}{', enlarged' if enlarged else ''}"
         panels.append(
-            Panel(
-                Axis("time", "s", (begin, end) if enlarged else whole),
-                Axis("", wording.unit(unit)),
+            draw.Panel(
+                draw.Axis("time", "s", (begin, end) if enlarged else whole),
+                draw.Axis("", wording.unit(unit)),
                 marks,
                 label,
             )
         )
-    return Chart(
+    return draw.Chart(
         "force", panels, "Second: the part between the dotted lines, enlarged.", 1, _WIDTH, 1.9
     )
 
@@ -616,7 +605,7 @@ def _at(rows: Mapping[str, Shrink], horizon: str | None) -> Shrink | None:
     return next((shrink for h, shrink in rows.items() if horizon_key(h) == key), None)
 
 
-def gap_chart(diagnosis: DiagnosisResult) -> Chart | None:
+def gap_chart(diagnosis: DiagnosisResult) -> draw.Chart | None:
     """The gap over the length of a free run, a panel a channel; None without any."""
     channels = [name for name, rows in diagnosis.gap.items() if rows]
     if not channels:
@@ -629,21 +618,26 @@ def gap_chart(diagnosis: DiagnosisResult) -> Chart | None:
         )
         horizons = [h for h, _ in rows]
         unit, scale = wording.small_unit(rows[0][1].unit)
-        marks: list[Mark] = []
+        marks: list[draw.Mark] = []
         for name, (label, colour, style) in _RUNS.items():
             if name == "corrected" and not corrected:
                 continue
             values = [scale * getattr(row, name) for _, row in rows]
-            marks.append(Curve(horizons, values, label, colour, style))
-            marks.append(Points(horizons, values, "", "dot", colour, size=3.5))
+            marks.append(draw.Curve(horizons, values, label, colour, style))
+            marks.append(draw.Points(horizons, values, "", "dot", colour, size=3.5))
         marks.append(
-            Curve(horizons, [scale * row.floor for _, row in rows], "floor", "ink", "dotted")
+            draw.Curve(horizons, [scale * row.floor for _, row in rows], "floor", "ink", "dotted")
         )
         title = wording.with_unit(wording.signal(channel), unit)
         panels.append(
-            Panel(Axis("free run", "s", log=True, ticks=horizons), Axis("", log=True), marks, title)
+            draw.Panel(
+                draw.Axis("free run", "s", log=True, ticks=horizons),
+                draw.Axis("", log=True),
+                marks,
+                title,
+            )
         )
-    return Chart(
+    return draw.Chart(
         "gap",
         panels,
         "RMS of the errors of free runs on the sealed part, over their length: the model as it "
@@ -654,7 +648,7 @@ def gap_chart(diagnosis: DiagnosisResult) -> Chart | None:
     )
 
 
-def run_chart(traces: Traces) -> Chart | None:
+def run_chart(traces: Traces) -> draw.Chart | None:
     """A free run over the sealed part: measured, and the models; None without one."""
     if not traces.runs or len(traces.run_time) < 2:
         return None
@@ -662,18 +656,18 @@ def run_chart(traces: Traces) -> Chart | None:
     panels = []
     for channel, series in traces.runs.items():
         measured = np.asarray(series["measured"], dtype=float)
-        marks: list[Mark] = [Curve(time, measured, "measured", "pale", width=2.6)]
+        marks: list[draw.Mark] = [draw.Curve(time, measured, "measured", "pale", width=2.6)]
         marks += [
-            Curve(time, series[name], label, colour, style, width=1.1)
+            draw.Curve(time, series[name], label, colour, style, width=1.1)
             for name, (label, colour, style) in _RUNS.items()
             if name in series
         ]
         unit = "rad" if channel.startswith("alpha") else "rad/s"
-        axis = Axis("time", "s", (float(time[0]), float(time[-1])))
+        axis = draw.Axis("time", "s", (float(time[0]), float(time[-1])))
         limits = near(measured, [np.asarray(series[n]) for n in _RUNS if n in series], 0.6)
-        panels.append(Panel(axis, Axis(wording.signal(channel), unit, limits), marks))
+        panels.append(draw.Panel(axis, draw.Axis(wording.signal(channel), unit, limits), marks))
     caption = "One free run over the sealed part: started once, then the model alone."
-    return Chart("free_run", panels, caption, 1, _WIDTH, 1.6, together=True)
+    return draw.Chart("free_run", panels, caption, 1, _WIDTH, 1.6, together=True)
 
 
 def _tests(diagnosis: DiagnosisResult) -> Section | None:

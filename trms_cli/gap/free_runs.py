@@ -27,7 +27,7 @@ from trms_cli.gap.problem import HORIZONS, GapProblem, Parts
 from trms_cli.gap.race import Race
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
-from trms_cli.identification.greybox.windows import estimated_starts, spreads
+from trms_cli.identification.greybox.windows import StartEstimator, spreads
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 
@@ -124,7 +124,7 @@ def start_states(model: Model, rollout: Rollout, dataset: Dataset, first: IntArr
     anchors = np.arange(0, begin[-1], max(1, round(_ANCHORED / dataset.sample_time)))
     stops = np.unique(np.concatenate([anchors[~_near(anchors, begin, samples)], begin]))
     p = model.parameters.values
-    guess = estimated_starts(rollout, dataset, stops, p).states[np.searchsorted(stops, begin)]
+    guess = StartEstimator(rollout, dataset, stops).at(p).states[np.searchsorted(stops, begin)]
     prior_sd = _prior_sd(model, dataset.sample_time)
     return fitted_starts(
         rollout, dataset, begin, samples, guess, prior_sd, search=_START_SEARCH, p=p
@@ -158,7 +158,7 @@ def expected_errors(
     random = np.random.default_rng(np.random.SeedSequence([seed, 0xF100]))
     p, made = model.parameters.values, []
     for dataset in datasets:
-        start = estimated_starts(rollout, dataset, np.zeros(1, dtype=np.int64), p).states
+        start = StartEstimator(rollout, dataset, np.zeros(1, dtype=np.int64)).at(p).states
         y = simulated_windows(rollout, dataset, [0], len(dataset), start, p)[0]
         noisy = y + dataset.noise_sd * random.standard_normal(y.shape)
         noisy[np.isnan(dataset.measurements)] = np.nan

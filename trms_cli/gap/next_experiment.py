@@ -27,7 +27,6 @@ from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import MultisineExcitation
 from trms_cli.identification.excitation.prbs import PrbsExcitation
-from trms_cli.identification.problem import FitOutcome
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.sawtooth import Sawtooth
@@ -513,12 +512,11 @@ def predicted_recordings(
             refit.metric.discrepancy.channels,
             start_share=0.0,
         )
-        fit = CandidateFit(theta, starts, 0.0, FitOutcome.CONVERGED)
         try:
             metric = Metric(discrepancy, shares, None)
         except FloatingPointError:  # along this motion the equations say too little
             continue
-        yield experiment, FittedModel(made, fit, metric, starts)
+        yield experiment, FittedModel(made, CandidateFit(theta, starts), metric, starts)
 
 
 def _recorded(

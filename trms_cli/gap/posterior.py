@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -71,10 +71,6 @@ class Features:
     scores: FloatArray  #: (k,) array; held-out score above the refit's, nats
     behinds: FloatArray  #: (k,) array; as ``behind``, of each competitor
     sizes: FloatArray  #: (k,) array; number of sizes that each competitor's effects have
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain, for the calibration."""
-        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(self).items()}
 
 
 @cache

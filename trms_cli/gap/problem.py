@@ -10,12 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
+import casadi as ca
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.effects.effect import Effect
+from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.quantisation import Quantisation
 from trms_cli.identification.data import noise_estimate
@@ -350,10 +351,6 @@ def _free(effect: str, index: int, parameter: Parameter) -> FreeParameter:
 
 def _touched(model: ExtendedModel) -> tuple[str, ...]:
     """Equations on which an effect puts a torque, as its expressions say."""
-    import casadi as ca
-
-    from trms_cli.effects.effect import EffectContext
-
     base, effect = model.base, model.effect
     x, u, p, w = base.symbols()
     sizes = {q.name: ca.SX.sym(q.name) for q in effect.parameters()}

@@ -36,6 +36,7 @@ from trms_cli.gap.discrepancy import (
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import quantum_of
 from trms_cli.identification.validation.residual_tests import holm
+from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 
 #: s. Longest lag of the tests, and samples at least and at most.
@@ -287,8 +288,6 @@ def _motion(
     model: Model, states: FloatArray, commands: FloatArray, sample_time: float
 ) -> dict[str, dict[str, FloatArray]]:
     """Angles, rates, speeds and commands by the names that a force record has."""
-    from trms_cli.models.dry_friction import SPEEDS
-
     angles, rates = {}, {}
     for name, axis in model.axes.items():
         angles[name] = states[..., model.state_index(axis.angle)]

@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.windows import Windows, estimated_starts
+from trms_cli.identification.greybox import map_fit
+from trms_cli.identification.greybox.windows import StartEstimator, Windows
 from trms_cli.identification.problem import FitProblem, FitResult, with_values
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
 from trms_cli.models.model import Model, Signal, index_of, names
@@ -201,7 +202,7 @@ def window_runs(
         first, count = dataset.part(history, len(dataset)).windows(length)
         first = first + history
         begin = first - history
-        prior = estimated_starts(rollout, dataset, begin, model.parameters.values)
+        prior = StartEstimator(rollout, dataset, begin).at(model.parameters.values)
         with np.errstate(all="ignore"):
             guess = with_memory(rollout, dataset, begin, prior.states[:, : model.n_x])
             _, starts = fitted_starts(rollout, dataset, begin, history, guess)
@@ -281,10 +282,8 @@ class Assessment:
     @property
     def correlation(self) -> FloatArray | None:
         """Correlation of the estimates, (n_f, n_f); NaN beside one without variance."""
-        from trms_cli.identification.greybox.map_fit import correlations
-
         covariance = self.result.covariance
-        return None if covariance is None else correlations(covariance)
+        return None if covariance is None else map_fit.correlations(covariance)
 
 
 def assess(problem: FitProblem, result: FitResult) -> Assessment:
@@ -300,14 +299,12 @@ def assess(problem: FitProblem, result: FitResult) -> Assessment:
 
 def _add_statistics(problem: FitProblem, assessment: Assessment) -> None:
     """Covariance and identifiability, for a method that knows no slopes."""
-    from trms_cli.identification.greybox.map_fit import MapSettings, fit_from, identifiability
-
     result = assessment.result
     every = np.ones(len(result.values), dtype=bool)
-    fit = fit_from(Windows(problem), result.theta, MapSettings(), held=every)
+    fit = map_fit.fit_from(Windows(problem), result.theta, map_fit.MapSettings(), held=every)
     if fit.information is not None and (covariance := fit.covariance) is not None:
         assessment.result = replace(result, covariance=covariance)
-        known = identifiability(fit.information, problem.names, covariance)
+        known = map_fit.identifiability(fit.information, problem.names, covariance)
         assessment.statistics["identifiability"] = asdict(known)
 
 

@@ -391,14 +391,8 @@ class Progress(Protocol):
     def update(self, fraction: float, cost: float, message: str) -> bool:
         """Tell how far it is; False asks to stop with the best so far.
 
-        Parameters
-        ----------
-        fraction : float
-            Of the work, 0 to 1.
-        cost : float
-            As in :class:`HistoryPoint`.
-        message : str
-            One line.
+        ``fraction``: of the work, 0 to 1. ``cost``: as in :class:`HistoryPoint`. ``message``: one
+        line.
         """
 
     def save(self, state: Mapping[str, Any]) -> None:
@@ -429,4 +423,7 @@ class Method(Protocol):
     fits_parameters: ClassVar[bool]
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
-        """Fit the problem. The same problem, settings and seed give the same result."""
+        """Fit the problem. The same problem, settings and seed give the same result.
+
+        Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
+        """

@@ -99,12 +99,8 @@ class RecordedMotions:
         except ValueError:
             return None
 
-    def of(self, dataset: Dataset, speeds: dict[str, FloatArray] | None = None) -> RecordedMotion:
-        """The motion of a dataset.
-
-        ``dataset``: with the model's inputs in the model's order. ``speeds``: dict of str to (n,)
-        array; measured rotor speeds that take the place of the modelled ones.
-        """
+    def of(self, dataset: Dataset) -> RecordedMotion:
+        """The motion of a dataset, which has the model's inputs in the model's order."""
         model, n = self.model, len(dataset)
         angle = np.tile(model.rest()[self._angles], (n, 1))
         rate, measured = np.zeros_like(angle), {}
@@ -114,9 +110,6 @@ class RecordedMotions:
                 angle[:, i], rate[:, i] = value, first
                 measured[axis.angle] = second
         states = self._driven(dataset, angle, rate)
-        given = speeds or {}
-        for name in given:
-            states[model.state_index(name)] = given[name]
         u = dataset.commands.T
         # Momenta belong to the rotor speeds that are used.
         states[self._momenta] = self._mapped(self._momentum_of, states, u, rate.T)

@@ -74,11 +74,6 @@ class Figure:
         """The keys that lead to it within its group."""
         return tuple(self.key.split("."))
 
-    def title(self, unit: str = "", *, short: bool = False) -> str:
-        """Its label with its unit, given that of its channel: ``RMSE [rad]``."""
-        label = self.label.partition(",")[0] if short else self.label
-        return wording.with_unit(label, self.unit_of(unit))
-
     def unit_of(self, unit: str) -> str:
         """Its unit, given that of its channel."""
         return self.unit.replace("{}", unit).strip()

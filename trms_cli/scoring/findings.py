@@ -302,7 +302,10 @@ def _solver(score: Mapping[str, Any]) -> Table:
     """A row a figure: the time of a control step, and what went wrong."""
     solver = part(score, "solver")
     rows: list[list[Cell]] = [
-        [figure.title(), Datum(value, "bad" if figure.whole and figure.better and value else "")]
+        [
+            wording.with_unit(figure.label, figure.unit),
+            Datum(value, "bad" if figure.whole and figure.better and value else ""),
+        ]
         for figure in figures.of_group("solver")
         if (value := figure.value(solver)) is not None
     ]

@@ -38,15 +38,12 @@ LIMITS_KEY = "limits"
 Limits = Mapping[str, tuple[float, float]]
 
 
-def score_log(log: LoggedRun, *, limits: Limits | None = None) -> dict[str, Any]:
-    """Score a log, complete or not.
-
-    ``limits``: lower and upper limit by input or channel; by default those written in the log.
-    """
+def score_log(log: LoggedRun) -> dict[str, Any]:
+    """Score a log, complete or not, by the limits that are written in it."""
     with not_as_written(str(log.path)):
         return score_tables(
             log.tables,
-            limits=limits_of(log) if limits is None else limits,
+            limits=limits_of(log),
             duration_s=log.duration_s,
             log=str(log.path),
             complete=log.complete,

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import compile_function
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.windows import estimated_starts
+from trms_cli.identification.greybox.windows import StartEstimator
 from trms_cli.models.model import Model
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.simulation.rollout import Rollout
@@ -119,7 +119,7 @@ def _unmeasured(model: Model, dataset: Dataset) -> FloatArray:
     n = len(dataset)
     rollout = Rollout(model, dataset.sample_time)
     anchors = np.arange(0, n, max(1, round(_ANCHORED / dataset.sample_time)), dtype=np.int64)
-    known = estimated_starts(rollout, dataset, anchors, model.parameters.values).states
+    known = StartEstimator(rollout, dataset, anchors).at(model.parameters.values).states
     columns = [np.interp(np.arange(n), anchors, known[:, i]) for i in range(model.n_x)]
     return np.stack(columns, axis=1)
 

@@ -264,12 +264,8 @@ _CLOSE = 0.5
 _RATE = 25.0
 
 
-def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
-    """What the force looks like.
-
-    ``seed``: of the test against a force from outside. Returns tuple of str: sentences; a single
-    one where the force does not stand out of its noise.
-    """
+def description(record: ForceRecord) -> tuple[str, ...]:
+    """What the force looks like: a single sentence where it does not stand out of its noise."""
     rms = float(np.sqrt(np.mean(record.force**2)))
     noise = float(np.sqrt(np.mean(record.sd**2)))
     place, unit = record.location, record.unit
@@ -291,7 +287,7 @@ def description(record: ForceRecord, seed: int = 0) -> tuple[str, ...]:
             for region in regions(record)
             if " t = " not in region.condition
         ),
-        _origin(record, seed),
+        _origin(record),
         _closest_form(record),
     ]
     return tuple(sentence for sentence in parts if sentence)
@@ -376,8 +372,8 @@ def _trend(record: ForceRecord) -> str:
     return ""
 
 
-def _origin(record: ForceRecord, seed: int) -> str:
-    dependence = exogenous(record, seed)
+def _origin(record: ForceRecord) -> str:
+    dependence = exogenous(record)
     low, high = dependence.ci95
     share = f"{dependence.predictable_share:.0%} of it (95 % interval {low:.0%} to {high:.0%})"
     if dependence.predictable_share >= _OWN:

@@ -260,9 +260,9 @@ class LawInputs:
         return result
 
 
-def _sign(values: FloatArray, widths: tuple[float, ...] = _SHARP) -> Columns:
+def _sign(values: FloatArray) -> Columns:
     spread = float(np.sqrt(np.mean(values**2))) + 1e-12
-    return [np.tanh(values / (width * spread)) for width in widths]
+    return [np.tanh(values / (width * spread)) for width in _SHARP]
 
 
 def _sign_of_rate(at: LawInputs) -> Columns:

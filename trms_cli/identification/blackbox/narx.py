@@ -54,10 +54,7 @@ class NarxFit:
     fits_parameters: ClassVar[bool] = False
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
-        """Fit the problem's recordings.
-
-        Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
-        """
+        """Fit the problem; see :class:`trms_cli.identification.problem.Method`."""
         data = prepare_fit(self.regressors, problem, self.training)
         structure = data.structure
         network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
@@ -100,10 +97,7 @@ class NnoeFit:
     fits_parameters: ClassVar[bool] = False
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
-        """Fit the problem's recordings.
-
-        Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
-        """
+        """Fit the problem; see :class:`trms_cli.identification.problem.Method`."""
         if not self.horizons:
             raise ConfigurationError(
                 "no horizon is given", where="method.horizons", remedy="for instance [0.5, 2.0]"

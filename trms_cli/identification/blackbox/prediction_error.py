@@ -211,15 +211,9 @@ def free_run(
     return levels[first:]
 
 
-def simulate_network(
-    structure: NarxStructure, network: Network, samples: Samples, start: Samples | None = None
-) -> FloatArray:
-    """One free run over a whole recording, (n, n_y); the first samples are the measured ones.
-
-    ``start`` gives those first samples, where they are not to be taken as measured.
-    """
-    first = structure.longest_lag
-    past = (start or samples).outputs[:first]
+def simulate_network(structure: NarxStructure, network: Network, samples: Samples) -> FloatArray:
+    """One free run over a whole recording, (n, n_y); the first samples are the measured ones."""
+    past = samples.outputs[: structure.longest_lag]
     run = free_run(structure, network, past[:, None], samples.inputs[:, None])
     return np.vstack([past, run[:, 0]])
 
@@ -303,10 +297,6 @@ class OneStepError:
     def residuals(self, theta: FloatArray) -> FloatArray:
         """All residuals, (n · n_out,)."""
         return (self.network.values(theta, self.z) - self.targets).ravel()
-
-    def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Slopes of the residuals, (n · n_out, P)."""
-        return self.network.slopes(theta, self.z)[1].reshape(self.n_residuals, -1)
 
     def loss(self, theta: FloatArray) -> float:
         residuals = self.residuals(theta)

@@ -35,14 +35,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.identification.blackbox.network_fit import (
-    NetworkData,
-    Regressors,
-    Stage,
-    fit_result,
-    prepare_fit,
-    training_watcher,
-)
+from trms_cli.identification.blackbox import network_fit
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.trainable import layout_of
 from trms_cli.identification.blackbox.training.training import (
@@ -272,29 +265,28 @@ class RadialFit:
     levels: Annotated[int, Meta(ge=1, le=6)] = 3  #: Grids of the dyadic placement
     ridge: Annotated[float, Meta(ge=0)] = 1e-8  #: Of the linear least squares, relative
     tune: bool = True  #: Whether all weights are then trained by ``training``
-    regressors: Regressors = field(default_factory=Regressors)
+    regressors: network_fit.Regressors = field(default_factory=network_fit.Regressors)
     stopping: Stopping = field(default_factory=Stopping)
 
     fits_parameters: ClassVar[bool] = False
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
-        """Fit the problem's recordings.
-
-        Raises RecordingError if the recordings cannot be fitted; it says what to record instead.
-        """
-        data = prepare_fit(self.regressors, problem, self.training)
+        """Fit the problem; see :class:`trms_cli.identification.problem.Method`."""
+        data = network_fit.prepare_fit(self.regressors, problem, self.training)
         begin = process_time()
         network, theta = self.placed(data, problem.seed)
         placing = process_time() - begin
         stopping = self.stopping if self.tune else Stopping(epochs=1)
         algorithm: TrainingAlgorithm = self.training if self.tune else _AsPlaced()
-        watcher = training_watcher(progress, 0.0, 1.0, stopping, "one step")
+        watcher = network_fit.training_watcher(progress, 0.0, 1.0, stopping, "one step")
         training = data.train_one_step(network, algorithm, theta, stopping, watcher)
         if not self.tune:
             training = replace(training, outcome=TrainingOutcome.GOAL)
-        return fit_result(self.kind, problem, data, network, [Stage("one step", training, placing)])
+        return network_fit.fit_result(
+            self.kind, problem, data, network, [network_fit.Stage("one step", training, placing)]
+        )
 
-    def placed(self, data: NetworkData, seed: int) -> tuple[Radial, FloatArray]:
+    def placed(self, data: network_fit.NetworkData, seed: int) -> tuple[Radial, FloatArray]:
         """The network with its units placed and its linear weights solved for."""
         generator = np.random.default_rng(np.random.SeedSequence([seed, 0x52414449]))
         z, targets = data.normalised(data.fitted_smooth)

@@ -10,7 +10,7 @@ import numpy as np
 
 from trms_cli.core import wording
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.chart import Axis, Band, Chart, Colour, Curve, Line, Mark, Panel
+from trms_cli.core.chart import CURVES, Axis, Band, Chart, Curve, Line, Mark, Panel
 from trms_cli.core.findings import Column, Findings, NextCommand, Section, table
 from trms_cli.identification.excitation.design import ExcitationDesign
 from trms_cli.models.model import names
@@ -123,9 +123,6 @@ def summary(design: ExcitationDesign, spectra: Spectra) -> dict[str, Any]:
     }
 
 
-_COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple")
-
-
 def findings(
     document: Mapping[str, Any],
     designed: ExcitationDesign | None = None,
@@ -218,7 +215,7 @@ def excitation_chart(designed: ExcitationDesign, spectra: Spectra) -> Chart:
             x, y = values[speed][designed.first :], values[angle][designed.first :]
             bound = designed.bounds[angle]
             limits = [Line(y=s * bound, colour="alarm", style="dashed") for s in (-1, 1)]
-            marks: list[Mark] = [Curve(x, y, "", _COLOURS[i], width=0.5), *limits]
+            marks: list[Mark] = [Curve(x, y, "", CURVES[i], width=0.5), *limits]
             x_axis = Axis(wording.signal(speed), "rad/s")
             panels.append(Panel(x_axis, Axis(wording.signal(angle), "rad"), marks))
     rates = [name for name in outputs if name in designed.bounds]
@@ -245,7 +242,7 @@ class _Panels:
     def over_time(self, signals: Mapping[str, Any], commands: bool) -> Panel:
         designed = self.designed
         marks: list[Mark] = []
-        for colour, (name, values) in zip(_COLOURS, signals.items(), strict=False):
+        for colour, (name, values) in zip(CURVES, signals.items(), strict=False):
             label = f"{wording.signal(name)} {name}" if commands else wording.signal(name)
             marks.append(Curve(designed.time, values, label, colour, width=0.8, held=commands))
         if not commands:
@@ -275,7 +272,7 @@ class _Panels:
     def input_spectra(self) -> Panel:
         spectra, inputs = self.spectra, self.inputs
         marks, shown = [], []
-        for i, (colour, name) in enumerate(zip(_COLOURS, inputs, strict=False)):
+        for i, (colour, name) in enumerate(zip(CURVES, inputs, strict=False)):
             density = spectra.inputs[:, i]
             # below the resolution of a multisine's lines there is nothing to be shown
             shown.append(np.where(density > 1e-6 * density.max(), density, np.nan))
@@ -287,7 +284,7 @@ class _Panels:
     def responses(self, shown: Sequence[str]) -> Panel:
         spectra, inputs = self.spectra, self.inputs
         marks, values = [], []
-        for colour, output in zip(_COLOURS, shown, strict=False):
+        for colour, output in zip(CURVES, shown, strict=False):
             for j, name in enumerate(inputs[:2]):
                 response = spectra.response[:, self.outputs.index(output), j]
                 if np.any(response > 1e-9):
@@ -303,7 +300,7 @@ class _Panels:
         spectra = self.spectra
         marks: list[Mark] = []
         values = []
-        for colour, name in zip(_COLOURS, chosen, strict=False):
+        for colour, name in zip(CURVES, chosen, strict=False):
             i = self.outputs.index(name)
             noise = float(spectra.noise[i])
             density = spectra.outputs[:, i]
@@ -316,7 +313,7 @@ class _Panels:
     def rates(self, angles: Mapping[str, Any]) -> Panel:
         designed = self.designed
         marks: list[Mark] = []
-        for colour, (name, values) in zip(_COLOURS, angles.items(), strict=False):
+        for colour, (name, values) in zip(CURVES, angles.items(), strict=False):
             rate = np.diff(values[designed.first :]) / designed.plan.sample_time
             share, edges = np.histogram(rate, bins=60, density=True)
             x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)

@@ -16,13 +16,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.excitation.excitation import (
-    Plan,
-    Shape,
-    check_band,
-    crest_factor,
-    shape_of,
-)
+from trms_cli.identification.excitation import excitation
 
 #: Points a period of the highest harmonic at which the peak is looked for.
 _POINTS = 16
@@ -41,25 +35,25 @@ class MultisineExcitation:
     #: Largest number of steps for each norm; 0 keeps Schroeder's phases
     iterations: Annotated[int, Meta(ge=0)] = 60
 
-    def shape(self, plan: Plan) -> Shape:
+    def shape(self, plan: excitation.Plan) -> excitation.Shape:
         """The signals; see :class:`Excitation`."""
-        check_band(plan)
+        excitation.check_band(plan)
         period = plan.duration / self.periods
         harmonics = self._harmonics(plan, period)
         signals, before = [], []
         for own in harmonics:
             first = schroeder_phases(len(own))
             phases = low_crest_phases(own, first, self.iterations)
-            before.append(crest_factor(_sum(own, first, _fine(own))))
+            before.append(excitation.crest_factor(_sum(own, first, _fine(own))))
             signals.append(_sum(own, phases, plan.time / period))
-        return shape_of(
+        return excitation.shape_of(
             signals,
             frequencies_hz=[(own / period).tolist() for own in harmonics],
             period_s=period,
             crest_factor_schroeder=before,
         )
 
-    def _harmonics(self, plan: Plan, period: float) -> list[IntArray]:
+    def _harmonics(self, plan: excitation.Plan, period: float) -> list[IntArray]:
         """Of each input; every one belongs to one input only."""
         first = int(np.ceil(plan.lowest * period - 1e-9))
         last = int(np.floor(plan.highest * period + 1e-9))

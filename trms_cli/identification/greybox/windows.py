@@ -10,6 +10,7 @@ prior that settles what a window says nothing about.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -97,11 +98,6 @@ class StartEstimator:
             states.append(state)
             memories.append(slopes)
         return Starts(np.array(states), np.array(memories))
-
-
-def estimated_starts(rollout: Rollout, dataset: Dataset, first: IntArray, p: FloatArray) -> Starts:
-    """Starts of windows of one recording, for one set of parameters."""
-    return StartEstimator(rollout, dataset, first).at(p)
 
 
 def _carried(
@@ -280,13 +276,7 @@ class Windows:
         """Full states (m, n): some starts of the model's states, and the memory at them."""
         return self._with_memory(p, starts)[0]
 
-    def command(self, j: int, k: int) -> FloatArray:
-        """The command at sample ``k`` of window ``j``, (n_u,); past its end that of the last."""
-        sample = self.first[j] + min(k, self.count[j] - 1)
-        command: FloatArray = self._commands[sample]
-        return command
-
-    @property
+    @cached_property
     def commands(self) -> FloatArray:
         """Commands of all windows, (m, c, n_u), the last repeated past a window's end."""
         k = np.minimum(np.arange(self.inside.shape[1]), self.count[:, None] - 1)

@@ -8,18 +8,10 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core import wording
-from trms_cli.core.chart import Axis, Band, Chart, Colour, Curve, Line, Mark, Panel, Points
+from trms_cli.core.chart import CURVES, Axis, Band, Chart, Colour, Curve, Line, Mark, Panel, Points
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.findings import near
-from trms_cli.identification.validation.metrics import (
-    Characteristics,
-    coherence,
-    default_length,
-    rms,
-    rms_interval,
-    segments_of,
-    spectrum,
-)
+from trms_cli.identification.validation import metrics
 from trms_cli.identification.validation.residual_tests import ResidualTest, p_words
 from trms_cli.identification.validation.validate import ModelValidation, gap_samples, join_parts
 from trms_cli.models.model import names
@@ -33,12 +25,11 @@ _DRAWN = {
     "product": "{} · {}",
     "bilinear": "past error · {}",
 }
-_COLOURS: tuple[Colour, ...] = ("blue", "vermilion", "green", "purple", "orange", "sky")
 
 
 def _colour(i: int) -> Colour:
     """The colour of the i-th model; more than there are colours share the last."""
-    return _COLOURS[min(i, len(_COLOURS) - 1)]
+    return CURVES[min(i, len(CURVES) - 1)]
 
 
 def _channels(validations: Sequence[ModelValidation]) -> list[tuple[str, str]]:
@@ -79,7 +70,7 @@ def growth_chart(validations: Sequence[ModelValidation]) -> Chart:
 
 
 def _by_column(errors: np.ndarray) -> np.ndarray:
-    values = np.array([rms(column) for column in errors.T])
+    values = np.array([metrics.rms(column) for column in errors.T])
     return np.where(values > 0, values, np.nan)  # no place on a logarithmic axis
 
 
@@ -90,7 +81,7 @@ def _horizon_points(
     rows = [
         (
             horizon * 1.015**i,
-            rms_interval(validation.sums(channel, horizon), validation.options.seed),
+            metrics.rms_interval(validation.sums(channel, horizon), validation.options.seed),
         )
         for horizon in validation.horizons
     ]
@@ -273,7 +264,7 @@ def spectra_chart(validations: Sequence[ModelValidation]) -> Chart | None:
     Of free runs that stay finite.
     """
     first = validations[0]
-    length = default_length(min(len(d) for d in first.datasets), first.sample_time)
+    length = metrics.default_length(min(len(d) for d in first.datasets), first.sample_time)
     step = first.sample_time
     panels: list[Panel] = []
     for channel, unit in _channels(validations):
@@ -286,14 +277,14 @@ def spectra_chart(validations: Sequence[ModelValidation]) -> Chart | None:
             error, measured = validation.free_run_errors(channel)
             if not np.all(np.isfinite(error) | np.isnan(measured)):
                 continue
-            of_error = segments_of(error, step, length)
+            of_error = metrics.segments_of(error, step, length)
             if density is None:
-                density = spectrum(segments_of(measured, step, length))
+                density = metrics.spectrum(metrics.segments_of(measured, step, length))
                 against = _coherences(validation, channel, of_error, length)
             f = density.frequencies
-            run = spectrum(segments_of(measured - error, step, length)).density
+            run = metrics.spectrum(metrics.segments_of(measured - error, step, length)).density
             marks.append(Curve(f, run, validation.name, _colour(i), width=0.9))
-            density_of_error = spectrum(of_error).density
+            density_of_error = metrics.spectrum(of_error).density
             label = f"error of {validation.name}"
             marks.append(Curve(f, density_of_error, label, _colour(i), "dotted", 0.9))
         if density is None or density.segments == 0 or not density.density.max() > 0:
@@ -311,7 +302,7 @@ def spectra_chart(validations: Sequence[ModelValidation]) -> Chart | None:
         panels.append(Panel(x, y, [*behind, *marks]))
         curves: list[Mark] = [
             Curve(f, c.squared, name, colour, width=0.8)
-            for colour, (name, c) in zip(_COLOURS, against.items(), strict=False)
+            for colour, (name, c) in zip(CURVES, against.items(), strict=False)
         ]
         chance = next((c.by_chance for c in against.values()), np.nan)
         curves.append(Line(y=float(chance), label="by chance", colour="alarm", style="dashed"))
@@ -342,13 +333,15 @@ def _coherences(
         gap_samples(validation.options, validation.sample_time),
     )
     return {
-        name: coherence(of_error, segments_of(inputs[:, i], validation.sample_time, length))
+        name: metrics.coherence(
+            of_error, metrics.segments_of(inputs[:, i], validation.sample_time, length)
+        )
         for i, name in enumerate(names(validation.datasets[0].inputs))
         if np.ptp(inputs[~np.isnan(inputs[:, i]), i]) > 0
     }
 
 
-def signal_chart(signals: Sequence[Characteristics], sample_time: float) -> Chart:
+def signal_chart(signals: Sequence[metrics.Characteristics], sample_time: float) -> Chart:
     """Amplitude distribution and autocorrelation of every signal, a column a signal."""
     above, below = [], []
     for i, signal in enumerate(signals):

@@ -10,17 +10,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.findings import json_data
-from trms_cli.identification.validation.metrics import (
-    BlockSums,
-    characteristics_of,
-    fit_percent,
-    largest,
-    mean_log_ratio,
-    ratio_interval,
-    rms,
-    rms_interval,
-    vaf_percent,
-)
+from trms_cli.identification.validation import metrics
 from trms_cli.identification.validation.residual_tests import MEANING
 from trms_cli.identification.validation.validate import ModelValidation
 from trms_cli.models.model import names
@@ -55,7 +45,7 @@ def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
                 "remarks": list(d.remarks),
                 "signals": {
                     c.name: {key: value for key, value in vars(c).items() if key not in _DRAWN}
-                    for c in characteristics_of(d)
+                    for c in metrics.characteristics_of(d)
                 },
             }
             for d in first.datasets
@@ -100,7 +90,7 @@ def model_document(validation: ModelValidation) -> dict[str, Any]:
         document["error_by_recording"] = {
             dataset.name: {
                 channel: {
-                    _key(h): rms(
+                    _key(h): metrics.rms(
                         run.windows[h].errors[:, :, run.windows[h].channels.index(channel)]
                     )
                     for h in run.windows
@@ -117,15 +107,15 @@ def _horizons(validation: ModelValidation, channel: str) -> dict[str, dict[str, 
     for horizon in validation.horizons:
         errors = validation.pooled(channel, horizon)
         measured = validation.pooled(channel, horizon, "measured")
-        interval = rms_interval(validation.sums(channel, horizon), validation.options.seed)
+        interval = metrics.rms_interval(validation.sums(channel, horizon), validation.options.seed)
         rows[_key(horizon)] = {
-            "rms": rms(errors),
+            "rms": metrics.rms(errors),
             "ci95": interval.ends,
-            "at_end": rms(errors[:, -1]),
-            "max": largest(errors),
-            "fit_percent": fit_percent(errors, measured),
-            "vaf_percent": vaf_percent(errors, measured),
-            "unchanged_rms": rms(validation.pooled(channel, horizon, "unchanged")),
+            "at_end": metrics.rms(errors[:, -1]),
+            "max": metrics.largest(errors),
+            "fit_percent": metrics.fit_percent(errors, measured),
+            "vaf_percent": metrics.vaf_percent(errors, measured),
+            "unchanged_rms": metrics.rms(validation.pooled(channel, horizon, "unchanged")),
         }
     return rows
 
@@ -145,19 +135,19 @@ def _one_step(validation: ModelValidation, channel: str) -> dict[str, Any]:
     error, y = np.concatenate(errors), np.concatenate(measured)
     return {
         **_figures(error, y),
-        "unchanged_rms": rms(np.concatenate(unchanged)),
+        "unchanged_rms": metrics.rms(np.concatenate(unchanged)),
         # 1 for a predictor that believes the right amount
-        "normalised_square": rms(np.concatenate(shares)) ** 2,
+        "normalised_square": metrics.rms(np.concatenate(shares)) ** 2,
         "samples": int(np.count_nonzero(~np.isnan(error))),
     }
 
 
 def _figures(errors: FloatArray, measured: FloatArray) -> dict[str, float]:
     return {
-        "rms": rms(errors),
-        "max": largest(errors),
-        "fit_percent": fit_percent(errors, measured),
-        "vaf_percent": vaf_percent(errors, measured),
+        "rms": metrics.rms(errors),
+        "max": metrics.largest(errors),
+        "fit_percent": metrics.fit_percent(errors, measured),
+        "vaf_percent": metrics.vaf_percent(errors, measured),
     }
 
 
@@ -203,11 +193,11 @@ def comparison_document(validations: Sequence[ModelValidation]) -> dict[str, Any
     sums = {v.name: _all_sums(v, validations) for v in validations}
     naive = {v.name: _all_sums(v, validations, "unchanged") for v in validations}
     seed = validations[0].options.seed
-    scores = {name: mean_log_ratio(sums[name], naive[name], seed) for name in sums}
+    scores = {name: metrics.mean_log_ratio(sums[name], naive[name], seed) for name in sums}
     order = sorted(scores, key=lambda n: scores[n].value if np.isfinite(scores[n].value) else 1e300)
     pairs = []
     for one, other in combinations(order, 2):
-        overall = mean_log_ratio(sums[one], sums[other], seed)
+        overall = metrics.mean_log_ratio(sums[one], sums[other], seed)
         pairs.append(
             {
                 "models": [one, other],
@@ -229,7 +219,7 @@ def comparison_document(validations: Sequence[ModelValidation]) -> dict[str, Any
 
 def _all_sums(
     validation: ModelValidation, all_of: Sequence[ModelValidation], what: str = "errors"
-) -> dict[tuple[str, float], BlockSums]:
+) -> dict[tuple[str, float], metrics.BlockSums]:
     common = [
         s.name
         for s in validation.channels
@@ -243,13 +233,13 @@ def _all_sums(
 
 
 def _ratios(
-    one: Mapping[tuple[str, float], BlockSums],
-    other: Mapping[tuple[str, float], BlockSums],
+    one: Mapping[tuple[str, float], metrics.BlockSums],
+    other: Mapping[tuple[str, float], metrics.BlockSums],
     seed: int,
 ) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for channel, horizon in one:
-        interval = ratio_interval(one[channel, horizon], other[channel, horizon], seed)
+        interval = metrics.ratio_interval(one[channel, horizon], other[channel, horizon], seed)
         found.setdefault(channel, {})[_key(horizon)] = {
             "ratio": interval.value,
             "ci95": interval.ends,

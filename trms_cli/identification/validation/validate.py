@@ -42,13 +42,7 @@ from trms_cli.identification.free_runs import (
     simulated_windows,
     with_memory,
 )
-from trms_cli.identification.validation.metrics import (
-    BlockSums,
-    RegionTable,
-    WindowErrors,
-    block_sums,
-    region_tables,
-)
+from trms_cli.identification.validation import metrics
 from trms_cli.identification.validation.residual_tests import ResidualTests, residual_tests
 from trms_cli.models.discrete import copied_states
 from trms_cli.models.model import Model, Signal, names
@@ -327,7 +321,7 @@ def _smallest(cost: Callable[[float], float]) -> float:
 class FreeRuns:
     """All free runs of a model over one recording."""
 
-    windows: Mapping[float, WindowErrors]  #: By horizon, s
+    windows: Mapping[float, metrics.WindowErrors]  #: By horizon, s
     first: int  #: Sample at which the run to the end of the recording begins
     whole: FloatArray  #: (n − first, n_y) array; that run, in the order of the recording's outputs
 
@@ -414,11 +408,11 @@ def free_runs(
 
 def _errors(
     dataset: Dataset, rollout: Rollout, first: IntArray, samples: int, starts: FloatArray
-) -> WindowErrors:
+) -> metrics.WindowErrors:
     simulated = simulated_windows(rollout, dataset, first, samples, starts)
     measured = dataset.measurements[first[:, None] + np.arange(samples)]
     known = _filled(dataset.measurements)[np.maximum(first - 1, 0)]
-    return WindowErrors(
+    return metrics.WindowErrors(
         names(dataset.outputs), first, measured - simulated, measured, measured - known[:, None, :]
     )
 
@@ -468,7 +462,7 @@ class ModelValidation:
         """Those that fit at least one recording, s."""
         return tuple(sorted({horizon for run in self.runs for horizon in run.windows}))
 
-    def windows(self, horizon: float) -> list[WindowErrors]:
+    def windows(self, horizon: float) -> list[metrics.WindowErrors]:
         """The windows of a horizon, by recording."""
         return [run.windows[horizon] for run in self.runs if horizon in run.windows]
 
@@ -481,10 +475,10 @@ class ModelValidation:
         ]
         return np.vstack(found)
 
-    def sums(self, channel: str, horizon: float, what: str = "errors") -> BlockSums:
+    def sums(self, channel: str, horizon: float, what: str = "errors") -> metrics.BlockSums:
         """Squared errors by blocks of time, for intervals."""
         block = samples_of(max(self.options.block, horizon), self.sample_time)
-        return block_sums(self.windows(horizon), channel, block, what)
+        return metrics.block_sums(self.windows(horizon), channel, block, what)
 
     def noise_sd(self, channel: str) -> float:
         """Declared noise of a channel, the largest of the recordings'."""
@@ -514,7 +508,7 @@ class ModelValidation:
         return upto[-1] if upto else self.horizons[0]
 
     @cached_property
-    def regions(self) -> list[RegionTable]:
+    def regions(self) -> list[metrics.RegionTable]:
         """The errors over the operating range."""
         errors: dict[str, list[FloatArray]] = {s.name: [] for s in self.channels}
         variables: dict[str, list[FloatArray]] = {}
@@ -533,7 +527,7 @@ class ModelValidation:
             for name, values in operating_variables(dataset).items():
                 variables.setdefault(name, []).append(values[at])
         whole = {n: v for n, v in variables.items() if len(v) == len(errors[self.channels[0].name])}
-        return region_tables(
+        return metrics.region_tables(
             {name: np.concatenate(parts) for name, parts in errors.items()},
             {name: np.concatenate(parts) for name, parts in whole.items()},
         )

@@ -10,20 +10,6 @@ from typing import Any
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.scoring.comparison import ranking as ranked
-from trms_cli.scoring.comparison.ranking import (
-    FEWEST_CLUSTERS,
-    FEWEST_GATHERED,
-    LEVEL,
-    OF_ENTRANTS,
-    RIG_PARAMETERS,
-    Figures,
-    Ranking,
-    RatioInterval,
-    Standing,
-    figures_of,
-    mean,
-    worst_condition,
-)
 from trms_cli.scoring.comparison.runs import ComparisonRun, RunCollection, State, differences
 from trms_cli.scoring.figures import Group, entries, metrics
 
@@ -94,7 +80,7 @@ def _rows(one: ComparisonRun, other: ComparisonRun) -> Iterator[PairRow]:
 SCHEMA, PAIR_SCHEMA = "trms.compare/1", "trms.compare_pair/1"
 
 
-def rule(ranking: Ranking) -> str:
+def rule(ranking: ranked.Ranking) -> str:
     """How the rank comes about, in two sentences."""
     name = ranking.metric.upper() if ranking.metric != "max_abs_error" else "largest error"
     given = ", ".join(_gathered(ranking.contest.given_by)) or "condition"
@@ -107,17 +93,17 @@ def rule(ranking: Ranking) -> str:
 
 def _gathered(keys: Sequence[str]) -> list[str]:
     """Coordinates as prose names them: many parameters of the rig, as draws have, are one."""
-    drawn = [key for key in keys if key.startswith(RIG_PARAMETERS)]
-    if len(drawn) < FEWEST_GATHERED:
+    drawn = [key for key in keys if key.startswith(ranked.RIG_PARAMETERS)]
+    if len(drawn) < ranked.FEWEST_GATHERED:
         return list(keys)
     return [
         *(key for key in keys if key not in drawn),
-        f"the rig's parameters ({len(drawn)} of {RIG_PARAMETERS.rstrip('.')})",
+        f"the rig's parameters ({len(drawn)} of {ranked.RIG_PARAMETERS.rstrip('.')})",
     ]
 
 
 def document(
-    ranking: Ranking, gathered: RunCollection, shown: Sequence[Standing]
+    ranking: ranked.Ranking, gathered: RunCollection, shown: Sequence[ranked.Standing]
 ) -> dict[str, Any]:
     """``trms.compare/1``, the entrants in the order in which they are shown."""
     runs = gathered.runs
@@ -165,10 +151,12 @@ def pair_document(pair: Pair) -> dict[str, Any]:
     )
 
 
-def _entrant(standing: Standing, ranking: Ranking) -> dict[str, Any]:
-    told = asdict(figures_of(standing, ranking.metric))
+def _entrant(standing: ranked.Standing, ranking: ranked.Ranking) -> dict[str, Any]:
+    told = asdict(ranked.figures_of(standing, ranking.metric))
     done = [run for run in standing.runs if run.state is State.DONE]
-    others = {m: mean(run.error(m) for run in done) for m in metrics() if m != ranking.metric}
+    others = {
+        m: ranked.mean(run.error(m) for run in done) for m in metrics() if m != ranking.metric
+    }
     errors = {name: told.pop(f"error_{name}") for name in ("mean", "p95", "worst")}
     return {
         "name": standing.name,
@@ -183,7 +171,7 @@ def _entrant(standing: Standing, ranking: Ranking) -> dict[str, Any]:
             "shared_with_first": standing.shared,
             "ratio_p95": told.pop("ratio_p95"),
             "ratio_worst": told.pop("ratio_worst"),
-            "worst_condition": worst_condition(standing, ranking.contest.condition_name),
+            "worst_condition": ranked.worst_condition(standing, ranking.contest.condition_name),
             "error": errors,
             "other_metrics_mean": others,
         },
@@ -207,7 +195,7 @@ def _run_data(run: ComparisonRun) -> dict[str, Any]:
     return {"path": run.path, "coordinates": dict(run.coordinates), "message": run.message}
 
 
-def _pair(interval: RatioInterval | None) -> list[float] | None:
+def _pair(interval: ranked.RatioInterval | None) -> list[float] | None:
     return None if interval is None else [interval.low, interval.high]
 
 
@@ -220,7 +208,7 @@ _LEAST_CHANGE = 0.01
 
 
 def ranking_findings(
-    ranking: Ranking, gathered: RunCollection, shown: Sequence[Standing]
+    ranking: ranked.Ranking, gathered: RunCollection, shown: Sequence[ranked.Standing]
 ) -> Findings:
     """Who won, what that took, and what went wrong; the entrants in the order given."""
     contest = ranking.contest
@@ -244,9 +232,9 @@ def ranking_findings(
     )
 
 
-def ranking_tables(ranking: Ranking, shown: Sequence[Standing]) -> list[Table]:
+def ranking_tables(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) -> list[Table]:
     """Tracking and robustness, effort and time, and failures where there was one."""
-    told = [(standing, figures_of(standing, ranking.metric)) for standing in shown]
+    told = [(standing, ranked.figures_of(standing, ranking.metric)) for standing in shown]
     unit = metrics()[ranking.metric].replace("{}", "rad")
     error = {"max_abs_error": "largest error"}.get(ranking.metric, ranking.metric.upper())
     heads = [
@@ -286,7 +274,7 @@ def ranking_tables(ranking: Ranking, shown: Sequence[Standing]) -> list[Table]:
     return tables + ([table(unwell, [*heads, *failures], heads=2)] if unwell else [])
 
 
-def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
+def notes(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) -> Iterator[str]:
     """How the tables are to be read."""
     yield rule(ranking)
     if ranking.contest.rigs_differ:
@@ -294,24 +282,25 @@ def notes(ranking: Ranking, shown: Sequence[Standing]) -> Iterator[str]:
             "The rigs differ: each took its own model's equations "
             "(model@plant.model=newtonian gives all the same)."
         )
-    if ranking.clusters >= FEWEST_CLUSTERS:
+    if ranking.clusters >= ranked.FEWEST_CLUSTERS:
         yield (
-            f"Intervals: {100 * LEVEL:.0f} % of a paired bootstrap over {ranking.clusters} rigs. "
-            "≠ differs significantly from the first, = does not."
+            f"Intervals: {100 * ranked.LEVEL:.0f} % of a paired bootstrap over {ranking.clusters} "
+            "rigs. ≠ differs significantly from the first, = does not."
         )
     else:
         yield (
             f"No intervals: {wording.count(ranking.clusters, 'rig')}, and they take "
-            f"{FEWEST_CLUSTERS} (sweep plant.prior_seed or seed)."
+            f"{ranked.FEWEST_CLUSTERS} (sweep plant.prior_seed or seed)."
         )
     if ranking.first is not None and len(shown) > 1:
         for standing in ranking.ranked[:2]:
-            where = worst_condition(standing, ranking.contest.brief_condition_name)
+            where = ranked.worst_condition(standing, ranking.contest.brief_condition_name)
             ratio = float(standing.ratios.max())
             if ratio > 1.0 + 1e-9:
                 yield f"Worst of {standing.name}: {where} ({ratio:.3f} times the best)."
     if any(
-        key.partition(".")[0].partition("@")[0] not in OF_ENTRANTS for key in ranking.contest.by
+        key.partition(".")[0].partition("@")[0] not in ranked.OF_ENTRANTS
+        for key in ranking.contest.by
     ):
         yield "Rows ran in different conditions: their errors tell as much of those as of who ran."
     outside = dict.fromkeys(
@@ -373,7 +362,7 @@ def pair_findings(pair: Pair) -> Findings:
     )
 
 
-def _answer(ranking: Ranking) -> Iterator[str]:
+def _answer(ranking: ranked.Ranking) -> Iterator[str]:
     first = ranking.first
     if first is None or len(ranking.ranked) < 2:
         return
@@ -389,12 +378,12 @@ def _at_most(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     return Table(columns, [list(row) for row in rows[:_MOST_LISTED]], caption)
 
 
-def _best(each: tuple[Standing, Figures]) -> Cell:
+def _best(each: tuple[ranked.Standing, ranked.Figures]) -> Cell:
     ratio = _ratio(each[0].ratio)
     return Datum(ratio, "best") if each[0].rank == 1 else ratio
 
 
-def _after_first(standing: Standing, cell: Cell) -> Cell:
+def _after_first(standing: ranked.Standing, cell: Cell) -> Cell:
     return "" if standing.rank == 1 else cell
 
 
@@ -402,11 +391,11 @@ def _alarm(amount: int | None) -> Cell:
     return Datum(amount, "bad" if amount else "")
 
 
-def _failed(told: Figures) -> bool:
+def _failed(told: ranked.Figures) -> bool:
     return any((told.failed, told.non_finite, told.fallbacks, told.missed, told.degraded_s))
 
 
-def _between(interval: RatioInterval | None) -> str:
+def _between(interval: ranked.RatioInterval | None) -> str:
     return wording.MISSING if interval is None else f"{interval.low:.3f}–{interval.high:.3f}"
 
 
