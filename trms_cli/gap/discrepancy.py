@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -318,7 +318,7 @@ class TrajectoryLinearisation:
         return Trajectory(*(np.zeros((m, c, *size)) for size in sizes))
 
 
-#: s. Time over which a discrepancy forgets itself.
+#: s. Time over which a discrepancy forgets itself, of every channel but a drive's gain.
 CORRELATION_TIME = 0.5
 #: The gain of a drive wanders on every rig, with the temperature and the supply: by this share
 #: (standard deviation), over this time in s.
@@ -388,13 +388,11 @@ class Discrepancy:
     channels: tuple[DiscrepancyChannel, ...]
     #: Standard deviation of the windows' starts, as a share of their prior spread
     start_share: float = 1.0
-    #: s, of every channel but a drive's gain
-    correlation_time: float = field(default=CORRELATION_TIME)
 
     @cached_property
     def forgotten(self) -> FloatArray:
         """Factor of each force from one sample to the next, (n_d,)."""
-        times = [DRIFT_TIME if c.kind == "gain" else self.correlation_time for c in self.channels]
+        times = [DRIFT_TIME if c.kind == "gain" else CORRELATION_TIME for c in self.channels]
         return np.asarray(np.exp(-self.windows.sample_time / np.array(times)))
 
     @cached_property

@@ -800,12 +800,7 @@ def _not_told(diagnosis: DiagnosisResult) -> Section | None:
         blocks.append(
             table(sorted(diagnosis.detectable.items()), columns, caption, on_screen=False)
         )
-    return Section(
-        "What these recordings cannot tell",
-        text,
-        blocks,
-        folded=True,
-    )
+    return Section("What these recordings cannot tell", text, blocks, folded=True)
 
 
 def _recordings(diagnosis: DiagnosisResult, remarks: Sequence[str]) -> Section:

@@ -130,16 +130,6 @@ def experiments(
     yield from _played(trial, sample_time, model_name, (*_PLAYED, _LOAD) if load else _PLAYED)
 
 
-def periodic(model_name: str, sample_time: float) -> str:
-    """The command of an excitation that repeats itself: what does not repeat comes from outside."""
-    return _typed(
-        "excite",
-        model_name,
-        ["excitation=multisine", "excitation.periods=4", "excitation.iterations=0"],
-        sample_time,
-    )
-
-
 class _Trial:
     """Plays commands from rest to a simulated rig and tells whether it stays within its bounds."""
 
@@ -424,11 +414,12 @@ def _repeated(
     noise = [name for name in apart if candidates[name].stochastic]
     rest = [name for name in apart if name not in noise]
     against = f" from {listing(rest)}" if rest else ""
+    keys = ["excitation=multisine", "excitation.periods=4", "excitation.iterations=0"]
     return NextExperiment(
         why=f"a signal that repeats itself four times tells {listing(noise)}{against}: what "
         "returns with every period belongs to the rig, what does not comes from outside; how "
         "clearly was not predicted",
-        command=periodic(model_name, step),
+        command=_typed("excite", model_name, keys, step),
     )
 
 

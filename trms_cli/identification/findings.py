@@ -149,10 +149,7 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
 
 def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> Section:
     columns = [
-        Column(
-            "output",
-            lambda error: wording.with_unit(wording.signal(error.output), error.unit),
-        ),
+        Column("output", lambda error: wording.with_unit(wording.signal(error.output), error.unit)),
         Column("recording", lambda error: PARTS[error.part]),
         Column("RMSE before", "before"),
         Column("RMSE fitted", lambda error: Datum(error.rmse, error.change)),
@@ -294,7 +291,11 @@ def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
     if vague:
         listed = wording.listing(vague)
         yield f"unknown: of {listed} the data say next to nothing; the prior decided"
-    absent = [name for name, p in parameters.items() if _is_absent(name, p)]
+    absent = [  # sizes of effects that are zero
+        name
+        for name, p in parameters.items()
+        if "." in name and p["at_bound"] == "lower" and p["lower"] == 0
+    ]
     if absent:
         yield f"absent: {wording.listing(absent)} of size zero; these data show none of it"
     far = {name: _moved(p) for name, p in parameters.items() if _moved(p) > _FAR}
@@ -328,11 +329,6 @@ def _moved(parameter: Mapping[str, Any]) -> float:
     if parameter["prior_sd"] is None or parameter["value"] is None:
         return 0.0
     return abs(float(parameter["value"] - parameter["prior_mean"])) / float(parameter["prior_sd"])
-
-
-def _is_absent(name: str, parameter: Mapping[str, Any]) -> bool:
-    """Whether it is the size of an effect, and zero."""
-    return "." in name and parameter["at_bound"] == "lower" and parameter["lower"] == 0
 
 
 def parameter_chart(parameters: Mapping[str, Mapping[str, Any]]) -> Chart:

@@ -27,7 +27,7 @@ from trms_cli.identification.greybox import map_fit
 from trms_cli.identification.greybox.windows import StartEstimator, Windows
 from trms_cli.identification.problem import FitProblem, FitResult, with_values
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
-from trms_cli.models.model import Model, Signal, index_of, names
+from trms_cli.models.model import Model, index_of, names
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.augmentation import InitialSd
 from trms_cli.simulation.rollout import Rollout
@@ -215,14 +215,6 @@ def window_runs(
     return runs
 
 
-def outputs_of(runs: Sequence[WindowRuns]) -> tuple[Signal, ...]:
-    """All outputs that any of the recordings measures, in their order."""
-    found: dict[str, Signal] = {}
-    for run in runs:
-        found |= {signal.name: signal for signal in run.dataset.outputs}
-    return tuple(found.values())
-
-
 def error_figures(runs: Sequence[WindowRuns]) -> dict[str, dict[str, Any]]:
     """RMS error, largest error and fit of each output over all recordings.
 
@@ -230,7 +222,8 @@ def error_figures(runs: Sequence[WindowRuns]) -> dict[str, dict[str, Any]]:
     for a figure that does not exist. A simulation that overflowed has none.
     """
     table: dict[str, dict[str, Any]] = {}
-    for signal in outputs_of(runs):
+    outputs = {signal.name: signal for run in runs for signal in run.dataset.outputs}
+    for signal in outputs.values():
         errors, measured = [], []
         for run in runs:
             if signal.name in names(run.dataset.outputs):

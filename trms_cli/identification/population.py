@@ -122,10 +122,6 @@ class Generation(msgspec.Struct, frozen=True):
     costs: list[float | None]  #: Of each point; None where the simulation failed
     seconds: float  #: Of computing up to the end of this generation
 
-    def finite_or_infinite(self) -> FloatArray:
-        """The costs, infinite where a simulation failed."""
-        return np.array([np.inf if cost is None else cost for cost in self.costs])
-
 
 class _State(msgspec.Struct):
     about: dict[str, Any]
@@ -261,7 +257,7 @@ def evolve(
             costs = np.asarray(evaluate(points), dtype=float)
             costs = np.where(np.isfinite(costs), costs, np.inf)
         else:
-            costs = known.finite_or_infinite()
+            costs = np.array([np.inf if cost is None else cost for cost in known.costs])
         search.tell(points, costs)
         first = int(np.argmin(costs))
         if costs[first] < found.cost:

@@ -69,18 +69,13 @@ class Figure:
         """What it is called in ``trms runs``, before the channel: ``overshoot``."""
         return self.column or self.key
 
-    @property
-    def path(self) -> tuple[str, ...]:
-        """The keys that lead to it within its group."""
-        return tuple(self.key.split("."))
-
     def unit_of(self, unit: str) -> str:
         """Its unit, given that of its channel."""
         return self.unit.replace("{}", unit).strip()
 
     def value(self, owner: Any) -> float | int | None:
         """Its value in a channel, an input or a part of the score; None for what is no number."""
-        for key in self.path:
+        for key in self.key.split("."):
             owner = owner.get(key) if isinstance(owner, Mapping) else None
         return finite(owner)
 

@@ -19,7 +19,6 @@ from trms_cli.scoring.figures import Figure, finite, part
 #: correlate neighbouring innovations by up to 0.6, and thousands of samples make that certain.
 _MUCH_CORRELATION = 0.7
 _MUCH_NIS = 2.0
-_SHORT_TITLES: dict[figures.Group, str] = {"channels": "tracking", "inputs": "inputs"}
 _SOURCES = {"state": "true state", "measurement": "measurements"}
 
 
@@ -27,8 +26,7 @@ def answer(score: Mapping[str, Any], who: str) -> str:
     """``newton_mpc followed pitch to 0.134 rad and yaw to 0.19 rad (RMSE) over 80 s, …``."""
     errors = [
         f"{wording.signal(entry.of)} to {wording.quantity(entry.value, entry.unit)}"
-        for entry in figures.entries(score, "channels")
-        if entry.figure.key == "rmse" and entry.value is not None
+        for entry in _known(score, "channels", "rmse")
     ]
     duration = f"{finite(score.get('duration_s')) or 0:g} s"
     troubles = ", ".join(trouble_of(score)) or "nothing to report of a solver"
@@ -61,20 +59,13 @@ def measures_of(score: Mapping[str, Any]) -> list[Measure]:
         if entry.figure.key == "rmse":
             label = f"RMSE {wording.signal(entry.of)}"
             measures.append(Measure(label, entry.value, entry.unit))
-    firsts: list[tuple[str, figures.Group, bool]] = [
-        ("settling_time_s", "channels", False),
-        ("effort", "inputs", True),
-    ]
-    for key, group, added in firsts:
-        found = [e for e in figures.entries(score, group) if e.figure.key == key]
-        known = [e for e in found if e.value is not None]
-        if known and added:
-            total = figures.total(entry.value for entry in known)
-            measures.append(Measure("effort ∫u²dt", total, known[0].unit, note="both inputs added"))
-        elif known:
-            slowest = max(known, key=lambda entry: entry.value or 0)
-            note = f"slowest step, of {wording.signal(slowest.of)}"
-            measures.append(Measure("settling time", slowest.value, "s", note=note))
+    if settling := _known(score, "channels", "settling_time_s"):
+        slowest = max(settling, key=lambda entry: entry.value or 0)
+        note = f"slowest step, of {wording.signal(slowest.of)}"
+        measures.append(Measure("settling time", slowest.value, "s", note=note))
+    if effort := _known(score, "inputs", "effort"):
+        total = figures.total(entry.value for entry in effort)
+        measures.append(Measure("effort ∫u²dt", total, effort[0].unit, note="both inputs added"))
     solver = part(score, "solver")
     for key, label in (("deadline_misses", "deadlines missed"), ("failures", "fall-backs")):
         value = finite(solver.get(key))
@@ -83,17 +74,20 @@ def measures_of(score: Mapping[str, Any]) -> list[Measure]:
     return measures
 
 
+def _known(score: Mapping[str, Any], group: figures.Group, key: str) -> list[figures.Entry]:
+    entries = figures.entries(score, group)
+    return [e for e in entries if e.figure.key == key and e.value is not None]
+
+
 def tables_of(score: Mapping[str, Any]) -> list[Table]:
     """Tracking, inputs, estimate, solver and exceeded limits."""
-    by_name = _by_name(score, "channels", "tracking"), _by_name(score, "inputs", "inputs")
-    tables = *by_name, _estimate(score), _solver(score), _exceeded(score)
+    tables = *_by_names(score), _estimate(score), _solver(score), _exceeded(score)
     return [table for table in tables if table.rows]
 
 
 def short_tables(score: Mapping[str, Any]) -> list[Table]:
     """Tracking and inputs, the figures that tell most alone."""
-    tables = [_by_name(score, group, title, short=True) for group, title in _SHORT_TITLES.items()]
-    return [table for table in tables if table.rows]
+    return [table for table in _by_names(score, short=True) if table.rows]
 
 
 def in_short(score: Mapping[str, Any]) -> dict[str, str]:
@@ -244,9 +238,12 @@ def innovation_sentences(estimate: Mapping[str, Any]) -> list[str]:
     return sentences
 
 
-def _by_name(
-    score: Mapping[str, Any], group: figures.Group, title: str, *, short: bool = False
-) -> Table:
+def _by_names(score: Mapping[str, Any], *, short: bool = False) -> list[Table]:
+    tracking = _by_name(score, "channels", "tracking", short=short)
+    return [tracking, _by_name(score, "inputs", "inputs", short=short)]
+
+
+def _by_name(score: Mapping[str, Any], group: figures.Group, title: str, *, short: bool) -> Table:
     """A row a figure, a column a channel or an input."""
     members = {name: own for name, own in part(score, group).items() if isinstance(own, Mapping)}
     units = {str(own.get("unit", "")) for own in members.values()}

@@ -28,9 +28,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from trms_cli.core.arrays import FloatArray as Array
 
 
 def rmse(error: Array) -> float:

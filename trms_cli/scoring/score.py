@@ -89,7 +89,7 @@ def score_tables(
         "estimate": estimate_figures(tables),
         "solver": _solver(tables),
         "constraint_violations": _violations(tables, limits),
-        "degraded": _degraded(tables),
+        "degraded": degraded_figures(tables.get("/controller")),
     }
     data: dict[str, Any] = json_data(document)
     return data
@@ -192,11 +192,6 @@ def _solver(tables: Mapping[str, Columns]) -> dict[str, Any]:
     }
 
 
-def _degraded(tables: Mapping[str, Columns]) -> dict[str, Any] | None:
-    words = tables.get("/controller")
-    return None if words is None else degraded_figures(words.time, words.columns)
-
-
 def _failures(columns: Mapping[str, Any]) -> int | None:
     """Samples on which the solver failed or a fall-back acted."""
     if "status" not in columns and "fallback" not in columns:
@@ -242,16 +237,17 @@ def _source_of(name: str, tables: Mapping[str, Columns]) -> str | None:
 MODES = ("degraded", "landing")
 
 
-def degraded_figures(time: Array, columns: Mapping[str, Any]) -> dict[str, Any] | None:
+def degraded_figures(words: Columns | None) -> dict[str, Any] | None:
     """How much of a run the loop was not normal, and why: from the modes its supervisor logged.
 
-    ``time``: (n,) s, of the control samples. ``columns``: with ``mode`` and ``reasons``, (n,)
-    texts; None for a run without. Gives the ``share`` of the control samples by mode;
+    ``words``: a row a control sample, with ``mode`` and ``reasons``, (n,) texts; None for a run
+    without. Gives the ``share`` of the control samples by mode;
     ``reasons_s``: seconds by reason (``missing alpha_h``), which may overlap; ``first_s``, when it
     first was not normal (None for never); ``landings``, how often the rig was landed.
     """
-    if "mode" not in columns or len(time) == 0:
+    if words is None or "mode" not in words.columns or len(words.time) == 0:
         return None
+    time, columns = words.time, words.columns
     modes = np.asarray(columns["mode"], dtype=object)
     period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     seconds: dict[str, float] = {}

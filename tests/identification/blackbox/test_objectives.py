@@ -85,8 +85,7 @@ def test_a_lost_sample_takes_its_rows_away_and_no_others(samples):
 def test_one_step_slopes_are_those_of_differences(samples):
     objective, theta = one_step(samples)
     check_slopes(objective, theta)
-    residuals = objective.residuals(theta)
-    jacobian = objective.network.slopes(theta, objective.z)[1].reshape(residuals.size, -1)
+    residuals, jacobian = objective.residuals(theta), objective.jacobian(theta)
     equations = objective.normal_equations(theta)
     assert equations.curvature == pytest.approx(jacobian.T @ jacobian, rel=1e-10)
     assert equations.slope == pytest.approx(jacobian.T @ residuals, rel=1e-10, abs=1e-12)

@@ -298,6 +298,10 @@ class OneStepError:
         """All residuals, (n · n_out,)."""
         return (self.network.values(theta, self.z) - self.targets).ravel()
 
+    def jacobian(self, theta: FloatArray) -> FloatArray:
+        """Slopes of the residuals, (n · n_out, P)."""
+        return self.network.slopes(theta, self.z)[1].reshape(self.n_residuals, -1)
+
     def loss(self, theta: FloatArray) -> float:
         residuals = self.residuals(theta)
         return float(residuals @ residuals) / self.n_residuals

@@ -275,7 +275,9 @@ def identifiability(
         for i, name in enumerate(names)
         if information.prior[i] > 0
     }
-    against_all = _against_all(gram)
+    inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
+    # γ of each against all the others: the root of its variance inflation
+    against_all = np.sqrt(np.maximum(np.diag(inverse), 1.0))
     silent = tuple(names[i] for i in np.flatnonzero(~loud).tolist())
     return Identifiability(
         remaining,
@@ -292,12 +294,6 @@ def correlations(covariance: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         found: FloatArray = covariance / np.outer(sd, sd)
     return found
-
-
-def _against_all(gram: FloatArray) -> FloatArray:
-    """γ of each column against all the others: the root of its variance inflation."""
-    inverse = np.linalg.pinv(gram, rcond=1e-14, hermitian=True)
-    return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 1.0)))
 
 
 def _confounded(gram: FloatArray, names: Sequence[str]) -> list[CollinearSet]:

@@ -63,7 +63,7 @@ def findings(document: Document, validations: Sequence[ModelValidation] = ()) ->
 
     ``validations``: what charts are drawn of; none without.
     """
-    models = models_of(document)
+    models = dict(document["models"]) if "models" in document else {document["model"]: document}
     sections = [_comparison(document)] if len(models) > 1 else []
     for name, of in models.items():
         heading = "What is good and what is not" if len(models) == 1 else f"{name} in sentences"
@@ -85,15 +85,9 @@ def findings(document: Document, validations: Sequence[ModelValidation] = ()) ->
     )
 
 
-def models_of(document: Document) -> dict[str, Document]:
-    """The figures of each model, by its name."""
-    return dict(document["models"]) if "models" in document else {document["model"]: document}
-
-
 def in_short(document: Document) -> str:
     """One line for a job of a sweep."""
-    rows = document["by_horizon"]
-    last = list(next(iter(rows.values())))[-1]
+    rows, last = document["by_horizon"], _last(document)
     parts = [
         f"{channel} {wording.quantity(row[last]['rms'], document['units'][channel])}"
         for channel, row in rows.items()
@@ -106,8 +100,8 @@ def _measures(document: Document, models: Mapping[str, Document]) -> list[Measur
         return []
     (of,) = models.values()
     measures = []
+    last = _last(of)
     for channel, horizons in of["by_horizon"].items():
-        last = list(horizons)[-1]
         row = horizons[last]
         unit, scale = wording.small_unit(of["units"][channel])
         value = None if row["rms"] is None else scale * row["rms"]
@@ -665,5 +659,4 @@ def _failed(document: Document) -> list[Document]:
 
 
 def _last(document: Document) -> str:
-    rows = next(iter(document["by_horizon"].values()))
-    return list(rows)[-1]
+    return list(next(iter(document["by_horizon"].values())))[-1]

@@ -237,10 +237,7 @@ def ranking_tables(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) ->
     told = [(standing, ranked.figures_of(standing, ranking.metric)) for standing in shown]
     unit = metrics()[ranking.metric].replace("{}", "rad")
     error = {"max_abs_error": "largest error"}.get(ranking.metric, ranking.metric.upper())
-    heads = [
-        Column("rank", lambda each: each[0].rank),
-        Column("who", lambda each: each[0].name),
-    ]
+    heads = [Column("rank", lambda each: each[0].rank), Column("who", lambda each: each[0].name)]
     tracking = [
         Column("runs", lambda each: each[1].runs),
         Column(wording.with_unit(error, unit), lambda each: each[1].error_mean),

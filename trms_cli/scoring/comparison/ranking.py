@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
-import numpy.typing as npt
 
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.scoring.comparison.runs import ComparisonRun, State, differing_coordinates
 
@@ -50,7 +50,7 @@ class ComparisonGroup:
         runs = self.cells[entrant, condition]
         return next((run for run in runs if run.state is State.FAILED), runs[0])
 
-    def errors(self, metric: str) -> npt.NDArray[np.float64]:
+    def errors(self, metric: str) -> FloatArray:
         """Tracking errors (entrants, conditions): NaN where nobody ran, inf for a failed run."""
         table = np.full((len(self.entrants), len(self.conditions)), np.nan)
         for place, runs in self.cells.items():
@@ -91,7 +91,7 @@ class ComparisonGroup:
                 parts.append(f"{name} {told[key]}" if "." in key or name == "seed" else told[key])
         return ", ".join(parts) or "the same for all"
 
-    def clusters(self) -> npt.NDArray[np.int64]:
+    def clusters(self) -> IntArray:
         """Which rig each condition is of: all but the reference."""
         rigs: dict[tuple[tuple[str, str], ...], int] = {}
         found = []
@@ -204,8 +204,6 @@ def _of_reference(key: str) -> bool:
     return _stem(key) == REFERENCE or key.partition("@")[2].partition(".")[0] == REFERENCE
 
 
-FloatArray = npt.NDArray[np.float64]
-
 FAILED_RATIO = 10.0
 RESAMPLES, SEED, LEVEL = 2000, 0, 0.95
 #: Who was in fewer of the conditions than this share of the busiest entrant's is not ranked; the
@@ -222,11 +220,6 @@ class RatioInterval:
     low: float  #: ends of the interval
     high: float  #: ends of the interval
 
-    @property
-    def excludes_one(self) -> bool:
-        """Whether a ratio with this interval is told from equality."""
-        return self.low > 1.0 or self.high < 1.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
@@ -237,7 +230,7 @@ class Standing:
     rank: int | None
     outside: str  #: Why it is outside; "" if it is not
     runs: tuple[ComparisonRun, ...]  #: Its runs that count, in the order of the conditions
-    conditions: npt.NDArray[np.int64]  #: (n,) int array; which conditions they were in
+    conditions: IntArray  #: (n,) int array; which conditions they were in
     ratios: FloatArray  #: (n,) array; error over the best ranked entrant's in that condition
     ratio: float  #: Their geometric mean
     #: Of `ratio`; None with fewer rigs than :data:`FEWEST_CLUSTERS`
@@ -251,7 +244,7 @@ class Standing:
     def different(self) -> bool | None:
         """Whether it is told from the first; None where that cannot be said."""
         found = self.against_interval
-        return None if found is None else found.excludes_one
+        return None if found is None else found.low > 1.0 or found.high < 1.0
 
     @property
     def failed(self) -> int:
@@ -353,9 +346,7 @@ def _ratios(errors: FloatArray, floor: FloatArray) -> FloatArray:
     return np.where(failed, worst, ratios)
 
 
-def _against(
-    ratios: FloatArray, i: int, first: int | None
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _against(ratios: FloatArray, i: int, first: int | None) -> tuple[FloatArray, BoolArray]:
     """Logarithm of the ratio to the first by condition, and where both ran."""
     if first is None:
         return np.full(ratios.shape[1], np.nan), np.zeros(ratios.shape[1], dtype=bool)
@@ -364,7 +355,7 @@ def _against(
     return versus, ~np.isnan(versus)
 
 
-def _draws(clusters: npt.NDArray[np.int64], resamples: int) -> FloatArray:
+def _draws(clusters: IntArray, resamples: int) -> FloatArray:
     """How often each cluster is drawn, (resamples, clusters); the same for all entrants."""
     count = int(clusters.max()) + 1 if clusters.size else 0
     if count == 0:
@@ -373,9 +364,7 @@ def _draws(clusters: npt.NDArray[np.int64], resamples: int) -> FloatArray:
     return generator.multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(float)
 
 
-def _interval(
-    logs: FloatArray, clusters: npt.NDArray[np.int64], draws: FloatArray
-) -> RatioInterval | None:
+def _interval(logs: FloatArray, clusters: IntArray, draws: FloatArray) -> RatioInterval | None:
     """Of the geometric mean of exp(logs), clusters drawn again; NaN is left out."""
     present = ~np.isnan(logs)
     count = draws.shape[1]
