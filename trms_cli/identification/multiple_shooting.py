@@ -17,8 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import require_known
 from trms_cli.identification.greybox.map_fit import (
     MapFit,
     MapSettings,
@@ -225,12 +224,8 @@ def _profiled(asked: tuple[str, ...], problem: FitProblem) -> tuple[str, ...]:
     if "all" in asked:
         return problem.names
     for name in asked:
-        if name not in problem.names:
-            raise ConfigurationError(
-                f"{name!r} is not free",
-                where="method.profiles",
-                remedy=nearest(name, (*problem.names, "all")),
-            )
+        known = (*problem.names, "all")
+        require_known(name, known, f"{name!r} is not free", "method.profiles")
     return asked
 
 

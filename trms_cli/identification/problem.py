@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import nearest, require_known
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
@@ -116,10 +116,7 @@ def free_parameters(
         )
     for key, given in (("priors", priors), ("bounds", bounds)):
         for name in given:
-            if name not in taken:
-                raise ConfigurationError(
-                    f"{name!r} is not free", where=f"{key}.{name}", remedy=nearest(name, taken)
-                )
+            require_known(name, taken, f"{name!r} is not free", f"{key}.{name}")
     return tuple(
         _free(parameter, (centres or parameters)[parameter.name].value, priors, bounds)
         for parameter in parameters
@@ -240,13 +237,9 @@ class FitProblem:
                     where="real",
                     remedy=f"it predicts {', '.join(names(self.model.outputs))}",
                 )
-        for parameter in self.free:
-            if parameter.name not in self.model.parameters:
-                raise ConfigurationError(
-                    f"the model has no parameter {parameter.name!r}",
-                    where="free",
-                    remedy=nearest(parameter.name, self.model.parameters.names),
-                )
+        for name in self.names:
+            known = self.model.parameters.names
+            require_known(name, known, f"the model has no parameter {name!r}", "free")
 
     @property
     def names(self) -> tuple[str, ...]:

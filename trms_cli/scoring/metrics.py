@@ -329,18 +329,20 @@ def whiteness_p(innovation: Array) -> float:
 
 
 def chi_square_tail(statistic: float, degrees: int) -> float:
-    """``P(χ² > statistic)`` for an even number of degrees of freedom.
+    """``P(χ² > statistic)``: each two degrees more than one or two add a term to the tail.
 
-    ``e^{−x} Σ_{i < degrees/2} x^i / i!`` with ``x = statistic/2`` (an Erlang tail): importing
-    SciPy for it would take longer than scoring a run.
+    ``e^{−x} Σ x^i / i!`` over ``i < degrees/2`` with ``x = statistic/2``; of an odd number of
+    degrees i is ½, 1½, … and ``erfc √x`` the first term. Importing SciPy for it would take longer
+    than scoring a run.
     """
-    if degrees % 2:
-        raise ValueError(f"the closed form needs even degrees of freedom, not {degrees}")
     x = statistic / 2
     if x <= 0:
         return 1.0
-    exponents = [i * math.log(x) - math.lgamma(i + 1) - x for i in range(degrees // 2)]
-    return min(1.0, math.fsum(map(math.exp, exponents)))
+    exponents = [
+        (k / 2) * math.log(x) - math.lgamma(k / 2 + 1) - x for k in range(degrees % 2, degrees, 2)
+    ]
+    first = math.erfc(math.sqrt(x)) if degrees % 2 else 0.0
+    return min(1.0, first + math.fsum(map(math.exp, exponents)))
 
 
 def chi_square_interval(degrees: int, share: float = 0.95) -> tuple[float, float]:
@@ -355,28 +357,15 @@ def chi_square_interval(degrees: int, share: float = 0.95) -> tuple[float, float
 def _chi_square_quantile(tail: float, degrees: int) -> float:
     """The value that χ² exceeds with probability ``tail``."""
     low, high = 0.0, 1.0
-    while _any_tail(high, degrees) > tail:
+    while chi_square_tail(high, degrees) > tail:
         low, high = high, 2.0 * high
     for _ in range(60):
         middle = (low + high) / 2.0
-        if _any_tail(middle, degrees) > tail:
+        if chi_square_tail(middle, degrees) > tail:
             low = middle
         else:
             high = middle
     return (low + high) / 2.0
-
-
-def _any_tail(statistic: float, degrees: int) -> float:
-    """``P(χ² > statistic)``: each two degrees more than one or two add a term to the tail."""
-    if degrees % 2 == 0:
-        return chi_square_tail(statistic, degrees)
-    x = statistic / 2
-    if x <= 0:
-        return 1.0
-    exponents = [
-        (k / 2) * math.log(x) - math.lgamma(k / 2 + 1) - x for k in range(1, degrees - 1, 2)
-    ]
-    return math.erfc(math.sqrt(x)) + math.fsum(map(math.exp, exponents))
 
 
 def joint_p(p_values: list[float]) -> float:

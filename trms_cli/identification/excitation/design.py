@@ -18,7 +18,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
+from trms_cli.core.plugins import nearest, require_known
 from trms_cli.identification.excitation.excitation import (
     ExcitationPlugin,
     Plan,
@@ -215,12 +215,7 @@ def largest_amplitudes(
     """
     inputs, upper = names(model.inputs), model.input_bounds()[1]
     for name, value in request.amplitude.items():
-        if name not in inputs:
-            raise ConfigurationError(
-                f"the model has no input {name!r}",
-                where=f"amplitude.{name}",
-                remedy=nearest(name, inputs),
-            )
+        require_known(name, inputs, f"the model has no input {name!r}", f"amplitude.{name}")
         i = inputs.index(name)
         if not 0 <= value <= room[i] / request.share + 1e-9:
             raise ConfigurationError(
@@ -429,12 +424,8 @@ def _operating_point(
     targets = {name: 0.5 * float(rest[model.state_index(name)]) for name in model.controlled}
     given = request.operating_point or {}
     for name, value in given.items():
-        if name not in model.controlled:
-            raise ConfigurationError(
-                f"model {model.name!r} controls no {name!r}",
-                where=f"operating_point.{name}",
-                remedy=nearest(name, model.controlled),
-            )
+        problem = f"model {model.name!r} controls no {name!r}"
+        require_known(name, model.controlled, problem, f"operating_point.{name}")
         targets[name] = float(value)
     for name, value in targets.items():
         if not abs(value) < bounds.get(name, np.inf):
