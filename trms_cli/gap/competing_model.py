@@ -46,12 +46,9 @@ from trms_cli.simulation.rollout import Rollout
 class Metric:
     """The same linear operation for all who compete, so that their costs can be compared."""
 
-    #: Linearised along the recording, through the states that the data say
-    discrepancy: Discrepancy
-    #: (n_d,) array; size of the force on each equation, as a share of what acts there
-    shares: FloatArray
-    #: Innovations beyond so many standard deviations count linearly (Huber)
-    robust: float | None = 4.0
+    discrepancy: Discrepancy  #: Linearised along the recording, through the smoothed states
+    shares: FloatArray  #: (n_d,); size of the force on each equation over what acts there
+    robust: float | None = 4.0  #: Innovations beyond so many sd count linearly (Huber)
     filter_: FilterGains = field(init=False, repr=False)  #: Ready to run
 
     def __post_init__(self) -> None:

@@ -105,8 +105,7 @@ class FittedParameter:
     fitted: float  #: with the cause, if one is added
     sd: float  #: of the posterior
     unit: str  #: SI
-    #: How many prior standard deviations it moved; far is suspicious.
-    moved: float | None = None
+    moved: float | None = None  #: by how many prior standard deviations; far is suspicious
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,8 +143,7 @@ class GapTest:
     channel: str  #: of the innovations
     statistic: float  #: large ones speak against the model
     p_value: float  #: by parametric bootstrap
-    #: Corrected for the number of tests.
-    p_corrected: float
+    p_corrected: float  #: corrected for the number of tests
     rejected: bool  #: at five percent, corrected
 
 
@@ -177,8 +175,7 @@ class Traces:
     #: dict of str to (k,) array; what the best cause says that force is, by location; empty without
     #: a cause
     explained: Mapping[str, FloatArray]
-    #: (n,) array; s, of a free run over the sealed part that shows best what was gained
-    run_time: FloatArray
+    run_time: FloatArray  #: (n,) array; s, of a free run over the sealed part that shows most
     #: dict of str to dict of str to (n,) array; per channel: ``measured``, ``raw``, ``refit``,
     #: ``corrected``
     runs: Mapping[str, Mapping[str, FloatArray]]

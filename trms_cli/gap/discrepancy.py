@@ -386,8 +386,7 @@ class Discrepancy:
     windows: Windows
     trajectory: Trajectory
     channels: tuple[DiscrepancyChannel, ...]
-    #: Standard deviation of the windows' starts, as a share of their prior spread
-    start_share: float = 1.0
+    start_share: float = 1.0  #: Standard deviation of the starts over their prior spread
 
     @cached_property
     def forgotten(self) -> FloatArray:

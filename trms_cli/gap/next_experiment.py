@@ -312,8 +312,7 @@ class _Question:
     candidates: tuple[CandidateEffect, ...]  #: With the rows that are simulated
     apart: bool  #: Whether they are to be told apart, the first from each other; else to be seen
     fitted: tuple[str, ...] = ()  #: Those whose first row is their fitted size
-    #: Rows of each that the present recordings do not show
-    hidden: Mapping[str, tuple[int, ...]] | None = None
+    hidden: Mapping[str, tuple[int, ...]] | None = None  #: Rows that the recordings do not show
 
     def worth(self, recording: FittedModel) -> tuple[float, ...]:
         """Nats that a recording gives for each thing asked, in the order asked."""

@@ -135,8 +135,7 @@ _USUAL_QUANTUM = 2 * np.pi / 4096
 class Posterior:
     """What is believed once all have raced."""
 
-    #: Descending; effects together, or one of :data:`NO_EFFECT`
-    probabilities: Mapping[tuple[str, ...], float]
+    probabilities: Mapping[tuple[str, ...], float]  #: Descending; effects, or of :data:`NO_EFFECT`
     verdict: Verdict
     best: FittedModel | None  #: The most probable with effects
     corrected: FittedModel | None  #: What goes into the corrected model; None: the refit alone

@@ -41,8 +41,7 @@ class GapProblem:
     datasets: tuple[Dataset, ...]
     #: The library: effects that may be the cause, by name, at their typical sizes
     candidates: Mapping[str, Effect]
-    #: s, of the blocks that are fitted, compared and resampled
-    block: Annotated[float, Meta(gt=0)] = 10.0
+    block: Annotated[float, Meta(gt=0)] = 10.0  #: s, of the blocks that are fitted and compared
     #: Share of the recordings that nothing is chosen on and the shrink is measured on
     sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25
     effort: Effort = "normal"
@@ -72,8 +71,7 @@ _FEWEST_BLOCKS = 4
 class Parts:
     """Recordings, divided."""
 
-    #: Everything is fitted, chosen and compared on these, block by block
-    fitted: tuple[Dataset, ...]
+    fitted: tuple[Dataset, ...]  #: Everything is fitted, chosen and compared on them by blocks
     whole: tuple[Dataset, ...]  #: As they were given, thinned
     #: tuple of (recording, first, last); spans of ``whole`` that are opened once
     sealed: tuple[tuple[int, int, int], ...]

@@ -40,10 +40,8 @@ class CmaEs:
     """Covariance matrix adaptation evolution strategy within bounds."""
 
     evaluations: Annotated[int, Meta(ge=1)] = 5000  #: Budget, simulations of all recordings
-    #: Of a generation; None: 4 + 3 ln n for n parameters
-    individuals: Annotated[int, Meta(ge=4)] | None = None
-    #: Half the width of the search box in prior standard deviations
-    spread: Annotated[float, Meta(gt=0)] = 3.0
+    individuals: Annotated[int, Meta(ge=4)] | None = None  #: Of a generation; None: 4 + 3 ln n
+    spread: Annotated[float, Meta(gt=0)] = 3.0  #: Half the width of the box in prior sd
     #: Standard deviation of the first generation as a share of the box; ⅙ is one prior standard
     #: deviation in a box of ±3
     initial_step: Annotated[float, Meta(gt=0, le=1)] = 1 / 6

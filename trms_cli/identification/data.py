@@ -46,12 +46,10 @@ class DataOptions:
     #: By output: what is added to it, in its SI unit, where its zero is another one than the
     #: model's (pitch is 0 where the beam is level)
     offset: Mapping[str, float] = field(default_factory=dict)
-    #: Samples from a row's time until its command acts
-    command_delay: Annotated[int, Meta(ge=0)] = 0
+    command_delay: Annotated[int, Meta(ge=0)] = 0  #: Samples until the command of a row acts
     #: Largest deviation of a step from whole sample times, as a share of one
     jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
-    #: Outputs to use; None takes all that the model has and the file holds
-    channels: tuple[str, ...] | None = None
+    channels: tuple[str, ...] | None = None  #: Outputs to use; None: all that both have
     #: dict of str to float, or "estimate"; white noise per output, in its unit. ``estimate`` takes
     #: it from the data: see :func:`noise_estimate`.
     noise_sd: Mapping[str, Annotated[float, Meta(ge=0)]] | Literal["estimate"] = field(
@@ -59,8 +57,7 @@ class DataOptions:
     )
     #: Resolution per output, in its unit; its share of the noise is q/√12
     quantum: Mapping[str, Annotated[float, Meta(ge=0)]] = field(default_factory=dict)
-    #: New sample time, s; None keeps the recording's
-    resample: Annotated[float, Meta(gt=0)] | None = None
+    resample: Annotated[float, Meta(gt=0)] | None = None  #: New sample time, s; None: as recorded
     #: "keep" or "mark"; whether outliers become missing samples; they are reported in any case
     outliers: Literal["keep", "mark"] = "keep"
     #: "keep", "split" or float; ``keep`` leaves missing samples missing; ``split`` makes a dataset

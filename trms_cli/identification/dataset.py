@@ -26,10 +26,8 @@ class Dataset:
     #: (n, n_u) array; in the inputs' units, constant from each sample to the next; finite
     #: everywhere
     commands: FloatArray
-    #: (n, n_y) array; in the outputs' units, NaN where a sample is missing
-    measurements: FloatArray
-    #: (n_y,) array; declared standard deviation of each output, a quantum's share included
-    noise_sd: FloatArray
+    measurements: FloatArray  #: (n, n_y) array; in the outputs' units, NaN where missing
+    noise_sd: FloatArray  #: (n_y,) array; declared standard deviation, a quantum's share included
     remarks: tuple[str, ...] = ()  #: What was found in the recording and what was done to it
 
     def __len__(self) -> int:

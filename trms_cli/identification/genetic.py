@@ -38,8 +38,7 @@ class Genetic:
 
     individuals: Annotated[int, Meta(ge=4)] = 50  #: Of a generation
     generations: Annotated[int, Meta(ge=1)] = 100
-    #: Half the width of the search box in prior standard deviations
-    spread: Annotated[float, Meta(gt=0)] = 3.0
+    spread: Annotated[float, Meta(gt=0)] = 3.0  #: Half the width of the box in prior sd
     #: How the first generation is drawn: from the priors, or evenly over the box. The start is
     #: always one of it.
     first: Literal["priors", "even"] = "priors"
@@ -53,8 +52,7 @@ class Genetic:
     mutation_probability: Probability | None = None
     #: Of the polynomial mutation: the larger, the smaller the change
     mutation_index: Annotated[float, Meta(ge=0)] = 20.0
-    #: Of the Gaussian mutation, as a share of the box
-    mutation_sd: Annotated[float, Meta(gt=0)] = 0.05
+    mutation_sd: Annotated[float, Meta(gt=0)] = 0.05  #: Of the Gaussian one, as a share of the box
 
     fits_parameters: ClassVar[bool] = True
 

@@ -55,10 +55,8 @@ class MultipleShooting:
     #: effects (or the priors' centre where it has none), then draws from the priors
     starts: Annotated[int, Meta(ge=1)] = 2
     iterations: Annotated[int, Meta(ge=1)] = 100  #: Least-squares steps from each start at most
-    #: Reduction of the cost, nats, that ends a search
-    tolerance: Annotated[float, Meta(gt=0)] = 1e-3
-    #: Parameters whose profile likelihood is wanted; ``all`` for every one
-    profiles: tuple[str, ...] = ()
+    tolerance: Annotated[float, Meta(gt=0)] = 1e-3  #: Fall of the cost that ends a search, nats
+    profiles: tuple[str, ...] = ()  #: Parameters whose profile is wanted; ``all`` for every one
 
     fits_parameters: ClassVar[bool] = True
 

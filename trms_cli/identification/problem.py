@@ -52,8 +52,7 @@ class FreeParameter:
     unit: str
     start: float  #: The model's present value, where a search begins
     prior_mean: float  #: Centre of the normal prior; also the reference of a parameter without one
-    #: Its standard deviation, in ``unit``; None: nothing is known but the bounds
-    prior_sd: float | None
+    prior_sd: float | None  #: Standard deviation, in ``unit``; None: only the bounds are known
     lower: float  #: Hard bounds, infinite where there are none
     upper: float  #: Hard bounds, infinite where there are none
 
@@ -369,8 +368,7 @@ class FitResult:
     seconds: float = 0.0  #: s, that the fit took
     #: A model that is not a parameter set (a network), as the content of a model file
     model_document: Mapping[str, Any] | None = None
-    #: What else there is to tell, as JSON has it
-    details: Mapping[str, Any] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)  #: What else there is to tell, as JSON
 
     @property
     def theta(self) -> FloatArray:

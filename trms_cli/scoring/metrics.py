@@ -178,8 +178,7 @@ class StepMetrics:
     """Metrics of one step; ``inf`` for what did not happen within the hold."""
 
     overshoot_percent: float  #: ``100 · max((y − r)·sign(Δr), 0)/|Δr|``
-    #: s from the first crossing of 10 % of the step to that of 90 %, interpolated linearly
-    rise_time: float
+    rise_time: float  #: s between the first crossings of 10 and 90 % of the step, interpolated
     #: s from the step to the first sample from which the response stays within ±2 % of the step
     #: around the reference until the hold ends
     settling_time: float

@@ -86,8 +86,7 @@ class Response:
     """How the variables of a record answer to the force."""
 
     record: ForceRecord
-    #: (k, n) array; the variables of the record, in the order of :attr:`ForceRecord.variables`
-    motion: FloatArray
+    motion: FloatArray  #: (k, n) array; in the order of :attr:`ForceRecord.variables`
     steps: FloatArray  #: (k, n, n) array; linearised transition from a sample to the next
     push: FloatArray  #: (n,) array; answer within one step to a force of one
 
@@ -196,10 +195,8 @@ class Exogenous:
     #: Of the force's variance beyond its noise, on held-out blocks, beyond chance; 0 to 1
     predictable_share: float
     ci95: tuple[float, float]  #: Bootstrap over blocks
-    #: Share of surrogates that are predicted as well: large for a force from outside
-    p_value: float
-    #: What predicts it, the most telling first; empty where nothing does
-    from_variables: tuple[str, ...]
+    p_value: float  #: Share of surrogates predicted as well: large for a force from outside
+    from_variables: tuple[str, ...]  #: What predicts it, the most telling first; empty for nothing
 
 
 def exogenous(record: ForceRecord, seed: int = 0) -> Exogenous:

@@ -84,8 +84,7 @@ class NnoeFit:
     direct: bool = True  #: As :class:`NarxFit`
     #: s, lengths of the windows, one training each; each begins with the weights of the last
     horizons: tuple[Annotated[float, Meta(gt=0)], ...] = (0.5, 2.0)
-    #: Share of a window that the next one covers again
-    overlap: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    overlap: Annotated[float, Meta(ge=0, lt=1)] = 0.0  #: Share of a window that the next covers too
     #: Windows at the most, spread over the recordings: short horizons need no more to give good
     #: weights to the next
     windows: Annotated[int, Meta(ge=1)] = 500

@@ -109,21 +109,18 @@ class ExcitationRequest:
 
     duration: float = 120.0  #: s, of the excitation itself
     sample_time: float = 0.02  #: s, of the excitation itself
-    #: s before it, in which the rig is brought to the operating point and settles
-    lead_in: float = 20.0
+    lead_in: float = 20.0  #: s before it, in which the rig comes to the operating point and settles
     lowest: float | None = None  #: Band, Hz
     highest: float | None = None  #: None: from the model
     #: Angles, rad, or a rotor's speed, rad/s; those not named: half-way from rest to level
     operating_point: Mapping[str, float] | None = None
-    #: Whether the rotors are to change their direction: then the commands are about zero
-    reversals: bool = False
+    reversals: bool = False  #: Whether the rotors are to reverse: the commands are then about zero
     #: Of an input, in its unit; those not named are searched
     amplitude: Mapping[str, float] = field(default_factory=dict)
     #: Largest size of an angle, rad; those not named: a share of the stops
     bounds: Mapping[str, float] = field(default_factory=dict)
     share: float = 0.8  #: Of the stops and of the inputs' limits that may be used
-    #: Rigs drawn from the parameters' priors with which the ranges are predicted as well
-    rigs: int = 8
+    rigs: int = 8  #: Rigs drawn from the priors with which ranges are predicted as well
     seed: int = 0
 
 
@@ -293,8 +290,7 @@ class ExcitationDesign:
     bounds: dict[str, float]  #: Of the angles, rad
     states: FloatArray  #: (n, n_x) array; of the simulated rig, without noise
     outputs: FloatArray  #: (n, n_y) array; likewise
-    #: Smallest and largest value of each output during the excitation
-    ranges: dict[str, tuple[float, float]]
+    ranges: dict[str, tuple[float, float]]  #: Ends of each output during the excitation
     #: The same over the rigs drawn from the priors that stayed within the stops
     drawn_ranges: dict[str, tuple[float, float]]
     #: ``drawn``, ``lost``: Rigs drawn, and those of them that went beyond a stop

@@ -25,13 +25,11 @@ _SEEN = 10.0
 class Spectra:
     """One-sided power spectral densities, averaged in bands of a third of an octave."""
 
-    #: (m,) array; middles of the bands that hold a frequency of the record, Hz
-    frequencies: FloatArray
+    frequencies: FloatArray  #: (m,) array; middles of the bands that hold one of the record, Hz
     inputs: FloatArray  #: (m, n_u) array; in the input's unit squared over Hz; about the mean
     outputs: FloatArray  #: (m, n_y) array; of the simulated rig without noise
     noise: FloatArray  #: (n_y,) array; of the declared noise, which is white: 2 σ² T_s
-    #: (m, n_y, n_u) array; magnitude of the linearised model's frequency response
-    response: FloatArray
+    response: FloatArray  #: (m, n_y, n_u) array; of the linearised model, magnitude
 
     @property
     def ratio(self) -> FloatArray:

@@ -27,8 +27,7 @@ _DRAWS = 40
 class MultilevelExcitation:
     """Random levels; the shortest holding time from the band's upper end."""
 
-    #: Number of equally distant levels; None: any value
-    levels: Annotated[int, Meta(ge=2)] | None = None
+    levels: Annotated[int, Meta(ge=2)] | None = None  #: Equally distant ones; None: any value
     #: s; None: a tenth of a period of the band's lower end, if twenty levels fit the duration
     longest: Annotated[float, Meta(gt=0)] | None = None
 

@@ -32,8 +32,7 @@ class MultisineExcitation:
     lines: Annotated[int, Meta(ge=2, le=2000)] = 40
     #: How often the signal repeats within the duration: two or more tell noise from distortion
     periods: Annotated[int, Meta(ge=1)] = 1
-    #: Largest number of steps for each norm; 0 keeps Schroeder's phases
-    iterations: Annotated[int, Meta(ge=0)] = 60
+    iterations: Annotated[int, Meta(ge=0)] = 60  #: Of each norm at most; 0: Schroeder's phases
 
     def shape(self, plan: excitation.Plan) -> excitation.Shape:
         """The signals; see :class:`Excitation`."""

@@ -587,8 +587,7 @@ class Profile:
     """The cost along one parameter."""
 
     values: FloatArray  #: (k,) array; ascending, in the parameter's unit
-    #: (k,) array; cost above the optimum's; negative where the fit had not found the best
-    rise: FloatArray
+    rise: FloatArray  #: (k,) array; above the optimum's; negative if the fit had missed the best
     #: 95 %, by the likelihood ratio; infinite on a side where the profile stays below the quantile
     #: as far as it was followed, the bound where it ends there
     interval: tuple[float, float]

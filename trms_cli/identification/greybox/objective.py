@@ -125,8 +125,7 @@ class Quadratic(NamedTuple):
     triangles: FloatArray  #: (m, k, n + n_f + 1) array; of each window's data
     #: (m, n) array; start less the centre of its prior, in prior standard deviations; slope 1
     start_gap: FloatArray
-    #: (n_f,) array; square root of the precision of each parameter's prior, scaled
-    prior_root: FloatArray
+    prior_root: FloatArray  #: (n_f,) array; root of the precision of each prior, scaled
     prior_gap: FloatArray  #: (n_f,) array; ``prior_root·(θ − centre)``
     joint: Joint | None
 

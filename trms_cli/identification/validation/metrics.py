@@ -395,8 +395,7 @@ class Characteristics:
     trend_of_power: float  #: small: they drift
     counts: FloatArray  #: (b,) array; amplitude distribution
     edges: FloatArray  #: (b + 1,) array; of its bins, in the unit
-    #: (l,) array; at lags of 0, 1, … samples, up to ten correlation times
-    autocorrelation: FloatArray
+    autocorrelation: FloatArray  #: (l,) array; at lags 0, 1, … samples, up to ten correlation times
 
 
 def characteristics(

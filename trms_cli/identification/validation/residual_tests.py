@@ -61,8 +61,7 @@ class MomentTest:
 
     lags: npt.NDArray[np.int64]  #: (m,) int array; samples
     correlations: FloatArray  #: (m,) array; sample correlations at the lags, in [−1, 1]
-    #: (m,) array; of the correlations, if the residual is unpredictable
-    standard_errors: FloatArray
+    standard_errors: FloatArray  #: (m,) array; of them, if the residual is unpredictable
     statistic: float  #: T; NaN if there are too few samples, or nothing varies
     degrees: int  #: Degrees of freedom of its χ²
     p_value: float  #: of the test

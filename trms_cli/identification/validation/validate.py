@@ -160,8 +160,7 @@ class OneStep:
     errors: FloatArray
     #: (n, n_y) array; what the predictor believes its errors to be; NaN for one that does not say
     expected_sd: FloatArray
-    #: (n, n_x) array; the model's states with the measurement at the sample known
-    states: FloatArray
+    states: FloatArray  #: (n, n_x) array; with the measurement at the sample known
     #: Of the process noise, by ``beam`` and ``drive``; empty without a filter
     noise_factors: Mapping[str, float] = field(default_factory=dict)
     predictor: str = ""  #: How the prediction was made, for people

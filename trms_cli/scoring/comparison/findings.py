@@ -40,8 +40,7 @@ class Pair:
 
     one: ComparisonRun
     other: ComparisonRun
-    #: Keys of the configuration that differ, with both values
-    settings: tuple[tuple[str, str, str], ...]
+    settings: tuple[tuple[str, str, str], ...]  #: Keys of the configurations that differ, and both
     rows: tuple[PairRow, ...]
 
 

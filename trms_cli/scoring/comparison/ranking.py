@@ -226,15 +226,13 @@ class Standing:
     """How an entrant stands."""
 
     name: str
-    #: From 1; None for one that is outside the ranking, or was in too few conditions
-    rank: int | None
+    rank: int | None  #: From 1; None outside the ranking, or in too few conditions
     outside: str  #: Why it is outside; "" if it is not
     runs: tuple[ComparisonRun, ...]  #: Its runs that count, in the order of the conditions
     conditions: IntArray  #: (n,) int array; which conditions they were in
     ratios: FloatArray  #: (n,) array; error over the best ranked entrant's in that condition
     ratio: float  #: Their geometric mean
-    #: Of `ratio`; None with fewer rigs than :data:`FEWEST_CLUSTERS`
-    interval: RatioInterval | None = None
+    interval: RatioInterval | None = None  #: None with fewer rigs than :data:`FEWEST_CLUSTERS`
     #: Error over the first's, geometric mean over the conditions that both ran in; NaN without
     against_first: float = math.nan
     against_interval: RatioInterval | None = None
@@ -262,8 +260,7 @@ class Ranking:
     #: By condition, the entrant with the smallest error among those that may be ranked
     best: Mapping[int, str] = field(default_factory=dict)
     clusters: int = 0  #: Rigs that were drawn again
-    #: Conditions that are not counted for those with a rank, since not all of them were in
-    left_out: int = 0
+    left_out: int = 0  #: Conditions not counted, since not all of the ranked were in
 
     @property
     def first(self) -> Standing | None:

@@ -57,8 +57,7 @@ class ComparisonRun:
     message: str = ""  #: Why it failed or is incomplete
     #: Times at which a command was not finite and the one before was held; None: not counted
     non_finite: int | None = None
-    #: Why whoever ran here is not ranked ("knows the reference ahead"); "" if it is
-    outside: str = ""
+    outside: str = ""  #: Why it is not ranked ("knows the reference ahead"); "" if it is
     config: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """The resolved configuration, where the log has it."""
     typed: Mapping[str, str] = field(default_factory=dict, repr=False)
