@@ -172,12 +172,10 @@ class Traces:
     #: in ``where``, and its standard deviation as ``<location>.sd``
     force: Mapping[str, FloatArray]
     force_unit: Mapping[str, str]  #: by location
-    #: dict of str to (k,) array; what the best cause says that force is, by location; empty without
-    #: a cause
+    #: (k,) arrays; what the best cause says that force is, by location; empty without one
     explained: Mapping[str, FloatArray]
     run_time: FloatArray  #: (n,) array; s, of a free run over the sealed part that shows most
-    #: dict of str to dict of str to (n,) array; per channel: ``measured``, ``raw``, ``refit``,
-    #: ``corrected``
+    #: (n,) arrays; per channel: ``measured``, ``raw``, ``refit``, ``corrected``
     runs: Mapping[str, Mapping[str, FloatArray]]
 
 

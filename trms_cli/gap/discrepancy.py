@@ -81,8 +81,7 @@ def gains(system: LinearSystem, q: FloatArray, *, covariances: bool = False) -> 
 def whiten(system: LinearSystem, filter_: FilterGains, columns: FloatArray) -> FloatArray:
     """Innovations of columns, over their standard deviation.
 
-    ``columns``, (m, c, n_y, k) array. Returns (m, c, n_y, k) array: zero where nothing was
-    measured.
+    ``columns``, (m, c, n_y, k) array. Returns (m, c, n_y, k) array: zero where none was measured.
     """
     columns = _c(columns)
     out = np.empty_like(columns)
@@ -153,8 +152,7 @@ def smooth(
     (Time Series Analysis by State Space Methods, 2nd ed., section 4.4.)
 
     ``filter_``: with covariances. ``r``, (m, c, n_y) array: what is observed of the linear system.
-    Returns ``x``, (m, c, n) array; ``variance``, (m, c, n) array: diagonal of the smoothed
-    covariance.
+    Returns ``x``, (m, c, n) array; ``variance``, (m, c, n) array: of each, smoothed.
     """
     assert filter_.p is not None
     m, c, _, n = system.h.shape
@@ -241,8 +239,7 @@ def _c(array: FloatArray) -> FloatArray:
 class Trajectory:
     """States and slopes at every sample of every window."""
 
-    #: (m, c, n) array; the model's states and its memory; past the end of a short window they stay
-    #: as they were
+    #: (m, c, n) array; the model's states and its memory; kept past the end of a short window
     x: FloatArray
     y: FloatArray  #: (m, c, n_y) array; what the sensors would read
     a: FloatArray  #: (m, c, n, n) array; ∂x⁺/∂x

@@ -47,8 +47,7 @@ Span = tuple[int, int, int]
 class HorizonErrors:
     """Free runs of one channel at one horizon."""
 
-    #: (m,) array; mean of the squared errors over each run, in the channel's unit squared; infinite
-    #: where the model ran away
+    #: (m,) array; mean squared error of each run, in its unit squared; infinite if it ran away
     squared: FloatArray
     block: IntArray  #: (m,) array of int; block that the run begins in, counted through all spans
 

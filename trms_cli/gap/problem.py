@@ -271,9 +271,8 @@ def variants(parameters: Sequence[Parameter]) -> FloatArray:
     """Sizes to try an effect at, one row each.
 
     The first size, and every other that is zero by default, can make the effect vanish: each of
-    them is tried alone over its typical range, to both sides where both make sense; the others
-    stay as they are, but for an arm that may point either way and a frequency, which no slope
-    leads to from afar.
+    them is tried alone over its typical range, to both sides where both make sense; the others stay
+    as they are, but for an arm that may point either way and a frequency, to which no slope leads.
     """
     defaults = np.array([p.value for p in parameters], dtype=float)
     amplitudes = [i for i, p in enumerate(parameters) if i == 0 or _vanishes(p)]

@@ -48,8 +48,7 @@ _BANDS = 4
 def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> tuple[GapTest, ...]:
     """Test every measured channel.
 
-    ``fitted``: in a metric of the discrepancies that rigs without a gap have. ``draws``: of the
-    bootstrap.
+    ``fitted``: in a metric of the discrepancies that rigs without a gap have. ``draws``: how many.
     """
     structure, fit, metric = fitted.structure, fitted.fit, fitted.metric
     starts = structure.starts(fit.theta, fitted.centres)

@@ -61,8 +61,7 @@ class DataOptions:
     #: "keep" or "mark"; whether outliers become missing samples; they are reported in any case
     outliers: Literal["keep", "mark"] = "keep"
     #: "keep", "split" or float; ``keep`` leaves missing samples missing; ``split`` makes a dataset
-    #: of each part between gaps of ``t``; a number fills what is missing for at most so many
-    #: seconds
+    #: of each part between gaps of ``t``; a number fills what is missing for so many s at most
     gaps: Literal["keep", "split"] | Annotated[float, Meta(gt=0)] = "keep"
     #: s by which a channel is recorded late; negative for one that is early
     delays: Mapping[str, float] = field(default_factory=dict)

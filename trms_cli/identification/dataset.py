@@ -23,8 +23,7 @@ class Dataset:
     time: FloatArray  #: (n,) array; s, the rig's own
     inputs: tuple[Signal, ...]  #: Columns of ``commands``
     outputs: tuple[Signal, ...]  #: Columns of ``measurements``
-    #: (n, n_u) array; in the inputs' units, constant from each sample to the next; finite
-    #: everywhere
+    #: (n, n_u) array; in the inputs' units, held from each sample to the next; finite
     commands: FloatArray
     measurements: FloatArray  #: (n, n_y) array; in the outputs' units, NaN where missing
     noise_sd: FloatArray  #: (n_y,) array; declared standard deviation, a quantum's share included
@@ -63,8 +62,7 @@ class Dataset:
         takes the mean of the samples at the two ends of the step; missing samples are
         interpolated, and the remarks say how many.
 
-        Raises ConfigurationError if the recording does not measure a channel, or has hardly any
-        sample of it.
+        Raises ConfigurationError if the recording has no or hardly any sample of a channel.
         """
         columns, remarks = [self.commands], list(self.remarks)
         for name in channels:

@@ -149,8 +149,7 @@ def with_memory(
 ) -> FloatArray:
     """States completed by what the input path remembers, which follows from the commands alone.
 
-    ``first``: (m,) array of int; samples of the states. ``states``: (m, n_x) array; the model's
-    own.
+    ``first``: (m,) array of int; samples of the states. ``states``: (m, n_x) array; the model's.
     """
     n = rollout.model.n_x
     full = np.empty((len(first), rollout.n_x))
@@ -255,8 +254,7 @@ class Assessment:
     result: FitResult
     #: Of the parameters, as JSON has it; empty for a network
     statistics: dict[str, Any] = field(default_factory=dict)
-    #: ``before``, ``after``: Free runs of the model as it was and as fitted, over ``fit`` and
-    #: ``held_out``
+    #: ``before``, ``after``: Free runs of the model before and after, over ``fit`` and ``held_out``
     before: dict[str, list[WindowRuns]] = field(default_factory=dict)
     after: dict[str, list[WindowRuns]] = field(default_factory=dict)
 

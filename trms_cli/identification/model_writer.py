@@ -34,8 +34,7 @@ class ModelOrigin:
     #: and arguments
     option: str | Mapping[str, Any]
     limits: Mapping[str, float] = field(default_factory=dict)  #: V, by input
-    #: Arguments of each effect that are no size of it, ``_target_`` among them if the effect is not
-    #: in the library
+    #: Arguments of each effect that are no size of it, and ``_target_`` if it is not in the library
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
@@ -86,8 +85,7 @@ def model_document(
 def write_model(document: Mapping[str, Any], path: Path, heading: str = "") -> None:
     """Write a model file, whole or not at all.
 
-    ``heading``: comment lines above the content. Raises RecordingError if the disk does not take
-    it.
+    ``heading``: comment lines above the content. Raises RecordingError if the disk refuses.
     """
     import yaml
 

@@ -92,8 +92,7 @@ def free_parameters(
     again. ``centres``: where the priors lie when the model's values are other starts; None:
     ``parameters``. ``priors``: in place of the set's; None takes a parameter's prior away.
     ``bounds``: lower and upper, in place of the set's; None on a side: no bound there. Raises
-    ConfigurationError for a name or pattern that fits nothing, or priors and bounds that contradict
-    each other.
+    ConfigurationError for a name or pattern that fits nothing, or contradicting priors and bounds.
     """
     priors, bounds = priors or {}, bounds or {}
     taken = set[str]()

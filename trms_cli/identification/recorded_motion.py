@@ -31,8 +31,7 @@ _OF_ROTOR = {"main": ("pitch", "omega_v"), "tail": ("yaw", "omega_h")}
 class RecordedMotion:
     """Measured and modelled motion of a dataset, on its time grid."""
 
-    #: dict of str to (n,) array; rotor speeds that the model gives for the recorded commands, by
-    #: state, rad/s
+    #: (n,) arrays; rotor speeds that the model gives for the recorded commands, by state, rad/s
     speeds: dict[str, FloatArray]
     #: dict of str to (n,) array; measured, by angle, rad/s²; NaN where it cannot be told
     accelerations: dict[str, FloatArray]

@@ -273,8 +273,7 @@ _OUTLIER = "outlier"
 def estimate_figures(tables: Mapping[str, Columns]) -> dict[str, Any]:
     """How good an observer was, and whether it believed the right amount of itself.
 
-    Samples that the observer rejected as outliers are counted, and left out of all that is said
-    of innovations.
+    Samples that the observer rejected as outliers are counted; figures of innovations lack them.
     """
     estimate = tables.get("/estimate")
     if estimate is None or len(estimate.time) == 0:

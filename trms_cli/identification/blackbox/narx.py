@@ -85,8 +85,7 @@ class NnoeFit:
     #: s, lengths of the windows, one training each; each begins with the weights of the last
     horizons: tuple[Annotated[float, Meta(gt=0)], ...] = (0.5, 2.0)
     overlap: Annotated[float, Meta(ge=0, lt=1)] = 0.0  #: Share of a window that the next covers too
-    #: Windows at the most, spread over the recordings: short horizons need no more to give good
-    #: weights to the next
+    #: Windows at the most, spread over the recordings: short horizons need no more for good weights
     windows: Annotated[int, Meta(ge=1)] = 500
     every: Annotated[int, Meta(ge=1)] = 1  #: Only each such sample of a window counts
     #: Of the one-step training by Levenberg–Marquardt that gives the first weights

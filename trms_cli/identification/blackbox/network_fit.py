@@ -175,8 +175,7 @@ def prepare_fit(
     """Bring recordings to the form that networks are fitted to.
 
     Raises RecordingError for sample times without a whole ratio, missing channels, inputs or
-    outputs that never move, too few samples; ConfigurationError for a training that cannot
-    minimise.
+    outputs that never move, too few samples; ConfigurationError for what is no training.
     """
     if not callable(getattr(training, "minimise", None)):
         raise ConfigurationError(

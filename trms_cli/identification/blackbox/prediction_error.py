@@ -43,8 +43,7 @@ class Scaling:
 
     regressor_mean: FloatArray  #: (n_phi,) arrays
     regressor_sd: FloatArray  #: (n_phi,) arrays
-    #: ``output_mean``, ``output_sd``: (n_y,) arrays; of the target: of increments, where the
-    #: network gives increments
+    #: ``output_mean``, ``output_sd``: (n_y,) arrays; of the targets, which may be increments
     output_mean: FloatArray
     output_sd: FloatArray
     level_sd: FloatArray  #: (n_y,) array; of the outputs themselves: the scale of simulation errors
@@ -138,8 +137,7 @@ def rows(structure: NarxStructure, samples: Samples) -> tuple[FloatArray, FloatA
 def scaling(structure: NarxStructure, recordings: Sequence[Samples]) -> Scaling:
     """Scales from the recordings that a network is fitted to.
 
-    Raises RecordingError if there are fewer rows than regressors, or an input or output never
-    moves.
+    Raises RecordingError if there are fewer rows than regressors, or a signal never moves.
     """
     pairs = [rows(structure, samples) for samples in recordings]
     regressors = np.vstack([pair[0] for pair in pairs])

@@ -110,8 +110,7 @@ class Information:
     #: Fisher's information with the starts eliminated
     curvature: FloatArray
     #: (n_y, n_f, n_f) array; covariance of each output's slope, with the residuals'
-    #: autocorrelation, and with the copies of a residual that overlapping windows hold; see
-    #: :func:`information`
+    #: autocorrelation, and the copies in overlapping windows; see :func:`information`
     score: FloatArray
     trust: FloatArray  #: (n_y,) array; weight that each output has in the cost
     prior: FloatArray  #: (n_f,) array; precision of the priors, scaled

@@ -91,8 +91,7 @@ def huber_roots(z: FloatArray, robust: float | None) -> FloatArray:
 def sizes(r: FloatArray, measured: BoolArray, declared: FloatArray) -> FloatArray:
     """Root mean square of each output's residuals over their declared deviation, shape (n_y,).
 
-    The largest hundredth counts as its smallest member, so that outliers do not make all else
-    cheap.
+    The largest hundredth counts as its smallest member, lest outliers make all else cheap.
 
     ``r``, ``measured``: (m, c, n_y) arrays. ``declared``: (m, n_y) array.
     """

@@ -45,8 +45,7 @@ _WORDS = {
 }
 #: An error up to this many times the declared noise is the noise's.
 _AT_THE_NOISE = 1.5
-#: Error over that of predicting no change: below the first it is good, below the second better
-#: than nothing.
+#: Error over that of predicting no change: below the first it is good, below the second of use.
 _GOOD, _USEFUL = 0.3, 0.9
 #: A quarter of the time with this much of the squared error is worth a sentence.
 _CONCENTRATED = 0.5

@@ -61,8 +61,7 @@ class WindowOptions:
     """Free-run windows."""
 
     #: The state at the start of a window: the filter's, from all samples before it; that of the
-    #: model's own best run over the seconds before it; or fitted to the window itself, which
-    #: flatters the model
+    #: model's own best run over the seconds before it; or fitted to the window, which flatters
     start: Literal["estimated", "moving_horizon", "fitted"] = "estimated"
     history: _Positive = 2.0  #: s before the first window, and what ``moving_horizon`` fits to
     stride: _Positive = 0.5  #: s between the starts of two windows
@@ -330,8 +329,7 @@ def common_windows(
 ) -> dict[float, IntArray]:
     """First samples of the windows of every horizon that fits.
 
-    ``lead``: samples that are needed before a window. Raises ConfigurationError if not even the
-    shortest horizon fits.
+    ``lead``: samples that are needed before a window. Raises ConfigurationError if no horizon fits.
     """
     step = dataset.sample_time
     stride = max(1, round(options.windows.stride / step))

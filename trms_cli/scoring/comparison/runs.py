@@ -1,10 +1,9 @@
 """Runs as a comparison reads them: from folders, with their figures and what they were runs of.
 
-A folder of a run holds ``run.mcap``, ``score.json`` or ``status.json``, or several of them. The
-log tells the most: the configuration is attached to it. A score alone has to say under ``run``
-what it is a score of, as those of ``experiments.tournament`` do: ``coordinates``, ``outside`` (why
-it is not ranked) and ``non_finite``. A status alone is that of a job that failed before it had a
-log.
+A folder of a run holds ``run.mcap``, ``score.json`` or ``status.json``, or several of them. The log
+tells the most: the configuration is attached to it. A score alone has to say under ``run`` what it
+is a score of, as those of ``experiments.tournament`` do: ``coordinates``, ``outside`` (why it is
+not ranked) and ``non_finite``. A status alone is of a job that failed before its log.
 
 A run's coordinates are the options that were chosen (``controller``, ``ref``, …) and, where runs
 with the same options have other values, the keys of the configuration in which they differ.

@@ -23,8 +23,7 @@ from trms_cli.identification.blackbox.training.training import EpochReport
 class Resilient:
     """RPROP."""
 
-    #: ``first_step``, ``least_step``, ``most_step``: Step of each weight at the start and its
-    #: bounds
+    #: ``first_step``, ``least_step``, ``most_step``: Steps of the weights at the start, and bounds
     first_step: Annotated[float, Meta(gt=0)] = 0.01
     least_step: Annotated[float, Meta(gt=0)] = 1e-7
     most_step: Annotated[float, Meta(gt=0)] = 5.0
