@@ -36,7 +36,6 @@ from trms_cli.gap.diagnosis import (
     Shrink,
     SizeEstimate,
     Traces,
-    horizon_key,
 )
 from trms_cli.identification.findings import near
 
@@ -203,7 +202,7 @@ def _measures(diagnosis: DiagnosisResult) -> Iterator[Measure]:
         yield Measure("lies in", place_name(place.location), note=note)
     rows = diagnosis.shrink.get("all", {})
     horizon = shown_horizon(rows)
-    shrink = _at(rows, horizon)
+    shrink = rows.get(horizon or "")
     if is_corrected(diagnosis) and shrink is not None and shrink.fraction is not None:
         share = wording.gap_share(shrink.fraction)
         ends = share if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
@@ -295,8 +294,8 @@ def _where(diagnosis: DiagnosisResult) -> Section | None:
     if not places:
         return None
     regions = {
-        name: [r for r in diagnosis.region if r.location == name]
-        for name in (place.location for place in places)
+        place.location: [r for r in diagnosis.region if r.location == place.location]
+        for place in places
     }
 
     def when(location: str) -> str:
@@ -582,7 +581,7 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
                 "refitted": scale * gap.refit,
                 "corrected": Datum(scale * gap.corrected, mark),
                 "floor": scale * gap.floor,
-                **_closed(_at(diagnosis.shrink.get(channel, {}), horizon)),
+                **_closed(diagnosis.shrink.get(channel, {}).get(horizon)),
             }
     for horizon, shrink in diagnosis.shrink.get("all", {}).items():
         blank = dict.fromkeys(("as it was", "refitted", "corrected", "floor"), "")
@@ -596,13 +595,6 @@ def _closed(shrink: Shrink | None) -> dict[str, Cell]:
     mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
     ends = "" if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
     return {_CLOSED[0]: Datum(wording.gap_share(shrink.fraction), mark), _CLOSED[1]: ends}
-
-
-def _at(rows: Mapping[str, Shrink], horizon: str | None) -> Shrink | None:
-    if horizon is None:
-        return None
-    key = horizon_key(horizon)
-    return next((shrink for h, shrink in rows.items() if horizon_key(h) == key), None)
 
 
 def gap_chart(diagnosis: DiagnosisResult) -> draw.Chart | None:

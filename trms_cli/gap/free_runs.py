@@ -264,12 +264,13 @@ def measure_shrinkage(
         return free_run_errors(model, parts.whole, parts.sealed, rollout=rollout, **options)
 
     before = after = runs(refit, plain)
-    if corrected is not refit:
+    if corrected is refit:
+        richer = plain
+    else:
         after = runs(corrected, richer)
     errors = {"raw": runs(raw, plain), "refit": before, "corrected": after}
-    of_corrected = plain if corrected is refit else richer
     right = expected_errors(
-        corrected, parts.whole, parts.sealed, seed=problem.seed, rollout=of_corrected, **options
+        corrected, parts.whole, parts.sealed, seed=problem.seed, rollout=richer, **options
     )
     units = {s.name: s.unit for d in parts.whole for s in d.outputs}
     gap: dict[str, dict[str, Gap]] = {}

@@ -311,10 +311,10 @@ class RadialFit:
         return network, with_linear_weights(network, centres, widths, z, targets, self.ridge)
 
 
-class _AsPlaced:
+class _AsPlaced(TrainingAlgorithm):
     """No training: the placed units with their linear weights."""
 
-    regularised: ClassVar[bool] = True
+    regularised = True
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

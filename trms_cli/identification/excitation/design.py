@@ -288,8 +288,7 @@ class ExcitationDesign:
     amplitude: FloatArray  #: (n_u,) array
     crest_factor: FloatArray  #: (n_u,) array; of each input about its centre, during the excitation
     bounds: dict[str, float]  #: Of the angles, rad
-    states: FloatArray  #: (n, n_x) array; of the simulated rig, without noise
-    outputs: FloatArray  #: (n, n_y) array; likewise
+    outputs: FloatArray  #: (n, n_y) array; of the simulated rig, without noise
     ranges: dict[str, tuple[float, float]]  #: Ends of each output during the excitation
     #: The same over the rigs drawn from the priors that stayed within the stops
     drawn_ranges: dict[str, tuple[float, float]]
@@ -365,7 +364,6 @@ def design(
         amplitude,
         np.array([crest_factor(column) for column in shape.values.T]),
         bounds,
-        states,
         outputs,
         _ranges(model, [outputs[first:]]),
         drawn,

@@ -303,7 +303,6 @@ class Spectrum:
 class Coherence:
     """Squared coherence of two signals."""
 
-    frequencies: FloatArray  #: (f,) array; hz
     squared: FloatArray  #: (f,) array; from 0 to 1
     by_chance: float  #: What independent signals stay below at a frequency with probability 0.95
 
@@ -356,12 +355,12 @@ def coherence(one: Segments, two: Segments) -> Coherence:
     a, b = one.transforms[both], two.transforms[both]
     k = _independent(int(np.count_nonzero(both)))
     if k <= 1.5:
-        return Coherence(one.frequencies, np.full(len(one.frequencies), np.nan), np.nan)
+        return Coherence(np.full(len(one.frequencies), np.nan), np.nan)
     cross = np.abs(np.mean(a * np.conj(b), axis=0)) ** 2
     powers = np.mean(np.abs(a) ** 2, axis=0) * np.mean(np.abs(b) ** 2, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         squared = np.where(powers > 0, cross / powers, np.nan)
-    return Coherence(one.frequencies, squared, float(1.0 - 0.05 ** (1.0 / (k - 1.0))))
+    return Coherence(squared, float(1.0 - 0.05 ** (1.0 / (k - 1.0))))
 
 
 def _independent(count: int) -> float:

@@ -595,12 +595,11 @@ def tests_of(
     """Residual tests over all recordings at once, of the channels that move."""
     step_s = datasets[0].sample_time
     gap = gap_samples(options, step_s)
-    measured = [set(names(d.outputs)) for d in datasets]
-    channels = [name for name in names(model.outputs) if all(name in m for m in measured)]
     channels = [
         name
-        for name in channels
-        if any(np.nanmax(y) > np.nanmin(y) for y in (d.output(name) for d in datasets))
+        for name in names(model.outputs)
+        if all(name in names(d.outputs) for d in datasets)
+        and any(np.nanmax(y) > np.nanmin(y) for y in (d.output(name) for d in datasets))
     ]
     commands = join_parts([d.commands for d in datasets], gap)
     outputs = join_parts(
@@ -700,10 +699,8 @@ def matched_tail(statistic: float, simulated: FloatArray, degrees: int) -> float
 def _alone(validation: ModelValidation, rollout: Rollout, i: int) -> FloatArray | None:
     """The model's outputs along the whole recording; None where it runs away."""
     dataset = validation.datasets[i]
-    start = validation.one_steps[i].states[0]
-    if np.isnan(start).any():
-        known = np.flatnonzero(~np.isnan(validation.one_steps[i].states).any(axis=1))
-        start = validation.one_steps[i].states[known[0]]
+    states = validation.one_steps[i].states
+    start = states[np.flatnonzero(~np.isnan(states).any(axis=1))[0]]
     full = rollout.initial(start[: validation.model.n_x], dataset.commands[0])
     y = simulated_windows(rollout, dataset, [0], len(dataset), full[None])[0]
     swing = np.nanmax(dataset.measurements, axis=0) - np.nanmin(dataset.measurements, axis=0)

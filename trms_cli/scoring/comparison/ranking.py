@@ -244,11 +244,6 @@ class Standing:
         found = self.against_interval
         return None if found is None else found.low > 1.0 or found.high < 1.0
 
-    @property
-    def failed(self) -> int:
-        """Runs that failed."""
-        return sum(run.state is State.FAILED for run in self.runs)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Ranking:

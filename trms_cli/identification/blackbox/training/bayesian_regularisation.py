@@ -21,14 +21,14 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
 from trms_cli.identification.blackbox.training.levenberg_marquardt import damped_step, slope_norm
-from trms_cli.identification.blackbox.training.training import EpochReport
+from trms_cli.identification.blackbox.training.training import EpochReport, TrainingAlgorithm
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-20, 1e10
 _LEAST = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True)
-class BayesianRegularisation:
+class BayesianRegularisation(TrainingAlgorithm):
     """MacKay's evidence framework within Levenberg–Marquardt steps."""
 
     damping: Annotated[float, Meta(gt=0)] = 5e-3  #: μ at the start, relative to β N

@@ -16,14 +16,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.training.training import EpochReport
+from trms_cli.identification.blackbox.training.training import EpochReport, TrainingAlgorithm
 
 Update = Literal["fletcher_reeves", "polak_ribiere", "powell_beale"]
 #: Powell's constants.
@@ -80,14 +80,12 @@ class LineSearch:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConjugateGradient:
+class ConjugateGradient(TrainingAlgorithm):
     """Conjugate gradients with a strong Wolfe line search."""
 
     update: Update
     #: Largest share of the slope along the line that a search leaves
     curvature: Annotated[float, Meta(gt=0, lt=0.5)] = 0.1
-
-    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

@@ -11,21 +11,21 @@ Vogl, Mangis, Rigler, Zink & Alkon (1988, Biological Cybernetics 59)::
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.training.training import EpochReport
+from trms_cli.identification.blackbox.training.training import EpochReport, TrainingAlgorithm
 
 #: A rate that fell this low moves no weight any more.
 _LEAST_RATE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class GradientDescent:
+class GradientDescent(TrainingAlgorithm):
     """Steps down the gradient."""
 
     learning_rate: Annotated[float, Meta(gt=0)] = 0.05  #: η at the start
@@ -35,8 +35,6 @@ class GradientDescent:
     growth: Annotated[float, Meta(ge=1)] = 1.05
     decay: Annotated[float, Meta(gt=0, lt=1)] = 0.7
     tolerance: Annotated[float, Meta(ge=1)] = 1.04  #: Factor by which a step may raise the loss
-
-    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

@@ -12,28 +12,26 @@ Both end in the same minimum, which a test holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import NormalEquations, TrainingObjective
-from trms_cli.identification.blackbox.training.training import EpochReport
+from trms_cli.identification.blackbox.training.training import EpochReport, TrainingAlgorithm
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-20, 1e10
 
 
 @dataclass(frozen=True, kw_only=True)
-class LevenbergMarquardt:
+class LevenbergMarquardt(TrainingAlgorithm):
     """Hagan & Menhaj's training."""
 
     damping: Annotated[float, Meta(gt=0)] = 1e-3  #: μ at the start, per residual
     #: ``growth``, ``decay``: Factors of μ after a step that fails and after one that succeeds
     growth: Annotated[float, Meta(gt=1)] = 10.0
     decay: Annotated[float, Meta(gt=0, lt=1)] = 0.1
-
-    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

@@ -10,7 +10,7 @@ Hessian before each update is the identity, so that a direction costs a few prod
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
@@ -21,14 +21,12 @@ from trms_cli.identification.blackbox.training.conjugate_gradient import (
     LineSearch,
     minimise_by_scipy,
 )
-from trms_cli.identification.blackbox.training.training import EpochReport
+from trms_cli.identification.blackbox.training.training import EpochReport, TrainingAlgorithm
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bfgs:
+class Bfgs(TrainingAlgorithm):
     """``scipy.optimize.minimize(method="BFGS")``."""
-
-    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport
@@ -37,13 +35,11 @@ class Bfgs:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneStepSecant:
+class OneStepSecant(TrainingAlgorithm):
     """Battiti's memoryless BFGS with a strong Wolfe line search."""
 
     #: Largest share of the slope along the line that a search leaves
     curvature: Annotated[float, Meta(gt=0, lt=1)] = 0.4
-
-    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

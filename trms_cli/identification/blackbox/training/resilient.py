@@ -9,18 +9,18 @@ slope counts as zero once.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.training.training import EpochReport
+from trms_cli.identification.blackbox.training.training import EpochReport, TrainingAlgorithm
 
 
 @dataclass(frozen=True, kw_only=True)
-class Resilient:
+class Resilient(TrainingAlgorithm):
     """RPROP."""
 
     #: ``first_step``, ``least_step``, ``most_step``: Steps of the weights at the start, and bounds
@@ -29,8 +29,6 @@ class Resilient:
     most_step: Annotated[float, Meta(gt=0)] = 5.0
     growth: Annotated[float, Meta(gt=1)] = 1.2  #: η⁺ and η⁻
     decay: Annotated[float, Meta(gt=0, lt=1)] = 0.5  #: η⁺ and η⁻
-
-    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

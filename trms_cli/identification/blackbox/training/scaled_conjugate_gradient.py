@@ -10,27 +10,25 @@ the found reduction).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.blackbox.prediction_error import TrainingObjective
-from trms_cli.identification.blackbox.training.training import EpochReport
+from trms_cli.identification.blackbox.training.training import EpochReport, TrainingAlgorithm
 
 _MOST_SCALE = 1e15
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScaledConjugateGradient:
+class ScaledConjugateGradient(TrainingAlgorithm):
     """Møller's algorithm."""
 
     #: σ, length of the step for the second derivative
     difference: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-5
     first_scale: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-7  #: λ at the start
-
-    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

@@ -58,7 +58,7 @@ class TrainingAlgorithm(Protocol):
     """A training algorithm: configuration, and one method."""
 
     #: Whether the training guards against over-fitting itself and needs no early stopping.
-    regularised: ClassVar[bool]
+    regularised: ClassVar[bool] = False
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport
@@ -83,14 +83,12 @@ class Stopping:
 class TrainingHistory:
     """A training epoch by epoch; entry 0 is the start."""
 
-    #: ``seconds``, ``losses``, ``validation``, ``slopes``, ``effective``: lists of float; processor
-    #: time since the start (without what validation takes), mean squared residuals of the fitted
-    #: data and of the validation data (NaN where there are none), norm of the gradient, effective
-    #: number of parameters (NaN where not known)
+    #: ``seconds``, ``losses``, ``validation``, ``effective``: processor time since the start
+    #: (without what validation takes), mean squared residuals of the fitted data and of the
+    #: validation data (NaN where there are none), effective number of parameters (NaN: not known)
     seconds: list[float] = field(default_factory=list)
     losses: list[float] = field(default_factory=list)
     validation: list[float] = field(default_factory=list)
-    slopes: list[float] = field(default_factory=list)
     effective: list[float] = field(default_factory=list)
 
     @property
@@ -145,7 +143,6 @@ class _Recorder:
         history.seconds.append(self._spent)
         history.losses.append(loss)
         history.validation.append(checked)
-        history.slopes.append(slope)
         history.effective.append(np.nan if effective is None else effective)
         merit = checked if self._early else loss
         if self._regularised or merit < self.best or epoch == 0:
