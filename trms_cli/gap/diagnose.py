@@ -174,7 +174,8 @@ def result_of(stages: StageResults) -> diagnosis.DiagnosisResult:
     if posterior.verdict not in ("no_gap", "parameters_only"):
         where = _where(stages)
         main = [w.location for w in where[:2] if w.location in stages.forces]
-        for location in main or _strongest(stages):
+        shares = {k: v for k, v in stages.place.share().items() if k in stages.forces}
+        for location in main or sorted(shares, key=lambda k: -shares[k])[:1]:
             region += regions(stages.forces[location])
             words = words or description(stages.forces[location])
     unseen = _not_testable(stages)
@@ -269,11 +270,6 @@ def _shares(
                 part = probability * weight / len(effects)
                 shares[location] = shares.get(location, 0.0) + float(part)
     return shares
-
-
-def _strongest(stages: StageResults) -> list[str]:
-    shares = {k: v for k, v in stages.place.share().items() if k in stages.forces}
-    return sorted(shares, key=lambda k: -shares[k])[:1]
 
 
 def _causes(stages: StageResults) -> tuple[diagnosis.Cause, ...]:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -54,8 +54,7 @@ class FilterGains(NamedTuple):
     """A filter that is ready to run."""
 
     k: FloatArray  #: (m, c, n, n_y) array
-    #: (m, c, n_y, n_y) array; inverse of the lower Cholesky factor of the innovations' covariance
-    root: FloatArray
+    root: FloatArray  #: (m, c, n_y, n_y) array; whitens the innovations: L⁻¹ of their L Lᵀ
     logdet: FloatArray  #: (m,) array; of the innovations' covariances of each window
     p: FloatArray | None  #: (m, c, n, n) array or None; covariance of each prediction
 
@@ -210,8 +209,7 @@ def _whitened_arrays(system: LinearSystem, filter_: FilterGains, columns: FloatA
 
 
 def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    product: FloatArray = np.einsum("mij,mj->mi", matrix, vector)
-    return product
+    return np.einsum("mij,mj->mi", matrix, vector)
 
 
 def _library() -> ctypes.CDLL | None:
@@ -473,13 +471,7 @@ class Discrepancy:
         variance[n:] = self.effective(shares) ** 2
         forgotten = np.concatenate([np.zeros(n), self.forgotten])
         q = np.diag(variance * (1 - forgotten**2))
-        system = LinearSystem(
-            self.system.f,
-            self.system.h,
-            self.system.seen,
-            self.system.r,
-            self.system.start + np.diag(variance),
-        )
+        system = replace(self.system, start=self.system.start + np.diag(variance))
         return gains(system, q, covariances=covariances)
 
     def whitened(self, filter_: FilterGains, columns: FloatArray) -> FloatArray:

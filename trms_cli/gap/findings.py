@@ -9,21 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from trms_cli.core import chart as draw
+from trms_cli.core import findings as told
 from trms_cli.core import wording
-from trms_cli.core.findings import (
-    Block,
-    Cell,
-    Column,
-    Datum,
-    Findings,
-    Judgement,
-    Measure,
-    NextCommand,
-    Remarks,
-    Section,
-    Table,
-    table,
-)
 from trms_cli.core.invocation import program
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
@@ -76,7 +63,7 @@ _RUNS: Mapping[str, tuple[str, draw.Colour, draw.Style]] = {
 
 def findings(
     diagnosis: DiagnosisResult, remarks: Sequence[str] = (), folder: Path | None = None
-) -> Findings:
+) -> told.Findings:
     """What is worth telling of a diagnosis.
 
     ``remarks``: what was found in the recordings and what was done to them. ``folder``: of the
@@ -97,7 +84,7 @@ def findings(
     if diagnosis.worse:
         worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
         warnings.insert(0, f"the correction made {worse} worse, by over 2 % at 2 s")
-    return Findings(
+    return told.Findings(
         title=f"Diagnosis: {headline(diagnosis)}",
         lead=[text for text in (diagnosis.sentence, _confidence(diagnosis)) if text],
         sections=[section for section in sections if section is not None],
@@ -190,26 +177,26 @@ def _alike(cause: Cause, diagnosis: DiagnosisResult) -> list[Cause]:
     ]
 
 
-def _measures(diagnosis: DiagnosisResult) -> Iterator[Measure]:
+def _measures(diagnosis: DiagnosisResult) -> Iterator[told.Measure]:
     first = likeliest(diagnosis)
     if first is not None:
-        yield Measure(
+        yield told.Measure(
             "probability", wording.percent(first.probability), note=cause_name(first.effects)
         )
     if diagnosis.where and diagnosis.where[0].share >= 0.05:
         place = diagnosis.where[0]
         note = wording.gap_share(place.share, place.ci95, "of the gap")
-        yield Measure("lies in", place_name(place.location), note=note)
+        yield told.Measure("lies in", place_name(place.location), note=note)
     rows = diagnosis.shrink.get("all", {})
     horizon = shown_horizon(rows)
     shrink = rows.get(horizon or "")
     if is_corrected(diagnosis) and shrink is not None and shrink.fraction is not None:
         share = wording.gap_share(shrink.fraction)
         ends = share if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
-        judgement: Judgement = "good" if shrink.fraction > 0.5 else ""
+        judgement: told.Judgement = "good" if shrink.fraction > 0.5 else ""
         note = f"of what the refit left over {float(horizon or 0):g} s"
         note += f" ({ends})" if ends != share else ""
-        yield Measure("gap closed", share, judgement=judgement, note=note)
+        yield told.Measure("gap closed", share, judgement=judgement, note=note)
 
 
 def is_corrected(diagnosis: DiagnosisResult) -> bool:
@@ -234,20 +221,20 @@ def _facts(diagnosis: DiagnosisResult) -> dict[str, str]:
     return facts
 
 
-def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[NextCommand]:
+def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[told.NextCommand]:
     commands = []
     if diagnosis.next_experiment is not None:
         commands.append(
-            NextCommand(diagnosis.next_experiment.command, diagnosis.next_experiment.why)
+            told.NextCommand(diagnosis.next_experiment.command, diagnosis.next_experiment.why)
         )
     if folder is not None:
         model = shlex.quote(str(folder / "corrected_model.yaml"))
         commands += [
-            NextCommand(
+            told.NextCommand(
                 f"{program()} validate model={model} real=FILE",
                 "the corrected model on a recording that it has not seen",
             ),
-            NextCommand(
+            told.NextCommand(
                 f"{program()} run model={model} controller=newton_mpc",
                 "control with the corrected model; `model=` takes it anywhere",
             ),
@@ -255,41 +242,41 @@ def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[NextCommand]:
     return commands
 
 
-def _causes(diagnosis: DiagnosisResult) -> Section | None:
+def _causes(diagnosis: DiagnosisResult) -> told.Section | None:
     kept = [cause for cause in diagnosis.causes if cause.probability >= LEAST][:_MOST_CAUSES]
     if not kept:
         return None
     sure = diagnosis.verdict != "undecided"
 
-    def probability(cause: Cause) -> Datum:
-        judgement: Judgement = "good" if cause is kept[0] and sure else ""
-        return Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
+    def probability(cause: Cause) -> told.Datum:
+        judgement: told.Judgement = "good" if cause is kept[0] and sure else ""
+        return told.Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
 
     rest = sum(cause.probability for cause in diagnosis.causes if cause not in kept)
     rows = [*kept, Cause(effects=_OTHERS, probability=rest)] if rest >= _REST else kept
     columns = [
-        Column("cause", lambda cause: cause_name(cause.effects)),
-        Column("probability", probability),
-        Column("size", lambda cause: sizes(cause.parameters)),
+        told.Column("cause", lambda cause: cause_name(cause.effects)),
+        told.Column("probability", probability),
+        told.Column("size", lambda cause: sizes(cause.parameters)),
     ]
     if any(_alike(cause, diagnosis) for cause in kept):
         columns.append(
-            Column(
+            told.Column(
                 "confusable with",
                 lambda cause: ", ".join(cause_name(c.effects) for c in _alike(cause, diagnosis)),
             )
         )
-    return Section(
+    return told.Section(
         "Which cause" if len(kept) == 1 else "Which of the causes",
         [
             "Probabilities of all answers; they sum to one. How the race turns into probabilities "
             "is set by rigs whose truth is known, built by other code than the models."
         ],
-        [table(rows, columns)],
+        [told.table(rows, columns)],
     )
 
 
-def _where(diagnosis: DiagnosisResult) -> Section | None:
+def _where(diagnosis: DiagnosisResult) -> told.Section | None:
     places = [place for place in diagnosis.where if place.share >= LEAST]
     if not places:
         return None
@@ -304,14 +291,14 @@ def _where(diagnosis: DiagnosisResult) -> Section | None:
         )
 
     columns = [
-        Column("place", lambda place: place_name(place.location)),
-        Column("share of the gap", lambda place: wording.gap_share(place.share)),
-        Column("95 % interval", lambda place: wording.gap_interval(place.ci95)),
+        told.Column("place", lambda place: place_name(place.location)),
+        told.Column("share of the gap", lambda place: wording.gap_share(place.share)),
+        told.Column("95 % interval", lambda place: wording.gap_interval(place.ci95)),
     ]
     if any(regions.values()):
-        columns.append(Column("of its energy", lambda place: when(place.location)))
-    rows = table(places, columns)
-    return Section(
+        columns.append(told.Column("of its energy", lambda place: when(place.location)))
+    rows = told.table(places, columns)
+    return told.Section(
         "Where the gap lies",
         [_where_words(diagnosis)],
         [
@@ -365,11 +352,11 @@ def winner(diagnosis: DiagnosisResult) -> RaceEntry | None:
     return max(named, key=lambda entry: entry.score, default=None)
 
 
-def _race(diagnosis: DiagnosisResult) -> Section | None:
+def _race(diagnosis: DiagnosisResult) -> told.Section | None:
     if not diagnosis.race:
         return None
     chart = race_chart(diagnosis)
-    return Section("The race of the candidates", [_race_words(diagnosis)], [chart])
+    return told.Section("The race of the candidates", [_race_words(diagnosis)], [chart])
 
 
 def _race_words(diagnosis: DiagnosisResult) -> str:
@@ -459,15 +446,15 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
     )
 
 
-def _force(diagnosis: DiagnosisResult) -> Section | None:
-    blocks: list[Block] = []
+def _force(diagnosis: DiagnosisResult) -> told.Section | None:
+    blocks: list[told.Block] = []
     if diagnosis.traces is not None:
         order = [place.location for place in diagnosis.where if place.share >= 0.02]
         order += [name for name in diagnosis.traces.explained if name not in order]
         chart = force_chart(diagnosis.traces, order)
         blocks += [chart] if chart is not None else []
     if diagnosis.verdict in _UNNAMED and diagnosis.description:
-        blocks.append(Remarks(diagnosis.description))
+        blocks.append(told.Remarks(diagnosis.description))
     if not blocks:
         return None
     text = (
@@ -476,7 +463,7 @@ def _force(diagnosis: DiagnosisResult) -> Section | None:
     )
     if diagnosis.traces is not None and diagnosis.traces.explained:
         text += " In blue, what the likeliest cause says this force is."
-    return Section("The missing force", [text], blocks)
+    return told.Section("The missing force", [text], blocks)
 
 
 def force_chart(traces: Traces, locations: Sequence[str]) -> draw.Chart | None:
@@ -535,7 +522,7 @@ def _busiest_part(traces: Traces, name: str) -> tuple[float, float]:
     return float(time[first]), float(time[min(first + width, len(time) - 1)])
 
 
-def _before_and_after(diagnosis: DiagnosisResult) -> Section | None:
+def _before_and_after(diagnosis: DiagnosisResult) -> told.Section | None:
     corrected = is_corrected(diagnosis)
     chart = gap_chart(diagnosis)
     if chart is None:
@@ -546,10 +533,10 @@ def _before_and_after(diagnosis: DiagnosisResult) -> Section | None:
     section = "On a part of the recordings that was sealed: nothing was fitted or chosen on it."
     if not corrected:
         section += " No cause was added, so the refitted model is all there is to show."
-    return Section("Before and after", [section], blocks)
+    return told.Section("Before and after", [section], blocks)
 
 
-def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[Table, Table]:
+def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[told.Table, told.Table]:
     """The gap by channel at the horizon that stands for all, and at every horizon."""
     shown = shown_horizon({h: None for gaps in diagnosis.gap.values() for h in gaps})
     caption = f"RMS of the errors of free runs of {float(shown or 0):g} s on the sealed part."
@@ -560,26 +547,26 @@ def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[Table, Tab
         of_all = "Closed: what the correction took from the gap above the floor that "
         of_all += "the refit left."
     rows = [row for row in _gap_rows(diagnosis) if corrected or row["floor"] != ""]
-    columns = [Column(head, head) for head in heads]
+    columns = [told.Column(head, head) for head in heads]
     at_shown = [row for row in rows if shown and row[_LENGTH] == f"{float(shown):g}"]
     return (
-        table(at_shown, [columns[0], *columns[2:]], caption),
-        table(rows, columns, of_all, heads=2, on_screen=False),
+        told.table(at_shown, [columns[0], *columns[2:]], caption),
+        told.table(rows, columns, of_all, heads=2, on_screen=False),
     )
 
 
-def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
+def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, told.Cell]]:
     """Cells by head: a row a channel and horizon, then what all channels say together."""
     for channel, gaps in diagnosis.gap.items():
         for horizon, gap in gaps.items():
             unit, scale = wording.small_unit(gap.unit)
-            mark: Judgement = "bad" if gap.corrected > 1.02 * gap.refit else ""
+            mark: told.Judgement = "bad" if gap.corrected > 1.02 * gap.refit else ""
             yield {
                 "output": wording.with_unit(wording.signal(channel), unit),
                 _LENGTH: f"{float(horizon):g}",
                 "as it was": scale * gap.raw,
                 "refitted": scale * gap.refit,
-                "corrected": Datum(scale * gap.corrected, mark),
+                "corrected": told.Datum(scale * gap.corrected, mark),
                 "floor": scale * gap.floor,
                 **_closed(diagnosis.shrink.get(channel, {}).get(horizon)),
             }
@@ -588,13 +575,12 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, Cell]]:
         yield {"output": "all channels", _LENGTH: f"{float(horizon):g}", **blank, **_closed(shrink)}
 
 
-def _closed(shrink: Shrink | None) -> dict[str, Cell]:
-    """How much of the gap the correction closes."""
+def _closed(shrink: Shrink | None) -> dict[str, told.Cell]:
     if shrink is None or shrink.fraction is None:
         return {_CLOSED[0]: wording.MISSING, _CLOSED[1]: ""}
-    mark: Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
+    mark: told.Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
     ends = "" if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
-    return {_CLOSED[0]: Datum(wording.gap_share(shrink.fraction), mark), _CLOSED[1]: ends}
+    return {_CLOSED[0]: told.Datum(wording.gap_share(shrink.fraction), mark), _CLOSED[1]: ends}
 
 
 def gap_chart(diagnosis: DiagnosisResult) -> draw.Chart | None:
@@ -662,7 +648,7 @@ def run_chart(traces: Traces) -> draw.Chart | None:
     return draw.Chart("free_run", panels, caption, 1, _WIDTH, 1.6, together=True)
 
 
-def _tests(diagnosis: DiagnosisResult) -> Section | None:
+def _tests(diagnosis: DiagnosisResult) -> told.Section | None:
     """A row a test, a column an output: the probability that noise alone does that."""
     if not diagnosis.tests:
         return None
@@ -685,49 +671,49 @@ def _tests(diagnosis: DiagnosisResult) -> Section | None:
         "Probability that noise alone does that, corrected for the number of tests; red: a gap."
     )
     heads = ["test", *(wording.signal(channel) for channel in channels)]
-    return Section(
+    return told.Section(
         "Is there a gap at all?",
         [text],
-        [Table(heads, rows, caption, on_screen=False)],
+        [told.Table(heads, rows, caption, on_screen=False)],
         folded=True,
     )
 
 
-def _probability(test: GapTest) -> Datum:
+def _probability(test: GapTest) -> told.Datum:
     text = "< 1e−6" if test.p_corrected < _SMALLEST else wording.number(test.p_corrected, 2)
-    return Datum(text, "bad" if test.rejected else "good")
+    return told.Datum(text, "bad" if test.rejected else "good")
 
 
-def _parameters(diagnosis: DiagnosisResult) -> Section | None:
+def _parameters(diagnosis: DiagnosisResult) -> told.Section | None:
     if not diagnosis.parameters:
         return None
     items = sorted(diagnosis.parameters.items(), key=lambda item: -abs(item[1].moved or 0.0))
 
-    def moved(item: tuple[str, FittedParameter]) -> Datum:
+    def moved(item: tuple[str, FittedParameter]) -> told.Datum:
         by = item[1].moved
         if by is None:
-            return Datum(None)
-        mark: Judgement = "doubtful" if abs(by) > _FAR else ""
-        return Datum(f"{by:+.1f} sd".replace("-", "−"), mark)
+            return told.Datum(None)
+        mark: told.Judgement = "doubtful" if abs(by) > _FAR else ""
+        return told.Datum(f"{by:+.1f} sd".replace("-", "−"), mark)
 
     columns = [
-        Column("parameter", lambda item: wording.with_unit(item[0], item[1].unit)),
-        Column("before", lambda item: item[1].prior),
-        Column("fitted", lambda item: Datum(item[1].fitted, sd=item[1].sd)),
-        Column("±", lambda item: item[1].sd),
-        Column("moved, in sd of what was known", moved),
+        told.Column("parameter", lambda item: wording.with_unit(item[0], item[1].unit)),
+        told.Column("before", lambda item: item[1].prior),
+        told.Column("fitted", lambda item: told.Datum(item[1].fitted, sd=item[1].sd)),
+        told.Column("±", lambda item: item[1].sd),
+        told.Column("moved, in sd of what was known", moved),
     ]
     more = len(items) - _MOST_PARAMETERS
     caption = ""
     if more > 0:
         caption = f"And {more} more, which moved less: see diagnosis.json."
-    return Section(
+    return told.Section(
         "Parameters of the model",
         [
             "With the cause in the model, where there is one. A parameter that had to move far "
             "from what was known of it may stand in for something that the model lacks."
         ],
-        [table(items[:_MOST_PARAMETERS], columns, caption, on_screen=False)],
+        [told.table(items[:_MOST_PARAMETERS], columns, caption, on_screen=False)],
         folded=True,
     )
 
@@ -750,7 +736,7 @@ def _beats_no_effect(entry: RaceEntry) -> bool:
     return entry.score > max(_LEVEL, 2 * entry.se)
 
 
-def _not_told(diagnosis: DiagnosisResult) -> Section | None:
+def _not_told(diagnosis: DiagnosisResult) -> told.Section | None:
     named = {
         name for cause in diagnosis.causes if cause.probability >= LEAST for name in cause.effects
     }
@@ -762,47 +748,47 @@ def _not_told(diagnosis: DiagnosisResult) -> Section | None:
     if not unnamed and not diagnosis.detectable:
         return None
     text = ["An effect that was not excited is not tested, which is not to say that it is absent."]
-    blocks: list[Block] = []
+    blocks: list[told.Block] = []
     if hardly:
         text.append(
             "Some raced all the same, for the little that they do points at what the refitted "
             "model leaves over."
         )
         columns = [
-            Column("raced, but hardly testable", lambda item: wording.readable(item.effect)),
-            Column("against no effect", lambda item: _result(raced[item.effect])),
-            Column("why", "reason"),
+            told.Column("raced, but hardly testable", lambda item: wording.readable(item.effect)),
+            told.Column("against no effect", lambda item: _result(raced[item.effect])),
+            told.Column("why", "reason"),
         ]
-        blocks.append(table(hardly, columns, on_screen=False))
+        blocks.append(told.table(hardly, columns, on_screen=False))
     if untested:
         columns = [
-            Column("not testable", lambda item: wording.readable(item.effect)),
-            Column("why", "reason"),
+            told.Column("not testable", lambda item: wording.readable(item.effect)),
+            told.Column("why", "reason"),
         ]
-        blocks.append(table(untested, columns, on_screen=False))
+        blocks.append(told.table(untested, columns, on_screen=False))
     if diagnosis.detectable:
         columns = [
-            Column("effect", lambda item: wording.readable(item[0])),
-            Column("smallest size", lambda item: item[1].minimum_size),
-            Column("unit", lambda item: wording.unit(item[1].unit)),
+            told.Column("effect", lambda item: wording.readable(item[0])),
+            told.Column("smallest size", lambda item: item[1].minimum_size),
+            told.Column("unit", lambda item: wording.unit(item[1].unit)),
         ]
         caption = (
             "Sizes below these leave no trace in these recordings: such an effect may be there."
         )
         blocks.append(
-            table(sorted(diagnosis.detectable.items()), columns, caption, on_screen=False)
+            told.table(sorted(diagnosis.detectable.items()), columns, caption, on_screen=False)
         )
-    return Section("What these recordings cannot tell", text, blocks, folded=True)
+    return told.Section("What these recordings cannot tell", text, blocks, folded=True)
 
 
-def _recordings(diagnosis: DiagnosisResult, remarks: Sequence[str]) -> Section:
+def _recordings(diagnosis: DiagnosisResult, remarks: Sequence[str]) -> told.Section:
     columns = [
-        Column("file", "file"),
-        Column("length [s]", "duration_s"),
-        Column("rate [Hz]", lambda r: round(1 / r.sample_time_s, 3)),
-        Column("channels", lambda r: ", ".join(r.channels)),
-        Column("SHA-256", lambda r: r.sha256[:16]),
+        told.Column("file", "file"),
+        told.Column("length [s]", "duration_s"),
+        told.Column("rate [Hz]", lambda r: round(1 / r.sample_time_s, 3)),
+        told.Column("channels", lambda r: ", ".join(r.channels)),
+        told.Column("SHA-256", lambda r: r.sha256[:16]),
     ]
-    blocks: list[Block] = [Remarks(remarks, on_screen=False)] if remarks else []
-    blocks.append(table(diagnosis.recordings, columns, on_screen=False))
-    return Section("Recordings", (), blocks, folded=True)
+    blocks: list[told.Block] = [told.Remarks(remarks, on_screen=False)] if remarks else []
+    blocks.append(told.table(diagnosis.recordings, columns, on_screen=False))
+    return told.Section("Recordings", (), blocks, folded=True)

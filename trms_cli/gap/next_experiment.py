@@ -76,8 +76,7 @@ class _Wave:
 
     def signal(self, amplitude: float) -> ReferenceSignal:
         kind: Any = {"square": Square, "sawtooth": Sawtooth}[self.option]
-        made: ReferenceSignal = kind(**self.keys(amplitude))
-        return made
+        return kind(**self.keys(amplitude))
 
 
 #: The one that goes beyond the model's band, by this factor: a delay shows there.

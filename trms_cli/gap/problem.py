@@ -39,8 +39,7 @@ class GapProblem:
     model_name: str  #: As the user named it
     #: Whole recordings with one sample time; they measure some or all of the model's outputs
     datasets: tuple[Dataset, ...]
-    #: The library: effects that may be the cause, by name, at their typical sizes
-    candidates: Mapping[str, Effect]
+    candidates: Mapping[str, Effect]  #: Effects that may be the cause, at their typical sizes
     block: Annotated[float, Meta(gt=0)] = 10.0  #: s, of the blocks that are fitted and compared
     #: Share of the recordings that nothing is chosen on and the shrink is measured on
     sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25

@@ -178,7 +178,6 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
 
 
 def _part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
-    """Columns of some windows, whitened."""
     system, filter_ = metric.discrepancy.system, metric.filter_
     part = LinearSystem(system.f[rows], system.h[rows], system.seen[rows], system.r, system.start)
     gains = FilterGains(

@@ -635,7 +635,6 @@ def _swapped(
 
 
 def _exchanged(values: FloatArray, i: int, j: int) -> FloatArray:
-    """The table with two columns in each other's place."""
     order = list(range(values.shape[1]))
     order[i], order[j] = j, i
     return np.ascontiguousarray(values[:, order])

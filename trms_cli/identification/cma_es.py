@@ -45,10 +45,8 @@ class CmaEs:
     #: Standard deviation of the first generation as a share of the box; ⅙ is one prior standard
     #: deviation in a box of ±3
     initial_step: Annotated[float, Meta(gt=0, le=1)] = 1 / 6
-    #: After convergence, from a random point with twice the individuals
-    restarts: Annotated[int, Meta(ge=0)] = 0
-    #: Converged when the costs of the last generations differ by less
-    tolerance: Annotated[float, Meta(gt=0)] = 1e-3
+    restarts: Annotated[int, Meta(ge=0)] = 0  #: Each from a random point with twice the individuals
+    tolerance: Annotated[float, Meta(gt=0)] = 1e-3  #: Of the costs of the last generations
 
     fits_parameters: ClassVar[bool] = True
 

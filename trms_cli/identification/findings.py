@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from trms_cli.core import findings as told
 from trms_cli.core import wording
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
-from trms_cli.core.findings import (
-    Block,
-    Column,
-    Datum,
-    Findings,
-    Judgement,
-    Measure,
-    NextCommand,
-    Remarks,
-    Section,
-    table,
-)
 
 if TYPE_CHECKING:
     from trms_cli.identification.free_runs import Assessment, WindowRuns
@@ -44,8 +33,8 @@ _WIDTH = 5.5
 def findings(
     document: Mapping[str, Any],
     assessment: Assessment | None = None,
-    then: Sequence[NextCommand] = (),
-) -> Findings:
+    then: Sequence[told.NextCommand] = (),
+) -> told.Findings:
     """What is worth telling of a fit: of ``trms.identification/1``.
 
     ``assessment``: its free runs are drawn. ``then``: what to type next.
@@ -55,7 +44,7 @@ def findings(
         sections.append(_parameters(document))
     sections += [_search(document), _recordings(document)]
     model = wording.model_name(str(document["model"]))
-    return Findings(
+    return told.Findings(
         title=f"Fit of {model} by {wording.readable(str(document['method']))}",
         lead=list(_lead(document)),
         sections=sections,
@@ -99,11 +88,11 @@ def _lead(document: Mapping[str, Any]) -> Iterator[str]:
     yield f"How it ended: {document['sentence']}."
 
 
-def _measures(document: Mapping[str, Any]) -> Iterator[Measure]:
+def _measures(document: Mapping[str, Any]) -> Iterator[told.Measure]:
     for error in _errors(document, judged_part(document)):
         was = "" if error.before is None else f"; before: {wording.number(error.before)}"
         head = f"RMSE {wording.signal(error.output)}"
-        yield Measure(head, error.rmse, error.unit, error.change, PARTS[error.part] + was)
+        yield told.Measure(head, error.rmse, error.unit, error.change, PARTS[error.part] + was)
 
 
 class _Error(NamedTuple):
@@ -118,7 +107,7 @@ class _Error(NamedTuple):
     fit: float | None  #: %
 
     @property
-    def change(self) -> Judgement:
+    def change(self) -> told.Judgement:
         if self.before is None or self.rmse is None or not self.before > 0:
             return ""
         change = self.rmse / self.before - 1
@@ -147,20 +136,22 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
     return facts
 
 
-def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> Section:
+def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> told.Section:
     columns = [
-        Column("output", lambda error: wording.with_unit(wording.signal(error.output), error.unit)),
-        Column("recording", lambda error: PARTS[error.part]),
-        Column("RMSE before", "before"),
-        Column("RMSE fitted", lambda error: Datum(error.rmse, error.change)),
-        Column("largest error", "largest"),
-        Column("fit [%]", "fit"),
+        told.Column(
+            "output", lambda error: wording.with_unit(wording.signal(error.output), error.unit)
+        ),
+        told.Column("recording", lambda error: PARTS[error.part]),
+        told.Column("RMSE before", "before"),
+        told.Column("RMSE fitted", lambda error: told.Datum(error.rmse, error.change)),
+        told.Column("largest error", "largest"),
+        told.Column("fit [%]", "fit"),
     ]
     errors = [error for part in PARTS for error in _errors(document, part)]
-    blocks: list[Block] = [table(errors, columns, "Free runs of the model.", heads=2)]
+    blocks: list[told.Block] = [told.table(errors, columns, "Free runs of the model.", heads=2)]
     chart = None if assessment is None else free_run_chart(assessment)
     blocks += [chart] if chart is not None else []
-    return Section(
+    return told.Section(
         "Free runs",
         [
             "The model alone over windows, each started from what was measured in the two seconds "
@@ -247,28 +238,30 @@ def near(
     return low - margin, high + margin
 
 
-def _parameters(document: Mapping[str, Any]) -> Section:
+def _parameters(document: Mapping[str, Any]) -> told.Section:
     columns = [
-        Column("parameter", lambda item: wording.with_unit(item[0], item[1]["unit"])),
-        Column("fitted", lambda item: Datum(item[1]["value"], sd=item[1]["sd"])),
-        Column("±", lambda item: item[1]["sd"]),
-        Column("before", lambda item: item[1]["prior_mean"]),
-        Column("± before", lambda item: item[1]["prior_sd"]),
+        told.Column("parameter", lambda item: wording.with_unit(item[0], item[1]["unit"])),
+        told.Column("fitted", lambda item: told.Datum(item[1]["value"], sd=item[1]["sd"])),
+        told.Column("±", lambda item: item[1]["sd"]),
+        told.Column("before", lambda item: item[1]["prior_mean"]),
+        told.Column("± before", lambda item: item[1]["prior_sd"]),
     ]
     if any(p["at_bound"] for p in document["parameters"].values()):
         columns.append(
-            Column("at a bound", lambda item: Datum(item[1]["at_bound"] or "", "doubtful"))
+            told.Column(
+                "at a bound", lambda item: told.Datum(item[1]["at_bound"] or "", "doubtful")
+            )
         )
-    doubts = [Datum(text, "doubtful") for text in doubts_of(document)]
-    return Section(
+    doubts = [told.Datum(text, "doubtful") for text in doubts_of(document)]
+    return told.Section(
         "Parameters",
         [
             "± is one standard deviation: of the estimate, with the residuals' own size and "
             "correlation, and of what was known before."
         ],
         [
-            table(document["parameters"].items(), columns),
-            *([Remarks(doubts)] if doubts else []),
+            told.table(document["parameters"].items(), columns),
+            *([told.Remarks(doubts)] if doubts else []),
             parameter_chart(document["parameters"]),
         ],
     )
@@ -376,7 +369,7 @@ def _place(points: tuple[list[float], list[float]], x: float, y: float) -> None:
     points[1].append(y)
 
 
-def _search(document: Mapping[str, Any]) -> Section:
+def _search(document: Mapping[str, Any]) -> told.Section:
     settings = ", ".join(f"{k} {v}" for k, v in document["settings"].items() if k[0] != "_")
     text = [f"{document['method']}: {settings}."]
     agree = document["details"].get("starts_agree")
@@ -388,7 +381,7 @@ def _search(document: Mapping[str, Any]) -> Section:
         )
     many = len(document["history"]) > 1
     blocks = [convergence_chart(document["history"])] if many else []
-    return Section("The search", text, blocks, folded=True)
+    return told.Section("The search", text, blocks, folded=True)
 
 
 def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
@@ -416,16 +409,16 @@ def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
     return Chart("convergence", panels, caption, width=_WIDTH, height=2.6)
 
 
-def _recordings(document: Mapping[str, Any]) -> Section:
+def _recordings(document: Mapping[str, Any]) -> told.Section:
     columns = [
-        Column("recording", "source"),
-        Column("part", lambda r: PARTS[r["part"]]),
-        Column("from [s]", "from_s"),
-        Column("to [s]", "to_s"),
-        Column("rate [Hz]", lambda r: 1 / r["sample_time_s"]),
-        Column("SHA-256", lambda r: r["sha256"][:16]),
+        told.Column("recording", "source"),
+        told.Column("part", lambda r: PARTS[r["part"]]),
+        told.Column("from [s]", "from_s"),
+        told.Column("to [s]", "to_s"),
+        told.Column("rate [Hz]", lambda r: 1 / r["sample_time_s"]),
+        told.Column("SHA-256", lambda r: r["sha256"][:16]),
     ]
     remarks = list(dict.fromkeys(remark for r in document["recordings"] for remark in r["remarks"]))
-    blocks: list[Block] = [table(document["recordings"], columns, on_screen=False)]
-    blocks += [Remarks(remarks, on_screen=False)] if remarks else []
-    return Section("Recordings", (), blocks, folded=True)
+    blocks: list[told.Block] = [told.table(document["recordings"], columns, on_screen=False)]
+    blocks += [told.Remarks(remarks, on_screen=False)] if remarks else []
+    return told.Section("Recordings", (), blocks, folded=True)

@@ -18,14 +18,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.plugins import require_known
-from trms_cli.identification.greybox.map_fit import (
-    MapFit,
-    MapSettings,
-    Point,
-    fit_from,
-    identifiability,
-    profile,
-)
+from trms_cli.identification.greybox import map_fit
 from trms_cli.identification.greybox.objective import sizes
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import (
@@ -65,16 +58,16 @@ class MultipleShooting:
         begun = time.perf_counter()
         wanted = _profiled(self.profiles, problem)
         windows = Windows(problem)
-        settings = MapSettings(
+        settings = map_fit.MapSettings(
             iterations=self.iterations, tolerance=self.tolerance, joined=_JOINED[self.continuity]
         )
         watcher = _Watcher(progress, problem, self.starts, self.iterations, begun)
-        fits: list[MapFit] = []
+        fits: list[map_fit.MapFit] = []
         for k in range(self.starts):
             theta = watcher.begin(k)
             if theta is None:
                 theta = _starting_point(k, problem, windows, settings)
-            fits.append(fit_from(windows, theta, settings, watch=watcher))
+            fits.append(map_fit.fit_from(windows, theta, settings, watch=watcher))
             watcher.evaluations += fits[-1].objective.evaluations
             if watcher.stopped:
                 break
@@ -119,7 +112,7 @@ class _Watcher:
         self._start = start
         return np.array(self._points[start]) if start < len(self._points) else None
 
-    def __call__(self, iteration: int, point: Point) -> bool:
+    def __call__(self, iteration: int, point: map_fit.Point) -> bool:
         # A search seldom takes more than a third of the steps that it may.
         share = 1 - 0.1 ** (3 * iteration / self._iterations)
         fraction = (self._start + share) / self._starts
@@ -136,7 +129,7 @@ class _Watcher:
 
 
 def _starting_point(
-    k: int, problem: FitProblem, windows: Windows, settings: MapSettings
+    k: int, problem: FitProblem, windows: Windows, settings: map_fit.MapSettings
 ) -> FloatArray:
     """Where the search number ``k`` begins: the model as it is, a standard place, draws."""
     first = problem.starts
@@ -147,7 +140,7 @@ def _starting_point(
         if effects.any() and not effects.all():
             # With the effects' sizes held, the model's own parameters are fitted first: where the
             # search for both at once loses its way, this one may not, and the other way round.
-            return fit_from(windows, first, settings, held=effects).point.theta
+            return map_fit.fit_from(windows, first, settings, held=effects).point.theta
         if not np.array_equal(problem.prior_means, first):
             return problem.prior_means
     generator = np.random.default_rng(np.random.SeedSequence([problem.seed, 0x57A7, k]))
@@ -156,7 +149,7 @@ def _starting_point(
     return np.clip(drawn, low, high)
 
 
-def _standings(fits: list[MapFit]) -> FloatArray:
+def _standings(fits: list[map_fit.MapFit]) -> FloatArray:
     """Minus the logarithm of each fit's posterior, nats, up to a constant; infinite for failures.
 
     Each fit weighs residuals by their own size, and a worse one allows itself larger ones. Here
@@ -180,7 +173,9 @@ def _standings(fits: list[MapFit]) -> FloatArray:
     return standings
 
 
-def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str, Any]:
+def _details(
+    problem: FitProblem, fits: list[map_fit.MapFit], best: map_fit.MapFit
+) -> dict[str, Any]:
     """What the result says beside its values, as JSON has it."""
     judge, standings = best.objective, _standings(fits)
     least = standings.min()
@@ -200,7 +195,7 @@ def _details(problem: FitProblem, fits: list[MapFit], best: MapFit) -> dict[str,
     covariance = best.covariance
     if best.information is None or covariance is None:
         return details
-    known = identifiability(best.information, problem.names, covariance)
+    known = map_fit.identifiability(best.information, problem.names, covariance)
     at = problem.on_bounds(best.point.theta)
     weights, declared = judge.weights, judge.windows.declared
     return details | {
@@ -227,7 +222,9 @@ def _profiled(asked: tuple[str, ...], problem: FitProblem) -> tuple[str, ...]:
     return asked
 
 
-def _profiles(best: MapFit, wanted: tuple[str, ...], watcher: _Watcher) -> Mapping[str, Any]:
+def _profiles(
+    best: map_fit.MapFit, wanted: tuple[str, ...], watcher: _Watcher
+) -> Mapping[str, Any]:
     covariance = best.covariance
     assert best.information is not None and covariance is not None
     problem = best.objective.windows.problem
@@ -240,7 +237,7 @@ def _profiles(best: MapFit, wanted: tuple[str, ...], watcher: _Watcher) -> Mappi
         plain = float(np.sqrt(max(curvature[i, i], 0.0)) * problem.scales[i])
         sd = float(np.sqrt(covariance[i, i])) or plain
         # The cost's own curvature takes residuals as white; the covariance does not.
-        along = profile(
+        along = map_fit.profile(
             best.objective, best.point, name, sd, factor=(plain / sd) ** 2, watch=watcher
         )
         found[name] = {

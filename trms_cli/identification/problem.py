@@ -282,10 +282,8 @@ class FitProblem:
         """
         lower, upper = self.bounds
         near = _ON_BOUND * self.scales
-        found: IntArray = np.where(
-            theta <= lower + near, -1, np.where(theta >= upper - near, 1, 0)
-        ).astype(np.int64)
-        return found
+        above = np.where(theta >= upper - near, 1, 0)
+        return np.where(theta <= lower + near, -1, above).astype(np.int64)
 
     def all_values(self, theta: FloatArray) -> FloatArray:
         """The model's whole parameter vector with the free ones at ``theta``, shape (n_p,)."""

@@ -46,8 +46,7 @@ class Figure:
     key: str  #: In the score; a dot leads further down: ``time_ms.median``
     label: str  #: ``RMSE``; what follows a comma is left out in short: ``overshoot, worst step``
     unit: str = ""  #: ``{}`` stands for the unit of the channel, input or state
-    #: How far it may move from a baseline; None: it is not compared with one
-    tolerance: FigureTolerance | None = None
+    tolerance: FigureTolerance | None = None  #: How far it may move from a baseline; None: any way
     judged: bool = True  #: Whether moving further decides about the run, or is shown only
     better: Literal["less", ""] = "less"  #: Which way is better; "" for neither
     short: bool = True  #: Whether ``trms run`` ends with it, and pages of sweeps and panels have it

@@ -311,7 +311,6 @@ def _solver(score: Mapping[str, Any]) -> Table:
 
 
 def _exceeded(score: Mapping[str, Any]) -> Table:
-    """Limits that were exceeded."""
     columns = figures.of_group("constraint_violations")
     rows: list[list[Cell]] = [
         [

@@ -91,8 +91,7 @@ def score_tables(
         "constraint_violations": _violations(tables, limits),
         "degraded": degraded_figures(tables.get("/controller")),
     }
-    data: dict[str, Any] = json_data(document)
-    return data
+    return json_data(document)
 
 
 @dataclass(frozen=True)
@@ -160,7 +159,6 @@ def _inputs(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
 
 
 def _computed(group: figures.Group, signals: TrackedChannel | AppliedInput) -> dict[str, Any]:
-    """The figures of a channel or an input, by their keys."""
     return {
         figure.key: figure.of(metrics, signals)
         for figure in figures.of_group(group)

@@ -192,8 +192,7 @@ _TELLING = 0.3
 class Exogenous:
     """How far the rig's own doings predict a force."""
 
-    #: Of the force's variance beyond its noise, on held-out blocks, beyond chance; 0 to 1
-    predictable_share: float
+    predictable_share: float  #: Of the variance beyond noise, on held-out blocks, 0 to 1
     ci95: tuple[float, float]  #: Bootstrap over blocks
     p_value: float  #: Share of surrogates predicted as well: large for a force from outside
     from_variables: tuple[str, ...]  #: What predicts it, the most telling first; empty for nothing

@@ -35,8 +35,7 @@ class ForceRecord:
     location: str  #: One of :data:`trms_cli.gap.diagnosis.LOCATIONS`
     unit: str  #: Of the force: N*m, V, rad, rad/s
     time: FloatArray  #: (k,) array; s, rising within a recording
-    #: (k,) array of int; which recording a sample belongs to; the samples of one stand together
-    recording: IntArray
+    recording: IntArray  #: (k,) array; of which recording; the samples of one stand together
     #: ``force``, ``sd``: (k,) arrays; smoothed estimate and its standard deviation
     force: FloatArray
     sd: FloatArray

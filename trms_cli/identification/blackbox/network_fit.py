@@ -53,8 +53,7 @@ class Regressors:
 
     output_lags: tuple[Lag, ...] = (1, 2)  #: Samples back, rising from 1 on
     input_lags: tuple[Lag, ...] = (1, 2)  #: Samples back, rising from 1 on
-    #: s, a whole multiple of the recordings'; None: theirs
-    sample_time: Annotated[float, Meta(gt=0)] | None = None
+    sample_time: Annotated[float, Meta(gt=0)] | None = None  #: s; None: the recordings'
     incremental: bool = True  #: The network gives the change of the outputs, else the outputs
     differences: bool = True  #: Differences between successive lags in place of the lagged outputs
     #: s, length of the Savitzky–Golay window over the outputs before fitting; 0: none

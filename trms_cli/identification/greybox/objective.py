@@ -122,8 +122,7 @@ class Quadratic(NamedTuple):
     """The cost as a parabola in changes of starts and parameters, all in scaled units."""
 
     triangles: FloatArray  #: (m, k, n + n_f + 1) array; of each window's data
-    #: (m, n) array; start less the centre of its prior, in prior standard deviations; slope 1
-    start_gap: FloatArray
+    start_gap: FloatArray  #: (m, n) array; start less the centre of its prior, over its sd; slope 1
     prior_root: FloatArray  #: (n_f,) array; root of the precision of each prior, scaled
     prior_gap: FloatArray  #: (n_f,) array; ``prior_root·(θ − centre)``
     joint: Joint | None
@@ -261,13 +260,12 @@ def _gaps(joint: Joint, dx: FloatArray, dtheta: FloatArray) -> FloatArray:
     """Weighted gaps at the joints after a change, (number of joints, n)."""
     j = np.flatnonzero(joint.follows)
     n = dx.shape[1]
-    gaps: FloatArray = (
+    return (
         joint.gap[j]
         + np.einsum("jnk,jk->jn", joint.from_before[j][..., :n], dx[j - 1])
         + joint.from_before[j][..., n:] @ dtheta
         - joint.weight * dx[j]
     )
-    return gaps
 
 
 @dataclass

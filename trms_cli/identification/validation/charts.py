@@ -33,7 +33,6 @@ def _colour(i: int) -> Colour:
 
 
 def _channels(validations: Sequence[ModelValidation]) -> list[tuple[str, str]]:
-    """Channels that any model has, with their units."""
     every = {signal.name: signal.unit for v in validations for signal in v.channels}
     return list(every.items())
 

@@ -60,8 +60,7 @@ def document_of(validations: Sequence[ModelValidation]) -> dict[str, Any]:
     else:
         document["models"] = {v.name: model_document(v) for v in validations}
         document |= comparison_document(validations)
-    plain: dict[str, Any] = json_data(document)
-    return plain
+    return json_data(document)
 
 
 def model_document(validation: ModelValidation) -> dict[str, Any]:

@@ -9,20 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from trms_cli.core import findings as told
 from trms_cli.core import wording
-from trms_cli.core.findings import (
-    Block,
-    Cell,
-    Column,
-    Datum,
-    Findings,
-    Judgement,
-    Measure,
-    Remarks,
-    Section,
-    Table,
-    table,
-)
 from trms_cli.core.invocation import command_line
 from trms_cli.identification.admission import Issue
 from trms_cli.identification.validation import charts
@@ -57,7 +45,7 @@ _MOST_TESTS = 6
 _WHITENESS = ("auto", "ljung_box", "other")
 
 
-def findings(document: Document, validations: Sequence[ModelValidation] = ()) -> Findings:
+def findings(document: Document, validations: Sequence[ModelValidation] = ()) -> told.Findings:
     """What is worth telling of a validation: of ``trms.validation/1``.
 
     ``validations``: what charts are drawn of; none without.
@@ -66,15 +54,15 @@ def findings(document: Document, validations: Sequence[ModelValidation] = ()) ->
     sections = [_comparison(document)] if len(models) > 1 else []
     for name, of in models.items():
         heading = "What is good and what is not" if len(models) == 1 else f"{name} in sentences"
-        items = Remarks(remarks_on(of), on_screen=len(models) == 1)
-        sections.append(Section(heading, (), [items], folded=len(models) > 1))
+        items = told.Remarks(remarks_on(of), on_screen=len(models) == 1)
+        sections.append(told.Section(heading, (), [items], folded=len(models) > 1))
     sections += [_errors(models, validations), _errors_in_full(models)]
     sections += _regions(validations)
     sections.append(_tests(models, validations))
     sections += _spectra(validations)
     sections += _signals(validations)
     sections.append(_method(document, models))
-    return Findings(
+    return told.Findings(
         title=f"Validation of {wording.listing(list(models))}",
         lead=lead_of(document),
         sections=sections,
@@ -94,7 +82,7 @@ def in_short(document: Document) -> str:
     return f"RMS over {float(last):g} s {', '.join(parts)}"
 
 
-def _measures(document: Document, models: Mapping[str, Document]) -> list[Measure]:
+def _measures(document: Document, models: Mapping[str, Document]) -> list[told.Measure]:
     if len(models) > 1:
         return []
     (of,) = models.values()
@@ -105,12 +93,14 @@ def _measures(document: Document, models: Mapping[str, Document]) -> list[Measur
         unit, scale = wording.small_unit(of["units"][channel])
         value = None if row["rms"] is None else scale * row["rms"]
         better = row["rms"] is not None and row["rms"] < (row["unchanged_rms"] or 0)
-        judgement: Judgement = "" if better else "bad"
+        judgement: told.Judgement = "" if better else "bad"
         note = f"free for {float(last):g} s"
-        measures.append(Measure(f"RMS {word(channel)}", value, unit, judgement, note))
+        measures.append(told.Measure(f"RMS {word(channel)}", value, unit, judgement, note))
     failed, count = of["residual_tests"]["failed"], of["residual_tests"]["count"]
-    mark: Judgement = "bad" if failed else "good"
-    measures.append(Measure("tests that fail", f"{failed} of {count}", "", mark, "one step ahead"))
+    mark: told.Judgement = "bad" if failed else "good"
+    measures.append(
+        told.Measure("tests that fail", f"{failed} of {count}", "", mark, "one step ahead")
+    )
     return measures
 
 
@@ -133,19 +123,19 @@ def _facts(document: Document) -> dict[str, str]:
     return facts
 
 
-def _comparison(document: Document) -> Section:
+def _comparison(document: Document) -> told.Section:
     ranks = {row["model"]: rank for rank, row in enumerate(document["ranking"], 1)}
     columns = [
-        Column("rank", lambda row: ranks[row["model"]]),
-        Column("model", "model"),
-        Column("error over no change", "relative_error"),
-        Column("95 % interval", lambda row: _between(row["ci95"])),
+        told.Column("rank", lambda row: ranks[row["model"]]),
+        told.Column("model", "model"),
+        told.Column("error over no change", "relative_error"),
+        told.Column("95 % interval", lambda row: _between(row["ci95"])),
     ]
-    blocks: list[Block] = [
-        table(document["ranking"], columns, heads=2),
-        Remarks(remarks_on_comparison(document)),
+    blocks: list[told.Block] = [
+        told.table(document["ranking"], columns, heads=2),
+        told.Remarks(remarks_on_comparison(document)),
     ]
-    rows: list[list[Cell]] = []
+    rows: list[list[told.Cell]] = []
     for pair in document["comparison"]:
         for channel, horizons in pair["by_channel"].items():
             cells = [_ratio(figures) for figures in horizons.values()]
@@ -153,7 +143,7 @@ def _comparison(document: Document) -> Section:
     horizons = list(next(iter(document["comparison"][0]["by_channel"].values()), {}))
     if rows:
         blocks.append(
-            Table(
+            told.Table(
                 ["models", "channel", *(f"{float(h):g} s" for h in horizons)],
                 rows,
                 "RMS of the first over RMS of the second, with 95 % intervals; coloured where "
@@ -162,7 +152,7 @@ def _comparison(document: Document) -> Section:
                 on_screen=False,
             )
         )
-    return Section(
+    return told.Section(
         "Which model",
         [
             "The same windows for all models. The error is the geometric mean, over channels and "
@@ -173,22 +163,22 @@ def _comparison(document: Document) -> Section:
     )
 
 
-def _ratio(figures: Document) -> Datum:
+def _ratio(figures: Document) -> told.Datum:
     low, high = figures["ci95"]
-    mark: Judgement = ""
+    mark: told.Judgement = ""
     if low is not None and abs(figures["ratio"] - 1.0) >= _SMALL:
         mark = "good" if high < 1 else "bad" if low > 1 else ""
     text = wording.number(figures["ratio"])
     if low is not None:
         text += f" ({wording.interval(low, high)})"
-    return Datum(text, mark)
+    return told.Datum(text, mark)
 
 
-def _errors(models: Mapping[str, Document], validations: Sequence[ModelValidation]) -> Section:
-    blocks: list[Block] = [_in_short(name, of) for name, of in models.items()]
+def _errors(models: Mapping[str, Document], validations: Sequence[ModelValidation]) -> told.Section:
+    blocks: list[told.Block] = [_in_short(name, of) for name, of in models.items()]
     if validations:
         blocks += [charts.growth_chart(validations), charts.free_run_chart(validations)]
-    return Section(
+    return told.Section(
         "Errors",
         [
             "The model runs alone from the start of each window. RMS over all samples of the "
@@ -198,51 +188,51 @@ def _errors(models: Mapping[str, Document], validations: Sequence[ModelValidatio
     )
 
 
-def _errors_in_full(models: Mapping[str, Document]) -> Section:
+def _errors_in_full(models: Mapping[str, Document]) -> told.Section:
     text = (
         "RMS over the windows of a horizon, with the 95 % interval; **at its end** that much time "
         "after the last measurement. Fit is 1 − ‖e‖/‖y − ȳ‖, VAF 1 − var e/var y."
     )
     tables = [_error_table(name, of) for name, of in models.items()]
-    return Section("Errors in full", [text], tables, folded=True)
+    return told.Section("Errors in full", [text], tables, folded=True)
 
 
-def _in_short(name: str, of: Document) -> Table:
+def _in_short(name: str, of: Document) -> told.Table:
     """A row a channel and one of predicting no change; columns of horizons."""
     horizons = list(next(iter(of["by_horizon"].values())))
-    rows: list[list[Cell]] = []
+    rows: list[list[told.Cell]] = []
     for channel, by_horizon in of["by_horizon"].items():
         unit, scale = wording.small_unit(of["units"][channel])
         steps = [of["one_step"][channel], *(by_horizon[h] for h in horizons)]
         tests = [t for t in of["residual_tests"]["tests"] if t["channel"] == channel]
         failed = sum(test["failed"] for test in tests)
 
-        def figures(key: str, steps: list[Any] = steps, scale: float = scale) -> list[Cell]:
+        def figures(key: str, steps: list[Any] = steps, scale: float = scale) -> list[told.Cell]:
             return [None if s[key] is None else scale * s[key] for s in steps]
 
         fit = by_horizon[horizons[-1]]["fit_percent"]
-        tested = Datum(f"{failed}/{len(tests)}", "bad" if failed else "")
+        tested = told.Datum(f"{failed}/{len(tests)}", "bad" if failed else "")
         label = wording.with_unit(word(channel), unit)
         rows.append([label, *figures("rms"), None if fit is None else round(fit), tested])
         rows.append(["  no change", *figures("unchanged_rms"), None, ""])
     heads = [name, "1 step", *(f"{float(h):g} s" for h in horizons), "fit [%]", "tests"]
     caption = f"RMS; fit over {float(horizons[-1]):g} s; residual tests that fail."
-    return Table(heads, rows, caption)
+    return told.Table(heads, rows, caption)
 
 
-def _error_table(name: str, of: Document) -> Table:
+def _error_table(name: str, of: Document) -> told.Table:
     columns = [
-        *(Column(head, head) for head in ("channel", "free for")),
-        Column("RMS", "rms"),
-        Column("95 % interval", "interval"),
-        Column("at its end", "at_end"),
-        Column("largest", "max"),
-        Column("no change", "unchanged_rms"),
-        Column("fit [%]", "fit_percent"),
-        Column("VAF [%]", "vaf_percent"),
+        *(told.Column(head, head) for head in ("channel", "free for")),
+        told.Column("RMS", "rms"),
+        told.Column("95 % interval", "interval"),
+        told.Column("at its end", "at_end"),
+        told.Column("largest", "max"),
+        told.Column("no change", "unchanged_rms"),
+        told.Column("fit [%]", "fit_percent"),
+        told.Column("VAF [%]", "vaf_percent"),
     ]
     caption = f"{name}. Red: no better than predicting no change."
-    return table(_error_rows(of), columns, caption, heads=2, on_screen=False)
+    return told.table(_error_rows(of), columns, caption, heads=2, on_screen=False)
 
 
 def _error_rows(of: Document) -> Iterator[dict[str, Any]]:
@@ -253,13 +243,13 @@ def _error_rows(of: Document) -> Iterator[dict[str, Any]]:
         yield {"channel": label, "at_end": step["rms"], **step}
         for horizon, row in horizons.items():
             better = row["rms"] is not None and row["rms"] < (row["unchanged_rms"] or 0)
-            rms = Datum(row["rms"], "" if better else "bad")
+            rms = told.Datum(row["rms"], "" if better else "bad")
             place = {"channel": "", "free for": f"{float(horizon):g} s"}
             yield {**row, **place, "rms": rms, "interval": _between(row["ci95"])}
         yield {"channel": "", "free for": "to the end", "interval": "", **of["free_run"][channel]}
 
 
-def _regions(validations: Sequence[ModelValidation]) -> list[Section]:
+def _regions(validations: Sequence[ModelValidation]) -> list[told.Section]:
     chart = charts.region_chart(validations) if validations else None
     if chart is None:
         return []
@@ -267,21 +257,21 @@ def _regions(validations: Sequence[ModelValidation]) -> list[Section]:
         "The error over the operating range: a row a channel, a column a signal that tells where "
         "the rig was. The bins of a column hold equally many samples."
     )
-    return [Section("Where the error lies", [text], [chart], folded=True)]
+    return [told.Section("Where the error lies", [text], [chart], folded=True)]
 
 
-def _tests(models: Mapping[str, Document], validations: Sequence[ModelValidation]) -> Section:
+def _tests(models: Mapping[str, Document], validations: Sequence[ModelValidation]) -> told.Section:
     tests = next(iter(models.values()))["residual_tests"]
     source = (
         "from simulations of the model with the sensors' noise and quanta"
         if tests["calibration"] == "simulated"
         else "from the limit of long recordings, valid for any input and in closed loop"
     )
-    blocks: list[Block] = [_test_table(name, of) for name, of in models.items()]
+    blocks: list[told.Block] = [_test_table(name, of) for name, of in models.items()]
     drawn = {v.name: charts.correlation_chart(v) for v in validations}
     blocks += [chart for chart in drawn.values() if chart is not None]
     short = [name for name, chart in drawn.items() if chart is None]
-    return Section(
+    return told.Section(
         "Residual tests",
         [
             "What the past foretells of the one-step error, a right model has foretold. The "
@@ -294,10 +284,10 @@ def _tests(models: Mapping[str, Document], validations: Sequence[ModelValidation
     )
 
 
-def _test_table(name: str, of: Document) -> Table:
+def _test_table(name: str, of: Document) -> told.Table:
     channels = list(of["by_horizon"])
     by_place = {(t["channel"], t["name"]): t for t in of["residual_tests"]["tests"]}
-    rows: list[list[Cell]] = []
+    rows: list[list[told.Cell]] = []
     for test in dict.fromkeys(key[1] for key in by_place):
         own = [by_place.get((channel, test)) for channel in channels]
         known = [one for one in own if one is not None and one["p_holm"] is not None]
@@ -306,14 +296,14 @@ def _test_table(name: str, of: Document) -> Table:
     heads = ["test", *(word(channel) for channel in channels), "if it fails"]
     count = of["residual_tests"]["count"]
     caption = f"{name}: p over all {wording.count(count, 'test')}. {_predictor(of)}"
-    return Table(heads, rows, caption, on_screen=False)
+    return told.Table(heads, rows, caption, on_screen=False)
 
 
-def _p_value(test: Document | None) -> Cell:
+def _p_value(test: Document | None) -> told.Cell:
     if test is None or test["p_holm"] is None:
         return wording.MISSING
     text = p_words(test["p_holm"]).removeprefix("p ").removeprefix("= ")
-    return Datum(("✗ " if test["failed"] else "") + text, "bad" if test["failed"] else "good")
+    return told.Datum(("✗ " if test["failed"] else "") + text, "bad" if test["failed"] else "good")
 
 
 def _predictor(of: Document) -> str:
@@ -328,7 +318,7 @@ def _predictor(of: Document) -> str:
     return text
 
 
-def _spectra(validations: Sequence[ModelValidation]) -> list[Section]:
+def _spectra(validations: Sequence[ModelValidation]) -> list[told.Section]:
     chart = charts.spectra_chart(validations) if validations else None
     if chart is None:
         return []
@@ -337,37 +327,37 @@ def _spectra(validations: Sequence[ModelValidation]) -> list[Section]:
         "recording and of its error; the coherence tells how much of the error follows an input "
         "linearly."
     )
-    return [Section("Spectra", [text], [chart], folded=True)]
+    return [told.Section("Spectra", [text], [chart], folded=True)]
 
 
-def _signals(validations: Sequence[ModelValidation]) -> list[Section]:
+def _signals(validations: Sequence[ModelValidation]) -> list[told.Section]:
     if not validations:
         return []
     columns = [
-        Column("signal", lambda c: wording.with_unit(c.name, c.unit)),
-        *(Column(n, n) for n in ("mean", "sd", "least", "largest", "skewness", "kurtosis")),
-        Column("correlation time [s]", "correlation_time"),
-        Column("peak [Hz]", "peak_frequency"),
-        Column("95 % of power below [Hz]", "band_edge"),
-        Column("p: mean drifts", "trend_of_mean"),
-        Column("p: power drifts", "trend_of_power"),
-        Column("missing", "missing"),
+        told.Column("signal", lambda c: wording.with_unit(c.name, c.unit)),
+        *(told.Column(n, n) for n in ("mean", "sd", "least", "largest", "skewness", "kurtosis")),
+        told.Column("correlation time [s]", "correlation_time"),
+        told.Column("peak [Hz]", "peak_frequency"),
+        told.Column("95 % of power below [Hz]", "band_edge"),
+        told.Column("p: mean drifts", "trend_of_mean"),
+        told.Column("p: power drifts", "trend_of_power"),
+        told.Column("missing", "missing"),
     ]
     first = characteristics_of(validations[0].datasets[0])
-    blocks: list[Block] = []
+    blocks: list[told.Block] = []
     for dataset in validations[0].datasets:
         caption = f"{dataset.name}. Kurtosis is 3 for a normal distribution."
-        blocks.append(table(characteristics_of(dataset), columns, caption, on_screen=False))
+        blocks.append(told.table(characteristics_of(dataset), columns, caption, on_screen=False))
     if first:
         blocks.append(charts.signal_chart(first, validations[0].sample_time))
     text = (
         "What the recording excites. A small p of drift means that mean or power changed over the "
         "recording: averages over it then hide something."
     )
-    return [Section("Signals", [text], blocks, folded=True)]
+    return [told.Section("Signals", [text], blocks, folded=True)]
 
 
-def _method(document: Document, models: Mapping[str, Document]) -> Section:
+def _method(document: Document, models: Mapping[str, Document]) -> told.Section:
     predictor = next(iter(models.values()))["predictor"]
     items = [
         f"Start of a window: {_START_WORDS[document['window_start']]}. Predicting no change "
@@ -380,7 +370,7 @@ def _method(document: Document, models: Mapping[str, Document]) -> Section:
     if left:
         listed = ", ".join(f"{horizon:g} s" for horizon in left)
         items.append(f"Horizons that do not fit the recording: {listed}.")
-    return Section("How it was made", (), [Remarks(items, on_screen=False)], folded=True)
+    return told.Section("How it was made", (), [told.Remarks(items, on_screen=False)], folded=True)
 
 
 def _between(ends: Sequence[float | None]) -> str:
@@ -486,7 +476,7 @@ def _lead_of_several(document: Document) -> list[str]:
     return sentences
 
 
-def remarks_on(document: Document) -> list[Datum]:
+def remarks_on(document: Document) -> list[told.Datum]:
     """One model's figures in sentences: errors, tests, regions."""
     return [
         *_on_errors(document),
@@ -496,7 +486,7 @@ def remarks_on(document: Document) -> list[Datum]:
     ]
 
 
-def _on_errors(document: Document) -> Iterator[Datum]:
+def _on_errors(document: Document) -> Iterator[told.Datum]:
     for channel, rows in document["by_horizon"].items():
         unit = document["units"][channel]
         chosen = list(rows)[-2:]
@@ -505,7 +495,7 @@ def _on_errors(document: Document) -> Iterator[Datum]:
         )
         naive = wording.listing([quantity_words(rows[h]["unchanged_rms"], unit) for h in chosen])
         grades = [_grade(document, channel, rows[h]) for h in chosen]
-        judgement: Judgement = "doubtful"
+        judgement: told.Judgement = "doubtful"
         if "bad" in grades:
             judgement = "bad"
         elif "useful" not in grades:
@@ -517,10 +507,10 @@ def _on_errors(document: Document) -> Iterator[Datum]:
         if set(grades) == {"noise"}:
             noise = quantity_words(document["noise_sd"][channel], unit)
             text += f". That is the sensor's noise ({noise})"
-        yield Datum(text + ".", judgement)
+        yield told.Datum(text + ".", judgement)
 
 
-def _on_belief(document: Document) -> Iterator[Datum]:
+def _on_belief(document: Document) -> Iterator[told.Datum]:
     off = {
         channel: figures["normalised_square"]
         for channel, figures in document["one_step"].items()
@@ -528,21 +518,21 @@ def _on_belief(document: Document) -> Iterator[Datum]:
     }
     if off:
         parts = wording.listing([f"{word(c)} {value:.2g}" for c, value in off.items()])
-        yield Datum(
+        yield told.Datum(
             f"The one-step errors are not as wide as the declared noise and the filter expect "
             f"(mean square over expected: {parts}; 1 is right): `data.noise_sd` may be wrong.",
             "doubtful",
         )
 
 
-def _on_tests(document: Document) -> Iterator[Datum]:
+def _on_tests(document: Document) -> Iterator[told.Datum]:
     tests = document["residual_tests"]
     level = f"{100 * tests['level']:g} %"
     if not tests["count"] or all(test["p"] is None for test in tests["tests"]):
-        yield Datum("No residual test could be made: too few samples.", "doubtful")
+        yield told.Datum("No residual test could be made: too few samples.", "doubtful")
         return
     if not tests["failed"]:
-        yield Datum(
+        yield told.Datum(
             f"None of {tests['count']} residual tests fails (a false alarm in any: {level}).",
             "good",
         )
@@ -561,7 +551,7 @@ def _on_tests(document: Document) -> Iterator[Datum]:
                 " A quantised angle does that to a right model too: `tests.calibration=simulated` "
                 "tells the two apart."
             )
-        yield Datum(text, "doubtful" if len(coloured) == len(failed) else "bad")
+        yield told.Datum(text, "doubtful" if len(coloured) == len(failed) else "bad")
     groups: dict[tuple[str, str], list[Document]] = {}
     for test in failed:
         if test["name"] not in _WHITENESS:
@@ -574,13 +564,13 @@ def _on_tests(document: Document) -> Iterator[Datum]:
             largest = max(abs(test["largest_correlation"] or 0.0) for test in found)
             size = f" correlation up to {largest:.2f},"
         p = p_words(found[0]["p_holm"])
-        yield Datum(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
+        yield told.Datum(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
     rest = sum(len(found) for found in list(groups.values())[_MOST_TESTS:])
     if rest:
-        yield Datum(f"{rest} more tests fail: see the table.", "bad")
+        yield told.Datum(f"{rest} more tests fail: see the table.", "bad")
 
 
-def _on_regions(document: Document) -> Iterator[Datum]:
+def _on_regions(document: Document) -> Iterator[told.Datum]:
     """Per channel, the quarter of the time with most of the error, if it is much."""
     horizon = document["regions"]["horizon_s"]
     for channel, rows in document["by_horizon"].items():
@@ -598,7 +588,7 @@ def _on_regions(document: Document) -> Iterator[Datum]:
         share, low, high, time, variable = max(found)
         if share >= max(_CONCENTRATED, 1.5 * time):
             unit = document["units"].get(variable, "")
-            yield Datum(
+            yield told.Datum(
                 f"{100 * share:.0f} % of the squared error of {word(channel)} over {horizon:g} s "
                 f"lies where {word(variable)} is between {_digits(low)} and {_digits(high)} {unit}"
                 f"{' ' if unit else ''}({100 * time:.0f} % of the time).",
@@ -620,7 +610,7 @@ def worst_quarter(table: Document) -> tuple[float, float, float, float]:
     return edges[i], edges[i + width], sum(time[i : i + width]), sum(error[i : i + width])
 
 
-def remarks_on_comparison(document: Document) -> list[Datum]:
+def remarks_on_comparison(document: Document) -> list[told.Datum]:
     """Pairs of models in sentences."""
     remarks = []
     for pair in document["comparison"]:
@@ -632,11 +622,13 @@ def remarks_on_comparison(document: Document) -> list[Datum]:
             ratio += f" ({pair['ci95'][0]:.3g} to {pair['ci95'][1]:.3g})"
         text = f"{one} errs {ratio} times as much as {other}"
         if not pair["differ"]:
-            remarks.append(Datum(f"{text}: these recordings do not tell.", "doubtful"))
+            remarks.append(told.Datum(f"{text}: these recordings do not tell.", "doubtful"))
         elif abs(pair["ratio"] - 1.0) < _SMALL:
-            remarks.append(Datum(f"{text}: more than chance, and next to nothing.", "doubtful"))
+            remarks.append(
+                told.Datum(f"{text}: more than chance, and next to nothing.", "doubtful")
+            )
         else:
-            remarks.append(Datum(f"{text}: more than chance.", "good"))
+            remarks.append(told.Datum(f"{text}: more than chance.", "good"))
     return remarks
 
 

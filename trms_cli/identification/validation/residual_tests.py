@@ -286,8 +286,7 @@ class ResidualTest:
     inputs: tuple[str, ...]  #: Inputs that take part
     formula: str  #: As the literature writes it
     result: MomentTest
-    #: p-value over all tests of all channels: one or more false alarms with this probability
-    p_holm: float = np.nan
+    p_holm: float = np.nan  #: Over all tests of all channels: of one or more false alarms
     p_bh: float = np.nan  #: The same as a share of false alarms among the alarms
 
     @property

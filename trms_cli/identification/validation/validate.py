@@ -73,8 +73,7 @@ class PredictorOptions:
 
     #: Scaled to the recording by maximum likelihood, or as the observer has it by default
     process_noise: Literal["fitted", "nominal"] = "fitted"
-    #: Equations with an estimated torque; none by default, so that the model answers alone
-    torques: tuple[str, ...] = ()
+    torques: tuple[str, ...] = ()  #: Equations with an estimated one; none: the model answers alone
     settle: Annotated[float, Meta(ge=0)] = 2.0  #: s at the beginning that are not judged
 
 
@@ -155,8 +154,7 @@ class OneStep:
     """Predictions of the next sample."""
 
     channels: tuple[str, ...]  #: Columns of the arrays
-    #: (n, n_y) array; measured minus predicted, in the outputs' units; NaN where there is none
-    errors: FloatArray
+    errors: FloatArray  #: (n, n_y) array; measured minus predicted; NaN where there is none
     #: (n, n_y) array; what the predictor believes its errors to be; NaN for one that does not say
     expected_sd: FloatArray
     states: FloatArray  #: (n, n_x) array; with the measurement at the sample known
@@ -205,7 +203,6 @@ def predict_one_step(
 
 
 def _from_measured(model: Model, dataset: Dataset, rollout: Rollout, states: FloatArray) -> OneStep:
-    """One step of the model from measured states."""
     n = len(dataset)
     first = np.flatnonzero(~np.isnan(states[: n - 1]).any(axis=1))
     columns = output_columns(model, dataset)

@@ -54,8 +54,8 @@ class ComparisonGroup:
         """Tracking errors (entrants, conditions): NaN where nobody ran, inf for a failed run."""
         table = np.full((len(self.entrants), len(self.conditions)), np.nan)
         for place, runs in self.cells.items():
-            values = [_error(run, metric) for run in runs]
-            table[place] = float(np.mean(values))
+            failed = [run.state is State.FAILED for run in runs]
+            table[place] = math.inf if any(failed) else np.mean([r.error(metric) for r in runs])
         return table
 
     @property
@@ -188,12 +188,6 @@ def matching_runs(
                 remedy=f"there are: {', '.join(values)}",
             )
     return left
-
-
-def _error(run: ComparisonRun, metric: str) -> float:
-    if run.state is State.FAILED:
-        return math.inf
-    return run.error(metric)
 
 
 def _stem(key: str) -> str:

@@ -38,8 +38,7 @@ class Bfgs(TrainingAlgorithm):
 class OneStepSecant(TrainingAlgorithm):
     """Battiti's memoryless BFGS with a strong Wolfe line search."""
 
-    #: Largest share of the slope along the line that a search leaves
-    curvature: Annotated[float, Meta(gt=0, lt=1)] = 0.4
+    curvature: Annotated[float, Meta(gt=0, lt=1)] = 0.4  #: Share of the slope that a search leaves
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

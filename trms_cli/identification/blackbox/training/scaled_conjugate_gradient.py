@@ -26,8 +26,7 @@ _MOST_SCALE = 1e15
 class ScaledConjugateGradient(TrainingAlgorithm):
     """Møller's algorithm."""
 
-    #: σ, length of the step for the second derivative
-    difference: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-5
+    difference: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-5  #: σ, a step for the curvature
     first_scale: Annotated[float, Meta(gt=0, le=1e-2)] = 5e-7  #: λ at the start
 
     def minimise(

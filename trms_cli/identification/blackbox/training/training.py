@@ -57,8 +57,7 @@ class EpochReport(Protocol):
 class TrainingAlgorithm(Protocol):
     """A training algorithm: configuration, and one method."""
 
-    #: Whether the training guards against over-fitting itself and needs no early stopping.
-    regularised: ClassVar[bool] = False
+    regularised: ClassVar[bool] = False  #: It guards against over-fitting itself: no early stopping
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport
