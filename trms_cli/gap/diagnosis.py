@@ -153,10 +153,8 @@ class RaceEntry:
 
     #: Empty for the refitted model without any; ``flexible`` for a residual force without a name
     effects: tuple[str, ...]
-    #: Held-out log predictive density, nats above the refitted model; ``se`` is the standard error
-    #: over blocks
-    score: float
-    se: float
+    score: float  #: held-out log predictive density, nats above the refitted model
+    se: float  #: its standard error over blocks
     explained: float  #: Share of the gap beyond the noise floor that it closes, 0 to 1
     moved: float  #: Largest move of a nominal parameter, in prior standard deviations
     #: Fitted sizes.

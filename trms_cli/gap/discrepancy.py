@@ -54,7 +54,7 @@ class FilterGains(NamedTuple):
     """A filter that is ready to run."""
 
     k: FloatArray  #: (m, c, n, n_y) array
-    root: FloatArray  #: (m, c, n_y, n_y) array; whitens the innovations: L⁻¹ of their L Lᵀ
+    root: FloatArray  #: (m, c, n_y, n_y) array; L⁻¹ with L Lᵀ the innovations' covariance
     logdet: FloatArray  #: (m,) array; of the innovations' covariances of each window
     p: FloatArray | None  #: (m, c, n, n) array or None; covariance of each prediction
 

@@ -57,10 +57,6 @@ class HorizonErrors:
         return float(np.sqrt(np.mean(self.squared)))
 
 
-#: By channel and horizon.
-Errors = Mapping[str, Mapping[float, HorizonErrors]]
-
-
 def free_run_errors(
     model: Model,
     datasets: Sequence[Dataset],
@@ -230,7 +226,6 @@ _RESAMPLES, _LEAST_GAP = 400, 1.05
 _WORSE = 1.02
 #: s. The horizon at which a channel is judged worse.
 _TOLD_AT = 2.0
-ALL = "all"
 
 
 @dataclass(frozen=True)
@@ -260,7 +255,7 @@ def measure_shrinkage(
     options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
     plain, richer = rollouts
 
-    def runs(model: Model, rollout: Rollout | None) -> Errors:
+    def runs(model: Model, rollout: Rollout | None) -> dict[str, dict[float, HorizonErrors]]:
         return free_run_errors(model, parts.whole, parts.sealed, rollout=rollout, **options)
 
     before = after = runs(refit, plain)
@@ -286,7 +281,7 @@ def measure_shrinkage(
             own = (squares / floor**2, reference.block)
             pooled.setdefault(key, []).append(own)
             shrink.setdefault(channel, {})[key] = _pooled([own], problem.seed)
-    shrink[ALL] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
+    shrink["all"] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
     decisive = repr(_TOLD_AT)
     worse = tuple(
         channel

@@ -45,15 +45,11 @@ class Calibration:
     temperature: float  #: β, belief per nat
     rest_weight: float  #: γ and ρ, nats
     rest_scale: float  #: γ and ρ, nats
-    #: ``entrance``, ``shape``, ``unnamed``: κ, κ′ and κ*: of two laws that explain the same, the
-    #: one with fewer sizes
-    entrance: float
-    shape: float
-    unnamed: float
-    #: ``parameters_slope``, ``parameters_centre``: Of the logistic function, in the logarithm of
-    #: one plus the refit's gain in nats
-    parameters_slope: float
-    parameters_centre: float
+    entrance: float  #: κ, for each effect
+    shape: float  #: κ′, for each further size: of laws that explain the same, the one with fewer
+    unnamed: float  #: κ*, for none of these
+    parameters_slope: float  #: Of the logistic function of log(1 + gain of the refit in nats)
+    parameters_centre: float  #: Its gain of one half, nats
     command: str = ""  #: That makes the file again
 
     def usual(self, location: str) -> float:

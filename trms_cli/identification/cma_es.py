@@ -46,7 +46,7 @@ class CmaEs:
     #: deviation in a box of ±3
     initial_step: Annotated[float, Meta(gt=0, le=1)] = 1 / 6
     restarts: Annotated[int, Meta(ge=0)] = 0  #: Each from a random point with twice the individuals
-    tolerance: Annotated[float, Meta(gt=0)] = 1e-3  #: Of the costs of the last generations
+    tolerance: Annotated[float, Meta(gt=0)] = 1e-3  #: Spread of the last costs at convergence
 
     fits_parameters: ClassVar[bool] = True
 

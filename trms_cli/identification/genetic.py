@@ -21,10 +21,6 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.identification.population import Box, search_fit
 from trms_cli.identification.problem import FitProblem, FitResult, Progress
 
-Crossover = Literal["simulated_binary", "uniform", "two_point"]
-Mutation = Literal["polynomial", "gaussian"]
-Selection = Literal["tournament", "random"]
-
 #: pymoo sorts costs; a failed simulation is worse than any that did not.
 _FAILED = 1e30
 
@@ -42,12 +38,12 @@ class Genetic:
     #: How the first generation is drawn: from the priors, or evenly over the box. The start is
     #: always one of it.
     first: Literal["priors", "even"] = "priors"
-    selection: Selection = "tournament"  #: Of parents
-    crossover: Crossover = "simulated_binary"
+    selection: Literal["tournament", "random"] = "tournament"  #: Of parents
+    crossover: Literal["simulated_binary", "uniform", "two_point"] = "simulated_binary"
     crossover_probability: Probability = 0.9  #: Of a pair of parents
     #: Of the simulated binary crossover: the larger, the closer children are to parents
     crossover_index: Annotated[float, Meta(ge=0)] = 10.0
-    mutation: Mutation = "polynomial"
+    mutation: Literal["polynomial", "gaussian"] = "polynomial"
     #: Of each parameter of a child; None: one over the number of parameters
     mutation_probability: Probability | None = None
     #: Of the polynomial mutation: the larger, the smaller the change

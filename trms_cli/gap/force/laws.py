@@ -36,9 +36,8 @@ class ForceRecord:
     unit: str  #: Of the force: N*m, V, rad, rad/s
     time: FloatArray  #: (k,) array; s, rising within a recording
     recording: IntArray  #: (k,) array; of which recording; the samples of one stand together
-    #: ``force``, ``sd``: (k,) arrays; smoothed estimate and its standard deviation
-    force: FloatArray
-    sd: FloatArray
+    force: FloatArray  #: (k,) array; smoothed estimate
+    sd: FloatArray  #: (k,) array; its standard deviation
     #: dict of str to (k,) array; ``pitch`` and ``yaw``, rad and rad/s
     angles: Mapping[str, FloatArray] = field(default_factory=dict)
     rates: Mapping[str, FloatArray] = field(default_factory=dict)  #: likewise
@@ -283,10 +282,6 @@ def _quadratic(at: LawInputs) -> Columns:
     return [rate * np.abs(rate) for rate in at.rate(at.axis)]
 
 
-def _linear_stiffness(at: LawInputs) -> Columns:
-    return at.angle(at.axis)
-
-
 def _cubic_stiffness(at: LawInputs) -> Columns:
     return [angle**3 for angle in at.angle(at.axis)]
 
@@ -410,7 +405,7 @@ LAWS: dict[str, tuple[str, Callable[[LawInputs], Columns]]] = {
     "sign_of_rate": ("the sign of the {axis} rate (dry friction)", _sign_of_rate),
     "rest": ("what holds the axis at rest (stiction)", _rest),
     "quadratic_damping": ("the {axis} rate squared", _quadratic),
-    "stiffness": ("the {axis} angle (a spring)", _linear_stiffness),
+    "stiffness": ("the {axis} angle (a spring)", lambda at: at.angle(at.axis)),
     "cubic_stiffness": ("the {axis} angle cubed (a hardening spring)", _cubic_stiffness),
     "hysteresis": ("the travel since the last reversal (hysteresis)", _hysteresis),
     "imbalance": ("cosine and sine of the pitch (a mass out of balance)", _imbalance),

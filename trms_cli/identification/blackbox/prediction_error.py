@@ -43,9 +43,8 @@ class Scaling:
 
     regressor_mean: FloatArray  #: (n_phi,) arrays
     regressor_sd: FloatArray  #: (n_phi,) arrays
-    #: ``output_mean``, ``output_sd``: (n_y,) arrays; of the targets, which may be increments
-    output_mean: FloatArray
-    output_sd: FloatArray
+    output_mean: FloatArray  #: (n_y,) array; of the target, of increments where it is one
+    output_sd: FloatArray  #: (n_y,) array; likewise
     level_sd: FloatArray  #: (n_y,) array; of the outputs themselves: the scale of simulation errors
 
 

@@ -292,9 +292,8 @@ class ExcitationDesign:
     ranges: dict[str, tuple[float, float]]  #: Ends of each output during the excitation
     #: The same over the rigs drawn from the priors that stayed within the stops
     drawn_ranges: dict[str, tuple[float, float]]
-    #: ``drawn``, ``lost``: Rigs drawn, and those of them that went beyond a stop
-    drawn: int
-    lost: int
+    drawn: int  #: Rigs drawn
+    lost: int  #: Those of them that went beyond a stop
     system: StateSpace  #: At the operating point, the rotors at their root mean square speed
     poles: tuple[float, float]  #: Slowest and fastest, rad/s
 

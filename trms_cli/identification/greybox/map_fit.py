@@ -362,9 +362,8 @@ def minimise(
         if not watch(k, best):
             return SearchEnd(best, FitOutcome.INTERRUPTED, k)
         dx, dtheta = step(quadratic, damping, best.theta, bounds, objective.scales)
-        promised = quadratic.cost(np.zeros_like(dx), np.zeros_like(dtheta)) - quadratic.cost(
-            dx, dtheta
-        )
+        here = quadratic.cost(np.zeros_like(dx), np.zeros_like(dtheta))
+        promised = here - quadratic.cost(dx, dtheta)
         if promised < tolerance and damping <= _FIRST_DAMPING:
             return SearchEnd(best, FitOutcome.CONVERGED, k)
         theta = np.clip(best.theta + dtheta * objective.scales, *bounds)

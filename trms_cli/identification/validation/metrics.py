@@ -99,10 +99,8 @@ class WindowErrors:
 class BlockSums:
     """Squared errors of one model, channel and horizon, summed over blocks of time."""
 
-    #: ``squares``, ``counts``: (b,) arrays; sum of the squared errors in each block, and how many
-    #: samples they are
-    squares: FloatArray
-    counts: FloatArray
+    squares: FloatArray  #: (b,) array; squared errors, summed in each block
+    counts: FloatArray  #: (b,) array; how many samples they are
 
     @property
     def rms(self) -> float:
@@ -228,9 +226,8 @@ class RegionTable:
     variable: str
     edges: FloatArray  #: (b + 1,) array; of the bins, in the variable's unit
     rms: FloatArray  #: (b,) array; of the error in each bin, in the channel's unit
-    #: ``time_share``, ``error_share``: (b,) arrays; of the samples, and of the squared error
-    time_share: FloatArray
-    error_share: FloatArray
+    time_share: FloatArray  #: (b,) array; of the samples
+    error_share: FloatArray  #: (b,) array; of the squared error
 
 
 def region_tables(
@@ -293,9 +290,8 @@ class Spectrum:
 
     frequencies: FloatArray  #: (f,) array; hz
     density: FloatArray  #: (f,) array; unit² per Hz
-    #: ``lower``, ``upper``: Factors of the density to the ends of its 95 % interval
-    lower: float
-    upper: float
+    lower: float  #: Factor of the density to the lower end of its 95 % interval
+    upper: float  #: To the upper end
     segments: int
 
 

@@ -189,11 +189,8 @@ def predict_one_step(
         factors = _fitted_factors(short, settled)
     errors, sd, states = filter_.run(factors, dataset.measurements)
     errors[:settled] = np.nan
-    words = "unscented Kalman filter, " + (
-        f"torques estimated on {', '.join(options.torques)}"
-        if options.torques
-        else "no torque estimated"
-    )
+    torques = f"torques estimated on {', '.join(options.torques)}"
+    words = f"unscented Kalman filter, {torques if options.torques else 'no torque estimated'}"
     if options.process_noise == "fitted":
         words += (
             f", process noise scaled by maximum likelihood (beam {factors['beam']:.2g}, "

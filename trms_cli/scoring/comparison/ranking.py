@@ -27,8 +27,6 @@ from trms_cli.scoring.comparison.runs import ComparisonRun, State, differing_coo
 
 #: Coordinates of who ran; the others are of what was run in.
 OF_ENTRANTS = ("controller", "observer", "model", "supervisor", "qp_solver")
-#: The coordinate that is no rig's.
-REFERENCE = "ref"
 #: Keys of true values of a rig; as many as this are named together.
 RIG_PARAMETERS, FEWEST_GATHERED = "plant.parameters.", 6
 
@@ -195,7 +193,7 @@ def _stem(key: str) -> str:
 
 
 def _of_reference(key: str) -> bool:
-    return _stem(key) == REFERENCE or key.partition("@")[2].partition(".")[0] == REFERENCE
+    return "ref" in (_stem(key), key.partition("@")[2].partition(".")[0])
 
 
 FAILED_RATIO = 10.0
@@ -381,28 +379,21 @@ class Figures:
     """Figures of one entrant over its runs; NaN for what no run tells."""
 
     runs: int  #: Those that count
-    #: ``error_mean``, ``error_p95``, ``error_worst``: Tracking error in the metric's unit, of the
-    #: runs that did not fail
-    error_mean: float
-    error_p95: float
-    error_worst: float
+    error_mean: float  #: Of tracking, in the metric's unit, of the runs that did not fail
+    error_p95: float  #: likewise
+    error_worst: float  #: likewise
     ratio_p95: float  #: Error over the best in the same condition
     ratio_worst: float  #: a failed run counts as `FAILED_RATIO` or more
-    #: ``effort``, ``variation``: Mean of ∫u²dt (V² s) and of Σ|Δu| (V), both inputs added
-    effort: float
-    variation: float
-    #: ``step_ms``, ``step_p99_ms``: Time of a control step: median of the runs' medians, median of
-    #: their 99th percentiles, ms
-    step_ms: float
-    step_p99_ms: float
+    effort: float  #: Mean of ∫u²dt, both inputs added, V² s
+    variation: float  #: Mean of Σ|Δu|, both inputs added, V
+    step_ms: float  #: Time of a control step: median of the runs' medians, ms
+    step_p99_ms: float  #: Median of their 99th percentiles, ms
     step_max_ms: float  #: The longest of all, ms
     failed: int  #: Runs that ended in an error
     non_finite: int | None  #: Commands that were not finite; None where nobody counted
     fallbacks: int  #: Control samples on which the solver failed or a fall-back acted
-    #: ``degraded_s``, ``degraded_runs``: Time in which the loop was not normal, s in all runs, and
-    #: in how many
-    degraded_s: float
-    degraded_runs: int
+    degraded_s: float  #: Time in which the loop was not normal, s in all runs
+    degraded_runs: int  #: and in how many
     missed: int  #: Deadlines
     violations: int  #: Samples beyond a limit
 

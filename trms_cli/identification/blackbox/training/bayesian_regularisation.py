@@ -32,9 +32,8 @@ class BayesianRegularisation(TrainingAlgorithm):
     """MacKay's evidence framework within Levenberg–Marquardt steps."""
 
     damping: Annotated[float, Meta(gt=0)] = 5e-3  #: μ at the start, relative to β N
-    #: ``growth``, ``decay``: Factors of μ after a step that fails and after one that succeeds
-    growth: Annotated[float, Meta(gt=1)] = 10.0
-    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.1
+    growth: Annotated[float, Meta(gt=1)] = 10.0  #: Factor of μ after a step that fails
+    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.1  #: After one that succeeds
 
     regularised: ClassVar[bool] = True
 

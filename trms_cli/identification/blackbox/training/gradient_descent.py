@@ -31,9 +31,8 @@ class GradientDescent(TrainingAlgorithm):
     learning_rate: Annotated[float, Meta(gt=0)] = 0.05  #: η at the start
     momentum: Annotated[float, Meta(ge=0, lt=1)] = 0.0  #: μ; 0 for none
     adaptive: bool = False  #: Whether η adapts and bad steps are taken back
-    #: ``growth``, ``decay``: Factors of η after a good and after a bad step
-    growth: Annotated[float, Meta(ge=1)] = 1.05
-    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.7
+    growth: Annotated[float, Meta(ge=1)] = 1.05  #: Factor of η after a good step
+    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.7  #: After a bad one
     tolerance: Annotated[float, Meta(ge=1)] = 1.04  #: Factor by which a step may raise the loss
 
     def minimise(

@@ -29,9 +29,8 @@ class LevenbergMarquardt(TrainingAlgorithm):
     """Hagan & Menhaj's training."""
 
     damping: Annotated[float, Meta(gt=0)] = 1e-3  #: μ at the start, per residual
-    #: ``growth``, ``decay``: Factors of μ after a step that fails and after one that succeeds
-    growth: Annotated[float, Meta(gt=1)] = 10.0
-    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.1
+    growth: Annotated[float, Meta(gt=1)] = 10.0  #: Factor of μ after a step that fails
+    decay: Annotated[float, Meta(gt=0, lt=1)] = 0.1  #: After one that succeeds
 
     def minimise(
         self, objective: TrainingObjective, start: FloatArray, report: EpochReport

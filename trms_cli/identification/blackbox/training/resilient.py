@@ -23,10 +23,9 @@ from trms_cli.identification.blackbox.training.training import EpochReport, Trai
 class Resilient(TrainingAlgorithm):
     """RPROP."""
 
-    #: ``first_step``, ``least_step``, ``most_step``: Steps of the weights at the start, and bounds
-    first_step: Annotated[float, Meta(gt=0)] = 0.01
-    least_step: Annotated[float, Meta(gt=0)] = 1e-7
-    most_step: Annotated[float, Meta(gt=0)] = 5.0
+    first_step: Annotated[float, Meta(gt=0)] = 0.01  #: Of each weight at the start
+    least_step: Annotated[float, Meta(gt=0)] = 1e-7  #: Its lower bound
+    most_step: Annotated[float, Meta(gt=0)] = 5.0  #: Its upper bound
     growth: Annotated[float, Meta(gt=1)] = 1.2  #: η⁺ and η⁻
     decay: Annotated[float, Meta(gt=0, lt=1)] = 0.5  #: η⁺ and η⁻
 

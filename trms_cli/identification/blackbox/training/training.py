@@ -82,12 +82,11 @@ class Stopping:
 class TrainingHistory:
     """A training epoch by epoch; entry 0 is the start."""
 
-    #: ``seconds``, ``losses``, ``validation``, ``effective``: processor time since the start
-    #: (without what validation takes), mean squared residuals of the fitted data and of the
-    #: validation data (NaN where there are none), effective number of parameters (NaN: not known)
+    #: s of processor time since the start, without what validation takes
     seconds: list[float] = field(default_factory=list)
-    losses: list[float] = field(default_factory=list)
-    validation: list[float] = field(default_factory=list)
+    losses: list[float] = field(default_factory=list)  #: Mean squared residuals
+    validation: list[float] = field(default_factory=list)  #: Of held-out data; NaN without any
+    #: Effective number of parameters; NaN where not known
     effective: list[float] = field(default_factory=list)
 
     @property
