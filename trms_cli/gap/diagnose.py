@@ -174,8 +174,8 @@ def result_of(stages: StageResults) -> diagnosis.DiagnosisResult:
     if posterior.verdict not in ("no_gap", "parameters_only"):
         where = _where(stages)
         main = [w.location for w in where[:2] if w.location in stages.forces]
-        shares = {k: v for k, v in stages.place.share().items() if k in stages.forces}
-        for location in main or sorted(shares, key=lambda k: -shares[k])[:1]:
+        forced = {k: v for k, v in stages.place.share().items() if k in stages.forces}
+        for location in main or sorted(forced, key=lambda k: -forced[k])[:1]:
             region += regions(stages.forces[location])
             words = words or description(stages.forces[location])
     unseen = _not_testable(stages)
