@@ -86,7 +86,8 @@ class TestRanking:
         ranking = rank(group([run("a"), run("b", 0.2), short]))
         assert [each.name for each in ranking.standings] == ["a", "b"]
         again = replace(run("b"), path="again")
-        assert standing(rank(group([run("a"), again, failed("b")])), "b").failed == 1
+        beside = rank(group([run("a"), again, failed("b")]))
+        assert figures_of(standing(beside, "b")).failed == 1
 
     def test_outsiders_have_no_rank_and_are_not_the_best(self):
         runs = [run("a", 0.2), run("b", 0.3), run("seer", 0.1, outside="knows what comes")]

@@ -240,7 +240,7 @@ def test_the_steady_state_error_is_that_of_the_worst_hold():
     assert steady_state_error(time, reference, response) == pytest.approx(0.02)
 
 
-@given(st.floats(0, 2000), st.sampled_from([2, 4, 10, 20, 50]))
+@given(st.floats(0, 2000), st.sampled_from([1, 2, 3, 4, 9, 10, 20, 50]))
 def test_the_tail_is_scipys(statistic, degrees):
     assert chi_square_tail(statistic, degrees) == pytest.approx(
         float(scipy.stats.chi2.sf(statistic, degrees)), rel=1e-9, abs=1e-300
@@ -298,8 +298,6 @@ def test_what_says_nothing_has_no_p_and_odd_degrees_no_closed_form():
     assert math.isnan(joint_p([math.nan]))
     assert joint_p([0.01, math.nan, 0.4]) == pytest.approx(0.02)
     assert joint_p([0.9, 0.8]) == 1.0
-    with pytest.raises(ValueError, match="even"):
-        chi_square_tail(1.0, 3)
 
 
 def test_the_mean_nees_is_the_number_of_states_also_for_correlated_ones():
