@@ -18,8 +18,24 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import json_data
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
-from trms_cli.gap import diagnosis, free_runs
+from trms_cli.gap import free_runs
 from trms_cli.gap.competing_model import FittedModel, Metric, Refit, nominal_parameters, refit
+from trms_cli.gap.diagnosis import (
+    NO_EFFECT,
+    Cause,
+    Detectable,
+    DiagnosedRecording,
+    DiagnosisResult,
+    FittedParameter,
+    GapTest,
+    LocationShare,
+    NextExperiment,
+    NotTestable,
+    RaceEntry,
+    RegionShare,
+    SizeEstimate,
+    Traces,
+)
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.next_experiment import advise
@@ -73,7 +89,7 @@ class _Watch:
         return True
 
 
-def diagnose(problem: GapProblem, progress: Progress | None = None) -> diagnosis.DiagnosisResult:
+def diagnose(problem: GapProblem, progress: Progress | None = None) -> DiagnosisResult:
     """Say where the gap lies, which effect causes it, and how far it shrinks.
 
     Raises ConfigurationError for recordings that are too short, and KeyboardInterrupt if the
@@ -159,17 +175,17 @@ class StageResults:
     race: Race
     place: Location
     forces: Mapping[str, ForceRecord]  #: Smoothed missing force of each equation
-    tests: tuple[diagnosis.GapTest, ...]
+    tests: tuple[GapTest, ...]
     posterior: Posterior
     sealed: free_runs.SealedComparison
 
 
-def result_of(stages: StageResults) -> diagnosis.DiagnosisResult:
+def result_of(stages: StageResults) -> DiagnosisResult:
     """The diagnosis, without the times that it took."""
     problem, posterior, refit = stages.problem, stages.posterior, stages.race.refit
     shrinkage = stages.sealed.shrinkage
-    where: tuple[diagnosis.LocationShare, ...] = ()
-    region: list[diagnosis.RegionShare] = []
+    where: tuple[LocationShare, ...] = ()
+    region: list[RegionShare] = []
     words: tuple[str, ...] = ()
     if posterior.verdict not in ("no_gap", "parameters_only"):
         where = _where(stages)
@@ -181,9 +197,9 @@ def result_of(stages: StageResults) -> diagnosis.DiagnosisResult:
     unseen = _not_testable(stages)
     parameters, causes = _parameters(stages), _causes(stages)
     shares = zip(refit.metric.discrepancy.channels, refit.metric.shares.tolist(), strict=True)
-    return diagnosis.DiagnosisResult(
+    return DiagnosisResult(
         recordings=tuple(
-            diagnosis.DiagnosedRecording(
+            DiagnosedRecording(
                 file=d.source,
                 sha256=d.sha256,
                 duration_s=d.duration,
@@ -223,7 +239,7 @@ def result_of(stages: StageResults) -> diagnosis.DiagnosisResult:
     )
 
 
-def _where(stages: StageResults) -> tuple[diagnosis.LocationShare, ...]:
+def _where(stages: StageResults) -> tuple[LocationShare, ...]:
     """Each place's share of the gap: by the causes where they are named, else by disturbances."""
     place, posterior, candidates = stages.place, stages.posterior, stages.candidates
     seed = stages.race.refit.structure.problem.seed
@@ -241,7 +257,7 @@ def _where(stages: StageResults) -> tuple[diagnosis.LocationShare, ...]:
         values = [d.get(location, 0.0) for d in drawn]
         low, high = np.quantile(values, [0.025, 0.975]) if values else (share, share)
         listed.append(
-            diagnosis.LocationShare(
+            LocationShare(
                 location=location,
                 share=share,
                 ci95=(float(min(low, share)), float(max(high, share))),
@@ -258,7 +274,7 @@ def _shares(
     total = sum(by_disturbance.values())
     shares: dict[str, float] = {}
     for effects, probability in probabilities.items():
-        if effects[0] in diagnosis.NO_EFFECT:
+        if effects[0] in NO_EFFECT:
             if effects[0] == "none_of_these" and total > 0:
                 for location, share in by_disturbance.items():
                     shares[location] = shares.get(location, 0.0) + probability * share / total
@@ -272,43 +288,39 @@ def _shares(
     return shares
 
 
-def _causes(stages: StageResults) -> tuple[diagnosis.Cause, ...]:
+def _causes(stages: StageResults) -> tuple[Cause, ...]:
     entries = {e.names: e for e in stages.race.entries}
     causes = [
-        diagnosis.Cause(
+        Cause(
             effects=effects,
             probability=probability,
             parameters=_sizes(entries[effects]) if effects in entries else {},
         )
         for effects, probability in stages.posterior.probabilities.items()
-        if probability >= _LEAST_PROBABILITY or effects[0] in diagnosis.NO_EFFECT
+        if probability >= _LEAST_PROBABILITY or effects[0] in NO_EFFECT
     ]
     total = sum(cause.probability for cause in causes)
     return tuple(
-        diagnosis.Cause(
-            effects=c.effects, probability=c.probability / total, parameters=c.parameters
-        )
+        Cause(effects=c.effects, probability=c.probability / total, parameters=c.parameters)
         for c in causes
     )
 
 
-def _sizes(entry: FittedModel) -> dict[str, diagnosis.SizeEstimate]:
+def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
     fit, sd = entry.fit, entry.fit.sd
     return {
-        free.name: diagnosis.SizeEstimate(
-            value=float(fit.theta[i]), sd=float(sd[i]), unit=free.unit
-        )
+        free.name: SizeEstimate(value=float(fit.theta[i]), sd=float(sd[i]), unit=free.unit)
         for i, free in enumerate(entry.structure.problem.free)
         if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
     }
 
 
-def _parameters(stages: StageResults) -> dict[str, diagnosis.FittedParameter]:
+def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
     entry = stages.posterior.corrected or stages.race.refit
     structure, fit, sd = entry.structure, entry.fit, entry.fit.sd
     own = set(stages.race.refit.structure.problem.names)
     return {
-        free.name: diagnosis.FittedParameter(
+        free.name: FittedParameter(
             prior=float(stages.problem.model.parameters[free.name].value),
             fitted=float(fit.theta[i]),
             sd=float(sd[i]),
@@ -322,7 +334,7 @@ def _parameters(stages: StageResults) -> dict[str, diagnosis.FittedParameter]:
     }
 
 
-def _race(stages: StageResults) -> tuple[diagnosis.RaceEntry, ...]:
+def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
     """Everyone, and those without an effect to compare with."""
     race, features = stages.race, stages.posterior.features
     refit = race.refit
@@ -332,16 +344,16 @@ def _race(stages: StageResults) -> tuple[diagnosis.RaceEntry, ...]:
 
     def row(
         effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
-    ) -> diagnosis.RaceEntry:
+    ) -> RaceEntry:
         apart = predictive - own
         error = np.std(apart, ddof=1) * np.sqrt(len(apart)) if len(apart) > 1 else 0.0
         given = {"explained": 0.0, **more}
-        return diagnosis.RaceEntry(
+        return RaceEntry(
             effects=effects, score=float(apart.sum()), se=float(error), moved=moved, **given
         )
 
     moved = _moved(race, refit)
-    rows = [diagnosis.RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=moved)]
+    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=moved)]
     if refit.raw.evidence is not None:
         rows.append(row(("no_gap",), refit.raw.predictive, 0.0))
     for entry in race.entries:
@@ -374,31 +386,27 @@ def _moved(race: Race, entry: FittedModel) -> float:
     return max(_moves(race, entry).values(), default=0.0)
 
 
-def _detectable(stages: StageResults) -> dict[str, diagnosis.Detectable]:
+def _detectable(stages: StageResults) -> dict[str, Detectable]:
     signs, sizes = stages.race.signatures, {}
     for name in dict.fromkeys(signs.names):
         least = signs.least_size(name)
         if least is not None:
             unit = stages.candidates[name].free[0].unit
-            sizes[name] = diagnosis.Detectable(minimum_size=least, unit=unit)
+            sizes[name] = Detectable(minimum_size=least, unit=unit)
     return sizes
 
 
-def _not_testable(stages: StageResults) -> tuple[diagnosis.NotTestable, ...]:
+def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
     race = stages.race
-    rows = [diagnosis.NotTestable(effect=name, reason=why) for name, why in stages.left_out.items()]
+    rows = [NotTestable(effect=name, reason=why) for name, why in stages.left_out.items()]
     known = set(race.signatures.names)
     for name, candidate in stages.candidates.items():
         if not candidate.simulated:
             continue
         if name not in known:
-            rows.append(
-                diagnosis.NotTestable(effect=name, reason="no simulation with it stays finite")
-            )
+            rows.append(NotTestable(effect=name, reason="no simulation with it stays finite"))
         elif race.signatures.least_size(name) is None:
-            rows.append(
-                diagnosis.NotTestable(effect=name, reason=why_not_testable(race, candidate))
-            )
+            rows.append(NotTestable(effect=name, reason=why_not_testable(race, candidate)))
     return tuple(rows)
 
 
@@ -414,16 +422,14 @@ def _remarks(stages: StageResults) -> tuple[str, ...]:
     return (*remarks, *proxies)
 
 
-def _advice(
-    stages: StageResults, unseen: tuple[diagnosis.NotTestable, ...]
-) -> diagnosis.NextExperiment | None:
+def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperiment | None:
     """What to record next: what parts those that are not told apart, else what shows the unseen."""
     race, posterior, candidates = stages.race, stages.posterior, stages.candidates
     best = posterior.best
     apart: list[str] = []
     values: dict[str, float] = {}
     shares = None
-    if best is not None and posterior.confusable and best.names[0] not in diagnosis.NO_EFFECT:
+    if best is not None and posterior.confusable and best.names[0] not in NO_EFFECT:
         apart = list(dict.fromkeys(n for group in posterior.confusable for n in group))
         for entry in race.entries:
             values = {**entry.values, **values}
@@ -454,10 +460,10 @@ _LITTLE = 1.2
 
 def sentence(
     posterior: Posterior,
-    causes: Sequence[diagnosis.Cause],
-    where: Sequence[diagnosis.LocationShare],
+    causes: Sequence[Cause],
+    where: Sequence[LocationShare],
     shrinkage: free_runs.Shrinkage,
-    parameters: Mapping[str, diagnosis.FittedParameter],
+    parameters: Mapping[str, FittedParameter],
 ) -> str:
     """What a colleague would say."""
     top = causes[0]
@@ -588,7 +594,7 @@ _POINTS = 1500
 _SHOWN = 10.0
 
 
-def _report_traces(stages: StageResults, locations: Sequence[str]) -> diagnosis.Traces:
+def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
     """Missing forces with what explains them, and free runs before and after."""
     forces, corrected = stages.forces, stages.posterior.corrected
     shown = [name for name in locations if name in forces] or list(forces)[:1]
@@ -603,7 +609,7 @@ def _report_traces(stages: StageResults, locations: Sequence[str]) -> diagnosis.
         force[name] = forces[name].force[rows]
         force[f"{name}.sd"] = forces[name].sd[rows]
     time, runs = _runs(stages.parts, stages.sealed)
-    return diagnosis.Traces(
+    return Traces(
         force_time=np.zeros(0) if first is None else first.time[rows],
         force=force,
         force_unit={name: forces[name].unit for name in shown},
@@ -620,10 +626,9 @@ def _runs(
     number, first, last = parts.sealed[0]
     dataset = parts.whole[number]
     step = dataset.sample_time
-    samples = min(round(_SHOWN / step), last - first - free_runs.history(step) - 1)
-    begins = np.arange(
-        max(first, free_runs.history(step)), last - samples + 1, max(1, samples // 2)
-    )
+    before = free_runs.history(step)
+    samples = min(round(_SHOWN / step), last - first - before - 1)
+    begins = np.arange(max(first, before), last - samples + 1, max(1, samples // 2))
     if samples < 5 or not len(begins):
         return np.zeros(0), {}
     simulated = {}
