@@ -1,7 +1,5 @@
 """A rig simple enough for closed forms, simulation by compiled steps, the library as shipped."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """The studies lie beside the package and are not installed: make them importable."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

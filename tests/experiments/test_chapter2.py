@@ -1,7 +1,5 @@
 """The study of chapter 2: what it reads, what its parts claim, and that its page is its own."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

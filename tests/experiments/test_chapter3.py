@@ -1,7 +1,5 @@
 """Chapter 3: its recordings, its trainings, its page, the networks that travel with the program."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Chapter 4: its cases, its page, and a tiny version of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The study of chapter 5: what it asks, that its answers are what was recorded, its page."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The study of chapter 6: what it reads, that its figures are what was recorded, its page."""
 
-from __future__ import annotations
-
 import itertools
 import re
 

@@ -1,7 +1,5 @@
 """Chapter 7: what its study consists of, what its figures are, and that its page is its own."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

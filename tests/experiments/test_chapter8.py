@@ -1,7 +1,5 @@
 """The study of chapter 8: what it reads, what its page claims, and that its figures are its own."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

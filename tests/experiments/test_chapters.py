@@ -1,7 +1,5 @@
 """What the studies of the chapters share: refusals, pages with their figures, whole runs."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

@@ -1,7 +1,5 @@
 """Controllers of this program on rigs of other code, and what the study counts."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

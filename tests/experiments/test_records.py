@@ -1,7 +1,5 @@
 """The studies of recordings that may be absent: they skip without, and find a rig that is known."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The regression of tracking errors: what it runs, what it lets pass, what it refuses."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tournament: who takes part, that nothing is lost or run twice, and its verdicts."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

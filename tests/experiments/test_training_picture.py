@@ -1,7 +1,5 @@
 """Figures of networks: what they show, also of trainings that diverged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A diagnosis made by hand, with figures as a rig with yaw friction gives them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

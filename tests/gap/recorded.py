@@ -1,7 +1,5 @@
 """Recordings of simulated rigs for the tests of the diagnosis: a model, effects, sensors' noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 The rig of these tests is a few lines of its own: yaw with a cable and two rotors, pitch beside it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -3,8 +3,6 @@
 The motion is one free run of a little rig; the forces are formulas of that motion with noise.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Free runs of the gap: a right model leaves the noise only, starts know the past only."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The filter that makes residuals white: compiled and not, against what theory says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Advice on the next experiment: what it promises, and that its command can be typed."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import shlex

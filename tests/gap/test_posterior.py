@@ -1,7 +1,5 @@
 """From scores to probabilities, and the constants fitted to rigs whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Refit, traces and race on rigs whose cause is known, with a few candidates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

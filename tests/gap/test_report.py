@@ -1,7 +1,5 @@
 """What a diagnosis has to tell: its findings say what the document says; the page is one file."""
 
-from __future__ import annotations
-
 import html
 import json
 import math

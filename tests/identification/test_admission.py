@@ -1,7 +1,5 @@
 """Bad recordings are refused with what to do instead; good ones pass without a word."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

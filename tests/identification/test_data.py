@@ -1,7 +1,5 @@
 """What ``real`` and ``data`` mean: files found, channels taken, preparation done and told."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A recording in the form that fits and validation take."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Excitation design: low peaks, unlike inputs, bands of the model, amplitudes that fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

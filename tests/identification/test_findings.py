@@ -1,7 +1,5 @@
 """What a fit has to tell: errors, doubts and charts, of its document and of its free runs."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Free runs over windows: the model alone, started from before each window."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A fitted model's file is read back as the model that was fitted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

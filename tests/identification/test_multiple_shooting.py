@@ -1,7 +1,5 @@
 """Multiple shooting on simulated rigs: recovers, settles, stops, repeats, says what it knows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Choosing free parameters: names, patterns, priors, bounds, and what is wrong with them."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A progress that stops a fit when it was told enough, and keeps what the fit saves."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Baselines on small simulated rigs: each answers in the form of a diagnosis, and as it should."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

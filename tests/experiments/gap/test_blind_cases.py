@@ -1,7 +1,5 @@
 """What sealed sets hold."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``trms blind``: make, run, score, from the command line."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ The rigs share no equation with them, so each holds the other: a sign, a factor 
 wrong in one of the two shows here.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

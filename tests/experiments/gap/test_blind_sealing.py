@@ -1,7 +1,5 @@
 """A key that cannot change after it was told, and recordings that reveal nothing."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Slopes by differences, for all that is to have exact ones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

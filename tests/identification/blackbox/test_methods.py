@@ -1,7 +1,5 @@
 """From a problem to a network file: what methods of networks promise, where radial ones start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

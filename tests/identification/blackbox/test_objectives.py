@@ -1,7 +1,5 @@
 """One-step and simulation errors: equal where they must be, exact in their slopes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

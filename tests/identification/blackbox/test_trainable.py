@@ -1,7 +1,5 @@
 """Networks with free weights: one statement of the value, exact slopes."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

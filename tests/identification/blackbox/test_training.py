@@ -1,7 +1,5 @@
 """The training algorithms, each against what is published or a library gives."""
 
-from __future__ import annotations
-
 import contextlib
 from types import SimpleNamespace
 

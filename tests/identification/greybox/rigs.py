@@ -1,7 +1,5 @@
 """Recordings of small simulated rigs for these tests."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from trms_cli.identification.dataset import Dataset

@@ -1,7 +1,5 @@
 """Eliminating the starts gives what one large least-squares problem would."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

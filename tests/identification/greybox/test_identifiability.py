@@ -1,7 +1,5 @@
 """Scores of correlated residuals; covariance and identifiability from information by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

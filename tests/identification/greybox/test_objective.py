@@ -1,7 +1,5 @@
 """The cost: weights of residuals, its parabola against differences, starts against the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A short recording of a vertical rig whose parameters are known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

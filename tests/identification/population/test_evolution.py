@@ -1,7 +1,5 @@
 """The loop: a search's way is a function of its seed and costs, however often it is stopped."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Genetic algorithm and CMA-ES on a recording whose parameters are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

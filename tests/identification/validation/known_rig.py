@@ -1,7 +1,5 @@
 """Rigs whose truth is known: recordings that a model made, sensors and all."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The residual tests and their engine: levels, bands, missing samples, what each kind finds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -1,7 +1,5 @@
 """Multiplicity, whitening, metrics, regions, block bootstrap, spectra, characteristics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

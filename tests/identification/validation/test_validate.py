@@ -1,7 +1,5 @@
 """Models held against recordings whose truth is known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
