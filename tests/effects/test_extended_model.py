@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ModelError
-from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.lagrangian import Lagrangian
@@ -128,17 +127,7 @@ def test_jacobians_equal_differences_in_motion(rig, effect_name):
             got = np.asarray(jacobian)[:, column]
             scale = 1 + np.abs(difference).max()
             np.testing.assert_allclose(got, difference, atol=2e-4 * scale)
-
-
-def _measurement_slopes(discrete):
-    x, u, p, _ = discrete.symbols()
-    y = discrete.measurement(x, u, p)
-    return ca.Function("slopes", [x, u, p], [ca.jacobian(y, v) for v in (x, p)])
-
-
-def test_slopes_of_the_measurement_equal_differences(rig, effect_name):
-    model = rig.extended(rig.newtonian(), {effect_name: rig.effect(effect_name)})
-    discrete = discretise(model, 0.02, 2, sensors=True)
+    # So do those of the measurement.
     x = np.random.default_rng(4).uniform(0.2, 0.6, discrete.n_x)
     at = [x, np.zeros(2), model.parameters.values]
     exact = _measurement_slopes(discrete)(*at)
@@ -154,26 +143,26 @@ def test_slopes_of_the_measurement_equal_differences(rig, effect_name):
             )
 
 
-def test_a_model_without_the_axis_or_rotor_is_refused(rig, effect_name):
-    effect = rig.effect(effect_name)
+def _measurement_slopes(discrete):
+    x, u, p, _ = discrete.symbols()
+    y = discrete.measurement(x, u, p)
+    return ca.Function("slopes", [x, u, p], [ca.jacobian(y, v) for v in (x, p)])
+
+
+def test_every_effect_works_on_its_own_axis_alone_and_on_no_other(rig, effect_name):
+    effect = {effect_name: rig.effect(effect_name)}
     part = NEEDS.get(effect_name, effect_name.split("_")[0])
-    freedom = "horizontal" if part in ("pitch", "main") else "vertical"
+    vertical, horizontal = rig.newtonian(freedom="vertical"), rig.newtonian(freedom="horizontal")
+    own, other = (vertical, horizontal) if part in ("pitch", "main") else (horizontal, vertical)
     with pytest.raises(ModelError, match=f"has no {part}") as caught:
-        rig.extended(rig.newtonian(freedom=freedom), {effect_name: effect})
+        rig.extended(other, effect)
     assert "it has:" in caught.value.remedy
-
-
-def test_every_effect_works_on_its_own_axis_alone(rig, effect_name):
-    part = NEEDS.get(effect_name, effect_name.split("_")[0])
-    freedom = "vertical" if part in ("pitch", "main") else "horizontal"
     if effect_name in OF_BOTH_AXES:
         with pytest.raises(ModelError, match=r"has no (yaw|pitch) axis"):
-            rig.extended(rig.newtonian(freedom=freedom), {effect_name: rig.effect(effect_name)})
-        return
-    base = rig.newtonian(freedom=freedom)
-    model = rig.extended(base, {effect_name: rig.effect(effect_name)})
-    x = rig.simulate(model, rig.rich_input(200)[:, :1])
-    assert np.all(np.isfinite(x))
+            rig.extended(own, effect)
+    else:
+        x = rig.simulate(rig.extended(own, effect), rig.rich_input(200)[:, :1])
+        assert np.all(np.isfinite(x))
 
 
 def test_parameters_and_states_carry_the_name_of_the_effect(rig):
@@ -231,16 +220,8 @@ def test_the_work_grows_with_the_effects_and_not_with_their_combinations(rig):
 
 def test_a_base_of_one_state_keeps_its_size(rig):
     """CasADi gives an empty slice of a 1 × 1 matrix the shape (1, 0), which adds a row of zeros."""
-
-    class Nothing(Effect):
-        def parameters(self):
-            return ()
-
-        def check(self, model):
-            pass
-
     model = ExtendedModel(rig.newtonian(), "lag", rig.effect("main_actuator_lag"))
-    model = ExtendedModel(model, "nothing", Nothing())
+    model = ExtendedModel(model, "no_memory", rig.effect("yaw_coulomb_friction"))
     memory = ca.SX.sym("m", 1)
     p = ca.SX.sym("p", len(model.parameters))
     _, after = model.input_path(memory, ca.SX.sym("u", 2), p, (0.0, 1.0), 0.02)

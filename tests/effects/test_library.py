@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
@@ -75,22 +76,13 @@ def test_effects_are_data(rig, effect_name):
     assert msgspec.json.encode(dataclasses.asdict(effect))
 
 
-def test_several_effects_and_their_sizes_are_chosen_on_the_command_line(rig, tmp_path):
-    hydra = pytest.importorskip("hydra")
-    from omegaconf import OmegaConf
-
-    (tmp_path / "tiny.yaml").write_text("defaults:\n  - effect: []\n", encoding="utf-8")
-    with hydra.initialize_config_dir(str(tmp_path), version_base="1.3"):
-        config = hydra.compose(
-            "tiny",
-            overrides=[
-                f"hydra.searchpath=[file://{config_folder()}]",
-                "effect=[yaw_coulomb_friction,main_input_delay]",
-                "effect.yaw_coulomb_friction.torque=0.004",
-            ],
-        )
-    plain = OmegaConf.to_container(config, resolve=True)
-    effects = {name: build(node, f"effect.{name}") for name, node in plain["effect"].items()}
+def test_several_effects_and_their_sizes_are_chosen_on_the_command_line(rig):
+    words = [
+        "effect=[yaw_coulomb_friction,main_input_delay]",
+        "effect.yaw_coulomb_friction.torque=0.004",
+    ]
+    nodes = compose(words).config["effect"]
+    effects = {name: build(node, f"effect.{name}") for name, node in nodes.items()}
     assert list(effects) == ["yaw_coulomb_friction", "main_input_delay"]
     assert effects["yaw_coulomb_friction"].torque == 0.004
     assert effects["main_input_delay"] == rig.effect("main_input_delay")
@@ -107,8 +99,6 @@ def _commands():
 
 @pytest.mark.parametrize("line", _commands())
 def test_each_command_of_the_document_composes(line):
-    from trms_cli.composition.composer import compose
-
     effects = compose(line.split()).config["effect"]
     assert effects
     for name, node in effects.items():
@@ -131,8 +121,6 @@ def test_the_document_knows_every_effect_and_every_key(rig, effect_name):
 
 @pytest.mark.skipif(not DOCUMENT.exists(), reason="an installed package has no docs")
 def test_the_effect_that_the_document_writes_works(rig, tmp_path, monkeypatch):
-    from trms_cli.composition.composer import compose
-
     text = DOCUMENT.read_text("utf-8")
     code = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
     option = re.search(r"```yaml\n(# a draught.*?)```", text, re.DOTALL)[1]

@@ -26,39 +26,37 @@ def written(tmp_path, content):
     return write
 
 
-def test_a_parameter_set_is_a_model(written):
-    model = load_model(written())
-    assert isinstance(model, Newtonian)
-    np.testing.assert_array_equal(model.parameters.values, Newtonian().parameters.values)
-    assert model.input_limits == Newtonian().input_limits
+def test_a_parameter_set_is_a_model_also_as_an_option(written):
+    node = yaml.safe_load((config_folder() / "model" / "from_file.yaml").read_text("utf-8"))
+    assert node["path"] == "???"
+    del node["defaults"]  # Hydra's
+    for model in (load_model(written()), build(node | {"path": written()}, "model")):
+        assert isinstance(model, Newtonian)
+        np.testing.assert_array_equal(model.parameters.values, Newtonian().parameters.values)
+        assert model.input_limits == Newtonian().input_limits
 
 
-def test_effects_come_with_their_sizes(rig, written):
-    sizes = {"yaw_coulomb_friction": {"torque": 0.004}, "main_input_delay": {}}
+def test_effects_come_with_their_sizes_and_names(rig, written):
+    """Those of the library, and one that is written out under a name of its own."""
+    own = {"_target_": "trms_cli.effects.actuator_lag.ActuatorLag", "rotor": "tail"}
+    sizes = {
+        "yaw_coulomb_friction": {"torque": 0.004},
+        "main_input_delay": {},
+        "second_lag": own | {"time_constant": 0.01},
+    }
     model = load_model(written(effects=sizes))
-    assert model.parameters["yaw_coulomb_friction.torque"].value == 0.004
-    assert model.parameters["main_input_delay.delay"].value == 0.04
-    u = rig.rich_input(100)
     same = rig.extended(
         Newtonian(),
         {
             "yaw_coulomb_friction": rig.effect("yaw_coulomb_friction", torque=0.004),
             "main_input_delay": rig.effect("main_input_delay"),
+            "second_lag": rig.effect("tail_actuator_lag", time_constant=0.01),
         },
     )
+    assert model.parameters.names == same.parameters.names
+    np.testing.assert_array_equal(model.parameters.values, same.parameters.values)
+    u = rig.rich_input(100)
     np.testing.assert_array_equal(rig.simulate(model, u), rig.simulate(same, u))
-
-
-def test_another_effect_of_the_same_class_has_a_name_of_its_own(written):
-    own = {
-        "second_lag": {
-            "_target_": "trms_cli.effects.actuator_lag.ActuatorLag",
-            "rotor": "tail",
-            "time_constant": 0.01,
-        }
-    }
-    model = load_model(written(effects=own))
-    assert model.parameters["second_lag.time_constant"].value == 0.01
 
 
 def test_values_are_replaced_by_name(written):
@@ -71,14 +69,6 @@ def test_values_are_replaced_by_name(written):
     with pytest.raises(ConfigurationError) as caught:
         load_model(path, {"k_q": 0.05})
     assert caught.value.where == "model.parameters.k_q"
-
-
-def test_the_option_builds(written):
-    node = yaml.safe_load((config_folder() / "model" / "from_file.yaml").read_text("utf-8"))
-    assert node["path"] == "???"
-    del node["defaults"]  # Hydra's
-    model = build(node | {"path": written()}, "model")
-    assert model.name == "newtonian"
 
 
 @pytest.mark.parametrize("option", ["newtonian_full", "newtonian_vertical", "newtonian_horizontal"])

@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 
 from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
 from trms_cli.effects.rotor_reaction import RotorReaction
-from trms_cli.models.model import Model, RigAxis, Signal
-from trms_cli.models.parameters import Parameter, ParameterSet
+from trms_cli.models.model import Signal
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
+
+from .conftest import Turntable
 
 
 def reaction(rotor="main", drag=0.0, inertia=0.0):
@@ -80,38 +81,15 @@ def test_the_tail_turns_the_pitch_on_any_rig_with_both_axes(rig):
         assert np.flatnonzero(change).tolist() == [base.state_index("S_v")]
 
 
-class Spinner(Model):
-    """Two free axes and a rotor that keeps its speed: ``J α̈ = w`` for pitch and yaw."""
+class Spinner(Turntable):
+    """Two free axes and a main rotor that keeps its speed."""
 
     def __init__(self) -> None:
-        self.name = "spinner"
-        self.states = tuple(
-            Signal(name, unit)
-            for name, unit in (
-                ("alpha_v", "rad"),
-                ("rate_v", "rad/s"),
-                ("alpha_h", "rad"),
-                ("rate_h", "rad/s"),
-                ("omega_v", "rad/s"),
-            )
-        )
-        self.inputs = (Signal("u_v", "N*m"),)
-        self.outputs = (self.states[0], self.states[2])
-        self.disturbances = (Signal("pitch_moment", "N*m"), Signal("yaw_moment", "N*m"))
-        self.parameters = ParameterSet([Parameter("J", 0.05, "kg*m^2")])
-        self.controlled = ("alpha_v", "alpha_h")
-        self.input_limits, self.stops = {"u_v": 1.0}, {}
-        self.axes = {
-            "pitch": RigAxis("alpha_v", "pitch_moment"),
-            "yaw": RigAxis("alpha_h", "yaw_moment"),
-        }
-        self.rotors = {"main": "u_v"}
+        super().__init__(inertia=0.05)
+        self.states = (*self.states, Signal("omega_v", "rad/s"))
 
     def dynamics(self, x, u, p, w):
-        return ca.vertcat(x[1], w[0] / p[0], x[3], w[1] / p[0], 0)
-
-    def measurement(self, x, u, p):
-        return ca.vertcat(x[0], x[2])
+        return ca.vertcat(super().dynamics(x, u, p, w), 0)
 
 
 @given(
@@ -123,7 +101,7 @@ class Spinner(Model):
 def test_gyroscopic_torques_do_no_work_and_keep_the_angular_momentum(rig, lean, inertia, rates):
     model = rig.extended(Spinner(), {"g": GyroscopicCoupling(inertia=inertia, lean=lean)})
     start = [0.2, rates[0], 0.0, rates[1], 200.0]
-    x = rig.simulate(model, np.zeros((100, 1)), start=start, substeps=8)
+    x = rig.simulate(model, np.zeros((100, 2)), start=start, substeps=8)
     energy = x[:, 1] ** 2 + x[:, 3] ** 2
     np.testing.assert_allclose(energy, energy[0], rtol=1e-7, atol=1e-12)
     # About the yaw axis: J Ω_yaw less what the rotor holds of it.

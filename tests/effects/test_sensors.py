@@ -8,18 +8,15 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import TransferFunction, lsim
 
-from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.flexible_mode import FlexibleMode
 from trms_cli.effects.quantisation import Quantisation
 from trms_cli.effects.sensor_bias import SensorBias
 from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.effects.tacho_lag import TachoLag
-from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.driven_model import DrivenModel
-from trms_cli.models.model import RigAxis, Signal
-from trms_cli.models.parameters import ParameterSet
+from trms_cli.models.narx_file import narx
 from trms_cli.simulation.rollout import Rollout
 
 STEP = 0.02
@@ -240,36 +237,13 @@ def test_a_rotor_driven_by_its_measured_speed_keeps_the_sensors_of_the_angles(ri
     assert np.all(np.isfinite(np.asarray(after)))
 
 
-class Learnt(SteppedModel):
-    """A black box of one axis: ``α⁺ = 0.99 α + 0.05 u``."""
-
-    def __init__(self) -> None:
-        self.name, self.sample_time = "learnt", STEP
-        self.states = (Signal("alpha_h", "rad"),)
-        self.inputs, self.outputs = (Signal("u_h", "V"),), self.states
-        self.disturbances = (Signal("yaw_moment", "rad/s^2"),)
-        self.parameters = ParameterSet([])
-        self.controlled, self.input_limits, self.stops = ("alpha_h",), {"u_h": 2.5}, {}
-        self.axes, self.rotors = {"yaw": RigAxis("alpha_h", "yaw_moment")}, {"tail": "u_h"}
-
-    def transition(self, x, u, p, w):
-        return 0.99 * x + 0.05 * u
-
-    def measurement(self, x, u, p):
-        return x
-
-
 def test_a_black_box_can_have_sensors_too(rig):
-    model = rig.extended(Learnt(), {"d": SensorDelay(axis="yaw", delay=0.04)})
-    discrete = discretise(model, STEP, sensors=True)
-    step = BufferedFunction(discrete.step, compile=False)
-    x, true, shown = np.zeros(discrete.n_x), [], []
-    p = model.parameters.values
-    for _ in range(30):
-        true.append(x[0])
-        shown.append(float(discrete.measurement(x, [1.0], p)))
-        x = step.evaluate(x, np.ones(1), p, np.zeros(1))[0].copy()
-    np.testing.assert_allclose(shown[2:], true[:-2], atol=1e-14)
+    network = narx(network="narx_horizontal")
+    _, x, y = run(rig, network, {"d": SensorDelay(axis="yaw", delay=0.04)}, np.ones((30, 1)), 1)
+    yaw = network.state_index("alpha_h")
+    assert np.ptp(x[:, yaw]) > 0.01
+    row = [signal.name for signal in network.outputs].index("alpha_h")
+    np.testing.assert_allclose(y[2:, row], x[:-2, yaw], atol=1e-14)
 
 
 @pytest.mark.parametrize(
