@@ -1,6 +1,6 @@
-"""Recordings of simulated rigs for the tests of the diagnosis: a model, effects, sensors' noise."""
+"""Recordings of simulated rigs for the tests of the diagnosis, and forces on a rig of few lines."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -71,3 +72,53 @@ def coloured(rng: np.random.Generator, samples: int, time: float) -> np.ndarray:
     for i in range(1, samples):
         result[i] = keep * result[i - 1] + noise[i]
     return result
+
+
+INERTIA, DAMPING, STIFFNESS = 0.03, 0.008, 0.015  # kg m², N m s/rad, N m/rad
+#: A torque on yaw of (t, angle, rate, pitch, main speed, tail speed), N m.
+Law = Callable[[float, float, float, float, float, float], float]
+
+
+def moved(
+    rng: np.random.Generator,
+    law: Law | None = None,
+    outside: np.ndarray | None = None,
+    samples: int = 6000,
+    noise: float = 0.2,
+    lowest: float = 0.2,
+    hold: int = 150,
+) -> ForceRecord:
+    """A rig that random steps and a torque move; the torque with coloured noise on it.
+
+    It is yaw with a cable and two rotors, and pitch beside it.
+    """
+    u_h = np.repeat(rng.uniform(-1.5, 1.5, samples // hold + 1), hold)[:samples]
+    slower = hold * 4 // 3
+    u_v = np.repeat(rng.uniform(lowest, 1.8, samples // slower + 1), slower)[:samples]
+    a = r = p = q = wv = wh = 0.0
+    rows = np.empty((samples, 7))
+    for i in range(samples):
+        f = 0.0 if outside is None else float(outside[i])
+        if law is not None:
+            f += law(i * STEP, a, r, p, wv, wh)
+        rows[i] = f, a, r, p, q, wv, wh
+        wh += STEP * (u_h[i] * 200 - wh) / 0.3
+        wv += STEP * (u_v[i] * 140 - wv) / 0.8
+        thrust = 4.2e-7 * wh * abs(wh)
+        r += STEP * (thrust * np.cos(p) - DAMPING * r - STIFFNESS * a + f) / INERTIA
+        a += STEP * r
+        q += STEP * (3.75e-6 * wv * abs(wv) - 0.26 * np.sin(p + 0.62) - 0.02 * q) / 0.07
+        p += STEP * q
+    sd = noise * np.sqrt(np.mean(rows[:, 0] ** 2))
+    return ForceRecord(
+        location="yaw_moment",
+        unit="N*m",
+        time=STEP * np.arange(samples),
+        recording=np.zeros(samples, dtype=np.int64),
+        force=rows[:, 0] + sd * coloured(rng, samples, 0.1),
+        sd=np.full(samples, sd),
+        angles={"pitch": rows[:, 3], "yaw": rows[:, 1]},
+        rates={"pitch": rows[:, 4], "yaw": rows[:, 2]},
+        speeds={"main": rows[:, 5], "tail": rows[:, 6]},
+        commands={"main": u_v, "tail": u_h},
+    )

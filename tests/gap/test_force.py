@@ -1,9 +1,5 @@
-"""What a missing force looks like, on forces that are known: of the state, from outside, noise.
+"""What a missing force looks like, on forces that are known: of the state, from outside, noise."""
 
-The rig of these tests is a few lines of its own: yaw with a cable and two rotors, pitch beside it.
-"""
-
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -19,14 +15,10 @@ from trms_cli.gap.force.description import (
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
 
-from .recorded import STEP, coloured
+from .recorded import STEP, Law, coloured, moved
 
 SAMPLES = 6000
-INERTIA, DAMPING, STIFFNESS = 0.03, 0.004, 0.015  # kg m², N m s/rad, N m/rad
-
-Law = Callable[[float, float, float, float, float, float], float]
-
-#: Torques on yaw of (t, angle, rate, pitch, main speed, tail speed), N m.
+#: Torques on yaw.
 LAWS: dict[str, Law] = {
     "coulomb": lambda t, a, r, p, wv, wh: -0.004 * np.tanh(r / 0.01),
     "quadratic": lambda t, a, r, p, wv, wh: -0.01 * r * abs(r),
@@ -36,45 +28,6 @@ LAWS: dict[str, Law] = {
     "reaction": lambda t, a, r, p, wv, wh: 3e-7 * wv**2 * np.cos(p),
     "later": lambda t, a, r, p, wv, wh: -0.01 * r * (t > 61),
 }
-
-
-def moved(
-    rng: np.random.Generator,
-    law: Law | None = None,
-    outside: np.ndarray | None = None,
-    samples: int = SAMPLES,
-    noise: float = 0.2,
-) -> ForceRecord:
-    """A rig that random steps and a torque move; the torque with coloured noise on it."""
-    u_h = np.repeat(rng.uniform(-1.5, 1.5, samples // 150 + 1), 150)[:samples]
-    u_v = np.repeat(rng.uniform(0.2, 1.8, samples // 200 + 1), 200)[:samples]
-    a = r = p = q = wv = wh = 0.0
-    rows = np.empty((samples, 7))
-    for i in range(samples):
-        f = 0.0 if outside is None else float(outside[i])
-        if law is not None:
-            f += law(i * STEP, a, r, p, wv, wh)
-        rows[i] = f, a, r, p, q, wv, wh
-        wh += STEP * (u_h[i] * 200 - wh) / 0.3
-        wv += STEP * (u_v[i] * 140 - wv) / 0.8
-        thrust = 4.2e-7 * wh * abs(wh)
-        r += STEP * (thrust * np.cos(p) - DAMPING * r - STIFFNESS * a + f) / INERTIA
-        a += STEP * r
-        q += STEP * (3.75e-6 * wv * abs(wv) - 0.26 * np.sin(p + 0.62) - 0.008 * q) / 0.07
-        p += STEP * q
-    sd = noise * np.sqrt(np.mean(rows[:, 0] ** 2))
-    return ForceRecord(
-        location="yaw_moment",
-        unit="N*m",
-        time=STEP * np.arange(samples),
-        recording=np.zeros(samples, dtype=np.int64),
-        force=rows[:, 0] + sd * coloured(rng, samples, 0.1),
-        sd=np.full(samples, sd),
-        angles={"pitch": rows[:, 3], "yaw": rows[:, 1]},
-        rates={"pitch": rows[:, 4], "yaw": rows[:, 2]},
-        speeds={"main": rows[:, 5], "tail": rows[:, 6]},
-        commands={"main": u_v, "tail": u_h},
-    )
 
 
 @cache
@@ -154,13 +107,10 @@ def test_a_force_from_outside_has_no_region(time):
     assert sum(map(bool, found)) <= 1
 
 
-def test_a_constant_force_has_no_region():
+def test_neither_a_constant_force_nor_noise_alone_has_a_region():
     noise = 1e-4 * np.random.default_rng(0).normal(size=SAMPLES)
     record = replace(still(), force=3e-3 + noise, sd=np.full(SAMPLES, 1e-4))
     assert regions(record) == ()
-
-
-def test_noise_alone_has_no_region():
     record = from_outside(1, 0.1)
     assert regions(replace(record, sd=np.full(SAMPLES, 4e-3))) == ()
 

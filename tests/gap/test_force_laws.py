@@ -13,7 +13,7 @@ import pytest
 from trms_cli.gap.force.description import description
 from trms_cli.gap.force.laws import ForceRecord, explained_shares, hysteresis
 
-from .recorded import STEP, coloured
+from .recorded import STEP, coloured, moved
 
 SAMPLES = 4000
 
@@ -28,31 +28,8 @@ def lag(values: np.ndarray, time: float) -> np.ndarray:
 
 @cache
 def motion() -> ForceRecord:
-    """Both axes and both rotors under random steps; no force yet."""
-    rng = np.random.default_rng(5)
-    u_h = np.repeat(rng.uniform(-1.5, 1.5, SAMPLES // 100), 100)
-    u_v = np.repeat(rng.uniform(-0.4, 1.8, SAMPLES // 125), 125)
-    wh, wv = lag(200 * u_h, 0.3), lag(140 * u_v, 0.8)
-    a = r = p = q = 0.0
-    rows = np.empty((SAMPLES, 4))
-    for i in range(SAMPLES):
-        rows[i] = a, r, p, q
-        r += STEP * (4.2e-7 * wh[i] * abs(wh[i]) * np.cos(p) - 0.008 * r - 0.015 * a) / 0.03
-        a += STEP * r
-        q += STEP * (3.75e-6 * wv[i] * abs(wv[i]) - 0.26 * np.sin(p + 0.62) - 0.02 * q) / 0.07
-        p += STEP * q
-    return ForceRecord(
-        location="yaw_moment",
-        unit="N*m",
-        time=STEP * np.arange(SAMPLES),
-        recording=np.zeros(SAMPLES, dtype=np.int64),
-        force=np.zeros(SAMPLES),
-        sd=np.zeros(SAMPLES),
-        angles={"pitch": rows[:, 2], "yaw": rows[:, 0]},
-        rates={"pitch": rows[:, 3], "yaw": rows[:, 1]},
-        speeds={"main": wv, "tail": wh},
-        commands={"main": u_v, "tail": u_h},
-    )
+    """Both axes and both rotors under random steps, also in reverse; no force yet."""
+    return moved(np.random.default_rng(5), samples=SAMPLES, lowest=-0.4, hold=100)
 
 
 def of(location: str, force: np.ndarray, *, seed: int = 0) -> ForceRecord:
@@ -115,9 +92,8 @@ def test_the_law_of_a_force_comes_nearest(name):
 @pytest.mark.parametrize("measured", [True, False])
 def test_a_cause_in_the_drive_shows_in_the_moment(name, law, measured):
     """As torque of the thrust that the changed command makes, also without rotor speeds."""
-    record = motion()
-    speed = lag(200 * (record.commands["tail"] + FORCES[name][2]), 0.3)
-    nominal = record.speeds["tail"]
+    command = motion().commands["tail"]
+    speed, nominal = (lag(200 * u, 0.3) for u in (command + FORCES[name][2], command))
     force = of("yaw_moment", speed * np.abs(speed) - nominal * np.abs(nominal))
     assert explained_shares(force if measured else replace(force, speeds={}))[law] > 0.6
 
@@ -156,7 +132,7 @@ def test_friction_is_described():
     assert "constant offset" not in text and "drifts" not in text and "changes for good" not in text
 
 
-def test_offset_drift_and_oscillation_are_described():
+def test_offset_drift_oscillation_and_a_change_are_described():
     m, noise = motion(), 1e-4 * coloured(np.random.default_rng(3), SAMPLES, 0.3)
     plain = replace(m, force=noise, sd=np.full(SAMPLES, 1e-5))
     assert "constant offset of 0.003 N*m" in told(replace(plain, force=3e-3 + noise))
@@ -166,9 +142,6 @@ def test_offset_drift_and_oscillation_are_described():
     assert "oscillates at 4 Hz" in told(
         replace(plain, force=noise + 3e-3 * np.sin(8 * np.pi * m.time))
     )
-
-
-def test_a_change_is_described():
     force = coloured(np.random.default_rng(4), SAMPLES, 0.3) * (motion().time > 40)
     found = re.search(r"changes for good at t = ([\d.]+) s", told(of("yaw_moment", force)))
     assert found is not None and float(found[1]) == pytest.approx(40, abs=1.5)

@@ -15,6 +15,7 @@ from trms_cli.gap.discrepancy import (
 )
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem
+from trms_cli.models.newtonian import Newtonian
 
 from .recorded import recording
 
@@ -144,11 +145,10 @@ def test_the_smoother_is_the_conditional_mean():
 
 @pytest.fixture(scope="module")
 def windows() -> Windows:
-    dataset = recording(seconds=20.0)
-    from trms_cli.models.newtonian import Newtonian
-
-    model = Newtonian()
-    return Windows(FitProblem(model=model, datasets=(dataset,), window_length=10.0, jobs=1))
+    problem = FitProblem(
+        model=Newtonian(), datasets=(recording(seconds=20.0),), window_length=10.0, jobs=1
+    )
+    return Windows(problem)
 
 
 @pytest.fixture(scope="module")

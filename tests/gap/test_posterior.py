@@ -37,26 +37,20 @@ def test_probabilities_are_probabilities(scores, behind, left, gained):
     assert list(found.values()) == sorted(found.values(), reverse=True)
 
 
-def test_nothing_gained_means_no_effect():
-    found = probabilities_of(features(gained=-3.0), calibration())
-    assert next(iter(found)) == ("no_gap",)
-    found = probabilities_of(features(gained=500.0), calibration())
-    assert next(iter(found)) == ("parameters_only",)
-
-
 def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_is_not():
     closes = features(behind=3000.0, scores=(2900.0, 50.0, 2901.0), behinds=(0.0, 2900.0, 0.0))
-    assert next(iter(probabilities_of(closes, calibration()))) == ("a",)
     leaves = features(behind=3000.0, scores=(40.0, 30.0, 41.0), behinds=(2900.0,) * 3)
-    assert next(iter(probabilities_of(leaves, calibration()))) == ("none_of_these",)
-
-
-def test_of_two_that_explain_the_same_the_simpler_is_likelier():
+    for case, first in (
+        (features(gained=-3.0), "no_gap"),
+        (features(gained=500.0), "parameters_only"),
+        (closes, "a"),
+        (leaves, "none_of_these"),
+    ):
+        assert next(iter(probabilities_of(case, calibration()))) == (first,)
+    # Of two that explain the same the simpler is likelier.
     found = probabilities_of(features(behind=500.0, scores=(480.0, 480.0, 480.0)), calibration())
     assert found["a",] > found["b",] > found["a", "b"]
-
-
-def test_one_that_could_not_be_simulated_is_no_candidate():
+    # One that could not be simulated is no candidate.
     found = probabilities_of(features(scores=(np.nan, 5.0, -np.inf)), calibration())
     assert ("a",) not in found
 

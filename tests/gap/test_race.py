@@ -44,9 +44,7 @@ def test_friction_is_told_with_its_size(friction):
     assert best.values["yaw_coulomb_friction.torque"] == pytest.approx(0.003, rel=0.03)
     others = [e.fit.score for e in friction.entries if "yaw_coulomb_friction" not in e.names]
     assert all(best.fit.score > score + 30 for score in others)
-
-
-def test_what_is_left_with_the_cause_in_the_model_is_as_on_a_rig_without_gap(friction):
+    # What is left with the cause in the model is as on a rig without gap.
     yaw = [c.location for c in friction.refit.metric.discrepancy.channels].index("yaw_moment")
     assert friction.refit.metric.shares[yaw] > 0.03
     assert friction.entries[0].metric.shares[yaw] < 0.015
@@ -58,12 +56,9 @@ def test_the_trace_of_the_cause_points_at_the_residual(friction):
     assert gains["main_input_delay"] < 0.1 * gains["yaw_coulomb_friction"]
     for name in NAMES:
         assert 0.0 <= friction.signatures.absorbed(name) <= 1.0
-
-
-def test_delay_and_lag_leave_nearly_the_same_trace(friction):
-    signs = friction.tight
-    assert signs.alike("main_input_delay", "main_actuator_lag") > 0.9
-    assert signs.alike("main_input_delay", "yaw_coulomb_friction") < 0.5
+    # Delay and lag leave nearly the same trace.
+    assert friction.tight.alike("main_input_delay", "main_actuator_lag") > 0.9
+    assert friction.tight.alike("main_input_delay", "yaw_coulomb_friction") < 0.5
 
 
 def test_a_rig_without_a_gap_gives_no_candidate_a_lead():
@@ -92,9 +87,7 @@ def test_noise_is_read_from_steps_and_ripple():
     assert read[2:] == pytest.approx(TACHO_NOISE, rel=0.1)
     told = with_noise(dataset).noise_sd
     assert told == pytest.approx(dataset.noise_sd)
-
-
-def test_a_smooth_signal_has_no_step():
+    # A smooth signal has no step.
     random = np.random.default_rng(0)
     assert quantum_of(random.standard_normal(500)) == 0.0
     assert quantum_of(0.25 * np.round(random.standard_normal(500) / 0.25)) == pytest.approx(0.25)
