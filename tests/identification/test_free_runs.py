@@ -34,6 +34,10 @@ def dataset(model) -> Dataset:
     return dataset_of(model, commands, measured, sd, step=STEP)
 
 
+def figures(model, dataset) -> dict:
+    return error_figures(window_runs(model, [dataset], 5.0))
+
+
 def test_the_right_model_strays_by_little_more_than_the_noise(model, dataset):
     (run,) = window_runs(model, [dataset], 5.0)
     table = error_figures([run])
@@ -54,28 +58,18 @@ def test_nothing_of_a_window_is_seen(model, dataset):
     assert not np.allclose(run.simulated[600:], other.simulated[600:], rtol=0, atol=0.1)
 
 
-def test_a_wrong_model_strays(model, dataset):
+def test_a_wrong_model_strays_and_one_that_overflows_has_no_figures(model, dataset):
     wrong = with_values(model, {"k_fvp": 1.1 * model.parameters["k_fvp"].value})
-    right, off = (
-        error_figures(window_runs(m, [dataset], 5.0))["alpha_v"]["rmse"] for m in (model, wrong)
-    )
+    right, off = (figures(m, dataset)["alpha_v"]["rmse"] for m in (model, wrong))
     assert off > 20 * right
-
-
-def test_a_simulation_that_overflows_has_no_figures(model, dataset):
-    broken = with_values(model, {"k_ov": -1e4})
-    table = error_figures(window_runs(broken, [dataset], 5.0))
+    table = figures(with_values(model, {"k_ov": -1e4}), dataset)
     assert table["alpha_v"]["rmse"] is None and table["alpha_v"]["max_abs_error"] is None
 
 
-def test_missing_samples_are_left_out(model, dataset):
+def test_missing_samples_and_too_short_a_recording_are_left_out(model, dataset):
     holed = dataset.measurements.copy()
     holed[400:450] = np.nan
-    table = error_figures(window_runs(model, [replace(dataset, measurements=holed)], 5.0))
-    assert table["alpha_v"]["rmse"] < 5e-4
-
-
-def test_too_short_a_recording_is_left_out(model, dataset):
+    assert figures(model, replace(dataset, measurements=holed))["alpha_v"]["rmse"] < 5e-4
     assert window_runs(model, [dataset.part(0, 150)], 5.0) == []
 
 

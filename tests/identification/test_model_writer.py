@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.model_file import load_model
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import Prior, free_parameters, with_values
@@ -58,6 +56,10 @@ def test_keeps_the_width_of_the_prior_about_the_new_value(tmp_path: Path) -> Non
     path = tmp_path / "fit.yaml"
     write_model(document(model), path)
     assert parameter_file(str(path)).parameters["k_ov"].sd == pytest.approx(4.2e-5)
+    # Infinite bounds are left out.
+    assert np.isinf(free_parameters(model.parameters, ["k_g"])[0].lower)
+    content = document(model, {"k_g": 0.02})["parameters"]["k_g"]
+    assert "lower" not in content and "upper" not in content
 
 
 def test_bounds_and_priors_of_the_fit_are_those_of_the_file(tmp_path: Path) -> None:
@@ -72,17 +74,6 @@ def test_bounds_and_priors_of_the_fit_are_those_of_the_file(tmp_path: Path) -> N
     assert "no prior" in back["k_fvp"].source
 
 
-def test_effects_come_back_with_their_sizes(tmp_path: Path) -> None:
-    model = extend_model(
-        Newtonian(), {"yaw_coulomb_friction": CoulombFriction(axis="yaw", torque=0.0)}
-    )
-    path = tmp_path / "fit.yaml"
-    write_model(document(model, FITTED | {"yaw_coulomb_friction.torque": 0.0035}), path)
-    back = load_model(str(path))
-    assert back.parameters["yaw_coulomb_friction.torque"].value == 0.0035
-    assert back.parameters["k_ov"].value == 0.0042
-
-
 def test_values_reach_the_models_beneath() -> None:
     driven = DrivenModel(Newtonian(), ["omega_v", "omega_h"])
     changed = with_values(driven, {"m_cb": 0.09})
@@ -95,11 +86,3 @@ def test_values_reach_the_models_beneath() -> None:
 def test_says_when_the_disk_does_not_take_it(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be written"):
         write_model(document(Newtonian()), tmp_path / "no" / "fit.yaml")
-
-
-def test_infinite_bounds_are_left_out() -> None:
-    model = Newtonian()
-    free = free_parameters(model.parameters, ["k_g"])
-    assert np.isinf(free[0].lower)
-    content = document(model, {"k_g": 0.02})["parameters"]["k_g"]
-    assert "lower" not in content and "upper" not in content

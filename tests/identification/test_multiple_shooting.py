@@ -62,14 +62,13 @@ def fitted(measured: Dataset) -> FitResult:
     return fit(problem(vertical(), measured))
 
 
-def test_recovers_hidden_parameters_within_their_intervals(fitted: FitResult) -> None:
+def test_recovers_hidden_parameters_within_their_intervals_and_again(
+    measured: Dataset, fitted: FitResult
+) -> None:
     assert fitted.outcome is FitOutcome.CONVERGED
     assert np.all(np.abs(errors(fitted, HIDDEN)) < 4)
     assert fitted.values["k_fvp"] == pytest.approx(HIDDEN["k_fvp"], rel=0.01)
     assert fitted.values["k_ov"] == pytest.approx(HIDDEN["k_ov"], rel=0.01)
-
-
-def test_the_same_problem_gives_the_same_result(measured: Dataset, fitted: FitResult) -> None:
     assert fit(problem(vertical(), measured)).values == fitted.values
 
 
@@ -206,12 +205,9 @@ def test_an_interrupted_fit_goes_on_where_it_was(measured: Dataset, fitted: FitR
     assert len(second.fractions) < len(fitted.history) + len(first.fractions)
 
 
-def test_a_profile_of_what_is_not_free_is_refused(measured: Dataset) -> None:
+def test_a_profile_of_what_is_not_free_and_unlike_sample_times_are_refused(measured: Dataset):
     with pytest.raises(ConfigurationError, match="k_g"):
         fit(problem(vertical(), measured), profiles=("k_g",))
-
-
-def test_recordings_of_different_sample_times_are_refused(measured: Dataset) -> None:
     other = replace(measured, sample_time=0.01)
     with pytest.raises(ConfigurationError, match="sample times"):
         fit(problem(vertical(), measured, other))

@@ -32,9 +32,7 @@ def test_words_name_parameters() -> None:
     assert chosen("*.torque", "g") == ("g", "friction.torque")
     assert chosen("priors", "!k_*") == ("mass",)
     assert chosen("priors", "g", priors={"g": Prior(relative_sd=0.01)})[-1] == "g"
-
-
-def test_order_is_that_of_the_model_whatever_is_typed() -> None:
+    # The order is that of the model, whatever is typed.
     assert chosen("k_b", "mass") == chosen("mass", "k_b") == ("mass", "k_b")
 
 
@@ -47,14 +45,12 @@ def test_priors_are_absolute_and_positive() -> None:
     assert flat.prior_sd is None and flat.scale > 0
 
 
-def test_a_parameter_without_prior_that_starts_at_zero_has_a_scale() -> None:
+def test_search_range_is_finite_and_holds_the_start() -> None:
+    # A parameter without prior that starts at zero has a scale of its bounds.
     (torque,) = free_parameters(SET, ["friction.torque"], bounds={"friction.torque": (0, 0.01)})
     assert 0 < torque.scale <= 0.01
     low, high = torque.search_range()
     assert low == 0.0 and 0 < high <= 0.01
-
-
-def test_search_range_is_finite_and_holds_the_start() -> None:
     for parameter in free_parameters(SET.replaced({"k_a": 30.0}), ["*"], centres=SET):
         low, high = parameter.search_range()
         assert np.isfinite([low, high]).all()
@@ -83,6 +79,13 @@ def test_mistakes_are_told(words: list[str], settings: dict[str, object], said: 
         free_parameters(SET, words, **settings)  # type: ignore[arg-type]
 
 
+def test_a_set_without_priors_is_not_told_to_free_them() -> None:
+    bare = ParameterSet([Parameter("k_a", 3.0, "N")])
+    with pytest.raises(ConfigurationError) as caught:
+        free_parameters(bare, ["priors"])
+    assert "no priors" in caught.value.remedy and "k_a" in caught.value.remedy
+
+
 def test_a_value_within_a_thousandth_of_its_scale_is_on_the_bound() -> None:
     model = Newtonian()
     asked = FitProblem(
@@ -99,10 +102,3 @@ def test_a_value_within_a_thousandth_of_its_scale_is_on_the_bound() -> None:
         (0.01 - 0.9e-3 * scale, 1),
     ):
         assert asked.on_bounds(np.array([value])).tolist() == [wanted]
-
-
-def test_a_set_without_priors_is_not_told_to_free_them() -> None:
-    bare = ParameterSet([Parameter("k_a", 3.0, "N")])
-    with pytest.raises(ConfigurationError) as caught:
-        free_parameters(bare, ["priors"])
-    assert "no priors" in caught.value.remedy and "k_a" in caught.value.remedy

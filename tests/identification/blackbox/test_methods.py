@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -27,7 +28,7 @@ from trms_cli.identification.blackbox.radial_fit import (
 )
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FitOutcome, FitProblem, Method, SilentProgress
-from trms_cli.models.narx_file import read_narx_file, write_narx_file
+from trms_cli.models.narx_file import NarxFile, read_narx_file, write_narx_file
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.newtonian import Newtonian
 
@@ -67,8 +68,12 @@ def problem() -> FitProblem:
 
 
 @pytest.fixture(scope="module", params=METHODS)
-def fitted(request, problem):
-    chosen = method(request.param)
+def chosen(request):
+    return method(request.param)
+
+
+@pytest.fixture(scope="module")
+def fitted(chosen, problem):
     assert isinstance(chosen, Method)
     return chosen.fit(problem, SilentProgress())
 
@@ -89,11 +94,12 @@ def test_the_network_is_near_the_noise_one_step_ahead_and_stays_near_in_free_run
     assert np.all(rms(free) < 0.5 * test.outputs.std(axis=0))
 
 
+def test_the_same_seed_gives_the_same_network(chosen, fitted, problem):
+    again = chosen.fit(problem, SilentProgress())
+    assert again.model_document["network"] == fitted.model_document["network"]
+
+
 def test_the_file_is_a_model_that_steps_as_the_network_runs(fitted, tmp_path):
-    import casadi as ca
-
-    from trms_cli.models.narx_file import NarxFile
-
     structure, network = network_of(fitted)
     document = dict(fitted.model_document)
     content = NarxFile(name="a", structure=structure, network=network, limits=document["limits"])
@@ -113,12 +119,6 @@ def test_the_file_is_a_model_that_steps_as_the_network_runs(fitted, tmp_path):
     for k, row in enumerate(expected):
         state = step(state, test.inputs[first - 1 + k], [], np.zeros(model.n_w)).full().ravel()
         assert state[:2] == pytest.approx(row, abs=1e-9)
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_the_same_seed_gives_the_same_network(name, problem):
-    once, again = (method(name).fit(problem, SilentProgress()).model_document for _ in range(2))
-    assert once["network"] == again["network"]
 
 
 def test_simulation_training_runs_freely_better_than_one_step_training(problem):
@@ -158,37 +158,22 @@ def test_of_several_starts_the_best_by_validation_is_kept(problem):
     assert together.details["stages"][0]["validation_loss"] == best
 
 
-class TestWhatCannotBeFitted:
-    """Bad data and settings get a message that says what to do."""
-
-    def test_a_sample_time_without_a_whole_ratio(self, problem):
-        with pytest.raises(RecordingError, match=r"method\.sample_time|regressors\.sample_time"):
-            method("narx", regressors={"sample_time": 0.15}).fit(problem, SilentProgress())
-
-    def test_a_channel_that_is_missing_throughout(self, problem):
-        lost = replace(dataset(0), measurements=dataset(0).measurements * [1.0, np.nan])
-        with pytest.raises(RecordingError, match="omega_h"):
-            method("narx").fit(FitProblem(model=MODEL, datasets=(lost,)), SilentProgress())
-
-    def test_lags_that_do_not_rise(self, problem):
-        with pytest.raises(ConfigurationError, match=r"method\.regressors\.output_lags"):
-            method("narx", regressors={"output_lags": [2, 1]}).fit(problem, SilentProgress())
-
-    def test_a_training_that_is_none(self, problem):
-        with pytest.raises(ConfigurationError, match="trms list training"):
-            replace(method("narx"), training=3).fit(problem, SilentProgress())
+def test_what_cannot_be_fitted_is_refused_with_what_to_do(problem):
+    """A sample time without a whole ratio, a lost channel, lags that do not rise, no training."""
+    with pytest.raises(RecordingError, match=r"method\.sample_time|regressors\.sample_time"):
+        method("narx", regressors={"sample_time": 0.15}).fit(problem, SilentProgress())
+    lost = replace(dataset(0), measurements=dataset(0).measurements * [1.0, np.nan])
+    with pytest.raises(RecordingError, match="omega_h"):
+        method("narx").fit(FitProblem(model=MODEL, datasets=(lost,)), SilentProgress())
+    with pytest.raises(ConfigurationError, match=r"method\.regressors\.output_lags"):
+        method("narx", regressors={"output_lags": [2, 1]}).fit(problem, SilentProgress())
+    with pytest.raises(ConfigurationError, match="trms list training"):
+        replace(method("narx"), training=3).fit(problem, SilentProgress())
 
 
 @pytest.fixture
 def generator() -> np.random.Generator:
     return np.random.default_rng(0)
-
-
-def test_orthogonal_least_squares_finds_the_columns_that_made_the_targets(generator):
-    candidates = generator.standard_normal((200, 30))
-    fixed = np.ones((200, 1))
-    targets = candidates[:, [4, 17]] @ np.array([[3.0, 0.1], [0.5, 2.0]]) + 5.0
-    assert set(select_columns(candidates, targets, fixed, 2)) == {4, 17}
 
 
 def test_each_choice_is_the_one_that_leaves_the_least(generator):
@@ -204,9 +189,7 @@ def test_each_choice_is_the_one_that_leaves_the_least(generator):
     for count in range(4):
         rest = [c for c in range(8) if c not in chosen[:count]]
         assert chosen[count] == min(rest, key=lambda c: left([*chosen[:count], c]))
-
-
-def test_a_column_that_says_nothing_new_is_not_chosen(generator):
+    # A column that says nothing new is not chosen.
     one = generator.standard_normal((50, 1))
     candidates = np.hstack([one, 2.0 * one])
     assert len(select_columns(candidates, one, np.ones((50, 1)), 2)) == 1

@@ -63,12 +63,9 @@ def test_a_row_holds_the_samples_of_its_lags(samples):
     ]
     assert regressors[row] == pytest.approx(expected, abs=1e-15)
     assert targets[row] == pytest.approx(samples.outputs[k] - samples.outputs[k - 1])
-
-
-def test_differences_say_the_same_as_lagged_values(samples):
-    plain, *_ = rows(structure(differences=False), samples)
+    # Differences say the same.
     different, *_ = rows(structure(differences=True), samples)
-    assert different[:, 2:4] == pytest.approx(plain[:, 0:2] - plain[:, 2:4], abs=1e-14)
+    assert different[:, 2:4] == pytest.approx(regressors[:, 0:2] - regressors[:, 2:4], abs=1e-14)
     assert np.linalg.matrix_rank(structure().arrangement()) == structure().n_regressors
 
 
@@ -134,20 +131,13 @@ def test_a_window_of_one_step_is_the_one_step_error(samples):
     assert simulated.loss(theta) == pytest.approx(np.mean(residuals**2), rel=1e-12)
 
 
-class TestWhatCannotBeFitted:
-    """Bad data gets a message that says what to record instead."""
-
-    def test_an_input_that_never_moves(self, samples):
-        still = Samples(samples.outputs, np.full_like(samples.inputs, 0.3), "r")
-        with pytest.raises(RecordingError, match=r"'u' never moves.*excitation"):
-            scaling(structure(), [still])
-
-    def test_too_few_samples(self, samples):
-        short = Samples(samples.outputs[:9], samples.inputs[:9], "r")
-        with pytest.raises(RecordingError, match=r"only 6 complete samples.*record at least"):
-            scaling(structure(), [short])
-
-    def test_windows_longer_than_the_recording(self, samples):
-        shape, scale, network, _ = parts(samples)
-        with pytest.raises(RecordingError, match="shorter horizon"):
-            MultiStepError(network, shape, scale, [samples], steps=100)
+def test_what_cannot_be_fitted_is_refused_with_what_to_record_instead(samples):
+    still = Samples(samples.outputs, np.full_like(samples.inputs, 0.3), "r")
+    with pytest.raises(RecordingError, match=r"'u' never moves.*excitation"):
+        scaling(structure(), [still])
+    short = Samples(samples.outputs[:9], samples.inputs[:9], "r")
+    with pytest.raises(RecordingError, match=r"only 6 complete samples.*record at least"):
+        scaling(structure(), [short])
+    shape, scale, network, _ = parts(samples)
+    with pytest.raises(RecordingError, match="shorter horizon"):
+        MultiStepError(network, shape, scale, [samples], steps=100)

@@ -49,13 +49,9 @@ def stored(network, theta) -> Network:
     )
 
 
-def test_slopes_in_the_weights_are_those_of_differences(network, theta, z):
-    _, jacobian, _ = network.slopes(theta, z)
+def test_slopes_in_weights_and_regressor_are_those_of_differences(network, theta, z):
+    _, jacobian, by_z = network.slopes(theta, z)
     assert jacobian == pytest.approx(central(lambda t: network.values(t, z), theta), abs=2e-8)
-
-
-def test_slopes_in_the_regressor_are_those_of_differences(network, theta, z):
-    _, _, by_z = network.slopes(theta, z)
     for k in range(N):
         expected = central(lambda row: network.values(theta, row[None])[0], z[k])
         assert by_z[k] == pytest.approx(expected, abs=2e-8)
@@ -70,22 +66,17 @@ def test_pulling_back_is_the_product_with_the_slopes(network, theta, z):
     assert values == pytest.approx(network.values(theta, z), abs=1e-12)
 
 
-def test_a_stored_network_computes_what_was_trained(network, theta, z):
+def test_a_stored_network_and_its_expression_compute_what_was_trained(network, theta, z):
     model = stored(network, theta)
     regressors = model.regressor_mean + model.regressor_sd * z
-    expected = model.output_mean + model.output_sd * network.values(theta, z)
-    assert model.evaluate(regressors) == pytest.approx(expected, abs=1e-12)
-
-
-def test_the_expression_equals_the_evaluation_and_has_the_trained_slopes(network, theta, z):
-    model = stored(network, theta)
+    values, _, by_z = network.slopes(theta, z)
+    found = model.evaluate(regressors)
+    assert found == pytest.approx(model.output_mean + model.output_sd * values, abs=1e-12)
     regressor = ca.SX.sym("phi", N_Z)
     output = model.expression(regressor)
     function = ca.Function("f", [regressor], [output, ca.jacobian(output, regressor)])
-    regressors = model.regressor_mean + model.regressor_sd * z
-    _, _, by_z = network.slopes(theta, z)
     slopes = model.output_sd[:, None] * by_z / model.regressor_sd
-    for row, expected, slope in zip(regressors, model.evaluate(regressors), slopes, strict=True):
+    for row, expected, slope in zip(regressors, found, slopes, strict=True):
         value, derivative = function(row)
         assert value.full().ravel() == pytest.approx(expected, abs=1e-12)
         assert derivative.full() == pytest.approx(slope, abs=1e-11)

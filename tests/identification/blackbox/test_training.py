@@ -33,7 +33,6 @@ from trms_cli.identification.blackbox.training.training import (
 )
 
 OPTIONS = sorted(path.stem for path in (config_folder() / "training").glob("*.yaml"))
-THESIS = {"gd", "gdm", "gda", "gdx", "rp", "cgf", "cgp", "cgb", "scg", "bfgs", "oss", "lm", "br"}
 
 
 def option(name: str):
@@ -137,22 +136,14 @@ def linear_cg(hessian, b, start, steps):
 class TestAll:
     """What holds for every algorithm."""
 
-    def test_the_thirteen_of_the_thesis_are_there(self):
-        assert set(OPTIONS) == THESIS
-
     @pytest.mark.parametrize("name", OPTIONS)
-    def test_reduces_the_loss_of_a_network(self, name, sine, start):
+    def test_reduces_the_loss_of_a_network_and_is_repeated_bit_for_bit(self, name, sine, start):
         training = train(option(name), sine, start, Stopping(epochs=300, patience=0))
         assert training.history.losses[-1] < 0.5 * training.history.losses[0]
         kept = training.history.losses[training.best_epoch]
         assert sine.loss(training.theta) == pytest.approx(kept)
-
-    @pytest.mark.parametrize("name", OPTIONS)
-    def test_is_repeated_bit_for_bit(self, name, sine, start):
-        once, again = (
-            train(option(name), sine, start, Stopping(epochs=15, patience=0)) for _ in range(2)
-        )
-        assert once.theta.tobytes() == again.theta.tobytes()
+        again = train(option(name), sine, start, Stopping(epochs=15, patience=0))
+        assert again.history.losses == training.history.losses[:16]
 
     @pytest.mark.parametrize("name", ["lm", "bfgs", "cgf", "cgp", "cgb", "scg", "oss", "rp"])
     def test_ends_in_the_minimum_that_scipy_finds(self, name, taught):
@@ -263,18 +254,16 @@ class TestScaledConjugateGradient:
         assert losses[-1] < 1.1 * best
 
 
-class TestQuasiNewton:
-    """BFGS is scipy's; the one-step secant method is BFGS without a memory."""
-
-    def test_the_secant_direction_is_one_bfgs_update_of_the_identity(self):
-        generator = np.random.default_rng(0)
-        g, s, y = generator.standard_normal((3, 5))
-        s *= np.sign(s @ y)
-        rho, eye = 1.0 / (s @ y), np.eye(5)
-        left = eye - rho * np.outer(s, y)
-        inverse = left @ left.T + rho * np.outer(s, s)
-        if g @ inverse @ g > 0:
-            assert _secant(g, s, y) == pytest.approx(-inverse @ g, abs=1e-10)
+def test_the_secant_direction_is_one_bfgs_update_of_the_identity():
+    """The one-step secant method is BFGS without a memory."""
+    generator = np.random.default_rng(0)
+    g, s, y = generator.standard_normal((3, 5))
+    s *= np.sign(s @ y)
+    rho, eye = 1.0 / (s @ y), np.eye(5)
+    left = eye - rho * np.outer(s, y)
+    inverse = left @ left.T + rho * np.outer(s, s)
+    assert g @ inverse @ g > 0
+    assert _secant(g, s, y) == pytest.approx(-inverse @ g, abs=1e-10)
 
 
 class TestLevenbergMarquardt:
@@ -383,8 +372,7 @@ class TestStopping:
         losses = training.history.losses
         assert training.best_epoch == int(np.argmin(losses)) < 60  # the last is not the best
         assert sine.loss(training.theta) == min(losses)
-
-    def test_a_regularised_training_keeps_its_last_weights(self, sine, start):
+        # A regularised training keeps its last.
         training = train(BayesianRegularisation(), sine, start, Stopping(epochs=30))
         assert training.best_epoch == training.history.epochs
         assert sine.loss(training.theta) == training.history.losses[-1]

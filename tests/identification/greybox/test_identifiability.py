@@ -70,37 +70,26 @@ def identified(columns: np.ndarray) -> Identifiability:
     return identifiability(known, names, known.covariance())
 
 
-def test_independent_parameters_are_told_apart(columns: np.ndarray) -> None:
-    found = identified(columns)
-    assert found.confounded == () and found.silent == ()
+def test_the_smallest_sets_that_imitate_each_other_are_named(columns: np.ndarray) -> None:
+    independent = identified(columns)
+    assert independent.confounded == () and independent.silent == ()
+    three, two = columns.copy(), columns.copy()
+    two[:, 1] = 3 * columns[:, 0] + 0.01 * columns[:, 1]
+    three[:, 2] = columns[:, 0] - columns[:, 1] + 0.01 * columns[:, 2]
+    for imitating, names in ((two, ("p0", "p1")), (three, ("p0", "p1", "p2"))):
+        (found,) = identified(imitating).confounded
+        assert found.names == names and found.index > COLLINEAR
 
 
-def test_the_smallest_sets_are_named(columns: np.ndarray) -> None:
-    columns[:, 1] = 3 * columns[:, 0] + 0.01 * columns[:, 1]
-    found = identified(columns).confounded
-    assert [c.names for c in found] == [("p0", "p1")]
-    assert found[0].index > COLLINEAR
-
-
-def test_three_that_imitate_each_other_only_together(columns: np.ndarray) -> None:
-    columns[:, 2] = columns[:, 0] - columns[:, 1] + 0.01 * columns[:, 2]
-    found = identified(columns).confounded
-    assert [c.names for c in found] == [("p0", "p1", "p2")]
-
-
-def test_a_parameter_without_effect_is_silent(columns: np.ndarray) -> None:
-    columns[:, 3] = 0.0
-    found = identified(columns)
-    assert found.silent == ("p3",)
+def test_a_parameter_of_little_effect_is_uninformed_and_of_none_silent(columns: np.ndarray) -> None:
+    little, none = columns.copy(), columns.copy()
+    little[:, 1] *= 0.01  # 200 samples of 0.01 against a prior of 1: 0.99 of its deviation stay
+    found = identified(little)
+    assert found.silent == () and found.uninformed == ("p1",)
+    none[:, 3] = 0.0
+    found = identified(none)
+    assert found.silent == found.uninformed == ("p3",)
     assert found.prior_remaining["p3"] == pytest.approx(1.0)
-    assert found.uninformed == ("p3",)
-
-
-def test_a_parameter_that_the_data_hardly_narrow_is_uninformed(columns: np.ndarray) -> None:
-    columns[:, 1] *= 0.01  # 200 samples of 0.01 against a prior of 1: 0.99 of its deviation stay
-    found = identified(columns)
-    assert found.silent == ()
-    assert found.uninformed == ("p1",)
 
 
 def test_correlations_are_between_minus_one_and_one(columns: np.ndarray) -> None:

@@ -35,6 +35,16 @@ def remembering() -> Model:
     return extend_model(Newtonian(freedom="vertical"), effects)
 
 
+@pytest.fixture(scope="module")
+def recorded(vertical: Model) -> tuple[Dataset, np.ndarray]:
+    return recording(vertical, ranges=RANGES)
+
+
+@pytest.fixture(scope="module")
+def dataset(recorded: tuple[Dataset, np.ndarray]) -> Dataset:
+    return recorded[0]
+
+
 def objective(
     model: Model, dataset: Dataset, free: list[str], joined: float | None = None, **settings: float
 ) -> tuple[MapObjective, np.ndarray, np.ndarray]:
@@ -75,8 +85,7 @@ def largest_slope_error(own: MapObjective, theta: np.ndarray, starts: np.ndarray
 
 
 @pytest.mark.parametrize("joined", [None, 0.03])
-def test_slopes_are_exact(vertical: Model, joined: float | None) -> None:
-    dataset, _ = recording(vertical, ranges=RANGES)
+def test_slopes_are_exact(vertical: Model, dataset: Dataset, joined: float | None) -> None:
     off = vertical.parameters.replaced({"k_fvp": 1.7e-5, "k_ov": 0.004})
     model = Newtonian(freedom="vertical")
     model.parameters = off
@@ -97,15 +106,11 @@ def test_slopes_see_what_commands_before_the_window_left_behind(remembering: Mod
     assert largest_slope_error(own, theta, starts) < 1e-5
 
 
-def test_starts_are_near_the_truth(vertical: Model) -> None:
-    dataset, states = recording(vertical, ranges=RANGES)
+def test_starts_are_near_the_truth_also_of_rotors_that_are_not_measured(vertical, recorded):
+    dataset, states = recorded
     own, _, starts = objective(vertical, dataset, ["k_ov"])
     error = np.abs(starts - states[own.windows.first])
     assert np.all(error < 0.2 * own.windows.spread)
-
-
-def test_rotors_that_are_not_measured_are_simulated(vertical: Model) -> None:
-    dataset, states = recording(vertical, ranges=RANGES)
     pitch = replace(
         dataset,
         outputs=dataset.outputs[:1],
@@ -119,8 +124,7 @@ def test_rotors_that_are_not_measured_are_simulated(vertical: Model) -> None:
     assert own.windows.measured.sum() == len(dataset)  # one output of two
 
 
-def test_missing_samples_have_no_part(vertical: Model) -> None:
-    dataset, _ = recording(vertical, ranges=RANGES)
+def test_missing_samples_have_no_part(vertical: Model, dataset: Dataset) -> None:
     own, theta, starts = objective(vertical, dataset, ["k_ov"])
     full = own.cost(theta, starts)
     holes = dataset.measurements.copy()
@@ -142,10 +146,9 @@ def test_overlapping_windows_count_each_sample_once(vertical: Model) -> None:
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("angle", [1e170, np.inf])
 def test_a_simulation_that_runs_away_costs_without_end_and_without_words(
-    vertical: Model, angle: float
+    vertical: Model, dataset: Dataset, angle: float
 ) -> None:
     """At 1e170 rad it is finite yet, and its square is not."""
-    dataset, _ = recording(vertical, ranges=RANGES)
     own, theta, starts = objective(vertical, dataset, ["k_ov"])
     away = starts.copy()
     away[1, vertical.state_index("alpha_v")] = angle
@@ -178,16 +181,13 @@ def test_parabola_touches_the_cost_and_lies_above(robust: float | None) -> None:
     assert slope == pytest.approx((parabola(at + step) - parabola(at - step)) / 2, rel=1e-4)
 
 
-def test_an_outlier_counts_linearly() -> None:
+def test_an_outlier_counts_linearly_and_moves_no_size() -> None:
     r = np.zeros((2, 30, 3))
     costs = []
     for size in (10.0, 20.0, 30.0):
         r[0, 0, 0] = size
         costs.append(weights(3.0).cost(r))
     assert costs[2] - costs[1] == pytest.approx(costs[1] - costs[0])
-
-
-def test_sizes_do_not_follow_single_outliers() -> None:
     generator = np.random.default_rng(0)
     r = generator.standard_normal((4, 500, 2)) * [1.0, 3.0]
     measured = np.ones(r.shape, dtype=bool)
