@@ -89,11 +89,7 @@ def _effect(name: str, **sizes):
 
 
 def _kind(name: str) -> str:
-    """What an effect is, without the axis or rotor it acts on; the name of its section and figure.
-
-    >>> _kind("main_reaction_on_yaw")
-    'rotor_reaction'
-    """
+    """What an effect is, as its section and figure are called: without its axis or rotor."""
     if "_reaction_on_" in name:
         return "rotor_reaction"
     part, rest = name.split("_", 1)

@@ -18,9 +18,7 @@ def test_a_linear_cable_swings_about_its_free_angle(rig):
     x = rig.simulate(model, np.zeros((500, 2)))
     frequency = np.sqrt(0.02 / 0.05)
     np.testing.assert_allclose(x[:, 2], 0.2 * (1 - np.cos(frequency * t)), atol=1e-9)
-
-
-def test_a_hardening_cable_equals_another_integration(rig):
+    # One that hardens equals another integration.
     cable = {"cable": CableStiffness(axis="yaw", stiffness=0.005, cubic=0.03, neutral=-0.1)}
     model = rig.extended(rig.turntable(inertia=0.05), cable)
     expected = rig.exactly(

@@ -15,20 +15,6 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 
 
-def test_each_option_describes_itself(rig, effect_name):
-    text = (config_folder() / "effect" / f"{effect_name}.yaml").read_text(encoding="utf-8")
-    first, head, *lines = text.splitlines()
-    assert re.match(r"# \w.{20,80}$", first)
-    assert head == f"{effect_name}:"
-    part = effect_name.split("_")[0]
-    for line in lines[1:]:
-        key, value = re.match(r"  (\w+): +(\S+)", line).groups()
-        if key in ("axis", "rotor"):
-            assert value == part
-        else:
-            assert re.search(r"  # .*\w", line), f"{key} has no unit and meaning"
-
-
 def test_each_size_has_a_unit_a_meaning_and_the_typical_range_that_the_option_tells(
     rig, effect_name
 ):

@@ -119,16 +119,13 @@ def test_a_mistake_is_told_by_file_and_key(written, changes, key, remedy):
     assert remedy in caught.value.remedy
 
 
-@pytest.mark.parametrize("name", ["k_fvp", "k_chn", "g"])
-def test_a_missing_parameter_is_named(written, content, name):
-    parameters = {key: value for key, value in content["parameters"].items() if key != name}
-    path = written(parameters=parameters)
-    with pytest.raises(ModelError) as caught:
-        load_model(path)
-    assert name in str(caught.value) and caught.value.where.startswith(f"{path}: parameters")
-
-
-def test_a_misspelt_parameter_is_named(written, content):
+def test_a_missing_or_misspelt_parameter_is_named(written, content):
+    for name in ("k_fvp", "k_chn", "g"):
+        parameters = {key: value for key, value in content["parameters"].items() if key != name}
+        path = written(parameters=parameters)
+        with pytest.raises(ModelError) as caught:
+            load_model(path)
+        assert name in str(caught.value) and caught.value.where.startswith(f"{path}: parameters")
     path = written(parameters=content["parameters"] | {"k_fvq": {"value": 1.0}})
     with pytest.raises(ModelError, match="k_fvq") as caught:
         load_model(path)

@@ -19,23 +19,15 @@ def reaction(rotor="main", drag=0.0, inertia=0.0):
     return {"reaction": RotorReaction(rotor=rotor, drag=drag, inertia=inertia)}
 
 
-def drag_of_the_main_rotor(model):
-    return model.parameters["k_tvp"].value
-
-
-def test_hover_needs_the_tail_command_of_the_check_value(rig):
+def test_hover_needs_the_tail_command_of_the_check_value_or_yaw_drifts_as_far_as_published(rig):
     base = rig.newtonian()
-    model = rig.extended(base, reaction(drag=drag_of_the_main_rotor(base)))
+    model = rig.extended(base, reaction(drag=base.parameters["k_tvp"].value))
     target = SteadyState(model).solve(np.zeros(2), np.zeros(model.n_w), None)
     assert not target.projected
     u = dict(zip(("u_v", "u_h"), target.u, strict=True))
     assert u["u_h"] == pytest.approx(-0.776, abs=0.002)
     assert u["u_v"] == pytest.approx(1.413, abs=0.002)
-
-
-def test_yaw_drifts_to_the_check_value_without_a_tail_command(rig):
-    base = rig.newtonian()
-    model = rig.extended(base, reaction(drag=drag_of_the_main_rotor(base)))
+    # Without a tail command:
     start = base.rest()
     start[base.state_index("alpha_v")] = 0.0
     start[base.state_index("omega_v")] = 196.3

@@ -60,8 +60,8 @@ def test_the_thrust_follows_the_power_and_the_ratio(rig, rotor, speed, exponent,
     assert other == 0.0
 
 
-def test_the_typical_exponent_takes_the_share_of_thrust_that_rigs_show(rig):
-    """5 to 7 % of full thrust, at the speed where it is largest."""
+def test_typical_sizes_take_the_share_of_thrust_that_rigs_show(rig):
+    """Of the exponent 5 to 7 % of full thrust, at the speed where it is largest."""
     model = rig.newtonian()
     effect = rig.effect("main_thrust_curve")
     full = added_torque(rig, model, effect, {"omega_v": 230.0})[2]["thrust_main"]
@@ -70,6 +70,9 @@ def test_the_typical_exponent_takes_the_share_of_thrust_that_rigs_show(rig):
         on_pitch, _, known = added_torque(rig, model, effect, {"omega_v": speed})
         losses.append(abs(on_pitch) / known["arm_main"] / full)
     assert 0.02 < max(losses) < 0.08
+    state = {"omega_v": 196.0, "S_v": 0.5}
+    on_pitch, _, known = added_torque(rig, model, rig.effect("main_inflow"), state)
+    assert 0.01 < -on_pitch / (known["arm_main"] * known["thrust_main"]) < 0.08
 
 
 @pytest.mark.parametrize("rotor", ["main", "tail"])
@@ -89,13 +92,6 @@ def test_inflow_is_a_damping_that_grows_with_the_speed(rig, rotor, speed, rate, 
         expected = -coefficient * arm * rate / speed * known[f"thrust_{rotor}"] * arm
         assert got == pytest.approx(expected, rel=1e-9, abs=1e-15)
     assert got * rate <= 1e-15
-
-
-def test_the_typical_inflow_takes_the_share_of_thrust_that_rigs_show(rig):
-    model = rig.newtonian()
-    state = {"omega_v": 196.0, "S_v": 0.5}
-    on_pitch, _, known = added_torque(rig, model, rig.effect("main_inflow"), state)
-    assert 0.01 < -on_pitch / (known["arm_main"] * known["thrust_main"]) < 0.08
 
 
 def test_ground_effect_is_the_cushion_s_share_of_the_thrust(rig, base):

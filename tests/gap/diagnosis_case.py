@@ -1,42 +1,18 @@
 """A diagnosis made by hand, with figures as a rig with yaw friction gives them."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from trms_cli.gap.diagnosis import (
-    Cause,
-    Detectable,
-    DiagnosedRecording,
-    DiagnosisResult,
-    FittedParameter,
-    Gap,
-    GapTest,
-    LocationShare,
-    NextExperiment,
-    NotTestable,
-    RaceEntry,
-    RegionShare,
-    Shrink,
-    SizeEstimate,
-    Traces,
-)
+from trms_cli.composition.catalogue import read_yaml
+from trms_cli.gap.diagnosis import DiagnosisResult, Gap, Shrink, Traces
 
+DOCUMENT = Path(__file__).with_suffix(".yaml")
 FRICTION = "yaw_coulomb_friction"
 CHANNELS = {"alpha_v": "rad", "alpha_h": "rad", "omega_v": "rad/s", "omega_h": "rad/s"}
-_TORQUE = SizeEstimate(value=0.00412, sd=0.00018, unit="N*m")
-_OF_A_TEST = ("channel", "statistic", "p_value", "p_corrected", "rejected")
-_TESTS: tuple[Any, ...] = (("alpha_h", 88.1, 1e-9, 4e-8, True), ("alpha_v", 21.0, 0.4, 1.0, False))
-_OF_AN_ENTRY = ("effects", "score", "se", "explained", "moved", "parameters")
-_RACE: tuple[Any, ...] = (
-    ((FRICTION,), 5120.0, 310.0, 0.97, 0.8, {f"{FRICTION}.torque": _TORQUE}),
-    (("yaw_stribeck_friction",), 5090.0, 320.0, 0.965, 0.9, {}),
-    (("flexible",), 4300.0, 400.0, 0.9, 1.0, {}),
-    (("yaw_quadratic_damping",), 2100.0, 350.0, 0.41, 3.1, {}),
-    (("tail_input_delay",), -40.0, 60.0, 0.0, 0.4, {}),
-    ((), 0.0, 0.0, 0.0, 4.9, {}),
-)
 
 
 def traces() -> Traces:
@@ -99,76 +75,6 @@ def diagnosis(**changes: Any) -> DiagnosisResult:
             for h in growth
         }
     shrink["all"] = {h: Shrink(fraction=0.91, ci95=(0.86, 0.94)) for h in ("0.5", "2.0", "10.0")}
-    found = DiagnosisResult(
-        recordings=(
-            DiagnosedRecording(
-                file="records/monday.csv",
-                sha256="5f" * 32,
-                duration_s=120.0,
-                sample_time_s=0.02,
-                channels=tuple(CHANNELS),
-            ),
-        ),
-        model="newtonian",
-        seed=0,
-        versions={},
-        verdict="effect",
-        where=(
-            LocationShare(location="yaw_moment", share=0.86, ci95=(0.79, 0.91)),
-            LocationShare(location="tail_thrust", share=0.05, ci95=(0.01, 0.12)),
-            LocationShare(location="pitch_moment", share=0.03, ci95=(0.0, 0.06)),
-            LocationShare(location="main_motor", share=0.0, ci95=(0.0, 0.01)),
-        ),
-        region=(
-            RegionShare(location="yaw_moment", condition="|rate of yaw| < 0.05 rad/s", share=0.22),
-        ),
-        causes=(
-            Cause(
-                effects=(FRICTION,), probability=0.88, parameters={f"{FRICTION}.torque": _TORQUE}
-            ),
-            Cause(
-                effects=("yaw_stribeck_friction",),
-                probability=0.08,
-                parameters={"yaw_stribeck_friction.torque": replace(_TORQUE, value=0.0038)},
-            ),
-            Cause(effects=("none_of_these",), probability=0.03),
-            Cause(effects=("parameters_only",), probability=0.01),
-            Cause(effects=("no_gap",), probability=0.0),
-        ),
-        confusable=((FRICTION, "yaw_stribeck_friction"),),
-        not_testable=(
-            NotTestable(effect="ground_effect", reason="the beam never came near the table"),
-            NotTestable(effect="tail_dead_zone", reason="u_h never crosses zero"),
-        ),
-        detectable={
-            FRICTION: Detectable(minimum_size=0.0008, unit="N*m"),
-            "main_input_delay": Detectable(minimum_size=0.0041, unit="s"),
-        },
-        parameters={
-            "k_fvp": FittedParameter(
-                prior=1.84e-5, fitted=1.79e-5, sd=1e-7, unit="N*s^2", moved=-0.5
-            ),
-            "k_oh": FittedParameter(
-                prior=0.0095, fitted=0.0151, sd=4e-4, unit="N*m*s/rad", moved=4.9
-            ),
-        },
-        gap=gap,
-        shrink=shrink,
-        next_experiment=NextExperiment(
-            why="Coulomb and Stribeck friction of yaw differ only where the axis turns slowly "
-            "through rest: swing it by a slow sine.",
-            command="trms run controller=open_loop signal@controller.u_h=sine "
-            "controller.u_h.frequency=0.05 sim.duration=120",
-        ),
-        sentence="Dry friction on the yaw axis of 4.1 mN m, which newtonian lacks, causes the gap: "
-        "86 % of it lies in the yaw moment, and adding it closes 91 % over 2 s.",
-        tests=tuple(
-            GapTest(name="whiteness", **dict(zip(_OF_A_TEST, row, strict=True))) for row in _TESTS
-        ),
-        race=tuple(RaceEntry(**dict(zip(_OF_AN_ENTRY, row, strict=True))) for row in _RACE),
-        warnings=("monday: u_h is at its limit for 34% of the time (smaller references)",),
-        seconds={"admission": 0.4, "refit": 12.0, "race": 61.0},
-        refit={"k_fvp": 1.78e-5, "k_oh": 0.0151},
-        traces=traces(),
-    )
-    return replace(found, **changes)
+    document = {**read_yaml(DOCUMENT), "gap": {}, "shrink": {}}
+    found = msgspec.convert(document, DiagnosisResult)
+    return replace(found, **({"gap": gap, "shrink": shrink, "traces": traces()} | changes))

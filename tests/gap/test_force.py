@@ -47,12 +47,9 @@ def from_outside(seed: int, time: float) -> ForceRecord:
     return replace(still(), force=4e-3 * force, sd=np.full(SAMPLES, 1e-3))
 
 
-def test_series_of_different_lengths_are_refused():
+def test_recordings_and_gaps_part_the_samples():
     with pytest.raises(ValueError, match="differ in shape"):
         replace(still(), sd=np.ones(3))
-
-
-def test_recordings_and_gaps_part_the_samples():
     record = still().taken(np.r_[0:1000, 1500:2500, 3000:4000])
     record = replace(record, recording=np.repeat([0, 0, 1], 1000))
     assert [part.stop for part in record.segments] == [1000, 2000, 3000]

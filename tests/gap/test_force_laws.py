@@ -163,15 +163,12 @@ def test_noise_is_called_noise():
     assert sentence.startswith("Nothing stands out of the noise at yaw_moment")
 
 
-@pytest.mark.parametrize("samples", [1, 3, 20, 100])
-def test_short_records_are_answered(samples):
-    record = of("yaw_moment", FORCES["dry"][2]).taken(np.arange(samples))
-    assert len(description(record)) >= 1
-    assert all(np.isfinite(value) for value in explained_shares(record).values())
-
-
-def test_without_any_motion_nothing_fails():
+def test_short_records_and_ones_without_any_motion_are_answered():
     record = of("yaw_moment", FORCES["dry"][2])
+    for samples in (1, 3, 20, 100):
+        short = record.taken(np.arange(samples))
+        assert len(description(short)) >= 1
+        assert all(np.isfinite(value) for value in explained_shares(short).values())
     bare = replace(record, angles={}, rates={}, speeds={}, commands={})
     assert "part may be from outside" in told(bare)
     assert all(np.isfinite(value) for value in explained_shares(bare).values())

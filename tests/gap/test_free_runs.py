@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.identification.greybox.rigs import recording
+from tests.identification.greybox.rigs import measuring, recording
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.flexible_mode import FlexibleMode
@@ -73,12 +73,7 @@ def test_a_start_does_not_know_what_comes(plain: tuple[Model, Dataset]) -> None:
 
 def test_angles_alone_and_missing_samples(plain: tuple[Model, Dataset]) -> None:
     model, dataset = plain
-    two = replace(
-        dataset,
-        outputs=dataset.outputs[:2],
-        measurements=dataset.measurements[:, :2].copy(),
-        noise_sd=dataset.noise_sd[:2],
-    )
+    two = measuring(dataset, 2)
     two.measurements[1100:1200, 1] = np.nan
     found = free_run_errors(model, [two], [SPAN])
     assert set(found) == {"alpha_v", "alpha_h"}

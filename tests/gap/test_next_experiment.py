@@ -113,9 +113,7 @@ def test_the_angles_stay_within_their_bounds(recordings: dict) -> None:
 def test_noise_from_outside_is_told_by_what_does_not_repeat(plain: Refit, known: dict) -> None:
     advice = advised(plain, known, apart=["tail_dead_zone", "yaw_disturbance"])
     assert "excitation.periods=4" in advice.command
-
-
-def test_nothing_is_advised_where_nothing_is_known(plain: Refit) -> None:
+    # Nothing is advised where nothing is known.
     assert advise(refit=plain, candidates={}, model_name="newtonian") is None
 
 
