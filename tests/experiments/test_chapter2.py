@@ -22,26 +22,25 @@ from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian
 
 
-def rates(model, x, u) -> np.ndarray:
+def rates(model) -> np.ndarray:
     at = model.symbols()
     f = ca.Function("f", list(at), [model.dynamics(*at)])
+    x, u = (90.0, 0.5, 0.2, 170.0, -0.4, -0.3), [1.2, 0.5]
     return np.array(f(x, u, model.parameters.values, np.zeros(4))).ravel()
 
 
 class TestStudy:
     def test_cases_of_one_axis_are_the_thesis_list(self, study):
-        assert study.one_axis["vertical"]["sine"] == [
-            (0.02, 1.5), (0.05, 0.8), (0.1, 1.0), (0.5, 2.0), (1.0, 2.5)
-        ]  # fmt: skip
-        assert study.one_axis["vertical"]["square"] == [
-            (0.02, 0.5), (0.05, 0.8), (0.1, 1.0), (0.5, 2.5)
-        ]  # fmt: skip
-        assert study.one_axis["horizontal"]["sine"] == [
-            (0.05, 0.3), (0.1, 0.4), (0.2, 0.5), (0.5, 2.0)
-        ]  # fmt: skip
-        assert study.one_axis["horizontal"]["square"] == [
-            (0.05, 0.2), (0.1, 0.3), (0.2, 0.4), (0.5, 1.0), (1.0, 2.5)
-        ]  # fmt: skip
+        assert study.one_axis == {
+            "vertical": {
+                "sine": [(0.02, 1.5), (0.05, 0.8), (0.1, 1.0), (0.5, 2.0), (1.0, 2.5)],
+                "square": [(0.02, 0.5), (0.05, 0.8), (0.1, 1.0), (0.5, 2.5)],
+            },
+            "horizontal": {
+                "sine": [(0.05, 0.3), (0.1, 0.4), (0.2, 0.5), (0.5, 2.0)],
+                "square": [(0.05, 0.2), (0.1, 0.3), (0.2, 0.4), (0.5, 1.0), (1.0, 2.5)],
+            },
+        }
 
     def test_nine_pairs_stay_within_what_the_motors_take(self, study):
         assert len(study.two_axes) == 9
@@ -60,35 +59,22 @@ class TestStudy:
             signal({"signal": "sine", "amplitud": 1.0}, "case.u_v")
 
 
-class TestFigures:
-    def test_a_difference_is_measured_as_said(self):
-        t = np.linspace(0, 1, 1001)
-        measure = np.sin(2 * np.pi * t)
-        d = difference(measure + 0.1, measure)
-        assert (d.rms, d.largest) == (pytest.approx(0.1), pytest.approx(0.1))
-        assert d.fit == pytest.approx(100 * (1 - 0.1 / np.std(measure)), rel=1e-9)
-        assert np.isnan(difference(measure, np.zeros(1001)).fit)
+def test_a_difference_is_measured_as_said():
+    t = np.linspace(0, 1, 1001)
+    measure = np.sin(2 * np.pi * t)
+    d = difference(measure + 0.1, measure)
+    assert (d.rms, d.largest) == (pytest.approx(0.1), pytest.approx(0.1))
+    assert d.fit == pytest.approx(100 * (1 - 0.1 / np.std(measure)), rel=1e-9)
+    assert np.isnan(difference(measure, np.zeros(1001)).fit)
 
 
-class TestBridge:
-    X = (90.0, 0.5, 0.2, 170.0, -0.4, -0.3)
-
-    def test_without_terms_it_is_the_newtonian_model(self):
-        u = [1.2, 0.5]
-        assert rates(Bridge(()), self.X, u) == pytest.approx(
-            rates(Newtonian(), self.X, u), rel=1e-12
-        )
-
-    def test_with_all_terms_it_is_the_lagrangian_model_on_the_axis(self):
-        u = [1.2, 0.5]
-        ours = rates(Lagrangian(parameters={"h": 0.0}), self.X, u)
-        assert rates(Bridge(TERMS), self.X, u) == pytest.approx(ours, rel=1e-10)
-
-    @pytest.mark.parametrize("term", TERMS)
-    def test_each_term_matters(self, term):
-        without = Bridge(tuple(t for t in TERMS if t != term))
-        gap = rates(without, self.X, [1.2, 0.5]) - rates(Bridge(TERMS), self.X, [1.2, 0.5])
-        assert np.abs(gap).max() > 1e-3
+def test_the_bridge_leads_from_the_newtonian_to_the_lagrangian_model_and_each_term_matters():
+    whole = rates(Bridge(TERMS))
+    assert rates(Bridge(())) == pytest.approx(rates(Newtonian()), rel=1e-12)
+    assert whole == pytest.approx(rates(Lagrangian(parameters={"h": 0.0})), rel=1e-10)
+    for term in TERMS:
+        without = rates(Bridge(tuple(t for t in TERMS if t != term)))
+        assert np.abs(without - whole).max() > 1e-3, term
 
 
 class TestExpectation:

@@ -66,8 +66,7 @@ class TestStudy:
         options = {path.stem for path in (config_folder() / "training").glob("*.yaml")}
         assert set(trainings["horizontal"]) == set(trainings["vertical"]) == options
         assert set(trainings["both"]) == {"lm", "bfgs", "br", "cgb", "rp", "scg"}
-
-    def test_every_start_of_every_training_is_a_job(self):
+        # Every start of every training is a job.
         assert len(_table_jobs("vertical", [0, 1])) == 26
         members = _member_jobs("both", [0])
         assert {job.label for job in members} == {"nnarx", "nnoe"}
@@ -138,19 +137,19 @@ class TestStudy:
         assert set(drawn) <= {path.name for path in (PAGE.parent / "figures/chapter3").iterdir()}
 
 
-class TestPage:
-    """Tables go between their marks, and nowhere else."""
+def test_tables_go_between_their_marks_on_the_page_and_nowhere_else(study):
+    text = "a\n<!-- table x -->\nold\n<!-- end -->\nb\n<!-- table y -->\n<!-- end -->\n"
+    assert fill_tables(text, {"x": "new \\1"}, "p") == text.replace("old", "new \\1")
+    with pytest.raises(RecordingError, match="no place for the table 'x'"):
+        fill_tables("", {"x": "t"}, "p")
+    fill_tables(PAGE.read_text(encoding="utf-8"), markdown(study), str(PAGE))
 
-    def test_a_table_takes_the_place_of_the_old_one(self):
-        text = "a\n<!-- table x -->\nold\n<!-- end -->\nb\n<!-- table y -->\n<!-- end -->\n"
-        assert fill_tables(text, {"x": "new \\1"}, "p") == text.replace("old", "new \\1")
 
-    def test_a_missing_place_is_named(self):
-        with pytest.raises(RecordingError, match="no place for the table 'x'"):
-            fill_tables("", {"x": "t"}, "p")
-
-    def test_the_page_has_a_place_for_every_table(self, study):
-        fill_tables(PAGE.read_text(encoding="utf-8"), markdown(study), str(PAGE))
+def made(own: dict, duration: float, seed: int = 0):
+    """A recording of these settings."""
+    return recording(
+        own["model"], own["excitation"], duration=duration, sample_time=0.02, seed=seed, name="r"
+    )
 
 
 class TestRecordings:
@@ -158,13 +157,7 @@ class TestRecordings:
 
     def test_the_seed_draws_commands_and_noise(self):
         own = settings()["systems"]["horizontal"]
-
-        def made(seed: int):
-            return recording(
-                own["model"], own["excitation"], duration=3.0, sample_time=0.02, seed=seed, name="r"
-            )
-
-        once, again, other = made(0), made(0), made(1)
+        once, again, other = (made(own, 3.0, seed) for seed in (0, 0, 1))
         assert np.array_equal(once.measurements, again.measurements)
         assert not np.array_equal(once.commands, other.commands)
         quantum = 2 * np.pi / 4096
@@ -172,10 +165,7 @@ class TestRecordings:
         assert steps == pytest.approx(np.round(steps), abs=1e-6)
 
     def test_pieces_end_where_the_beam_touches_its_stops(self):
-        own = settings()["systems"]["horizontal"]
-        whole = recording(
-            own["model"], own["excitation"], duration=4.0, sample_time=0.02, seed=0, name="r"
-        )
+        whole = made(settings()["systems"]["horizontal"], 4.0)
         angle = whole.output("alpha_h")
         angle[:] = 0.0
         angle[90:95] = 1.0
@@ -201,9 +191,7 @@ class TestShippedNetworks:
         """Another draw of the commands, run-up included: what a predictive controller needs."""
         own = shipped.settings()["networks"][name]
         content = read_narx_file(name)
-        fresh = recording(
-            own["model"], own["excitation"], duration=60.0, sample_time=0.02, seed=77, name="r"
-        )
+        fresh = made(own, 60.0, seed=77)
         pieces = cut_at_stops(fresh, content.limits, 6.0)
         errors = shipped.window_errors(content.structure, content.network, pieces, 4.0, 0.3)
         for channel, error in errors.items():

@@ -27,9 +27,6 @@ class TestCases:
             config = compose(case.fit).config
             assert config["sim"]["duration"] <= 60 and config["plant"]["prior_seed"]
             assert compose(["real=x.csv", *case.identify], "identify").config["free"]
-
-    def test_seeds_and_methods_are_those_of_the_file(self) -> None:
-        study = read_study()
         assert set(study.methods) == {"genetic", "multiple_shooting"}
         assert set(study.comparison) == {"genetic", "cma_es", "multiple_shooting"}
         assert len(study.seeds) >= 3 and len(study.compared) == 2

@@ -25,16 +25,12 @@ def study_of(question: Question) -> str:
 
 
 class TestStudy:
-    def test_every_study_that_there_is_is_asked(self):
-        asked = {study_of(question) for question in read_study().questions.values()}
-        assert asked == WANTED == set(read_groups()["study"])
-
-    def test_each_question_records_something(self):
-        for name, question in read_study().questions.items():
-            assert question.figures and question.why, name
-
-    def test_the_quick_one_is_a_part_of_it(self):
+    def test_every_study_that_there_is_is_asked_and_the_quick_one_is_a_part(self):
         full, quick = read_study().questions, read_study(quick=True).questions
+        asked = {study_of(question) for question in full.values()}
+        assert asked == WANTED == set(read_groups()["study"])
+        for name, question in full.items():
+            assert question.figures and question.why, name
         assert 2 <= len(quick) < len(full)
         assert all(full[name].overrides == q.overrides for name, q in quick.items())
 

@@ -14,13 +14,10 @@ from experiments.chapter6.results import compute, figures_of
 from experiments.chapter6.rig import MODEL, Loop, state_at
 from experiments.chapter6.study import Mode, read_study
 from experiments.expected_figures import differences
+from trms_cli.models.discretisation import discretise
 
 
 class TestStudy:
-    def test_six_cases_in_the_thesis_order(self):
-        kinds = [case.ref for case in read_study().cases.runs.values()]
-        assert kinds == ["square", "sine", "square", "square", "sine", "sawtooth"]
-
     def test_references_stay_within_what_the_rig_can_hold(self):
         loop = Loop(Mode().controller())
         for name, case in read_study().cases.runs.items():
@@ -33,8 +30,10 @@ class TestStudy:
                     target = loop.state.steady_state.solve(np.array(goal))
                     assert target.converged and not target.projected, (name, goal)
 
-    def test_the_quick_one_is_a_part_of_it(self):
+    def test_six_cases_in_the_thesis_order_of_which_the_quick_one_is_a_part(self):
         full, quick = read_study(), read_study(quick=True)
+        kinds = [case.ref for case in full.cases.runs.values()]
+        assert kinds == ["square", "sine", "square", "square", "sine", "sawtooth"]
         assert quick.cases.runs == full.cases.runs
         assert set(quick.decrease.only) <= set(full.decrease.modes)
         assert quick.decrease.states < full.decrease.states
@@ -81,9 +80,7 @@ class TestClaims:
         assert by_mode["equality"].kept_with_move == 1.0
         assert by_mode["quasi-infinite"].kept == 1.0
         assert by_mode["equality"].shifted < 1e-6  # recursively feasible
-
-    def test_without_terminal_constraint_it_does_not(self):
-        study = read_study(quick=True).decrease
+        # Without terminal constraint it does not.
         study.only = ["none, N = 12"]
         ((claim,), _) = study_decrease(study, seed=77)
         assert claim.kept < 0.1
@@ -101,11 +98,10 @@ class TestClaims:
             assert found.feasible["equality", study.horizons[-1]].mean() > 0
 
 
-class TestExpectation:
-    def test_quick_study(self, expected):
-        study = read_study(quick=True)
-        found = figures_of(compute(study, 1, lambda part: None))
-        assert differences(found, expected["quick"], study.tolerances) == []
+def test_the_quick_study_is_what_was_recorded(expected):
+    study = read_study(quick=True)
+    found = figures_of(compute(study, 1, lambda part: None))
+    assert differences(found, expected["quick"], study.tolerances) == []
 
 
 class TestPage:
@@ -148,7 +144,5 @@ class TestPage:
 
 
 def _moved(x: np.ndarray, u: np.ndarray, seconds: float) -> np.ndarray:
-    from trms_cli.models.discretisation import discretise
-
     step = discretise(MODEL, seconds).step
     return np.array(step(x, u, MODEL.parameters.values, np.zeros(MODEL.n_w))).ravel()

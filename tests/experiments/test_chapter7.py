@@ -27,8 +27,7 @@ class TestStudy:
             "simulation": ["sawtooth", "sine", "sine", "square", "square", "square"],
             "experiment": ["sawtooth", "sine", "sine", "square", "square", "step", "step"],
         }
-
-    def test_every_pair_runs_every_case(self, study):
+        # Every pair runs every case.
         jobs = jobs_of(study)
         assert len({job.key for job in jobs}) == len(jobs) == 14 * len(study.pairs)
         assert len(jobs_of(study, all_pairs=True)) == 14 * (
@@ -70,8 +69,7 @@ class TestFigures:
             glides = expected["full"][f"experiment/force without friction/{pair}"]["alpha_h"]
             assert abs(sticks["last_mean_error"]) < study.encoder_step
             assert abs(glides["last_mean_error"]) < 0.5 * study.encoder_step
-
-    def test_nothing_fails_and_no_limit_is_exceeded(self, expected):
+        # Nothing fails and no limit is exceeded.
         for figures in expected["full"].values():
             assert figures["failures"] == figures["violations"] == 0
 

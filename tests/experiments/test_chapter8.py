@@ -11,9 +11,8 @@ from experiments.chapter8.laws import Bench, study_laws
 from experiments.chapter8.runs import cases, run_case
 
 
-class TestStudy:
-    def test_the_starts_are_those_of_the_thesis(self, study):
-        assert study.starts == [(1.2, 0.65), (-0.65, -0.35), (-1.27, -0.47), (0.64, 0.43)]
+def test_the_starts_are_those_of_the_thesis(study):
+    assert study.starts == [(1.2, 0.65), (-0.65, -0.35), (-1.27, -0.47), (0.64, 0.43)]
 
 
 class TestExpectation:

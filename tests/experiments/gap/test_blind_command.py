@@ -88,6 +88,9 @@ def test_perfect_diagnoses_reach_everything(sealed, cases, tmp_path, capsys) -> 
     assert all(facts["right"] for facts in method["judged"].values())
     page = (tmp_path / "out" / "score.md").read_text()
     assert "| two effects: both | ≥ 75 % | 100.0 % [" in page
+    # What is diagnosed is not diagnosed again.
+    assert main(["blind", "run", f"in={sealed}", f"out={found}"]) == 0
+    assert f"{CASES} of {CASES} are diagnosed already" in capsys.readouterr().out
 
 
 def test_methods_stand_side_by_side(sealed: Path, cases: dict[str, Case], tmp_path: Path) -> None:
@@ -108,12 +111,6 @@ def test_methods_stand_side_by_side(sealed: Path, cases: dict[str, Case], tmp_pa
     assert rows["shrink relative to the oracle: median"]["value"] == pytest.approx(0.5)
     assert rows["single, medium and strong: exact"]["reached"] is False
     assert rows["effect named on an exact null"]["reached"] is True
-
-
-def test_what_is_diagnosed_is_not_diagnosed_again(sealed, cases, tmp_path, capsys) -> None:
-    found = write(tmp_path / "found", {name: document(case) for name, case in cases.items()})
-    assert main(["blind", "run", f"in={sealed}", f"out={found}"]) == 0
-    assert f"{CASES} of {CASES} are diagnosed already" in capsys.readouterr().out
 
 
 def test_a_recording_that_cannot_be_diagnosed_is_told(sealed, tmp_path, capsys) -> None:

@@ -14,8 +14,10 @@ from experiments.gap.blind.measures import Table, Target, table
 from experiments.gap.blind.nominal import nominal
 from experiments.gap.blind.recording import csv_of
 from experiments.gap.blind.statistics import quantile, reliability, share
+from tests.gap.diagnosis_case import CHANNELS, diagnosis
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.gap.diagnosis import document_of
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout
 
@@ -151,13 +153,6 @@ def test_the_second_recording_judges_intervals_and_harm() -> None:
     assert figure(found, "shrink relative to the oracle: median").estimate.value == 0.625
 
 
-def test_targets() -> None:
-    assert Target(kind="at least", low=0.9).met(0.9)
-    assert not Target(kind="at least", low=0.9).met(0.89)
-    assert not Target(kind="at most", high=0.02).met(0.03)
-    assert not Target(kind="within", low=0.94, high=0.96).met(0.97)
-
-
 def test_intervals_of_shares_are_wilsons() -> None:
     for hits, n in ((0, 10), (3, 10), (10, 10), (1, 44)):
         found = share([True] * hits + [False] * (n - hits))
@@ -177,7 +172,11 @@ def test_intervals_of_quantiles_hold_the_truth_as_often_as_they_say() -> None:
     assert 0.88 <= held / 200 <= 0.99
 
 
-def test_reliability_of_probabilities() -> None:
+def test_reliability_of_probabilities_and_targets() -> None:
+    assert Target(kind="at least", low=0.9).met(0.9)
+    assert not Target(kind="at least", low=0.9).met(0.89)
+    assert not Target(kind="at most", high=0.02).met(0.03)
+    assert not Target(kind="within", low=0.94, high=0.96).met(0.97)
     told = reliability([0.95] * 20 + [0.55] * 20, [True] * 19 + [False] + [True] * 11 + [False] * 9)
     assert told.calibration_error == pytest.approx(0.0, abs=1e-9)
     lies = reliability([0.95] * 10, [False] * 10)
@@ -186,35 +185,18 @@ def test_reliability_of_probabilities() -> None:
     assert [b["count"] for b in told.bins] == [20, 20]
 
 
-DOCUMENT: dict[str, Any] = {
-    "schema": "trms.diagnosis/1",
-    "verdict": "effect",
-    "where": [
-        {"location": "pitch_moment", "share": 0.1, "ci95": [0, 0.2]},
-        {"location": "yaw_moment", "share": 0.8, "ci95": [0.7, 0.9]},
-    ],
-    "causes": [
-        {
-            "effects": [FRICTION],
-            "probability": 0.8,
-            "parameters": {f"{FRICTION}.torque": {"value": 0.004, "sd": 1e-4, "unit": "N*m"}},
-        },
-        {"effects": ["no_gap"], "probability": 0.2},
-    ],
-    "confusable": [[FRICTION, "yaw_stribeck_friction"]],
-    "shrink": {"all": {"2.0": {"fraction": 0.9, "ci95": [0.8, 0.95]}}},
-    "gap": {"alpha_h": {"2.0": {"floor": 0.001}}},
-    "seconds": {"race": 10.0, "where": 2.0},
-}
+DOCUMENT: dict[str, Any] = document_of(diagnosis())
 
 
 def test_a_document_is_read() -> None:
-    found = answer_of(DOCUMENT)
-    assert found.first == ((FRICTION,), 0.8)
-    assert found.places == ("yaw_moment", "pitch_moment")
-    assert found.sizes == {f"{FRICTION}.torque": 0.004}
-    assert (found.shrink, found.shrink_ci95, found.seconds) == (0.9, (0.8, 0.95), 12.0)
-    assert found.floors == {"alpha_h": 0.001}
+    shuffled = DOCUMENT | {"where": DOCUMENT["where"][::-1]}
+    for found in (answer_of(DOCUMENT), answer_of(shuffled)):
+        assert found.first == ((FRICTION,), 0.88)
+        assert found.places == ("yaw_moment", "tail_thrust", "pitch_moment", "main_motor")
+        assert found.sizes == {f"{FRICTION}.torque": 0.00412}
+        assert (found.shrink, found.shrink_ci95) == (0.91, (0.86, 0.94))
+        assert found.seconds == pytest.approx(73.4)
+        assert found.floors == {n: 0.0011 if unit == "rad" else 1.7 for n, unit in CHANNELS.items()}
 
 
 @pytest.mark.parametrize(

@@ -70,17 +70,13 @@ def test_the_same_seed_makes_the_same_bytes_under_another_salt(made: tuple, tmp_
         open_key(tmp_path / "key", folder)
 
 
-def test_a_changed_truth_is_noticed(made: tuple, tmp_path: Path) -> None:
+def test_a_changed_truth_or_recording_is_noticed(made: tuple, tmp_path: Path) -> None:
     folder, key, _ = made
     document = json.loads((key / "key.json").read_text())
     document["key"]["cases"]["c001"]["kind"] = "outside"
     (tmp_path / "key.json").write_text(json.dumps(document))
     with pytest.raises(RecordingError, match="was told"):
         open_key(tmp_path / "key.json", folder)
-
-
-def test_a_changed_recording_is_noticed(made: tuple) -> None:
-    folder, key, _ = made
     file = folder / "recordings" / "c002.csv"
     text = file.read_text()
     file.write_text(text.replace("0.020,", "0.021,", 1))
