@@ -67,9 +67,7 @@ def test_a_row_holds_the_samples_of_its_lags(samples):
     different, *_ = rows(structure(differences=True), samples)
     assert different[:, 2:4] == pytest.approx(regressors[:, 0:2] - regressors[:, 2:4], abs=1e-14)
     assert np.linalg.matrix_rank(structure().arrangement()) == structure().n_regressors
-
-
-def test_a_lost_sample_takes_its_rows_away_and_no_others(samples):
+    # A lost sample takes its rows away and no others.
     outputs = samples.outputs.copy()
     outputs[20, 0] = np.nan
     _, _, place = rows(structure(), Samples(outputs, samples.inputs))
@@ -120,10 +118,7 @@ def test_the_curvature_of_a_simulation_is_that_of_its_jacobian(samples):
     jacobian = central(errors, theta)
     found = objective.normal_equations(theta).curvature
     assert found == pytest.approx(jacobian.T @ jacobian, rel=1e-5, abs=1e-5)
-
-
-def test_a_window_of_one_step_is_the_one_step_error(samples):
-    shape, scale, network, theta = parts(samples)
+    # A window of one step is the one-step error.
     simulated = MultiStepError(network, shape, scale, [samples], steps=1, stride=1)
     predicted, _ = one_step(samples)
     # the same errors, in units of the levels and of the increments

@@ -1,5 +1,7 @@
 """Recordings of small simulated rigs for these tests."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from trms_cli.identification.dataset import Dataset
@@ -56,6 +58,16 @@ def dataset_of(
         name, f"{name}.csv", "0" * 64, step, time, model.inputs, model.outputs, commands, measured,
         sd,
     )  # fmt: skip
+
+
+def measuring(dataset: Dataset, outputs: int) -> Dataset:
+    """The same recording with only so many of its outputs."""
+    return replace(
+        dataset,
+        outputs=dataset.outputs[:outputs],
+        measurements=dataset.measurements[:, :outputs].copy(),
+        noise_sd=dataset.noise_sd[:outputs],
+    )
 
 
 def recording(

@@ -41,16 +41,13 @@ def test_white_residuals_give_the_inverse_curvature(columns: np.ndarray) -> None
     np.testing.assert_allclose(information(columns).covariance(), wanted, rtol=1e-9)
 
 
-def test_correlated_residuals_widen_what_comes_from_the_data(columns: np.ndarray) -> None:
+def test_correlated_residuals_widen_what_comes_from_the_data_but_no_prior(columns: np.ndarray):
     """With φ times the variance of the score, and no prior, deviations grow by √φ."""
     white = information(columns, prior=0.0).covariance()
     wide = information(columns, prior=0.0, inflation=9.0).covariance()
     np.testing.assert_allclose(wide, 9 * white, rtol=1e-9)
     known = information(columns, prior=0.0, inflation=9.0).samples_per_sample()
     np.testing.assert_allclose(known, 9.0, rtol=1e-9)
-
-
-def test_a_prior_is_never_widened(columns: np.ndarray) -> None:
     silent = information(0.0 * columns, inflation=50.0)
     np.testing.assert_allclose(silent.covariance(), 4.0 * np.eye(4))
 
@@ -131,9 +128,7 @@ def test_long_run_variance_of_an_autoregression(kept: float) -> None:
     long_run = gamma[0, 0] + 2 * gamma[0, 1:].sum()
     # Parzen's window costs a few percent; 60 000 samples scatter by two more.
     assert long_run == pytest.approx(1 / (1 - kept) ** 2, rel=0.1)
-
-
-def test_parzen_falls_from_one_to_nothing() -> None:
+    # It falls from one to nothing.
     window = parzen(10)
     assert window[0] == 1 and window[-1] < 0.01
     assert np.all(np.diff(window) < 0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.identification.greybox.rigs import recording
+from tests.identification.greybox.rigs import measuring, recording
 from trms_cli.effects.actuator_lag import ActuatorLag
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
@@ -111,13 +111,7 @@ def test_starts_are_near_the_truth_also_of_rotors_that_are_not_measured(vertical
     own, _, starts = objective(vertical, dataset, ["k_ov"])
     error = np.abs(starts - states[own.windows.first])
     assert np.all(error < 0.2 * own.windows.spread)
-    pitch = replace(
-        dataset,
-        outputs=dataset.outputs[:1],
-        measurements=dataset.measurements[:, :1],
-        noise_sd=dataset.noise_sd[:1],
-    )
-    own, _, starts = objective(vertical, pitch, ["k_ov"])
+    own, _, starts = objective(vertical, measuring(dataset, 1), ["k_ov"])
     row = vertical.state_index("omega_v")
     # The rig began at rest, its estimate at the speed of the first command: forgotten in 8 s.
     np.testing.assert_allclose(starts[2:, row], states[own.windows.first[2:], row], atol=0.1)
