@@ -94,17 +94,13 @@ def zone(width, rotor="main"):
     return {"zone": DeadZone(rotor=rotor, width=width)}
 
 
-def reaching(model):
-    u, p = ca.SX.sym("u", 2), ca.SX.sym("p", len(model.parameters))
-    arriving, _ = model.input_path(ca.SX.zeros(0, 1), u, p, (0.0, 1.0), 0.02)
-    return ca.Function("v", [u, p], [arriving])
-
-
 @given(u=st.floats(-2.5, 2.5), width=st.floats(0, 1))
 def test_the_map_is_continuous_and_odd_and_loses_the_width(rig, u, width):
     model = rig.extended(rig.newtonian(), zone(0.1))
+    commands, parameters = ca.SX.sym("u", 2), ca.SX.sym("p", len(model.parameters))
+    arriving, _ = model.input_path(ca.SX.zeros(0, 1), commands, parameters, (0.0, 1.0), 0.02)
+    v = ca.Function("v", [commands, parameters], [arriving])
     p = model.parameters.replaced({"zone.width": width}).values
-    v = reaching(model)
     got = float(v([u, 0.3], p)[0])
     assert got == -float(v([-u, 0.3], p)[0])
     assert np.isclose(got, np.sign(u) * max(abs(u) - width, 0.0), atol=1e-15)
@@ -131,13 +127,17 @@ def gains(rig, u, model):
     return np.diff(x[:, 3]) * 0.05 / 0.02 / u, x[:, -1]
 
 
-def test_full_load_warms_up_and_takes_the_gain_away(rig):
+def test_full_load_warms_up_and_takes_the_gain_away_and_rest_cools(rig):
     gain, warmth = gains(rig, 2.5, rig.extended(rig.turntable(inertia=0.05), derating()))
     t = np.arange(1001) * 0.02
     np.testing.assert_allclose(warmth, 1 - np.exp(-t / 5.0), atol=1e-12)
     assert gain[0] > 0.999
     mean = 1 - 5.0 / 0.02 * np.diff(-np.exp(-t / 5.0))
     np.testing.assert_allclose(gain, 1 - 0.1 * mean, atol=1e-9)
+    u = np.concatenate([np.full(500, -2.5), np.zeros(500)])
+    model = rig.extended(rig.turntable(), derating())
+    warmth = rig.simulate(model, np.column_stack([np.zeros(1000), u]))[:, -1]
+    np.testing.assert_allclose(warmth[-1], (1 - np.exp(-2)) * np.exp(-2), rtol=1e-9)
 
 
 @given(u=st.floats(0.1, 2.5), depth=st.floats(0, 0.3))
@@ -149,10 +149,3 @@ def test_a_sagging_supply_loses_gain_at_once_by_the_load(rig, u, depth):
     )
     gain, _ = gains(rig, u, model)
     np.testing.assert_allclose(gain, 1 - depth * (u / 2.5) ** 2, atol=1e-7)
-
-
-def test_it_cools_when_the_command_rests(rig):
-    model = rig.extended(rig.turntable(), derating())
-    u = np.concatenate([np.full(500, -2.5), np.zeros(500)])
-    warmth = rig.simulate(model, np.column_stack([np.zeros(1000), u]))[:, -1]
-    np.testing.assert_allclose(warmth[-1], (1 - np.exp(-2)) * np.exp(-2), rtol=1e-9)

@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-import yaml
 
 from experiments.gap.blind.drivers import rich_excitation
 from tests.identification.greybox.rigs import dataset_of, sensed
+from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
@@ -23,10 +23,7 @@ STEP = 0.02  # s
 
 def effect(name: str, **sizes: float) -> Effect:
     """An effect of the library, at other sizes."""
-    text = (config_folder() / "effect" / f"{name}.yaml").read_text(encoding="utf-8")
-    made = build({**yaml.safe_load(text)[name], **sizes}, name)
-    assert isinstance(made, Effect)
-    return made
+    return build(read_yaml(config_folder() / "effect" / f"{name}.yaml")[name] | sizes, name)
 
 
 def recording(

@@ -82,6 +82,11 @@ def test_what_is_right_for_each_kind_of_case():
     assert right_answers({"kind": "offset"}) == {("parameters_only",)}
     assert right_answers({"kind": "outside", "effects": {"x": {}}}) == {("none_of_these",)}
     assert right_answers({"kind": "pair", "effects": {"b": {}, "a": {}}}) == {("a", "b")}
+    # Usual errors are those that rigs without an effect seldom exceed.
+    nulls = [{"pitch_moment": 0.01 * k} for k in range(1, 11)]
+    assert usual_shares(nulls)["pitch_moment"] == pytest.approx(0.091, abs=0.001)
+    assert usual_shares([{"pitch_moment": 0.004}]) == {"pitch_moment": 0.01}
+    assert usual_shares([]) == {}
 
 
 def test_features_survive_the_file():
@@ -89,10 +94,3 @@ def test_features_survive_the_file():
     again = features_of(json_data(made))
     np.testing.assert_array_equal(again.scores, made.scores)
     assert again.names == NAMES
-
-
-def test_usual_errors_are_those_that_rigs_without_an_effect_seldom_exceed():
-    nulls = [{"pitch_moment": 0.01 * k} for k in range(1, 11)]
-    assert usual_shares(nulls)["pitch_moment"] == pytest.approx(0.091, abs=0.001)
-    assert usual_shares([{"pitch_moment": 0.004}]) == {"pitch_moment": 0.01}
-    assert usual_shares([]) == {}

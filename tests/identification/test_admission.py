@@ -64,22 +64,15 @@ KINDS = pytest.mark.parametrize("kind", [*SIGNALS, "closed"])
 
 
 class TestGoodRecordings:
-    @pytest.mark.parametrize("seed", range(2))
+    @pytest.mark.parametrize(
+        "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 40))]
+    )
     @KINDS
     def test_rigs_drawn_from_the_priors_pass_without_a_word(self, kind, seed):
         recording = play(kind, seed=seed, prior_seed=seed)
         assert admit([dataset(recording)], MODEL, 15).issues == ()
         bare = dataset(recording, without_speeds(lambda channels: None))
         assert admit([bare], MODEL, 15).issues == ()
-
-    @pytest.mark.slow
-    @KINDS
-    def test_many_more_pass(self, kind):
-        for seed in range(2, 40):
-            recording = play(kind, seed=seed, prior_seed=seed)
-            bare = dataset(recording, without_speeds(lambda channels: None))
-            for one in (dataset(recording), bare):
-                assert admit([one], MODEL, 15).issues == (), seed
 
     @pytest.mark.parametrize("freedom", ["vertical", "horizontal"])
     def test_models_of_one_axis(self, freedom, recordings):

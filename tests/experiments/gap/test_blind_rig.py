@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from experiments.gap.blind import rig
 from experiments.gap.blind.drivers import (
@@ -18,7 +17,9 @@ from experiments.gap.blind.drivers import (
     rich_excitation,
     square_references,
 )
+from experiments.gap.blind.nominal import nominal
 from experiments.gap.blind.rig import Nuisances, RigRecordings, Rigs
+from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
@@ -46,21 +47,15 @@ SAME_LAW = 0.03
 NOT_COMPARED = ("disturbance", "quantisation")
 
 
-def nominal(n: int) -> dict[str, np.ndarray]:
-    text = (config_folder() / "parameters" / "bench.yaml").read_text(encoding="utf-8")
-    values = yaml.safe_load(text)["parameters"]
-    return {name: np.full(n, float(entry["value"])) for name, entry in values.items()}
+def nominals(n: int) -> dict[str, np.ndarray]:
+    return {name: np.full(n, value) for name, value in nominal().items()}
 
 
-def library() -> dict[str, dict[str, Any]]:
-    found = {}
-    for file in sorted((config_folder() / "effect").glob("*.yaml")):
-        if not file.stem.endswith(NOT_COMPARED):
-            found[file.stem] = yaml.safe_load(file.read_text(encoding="utf-8"))[file.stem]
-    return found
-
-
-LIBRARY = library()
+LIBRARY: dict[str, dict[str, Any]] = {
+    file.stem: read_yaml(file)[file.stem]
+    for file in sorted((config_folder() / "effect").glob("*.yaml"))
+    if not file.stem.endswith(NOT_COMPARED)
+}
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +72,7 @@ def recorded() -> tuple[np.ndarray, dict[str | None, np.ndarray]]:
         patch.setattr(rig, "SPEED_NOISE", 0.0)
         patch.setattr(rig, "SPEED_QUANTUM", 1e-9)
         patch.setattr(rig, "PITCH_QUANTUM", 1e-12)
-        rigs = Rigs(nominal(len(names)), sizes, QUIET)
+        rigs = Rigs(nominals(len(names)), sizes, QUIET)
         run = rigs.run(OpenLoop(commands), SAMPLES * SAMPLE, SAMPLE, settling=0.0)
     return commands[0], dict(zip(names, run.measured, strict=True))
 
@@ -91,8 +86,7 @@ def simulated(name: str | None, commands: np.ndarray) -> np.ndarray:
     )
     p, w = model.parameters.values, np.zeros(model.n_w)
     start = model.rest()
-    values = {p.name: p.value for p in Newtonian().parameters}
-    start[model.state_index("alpha_v")] = hanging(values)
+    start[model.state_index("alpha_v")] = hanging(nominal())
     x, rows = discrete.initial(start, np.zeros(2)), []
     for u in commands:
         rows.append(measure.evaluate(x, u, p)[0].copy())
@@ -133,7 +127,7 @@ def test_an_effect_is_the_same_in_both_codes(name: str, recorded: Any) -> None:
 def run_with(
     driver: Any, n: int, nuisances: Nuisances | None = None, seed: int = 1
 ) -> RigRecordings:
-    rigs = Rigs(nominal(n), {}, nuisances or Nuisances(), seed)
+    rigs = Rigs(nominals(n), {}, nuisances or Nuisances(), seed)
     return rigs.run(driver, 1.0, SAMPLE, settling=0.2)
 
 
@@ -153,7 +147,7 @@ def test_the_same_seed_gives_the_same_recording_with_small_nuisances_and_whole_q
 
 def test_the_controller_follows() -> None:
     references = np.tile([-0.2, 0.4], (1, 400, 1))
-    rigs = Rigs(nominal(1), {}, Nuisances(), 1)
+    rigs = Rigs(nominals(1), {}, Nuisances(), 1)
     run = rigs.run(CascadedPid(references, SAMPLE), 8.0, SAMPLE, settling=0.0)
     error = np.abs(run.measured[0, :, :2] - references[0])
     assert (np.abs(run.commands) <= rig.COMMAND_LIMIT).all()

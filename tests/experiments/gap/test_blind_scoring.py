@@ -54,6 +54,11 @@ def test_exact_means_all_effects_and_no_other() -> None:
     assert not judged(pair, answer(FRICTION)).exact
     assert not judged(case("single", FRICTION), answer(FRICTION, DELAY)).exact
     assert not judged(case("single", FRICTION), answer(FRICTION, verdict="undecided")).exact
+    # What is right depends on the kind.
+    assert judged(case("null"), answer("no_gap", verdict="no_gap")).right
+    assert judged(case("offset"), answer("parameters_only", verdict="parameters_only")).right
+    assert judged(case("outside", "yaw_cogging"), answer("none_of_these", verdict="x")).right
+    assert not judged(case("offset"), answer("no_gap", verdict="no_gap")).right
 
 
 def test_a_confusion_counts_where_the_diagnosis_declared_it() -> None:
@@ -77,13 +82,6 @@ def test_places_and_equations() -> None:
         (False, False),
     ]
     assert not judged(truth, answer(DELAY)).located
-
-
-def test_what_is_right_depends_on_the_kind() -> None:
-    assert judged(case("null"), answer("no_gap", verdict="no_gap")).right
-    assert judged(case("offset"), answer("parameters_only", verdict="parameters_only")).right
-    assert judged(case("outside", "yaw_cogging"), answer("none_of_these", verdict="x")).right
-    assert not judged(case("offset"), answer("no_gap", verdict="no_gap")).right
 
 
 def test_sizes_are_compared_where_the_law_is_the_same() -> None:

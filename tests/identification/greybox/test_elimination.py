@@ -8,13 +8,9 @@ from trms_cli.identification.greybox.objective import Joint, Quadratic, eliminat
 M, N, F, ROWS = 5, 3, 4, 40
 
 
-def drawn(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    generator = np.random.default_rng(seed)
-    return generator.standard_normal((M, ROWS, N + F)), generator.standard_normal((M, ROWS))
-
-
 def quadratic(seed: int, joined: bool) -> tuple[Quadratic, np.ndarray, np.ndarray]:
-    a_b, r = drawn(seed)
+    generator = np.random.default_rng(seed)
+    a_b, r = generator.standard_normal((M, ROWS, N + F)), generator.standard_normal((M, ROWS))
     generator = np.random.default_rng(seed + 1)
     joint = None
     if joined:

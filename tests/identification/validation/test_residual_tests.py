@@ -97,17 +97,13 @@ def test_lags_grow_geometrically():
 SEEDS = 300
 
 
-def smooth(rng: np.random.Generator, n: int) -> np.ndarray:
-    """An input whose neighbours resemble each other, as every command's do."""
-    return lfilter([1.0], [1.0, -0.97], rng.standard_normal(n))
-
-
 @pytest.mark.parametrize("case", ["constant spread", "it follows the input", "feedback"])
 def test_p_values_are_uniform_for_any_input_and_spread(case):
     p = []
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
-        u, e = smooth(rng, 1500), rng.standard_normal(1500)
+        # Neighbours resemble each other, as every command's do.
+        u, e = lfilter([1.0], [1.0, -0.97], rng.standard_normal(1500)), rng.standard_normal(1500)
         if case == "it follows the input":
             e[1:] *= 0.3 + np.abs(u[:-1])
         elif case == "feedback":
