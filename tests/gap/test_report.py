@@ -332,9 +332,7 @@ def test_horizons_are_seconds_with_a_decimal_in_order() -> None:
     assert list(document["gap"]["alpha_h"]) == ["0.1", "2.0", "10.0"]
     assert list(document["shrink"]["all"]) == ["0.5", "2.0", "10.0"]
     assert document["shrink"]["all"]["2.0"] == {"fraction": 0.91, "ci95": [0.86, 0.94]}
-
-
-def test_what_is_not_finite_is_null_and_numpy_is_plain() -> None:
+    # What is not finite is null, and NumPy's values are plain.
     case = diagnosis()
     row = replace(case.gap["alpha_h"]["2.0"], raw=math.nan, refit=np.float64(math.inf))
     place = LocationShare(location="yaw_moment", share=np.float32(0.5), ci95=(np.float64(0.1), 1.0))

@@ -50,16 +50,13 @@ def stored(network, theta) -> Network:
 
 
 def test_slopes_in_weights_and_regressor_are_those_of_differences(network, theta, z):
-    _, jacobian, by_z = network.slopes(theta, z)
+    values, jacobian, by_z = network.slopes(theta, z)
     assert jacobian == pytest.approx(central(lambda t: network.values(t, z), theta), abs=2e-8)
     for k in range(N):
         expected = central(lambda row: network.values(theta, row[None])[0], z[k])
         assert by_z[k] == pytest.approx(expected, abs=2e-8)
-
-
-def test_pulling_back_is_the_product_with_the_slopes(network, theta, z):
+    # Pulling back is the product with the slopes.
     weight = np.random.default_rng(4).standard_normal((N, N_OUT))
-    values, jacobian, by_z = network.slopes(theta, z)
     by_theta, back = network.pulled_back(theta, z, weight)
     assert by_theta == pytest.approx(np.einsum("no,nop->p", weight, jacobian), abs=1e-12)
     assert back == pytest.approx(np.einsum("no,noz->nz", weight, by_z), abs=1e-12)

@@ -65,6 +65,9 @@ class TestSearch:
         assert one.cost == two.cost and one.costs == two.costs
         assert np.array_equal(one.best, two.best)
         assert one.costs != other.costs
+        # A larger budget goes the same way farther.
+        longer = run(make(), 300)
+        assert longer.costs[: len(one.costs)] == one.costs
 
     @settings(max_examples=4, deadline=None)
     @given(stops=st.lists(st.integers(1, 9), min_size=1, max_size=2))
@@ -92,10 +95,6 @@ class TestSearch:
         assert np.array_equal(resumed.best, whole.best)
         known = sum(len(entry["costs"]) for entry in saved["generations"])
         assert simulated[0] == whole.evaluations - known
-
-    def test_a_larger_budget_goes_the_same_way_farther(self, make):
-        short, long = run(make(), 100), run(make(), 300)
-        assert long.costs[: len(short.costs)] == short.costs
 
 
 class TestFinding:

@@ -151,11 +151,9 @@ class TestErrors:
 
 
 class TestResidualTests:
-    def test_a_right_model_passes_in_spite_of_quantised_angles(self, right):
-        # one recording; the rate over many is held in test_residual_tests.py
+    def test_a_right_model_passes_and_a_wrong_one_fails_where_it_is_wrong(self, right, wrong):
+        """In spite of quantised angles; the rate over many is held in test_residual_tests.py."""
         assert document_of([right])["residual_tests"]["failed"] == 0
-
-    def test_a_wrong_one_fails_where_it_is_wrong(self, wrong):
         assert wrong.tests.failures()[0].channel in ("alpha_v", "alpha_h")
         assert "input_u_v" in {t.name for t in wrong.tests.of("alpha_v") if t.failed()}
 
