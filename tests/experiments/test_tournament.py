@@ -249,7 +249,7 @@ class TestVerdicts:
 
 
 class TestProgram:
-    def test_runs_resumes_and_refuses_to_write_over(self, tmp_path, capsys, monkeypatch):
+    def test_runs_resumes_and_refuses_what_it_cannot(self, tmp_path, capsys, monkeypatch):
         # what of ours is put beside published figures is run in a test of its own
         alone = [each for each in read_published() if each.ours is None]
         monkeypatch.setattr("experiments.tournament.publications.read_published", lambda: alone)
@@ -265,8 +265,6 @@ class TestProgram:
         before = score.stat().st_mtime_ns
         assert program.main([*words, "--resume"]) == 0
         assert score.stat().st_mtime_ns == before
-
-    def test_unknown_patterns_are_explained(self, tmp_path, capsys):
         assert program.main(["--only", "x", "--out", str(tmp_path)]) == 2
         assert "no run matches" in capsys.readouterr().err
 

@@ -155,9 +155,7 @@ def test_a_draught_is_described_as_one(seed):
     assert "comes from outside" in text and "No known form" in text
     for absent in ("opposes", "goes with", "offset", "drifts", "changes", "energy lies where"):
         assert absent not in text
-
-
-def test_noise_is_called_noise():
+    # Noise is called noise.
     record = of("yaw_moment", coloured(np.random.default_rng(0), SAMPLES, 0.5))
     (sentence,) = description(replace(record, sd=np.full(SAMPLES, record.force.std())))
     assert sentence.startswith("Nothing stands out of the noise at yaw_moment")

@@ -29,14 +29,10 @@ def recording(n: int = 100) -> Dataset:
 
 
 @given(n=st.integers(2, 300), length=st.floats(0.2, 40.0), stride=st.none() | st.floats(0.1, 20.0))
-def test_windows_lie_within_the_recording(n: int, length: float, stride: float | None) -> None:
+def test_windows_lie_within_the_recording_and_part_it_without_a_stride(n, length, stride) -> None:
     first, count = recording(n).windows(length, stride)
     assert first[0] == 0
     assert (count >= 2).all() and (first + count <= n).all() and (np.diff(first) > 0).all()
-
-
-@given(n=st.integers(2, 300), length=st.floats(0.2, 40.0))
-def test_windows_without_a_stride_part_the_recording(n: int, length: float) -> None:
     first, count = recording(n).windows(length)
     np.testing.assert_array_equal(first[1:], (first + count)[:-1])
     samples = count[0]

@@ -171,6 +171,10 @@ class TestGradientDescent:
             trace[-2] - quadratic.minimum
         )
         assert ratio == pytest.approx(1 - rate * np.linalg.eigvalsh(quadratic.hessian)[0], rel=1e-3)
+        # A rate beyond the limit ends instead of overflowing.
+        wild = GradientDescent(learning_rate=50.0)
+        training = train(wild, quadratic, np.ones(6), Stopping(epochs=10_000))
+        assert training.outcome is TrainingOutcome.NO_PROGRESS
 
     def test_momentum_is_the_heavy_ball(self, quadratic):
         eta, mu = 0.05, 0.8
@@ -186,12 +190,6 @@ class TestGradientDescent:
         losses = np.array(traced(algorithm, sine, start, 300).losses)
         assert np.all(losses[1:] <= 1.04 * losses[:-1] * (1 + 1e-12))
         assert losses[-1] < losses[0]
-
-    def test_a_fixed_rate_beyond_the_limit_ends_instead_of_overflowing(self, quadratic):
-        training = train(
-            GradientDescent(learning_rate=50.0), quadratic, np.ones(6), Stopping(epochs=10_000)
-        )
-        assert training.outcome is TrainingOutcome.NO_PROGRESS
 
 
 class TestResilient:
@@ -357,6 +355,8 @@ class TestStopping:
         assert outcome(goal=0.05) is TrainingOutcome.GOAL
         assert outcome(gradient=0.05) is TrainingOutcome.GRADIENT
         assert outcome(progress=0.9, gradient=0.0) is TrainingOutcome.SETTLED
+        with pytest.raises(ConfigurationError, match="diverges"):
+            train(LevenbergMarquardt(), sine, np.full_like(start, np.inf), Stopping())
 
     def test_an_interruption_keeps_what_there_is(self, sine, start):
         training = train(LevenbergMarquardt(), sine, start, Stopping(), watcher=until(5))
@@ -374,7 +374,3 @@ class TestStopping:
         training = train(BayesianRegularisation(), sine, start, Stopping(epochs=30))
         assert training.best_epoch == training.history.epochs
         assert sine.loss(training.theta) == training.history.losses[-1]
-
-    def test_a_diverging_start_is_refused(self, sine, start):
-        with pytest.raises(ConfigurationError, match="diverges"):
-            train(LevenbergMarquardt(), sine, np.full_like(start, np.inf), Stopping())
