@@ -4,8 +4,6 @@ Nothing heavy is imported here: the module of a command is imported when it is a
 ``trms`` and ``trms --help`` answer at once.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

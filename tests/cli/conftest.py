@@ -1,7 +1,5 @@
 """The program in an empty folder, and a user's own folder of plugins beside it."""
 
-from __future__ import annotations
-
 import functools
 import shutil
 import signal

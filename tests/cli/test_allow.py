@@ -1,7 +1,5 @@
 """``trms allow`` and ``--allow``, as a person types them, and who tells of them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

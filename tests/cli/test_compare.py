@@ -1,7 +1,5 @@
 """``trms compare`` as a person meets it, on sweeps of short runs."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """Tab completion, asked in a real bash."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

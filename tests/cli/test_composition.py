@@ -1,7 +1,5 @@
 """Composing an experiment from the command line: what works, and what is answered and how."""
 
-from __future__ import annotations
-
 import functools
 import json
 import logging

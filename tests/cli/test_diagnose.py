@@ -1,7 +1,5 @@
 """``trms diagnose`` as a person types it; what it finds is put in by hand."""
 
-from __future__ import annotations
-
 import functools
 import json
 import re

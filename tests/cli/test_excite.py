@@ -1,7 +1,5 @@
 """``trms excite`` as a person meets it: its files, its words, and the run that plays it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``trms export-controller`` as a person meets it: its folder, its figures, its refusals."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

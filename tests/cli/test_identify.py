@@ -1,7 +1,5 @@
 """``trms identify`` as a person types it."""
 
-from __future__ import annotations
-
 import functools
 import json
 import re

@@ -1,7 +1,5 @@
 """Many runs in one process, as a sweep's worker makes them: each as if it were the only one."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import json

@@ -1,7 +1,5 @@
 """``trms run`` with open loops, recordings, networks and white-box models in the usual places."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

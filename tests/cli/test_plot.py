@@ -1,7 +1,5 @@
 """``trms plot``: figures in which all can be read, equal for equal logs; reasons for the rest."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """The dispatcher: what every command has in common, and what is told to be typed next."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

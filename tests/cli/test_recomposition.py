@@ -1,7 +1,5 @@
 """Values varied inside a choice of options that is composed once: equal to composing afresh."""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -1,7 +1,5 @@
 """``trms report`` as a person meets it: on a run, on two, on a sweep, on what is broken."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """``trms run`` as a person meets it: what it prints and leaves behind, and what it answers."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs that are watched, and that end otherwise than meant: killed, out of room, by a plugin."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """``trms runs`` as a person types it, over runs that the program has made."""
 
-from __future__ import annotations
-
 import csv
 import functools
 import io

@@ -1,7 +1,5 @@
 """The 3D view in a run's log: its geometry, its schemas, and readers that pass it by."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``trms stability``: what every study has in common, on a small study of a user's own."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sweeps as typed: worker and driver killed, resumed, failing, refused; one record of it all."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

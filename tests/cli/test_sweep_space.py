@@ -1,7 +1,5 @@
 """What is typed after -m becomes choices, ranges and priors; what cannot be is explained."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

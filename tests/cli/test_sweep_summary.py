@@ -1,7 +1,5 @@
 """What is printed and drawn at the end of a sweep that drew or searched."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

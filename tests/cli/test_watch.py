@@ -1,7 +1,5 @@
 """``trms watch``: pictures that fit, a terminal that is left as it was, runs that go on or die."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

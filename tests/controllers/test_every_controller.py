@@ -5,8 +5,6 @@ what comes out is a finite command within the limits, a failure names its fall-b
 one configuration are equal and share nothing.
 """
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

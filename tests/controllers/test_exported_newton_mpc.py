@@ -2,8 +2,6 @@
 a noisy rig with missing samples and outliers; the quadratic programs against DAQP, cold and warm.
 """
 
-from __future__ import annotations
-
 import ctypes
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """What the laws answer where a solve fails, a number is none, or the configuration is mistaken."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -2,8 +2,6 @@
 feedback linearisation the poles that were chosen, its reference, and what it refuses.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@ scenario composes, runs, follows, and rejects a constant torque. linear_mpc: the
 limits, the optimum with them and that of newton_mpc.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Controllers on black-box models: exact derivatives, true steady states, no offset."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

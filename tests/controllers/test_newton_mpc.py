@@ -2,8 +2,6 @@
 horizon, its terminal cost and region, and what they promise.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

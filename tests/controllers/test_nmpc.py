@@ -1,7 +1,5 @@
 """nmpc: the problem of newton_mpc, its optimum, a limit and a cap."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

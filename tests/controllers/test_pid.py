@@ -2,8 +2,6 @@
 beforehand: the curve of a rotor, the inverse of an axis, the coupling.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

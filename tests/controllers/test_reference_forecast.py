@@ -1,7 +1,5 @@
 """The forecast of a reference: exact for what it knows, silent about what it does not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import casadi as ca

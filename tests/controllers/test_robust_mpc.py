@@ -3,8 +3,6 @@ thrust and polytopes, against the nonlinear step itself. Its inequalities and th
 small random polytopes.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A chart as data: what the JSON twin holds."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compiled functions: equal to interpreted ones, cached by content, optional."""
 
-from __future__ import annotations
-
 import os
 import stat
 import subprocess

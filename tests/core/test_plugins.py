@@ -1,7 +1,5 @@
 """Plugins from configuration: what is built, and what each mistake is told."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, Protocol

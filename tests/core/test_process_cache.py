@@ -2,8 +2,6 @@
 found again bit for bit, by all its inputs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A failure to write leaves what was there."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

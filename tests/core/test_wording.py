@@ -1,7 +1,5 @@
 """Numbers and names in words: one way of writing each."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

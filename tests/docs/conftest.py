@@ -1,7 +1,5 @@
 """The program in an empty folder, for what the docs tell a person to type."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from pathlib import Path

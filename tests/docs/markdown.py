@@ -1,7 +1,5 @@
 """What the pages tell a person to write and to type, as data."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The template of a repository with one's own controller: its steps are run as its CI would."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -6,8 +6,6 @@ reader. A block with ``file=PATH`` is that file. A ``console`` block shows what 
 ``…`` standing for anything. Runs are shortened to a few simulated seconds.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

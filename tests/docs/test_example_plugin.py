@@ -1,7 +1,5 @@
 """The example package of the docs, through the installed program: nothing of ours is touched."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

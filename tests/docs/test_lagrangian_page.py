@@ -1,7 +1,5 @@
 """The formulas on the page of the Lagrangian model are those that the program derives."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from pathlib import Path

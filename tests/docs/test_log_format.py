@@ -1,7 +1,5 @@
 """The log format's page: its Python runs, and its topics are those of a log."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

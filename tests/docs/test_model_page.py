@@ -1,7 +1,5 @@
 """The figures on the page of the model are the model's."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

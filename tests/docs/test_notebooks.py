@@ -1,7 +1,5 @@
 """The notebooks run from the first cell to the last, and are kept as they came out."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from pathlib import Path

@@ -5,8 +5,6 @@ block with ``file=PATH`` is that file; those of ``docs/effects.md`` and ``docs/l
 tests of their own; ``python by-hand`` is left to the reader.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -3,8 +3,6 @@
 It is built once, as `make docs` builds it, and then read as a browser reads it.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import re

@@ -1,7 +1,5 @@
 """One short run for all tests of the library that only look at it, and a folder to write in."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Parts as somebody writes them in a notebook."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

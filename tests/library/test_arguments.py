@@ -1,7 +1,5 @@
 """What is given as arguments means what is typed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts may be objects; the log says what they were, and does not pretend to hold them."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

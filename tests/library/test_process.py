@@ -1,7 +1,5 @@
 """A call leaves the process as it found it, wherever it is made."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import os

@@ -1,7 +1,5 @@
 """A run from Python is that of the command line, and can be looked at."""
 
-from __future__ import annotations
-
 import json
 import shlex
 

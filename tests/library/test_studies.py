@@ -1,7 +1,5 @@
 """Fits, validations, diagnoses, excitations and studies from Python, and what they hand on."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Rigs, setups and loops that the tests of observers share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

@@ -3,8 +3,6 @@ nothing is held back for ever. The moving-horizon estimator: its bounds, its two
 what stands in.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

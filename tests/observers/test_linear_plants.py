@@ -2,8 +2,6 @@
 unscented and the extended filter give filterpy's estimates; how the first starts.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -2,8 +2,6 @@
 full-state observer maps truth to the model by name, and says when it cannot.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A headless browser for tests of pages, and runs to draw."""
 
-from __future__ import annotations
-
 import base64
 import os
 import shutil

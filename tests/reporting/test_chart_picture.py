@@ -1,7 +1,5 @@
 """Charts as figures: every mark is drawn, legends tell looks apart, equal ones look equal."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

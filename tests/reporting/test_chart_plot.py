@@ -1,7 +1,5 @@
 """Charts for a browser: no peak lost, no text taken for markup, the same data as in print."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

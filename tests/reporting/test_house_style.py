@@ -1,7 +1,5 @@
 """One style for all figures: nothing that draws has settings or colours of its own."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

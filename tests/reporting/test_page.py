@@ -1,7 +1,5 @@
 """Pages that stand alone: nothing fetched, everything escaped, whole or not at all."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pages in a real browser: they draw, zoom together, sort, filter, print, run nothing foreign."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import re

@@ -1,7 +1,5 @@
 """Pages of runs, comparisons and sweeps: what stands in them, also where a log has little."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib
@@ -39,7 +37,6 @@ from trms_cli.reporting.sweep_report import (
 from trms_cli.runs.query import QueryResult
 from trms_cli.scoring.comparison.ranking import group, rank
 from trms_cli.scoring.comparison.runs import ComparisonRun, State, complete_coordinates
-from trms_cli.sweeps.samplers.objectives import front
 
 
 def plots_of(page):

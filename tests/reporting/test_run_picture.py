@@ -1,7 +1,5 @@
 """A run's picture: drawn for every kind of run, whole, and beside the run or in line."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

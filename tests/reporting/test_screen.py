@@ -1,7 +1,5 @@
 """Findings on a terminal: no figure is lost, whatever the width."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Panels of estimated torques: which they are, and that their lines can be read."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

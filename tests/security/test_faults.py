@@ -1,7 +1,5 @@
 """What a run survives: killed at any time, a full disk, a folder that takes nothing, no home."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

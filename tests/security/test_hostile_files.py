@@ -4,8 +4,6 @@ Each is read by a process of its own that may have 2 GiB of address space, as th
 read it; the answer is a sentence and exit code 2, within some seconds of processor time.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import resource

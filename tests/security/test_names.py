@@ -1,7 +1,5 @@
 """Names in data lead to no file elsewhere, and are shown as text: on pages and on terminals."""
 
-from __future__ import annotations
-
 import json
 import re
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """Several processes that are given one folder, or one file, at the same moment."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Which code a configuration may name, and what it may refer to."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import importlib

@@ -1,7 +1,5 @@
 """Textbook systems of two states, whose cycles and regions of attraction are known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Studies of a model alone, as the tests ask for them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from trms_cli.core.findings import Findings

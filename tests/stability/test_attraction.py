@@ -2,8 +2,6 @@
 study as the command line asks for it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

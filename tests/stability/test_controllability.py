@@ -1,7 +1,5 @@
 """Controllability and observability: PBH, Gramians, energies, sensors, constant torques."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -2,8 +2,6 @@
 study of limit cycles on the rig's models.
 """
 
-from __future__ import annotations
-
 import json
 
 import casadi as ca

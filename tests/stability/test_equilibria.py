@@ -3,8 +3,6 @@ prune: what it calls proved is true, and what it cannot decide it does not claim
 asked for and told.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable

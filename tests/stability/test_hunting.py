@@ -1,7 +1,5 @@
 """Hunting: the linear loop, its events, one harmonic, the simulation, and one against the other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -2,8 +2,6 @@
 proofs over boxes: true claims are proved, false ones refuted, hard ones left open.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import casadi as ca

@@ -3,8 +3,6 @@ that are varied; modes that become others along a range. Root loci: crossings, e
 loops, the map, and what is refused.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -7,8 +7,6 @@ direction of each rotor and of the cable; the forms are then compared with CasAD
 models' own equations.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

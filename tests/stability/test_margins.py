@@ -5,8 +5,6 @@ What a loop tolerates: the loop run from any state with its commands changed on 
 of the search, and the study against the linear margins.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field, replace

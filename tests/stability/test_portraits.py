@@ -3,8 +3,6 @@ window, starts, trajectories and their ends, separatrices, sticking sets. The fi
 ``study=phase_portrait`` for a model alone and in a loop.
 """
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """What a study is about: effects inside and outside the equations, loops, refusals."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

@@ -4,8 +4,6 @@ The example holds samples of a closed loop under the Python controller, for the 
 held against.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, dataclass, field
 from typing import Any

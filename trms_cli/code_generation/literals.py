@@ -1,7 +1,5 @@
 """Numbers and tables as C."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

@@ -1,7 +1,5 @@
 """Compiles an exported folder and runs its example: sizes, agreement and times of this machine."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil
@@ -102,9 +100,10 @@ def _run(command: list[str], folder: Path) -> str:
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise TrmsError(
-            f"{Path(command[0]).name} could not be run: {error}", where="measure",
+            f"{Path(command[0]).name} could not be run: {error}",
+            where="measure",
             remedy="measure=false writes the source alone",
-        ) from error  # fmt: skip
+        ) from error
     if done.returncode:
         raise TrmsError(
             f"{Path(command[0]).name} ended with {done.returncode}: {done.stderr.strip()[:600]}",

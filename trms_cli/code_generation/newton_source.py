@@ -4,8 +4,6 @@ Sizes, tables and settings are read off a controller that is ready; CasADi's fun
 as static ones.
 """
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Iterable, Mapping

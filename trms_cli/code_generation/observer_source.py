@@ -1,7 +1,5 @@
 """The C of a recursive filter (UKF, EKF, …) that goes with a controller."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """``trms allow``: which packages' classes a configuration may name, for good."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Sequence

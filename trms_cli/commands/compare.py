@@ -1,7 +1,5 @@
 """``trms compare``: which of many runs won, by how much, and how sure that is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``trms diagnose``: where a model and a rig differ, which effect causes it, how far it shrinks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

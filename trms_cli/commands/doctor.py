@@ -1,7 +1,5 @@
 """``trms doctor``: whether this machine is ready, and what to install."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

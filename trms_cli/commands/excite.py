@@ -1,7 +1,5 @@
 """``trms excite``: design signals that show a rig's dynamics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from trms_cli.commands.execution import execute, help_of_options, study

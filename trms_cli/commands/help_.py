@@ -1,7 +1,5 @@
 """``trms help COMMAND``: the same page as ``trms COMMAND --help``."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """``trms identify``: fit a model to recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

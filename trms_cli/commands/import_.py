@@ -1,7 +1,5 @@
 """``trms import``: a lab's recording, checked and turned into an MCAP log."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

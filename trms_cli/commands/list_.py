@@ -1,7 +1,5 @@
 """``trms list``: the plugins and settings that can be chosen by name."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 They are also taken as experiments have their keys: ``out=DIR`` for ``--out DIR``.
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import re
@@ -76,9 +74,10 @@ class PlainOptions(argparse.ArgumentParser):
         """Raise what argparse would print before it exits."""
         if match := _NO_NUMBER.fullmatch(message):
             raise ConfigurationError(
-                f"{match[3]} is no number", where=match[1],
+                f"{match[3]} is no number",
+                where=match[1],
                 remedy="give a whole number" if match[2] == "int" else "give a number",
-            )  # fmt: skip
+            )
         first_line = self._help_text.splitlines()[0].removeprefix("usage: ")
         raise ConfigurationError(
             message, where=self.prog, remedy=f"{first_line}; more by {self.prog} --help"

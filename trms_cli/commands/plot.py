@@ -1,7 +1,5 @@
 """``trms plot``: figures of logs for papers, slides and pages."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """``resume=FOLDER``: a stopped search goes on, as its folder says it was asked for."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

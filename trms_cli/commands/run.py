@@ -1,7 +1,5 @@
 """``trms run``: compose an experiment and close the loop."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import os

@@ -113,24 +113,29 @@ def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bo
 
 
 def findings_of(
-    log: LoggedRun, score: dict[str, Any], rows: list[BaselineRow] | None = None,
-    baseline: Baseline | None = None, name: str = "", *, everything: bool = False,
-) -> Findings:  # fmt: skip
+    log: LoggedRun,
+    score: dict[str, Any],
+    rows: list[BaselineRow] | None = None,
+    baseline: Baseline | None = None,
+    name: str = "",
+    *,
+    everything: bool = False,
+) -> Findings:
     """What a score has to tell, also of its baseline where it is held against one."""
     from trms_cli.core.findings import Findings, Section
-    from trms_cli.scoring import findings as told
+    from trms_cli.scoring import findings as report
 
-    how = [f"{score['duration_s']:g} s", log.outcome, told.scored_on(score)]
+    how = [f"{score['duration_s']:g} s", log.outcome, report.scored_on(score)]
     lead = [f"{', '.join(filter(None, how))}."]
-    warnings = told.warnings_of(score)
+    warnings = report.warnings_of(score)
     if not score["complete"]:
         warnings.append(f"incomplete: {'; '.join(log.problems) or 'the run did not end'}")
-    sections = [Section("Score", blocks=told.tables_of(score))]
+    sections = [Section("Score", blocks=report.tables_of(score))]
     if rows is not None:
         because = [f"The baseline: {baseline.reason}"] if baseline and baseline.reason else []
-        table = told.comparison_table(rows, name, everything=everything)
+        table = report.comparison_table(rows, name, everything=everything)
         sections.append(Section("Against the baseline", because, [table]))
-        lead.append(f"{told.comparison_sentence(rows, name)}.")
+        lead.append(f"{report.comparison_sentence(rows, name)}.")
         lead += because
     path = log.path
     title = path.parent.name if path.name == LOG_NAME else path.name

@@ -1,7 +1,5 @@
 """``trms stability``: what to know of a model or a closed loop before it flies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from trms_cli.commands.execution import execute, help_of_options, study

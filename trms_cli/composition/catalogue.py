@@ -5,8 +5,6 @@ is. Neither Hydra nor a plugin's module is imported, so that `list`, a command's
 completion do not wait for them.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable, Sequence

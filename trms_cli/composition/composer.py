@@ -10,8 +10,6 @@ composition from the start, which a test holds for many overrides; what is not p
 at a key that is there (or in an open mapping) is composed from the start.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections import OrderedDict

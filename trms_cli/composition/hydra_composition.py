@@ -8,8 +8,6 @@ log. References also multiply: thirty lines that each name the line above twice 
 a gigabyte. So what they stand for is measured before anything is resolved.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -5,8 +5,6 @@ apart here (:func:`parse`), and values are written here (:func:`quote_value`). W
 is :mod:`trms_cli.composition.checks`'.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Container, Sequence

@@ -17,8 +17,6 @@ distributions that parameters and effects state:
 ============================================  ====================================================
 """
 
-from __future__ import annotations
-
 import math
 import random
 import re

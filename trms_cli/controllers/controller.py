@@ -1,7 +1,5 @@
 """What a controller is: from references and an estimate to a command."""
 
-from __future__ import annotations
-
 import enum
 import math
 from dataclasses import dataclass

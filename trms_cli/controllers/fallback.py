@@ -1,7 +1,5 @@
 """What acts when a controller has no answer: its declared fall-back, finite and within limits."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

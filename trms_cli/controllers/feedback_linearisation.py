@@ -41,8 +41,6 @@ stands still is no singularity.
 Armature currents that are states follow the command at once: they are put at their rest.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -17,8 +17,6 @@ has to be detected.
 Source: Anderson & Moore, "Optimal Control: Linear Quadratic Methods", 1990.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -28,8 +28,6 @@ assumed in the law's design does not change that. There, and where a bound is ac
 is no region, and the terminal equality stays.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ with u₀ = 0, or the command that holds the model at an operating point. Refere
 it: none is logged, and no tracking error is scored.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -30,8 +30,6 @@ What is left to the feedback is what the model misses. The main rotor's start fr
 it is three times slower than in flight, is the largest part of that on the default references.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

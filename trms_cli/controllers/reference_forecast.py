@@ -18,8 +18,6 @@ the rate beside that of the reference. A jump has no rate: a single difference t
 neighbour comes near is taken as zero.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import casadi as ca

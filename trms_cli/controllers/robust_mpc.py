@@ -13,8 +13,6 @@ which the yaw has a gain where the tail rotor stands still, are those of
 :mod:`trms_cli.controllers.robust.coordinates`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Annotated, Literal

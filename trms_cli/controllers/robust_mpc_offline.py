@@ -17,8 +17,6 @@ one family serves all of them: with less room for the inputs at a target, the el
 that share, since laws and inequalities are homogeneous in the state.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Types of arrays, for annotations, and the weights of a sum over an interval."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

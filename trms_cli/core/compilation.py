@@ -6,8 +6,6 @@ same function runs in CasADi's virtual machine: slower by a factor of three to f
 result to rounding.
 """
 
-from __future__ import annotations
-
 import atexit
 import ctypes
 import functools

@@ -1,7 +1,5 @@
 """Files of data, read only up to a size: a file that is larger is told, not waited for."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

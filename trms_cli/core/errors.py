@@ -3,8 +3,6 @@
 A domain room raises these; only :mod:`trms_cli.cli` turns them into text and an exit code.
 """
 
-from __future__ import annotations
-
 EXIT_OK = 0
 EXIT_WORSE = 1  #: a comparison with a baseline failed
 EXIT_BAD_INPUT = 2  #: what was typed, or a file that was given, cannot be used

@@ -4,8 +4,6 @@ Screen, page, pictures, notebook and JSON document are views of the same finding
 (:mod:`trms_cli.reporting`), so that no two of them can differ.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """How the program was called, for the commands that it tells to type next."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import sys

@@ -4,8 +4,6 @@ A name in a stranger's log may hold an escape sequence, which can move the curso
 printed before, or write to the clipboard.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

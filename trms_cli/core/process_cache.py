@@ -9,8 +9,6 @@ What is kept is shared: nobody may change it. What takes long is kept between pr
 (:func:`cached_result`).
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import pickle

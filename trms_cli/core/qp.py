@@ -10,8 +10,6 @@ rows with a linear and a quadratic price are its own kind of constraint, so that
 costs no further variables. The other solvers are plugins: :mod:`trms_cli.controllers.qp`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Protocol
 

@@ -1,7 +1,5 @@
 """Numbers within a range, for the annotations of options."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Meta

@@ -1,7 +1,5 @@
 """Where the files that travel with the program are."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent.parent

@@ -11,8 +11,6 @@ so that a positive yaw turns x towards y, and a positive pitch lifts what lies a
 A ghost (the reference, the estimate) has the frame of its beam alone, which hangs on ``base``.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -16,8 +16,6 @@ Folders of configuration are never put on Python's module search path: a file ``
 them is not imported by anybody. A package that was allowed is found in them by its name alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import inspect

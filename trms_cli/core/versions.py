@@ -1,7 +1,5 @@
 """Versions of the program and of what it computes with, for the records of what is written."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Mapping
 from functools import cache

@@ -4,8 +4,6 @@ Each value has one way of being written: three digits, a true minus, a dash for 
 exist, ``N m`` for ``N*m``, *pitch* for ``alpha_v``.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ nest so deeply that the reader's stack is used up and the process ends. So the e
 are counted before anything is built. Only plain types come out of it, never objects.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import yaml

@@ -4,8 +4,6 @@ An amplifier with a filter, or a speed loop inside it. The command is constant o
 lagged command is known exactly; each integration step receives its mean over that step.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -10,8 +10,6 @@ it is a spring of stiffness ``T/width``, at large ones a friction of ``T``. With
 takes energy out of every closed cycle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -4,8 +4,6 @@
 travel; ``α₀`` is where it hangs free.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -3,8 +3,6 @@
 ``τ = −F_c sgn(Ω)`` while the axis turns; at rest any torque in [−F_c, F_c] that keeps it there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -4,8 +4,6 @@
 that needs ``d`` before it moves), so that the drive stays continuous.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

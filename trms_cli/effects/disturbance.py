@@ -8,8 +8,6 @@ The rig draws the noise from its seed. A model has the same state; an observer e
 the noise as its process noise; without one it decays. It is estimated, not explained.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -6,8 +6,6 @@ path or sensor path, and impulses (set-valued friction). Whatever its kind, an e
 leaves every bit of a simulation as it was.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """A model with one effect added: itself a model, so that effects compose in any number."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """A first-order lag with a constant input over a time window, solved exactly."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 #: A window of this many time constants and more leaves nothing of the past: exp(−1000) is zero in

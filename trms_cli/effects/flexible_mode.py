@@ -10,8 +10,6 @@ linear in time over each integration step, for which the oscillator is solved ex
 is too high for the step.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -4,8 +4,6 @@
 ``h = h_level + ℓ sin α``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -12,8 +12,6 @@ other way (``k_m`` > 0). The term of ``dω/dt`` is that of the effect ``main_rea
 tail rotor's axis is the pitch axis: it turns with the yaw only, and couples nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

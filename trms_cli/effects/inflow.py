@@ -9,8 +9,6 @@ with the arm ℓ and the rate Ω of the rotor's own axis. As F goes with ω|ω|,
 proportion to the speed of the rotor, whichever way it turns.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ Each integration step receives its exact mean over that step, so that the delay 
 differentiable almost everywhere) as a parameter.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -12,8 +12,6 @@ accelerations without the mass and for the mobility of its axes, and solves the 
 An axis that is locked drops out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -16,8 +16,6 @@ does a model that is none of the options: ``model: {_target_: own_lab.OwnModel, 
 A trained network stands for a model too; see :mod:`trms_cli.models.narx_file` for its form.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any

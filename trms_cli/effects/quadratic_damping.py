@@ -1,7 +1,5 @@
 """Quadratic damping of an axis: air drag of the moving beam, ``τ = −c Ω|Ω|``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ shows nothing. What stands here has the value of the rounded angle and the deriv
 itself (the straight-through derivative: that of the mean over a quantum), and none in the quantum.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

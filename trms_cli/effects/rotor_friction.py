@@ -4,8 +4,6 @@
 there, by the same impulses as the friction of an axis (:mod:`trms_cli.models.dry_friction`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -11,8 +11,6 @@ This is beyond what the model has of it (``k_m`` and ``k_t`` of the Newtonian mo
 this kind), and may therefore have either sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

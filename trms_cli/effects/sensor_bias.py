@@ -1,7 +1,5 @@
 """Bias of an angle sensor: the encoder's zero is not where the beam is level, ``y = α + b``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

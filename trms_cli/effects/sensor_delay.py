@@ -5,8 +5,6 @@ slopes of parabolas through neighbours (Catmull & Rom 1974, for uneven spacing):
 parabolas in time, of third order in the sample time otherwise, smooth in the delay.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -9,8 +9,6 @@ friction, of the size that belongs to the mean rate of each integration step: ex
 without creep, of second order while the axis turns.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -9,8 +9,6 @@ A long time constant (10 to 300 s) is a gain that falls with time in use, a zero
 sags at once. Full command for ever ends at a gain of ``1 − depth``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -4,8 +4,6 @@ The speed is taken as linear in time over each integration step, for which the f
 exactly; no time constant is too short.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """What changes a rotor's thrust, and with it the torque on the beam."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, require_quantities, speed_row

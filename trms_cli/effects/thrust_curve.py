@@ -8,8 +8,6 @@ The model's thrust F(ω) is multiplied by a power of the speed, and by another f
 At the speed ω₀ the power changes nothing, so that ω₀ is where the model's coefficient was measured.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -5,8 +5,6 @@
 See ``docs/diagnose.md`` for what each stage does and why.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The names of fields and their nesting are the contract with programs that read t
 ``None`` there could not be told. Numbers are in SI units and radians.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal

@@ -15,8 +15,6 @@ of the kind assumed, and slopes in parameters are whitened by the same linear op
 over samples is C (``kalman.c``); without a compiler NumPy runs it over all windows at once.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

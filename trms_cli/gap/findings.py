@@ -1,7 +1,5 @@
 """What a diagnosis has to tell: verdict, causes, places, the race, the gap before and after."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from trms_cli.core import chart as draw
-from trms_cli.core import findings as told
+from trms_cli.core import findings as report
 from trms_cli.core import wording
 from trms_cli.core.invocation import program
 from trms_cli.gap.diagnosis import (
@@ -63,7 +61,7 @@ _RUNS: Mapping[str, tuple[str, draw.Colour, draw.Style]] = {
 
 def findings(
     diagnosis: DiagnosisResult, remarks: Sequence[str] = (), folder: Path | None = None
-) -> told.Findings:
+) -> report.Findings:
     """What is worth telling of a diagnosis.
 
     ``remarks``: what was found in the recordings and what was done to them. ``folder``: of the
@@ -84,7 +82,7 @@ def findings(
     if diagnosis.worse:
         worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
         warnings.insert(0, f"the correction made {worse} worse, by over 2 % at 2 s")
-    return told.Findings(
+    return report.Findings(
         title=f"Diagnosis: {headline(diagnosis)}",
         lead=[text for text in (diagnosis.sentence, _confidence(diagnosis)) if text],
         sections=[section for section in sections if section is not None],
@@ -177,26 +175,26 @@ def _alike(cause: Cause, diagnosis: DiagnosisResult) -> list[Cause]:
     ]
 
 
-def _measures(diagnosis: DiagnosisResult) -> Iterator[told.Measure]:
+def _measures(diagnosis: DiagnosisResult) -> Iterator[report.Measure]:
     first = likeliest(diagnosis)
     if first is not None:
-        yield told.Measure(
+        yield report.Measure(
             "probability", wording.percent(first.probability), note=cause_name(first.effects)
         )
     if diagnosis.where and diagnosis.where[0].share >= 0.05:
         place = diagnosis.where[0]
         note = wording.gap_share(place.share, place.ci95, "of the gap")
-        yield told.Measure("lies in", place_name(place.location), note=note)
+        yield report.Measure("lies in", place_name(place.location), note=note)
     rows = diagnosis.shrink.get("all", {})
     horizon = shown_horizon(rows)
     shrink = rows.get(horizon or "")
     if is_corrected(diagnosis) and shrink is not None and shrink.fraction is not None:
         share = wording.gap_share(shrink.fraction)
         ends = share if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
-        judgement: told.Judgement = "good" if shrink.fraction > 0.5 else ""
+        judgement: report.Judgement = "good" if shrink.fraction > 0.5 else ""
         note = f"of what the refit left over {float(horizon or 0):g} s"
         note += f" ({ends})" if ends != share else ""
-        yield told.Measure("gap closed", share, judgement=judgement, note=note)
+        yield report.Measure("gap closed", share, judgement=judgement, note=note)
 
 
 def is_corrected(diagnosis: DiagnosisResult) -> bool:
@@ -221,20 +219,20 @@ def _facts(diagnosis: DiagnosisResult) -> dict[str, str]:
     return facts
 
 
-def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[told.NextCommand]:
+def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[report.NextCommand]:
     commands = []
     if diagnosis.next_experiment is not None:
         commands.append(
-            told.NextCommand(diagnosis.next_experiment.command, diagnosis.next_experiment.why)
+            report.NextCommand(diagnosis.next_experiment.command, diagnosis.next_experiment.why)
         )
     if folder is not None:
         model = shlex.quote(str(folder / "corrected_model.yaml"))
         commands += [
-            told.NextCommand(
+            report.NextCommand(
                 f"{program()} validate model={model} real=FILE",
                 "the corrected model on a recording that it has not seen",
             ),
-            told.NextCommand(
+            report.NextCommand(
                 f"{program()} run model={model} controller=newton_mpc",
                 "control with the corrected model; `model=` takes it anywhere",
             ),
@@ -242,41 +240,41 @@ def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[told.NextComm
     return commands
 
 
-def _causes(diagnosis: DiagnosisResult) -> told.Section | None:
+def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
     kept = [cause for cause in diagnosis.causes if cause.probability >= LEAST][:_MOST_CAUSES]
     if not kept:
         return None
     sure = diagnosis.verdict != "undecided"
 
-    def probability(cause: Cause) -> told.Datum:
-        judgement: told.Judgement = "good" if cause is kept[0] and sure else ""
-        return told.Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
+    def probability(cause: Cause) -> report.Datum:
+        judgement: report.Judgement = "good" if cause is kept[0] and sure else ""
+        return report.Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
 
     rest = sum(cause.probability for cause in diagnosis.causes if cause not in kept)
     rows = [*kept, Cause(effects=_OTHERS, probability=rest)] if rest >= _REST else kept
     columns = [
-        told.Column("cause", lambda cause: cause_name(cause.effects)),
-        told.Column("probability", probability),
-        told.Column("size", lambda cause: sizes(cause.parameters)),
+        report.Column("cause", lambda cause: cause_name(cause.effects)),
+        report.Column("probability", probability),
+        report.Column("size", lambda cause: sizes(cause.parameters)),
     ]
     if any(_alike(cause, diagnosis) for cause in kept):
         columns.append(
-            told.Column(
+            report.Column(
                 "confusable with",
                 lambda cause: ", ".join(cause_name(c.effects) for c in _alike(cause, diagnosis)),
             )
         )
-    return told.Section(
+    return report.Section(
         "Which cause" if len(kept) == 1 else "Which of the causes",
         [
             "Probabilities of all answers; they sum to one. How the race turns into probabilities "
             "is set by rigs whose truth is known, built by other code than the models."
         ],
-        [told.table(rows, columns)],
+        [report.table(rows, columns)],
     )
 
 
-def _where(diagnosis: DiagnosisResult) -> told.Section | None:
+def _where(diagnosis: DiagnosisResult) -> report.Section | None:
     places = [place for place in diagnosis.where if place.share >= LEAST]
     if not places:
         return None
@@ -291,14 +289,14 @@ def _where(diagnosis: DiagnosisResult) -> told.Section | None:
         )
 
     columns = [
-        told.Column("place", lambda place: place_name(place.location)),
-        told.Column("share of the gap", lambda place: wording.gap_share(place.share)),
-        told.Column("95 % interval", lambda place: wording.gap_interval(place.ci95)),
+        report.Column("place", lambda place: place_name(place.location)),
+        report.Column("share of the gap", lambda place: wording.gap_share(place.share)),
+        report.Column("95 % interval", lambda place: wording.gap_interval(place.ci95)),
     ]
     if any(regions.values()):
-        columns.append(told.Column("of its energy", lambda place: when(place.location)))
-    rows = told.table(places, columns)
-    return told.Section(
+        columns.append(report.Column("of its energy", lambda place: when(place.location)))
+    rows = report.table(places, columns)
+    return report.Section(
         "Where the gap lies",
         [_where_words(diagnosis)],
         [
@@ -352,11 +350,11 @@ def winner(diagnosis: DiagnosisResult) -> RaceEntry | None:
     return max(named, key=lambda entry: entry.score, default=None)
 
 
-def _race(diagnosis: DiagnosisResult) -> told.Section | None:
+def _race(diagnosis: DiagnosisResult) -> report.Section | None:
     if not diagnosis.race:
         return None
     chart = race_chart(diagnosis)
-    return told.Section("The race of the candidates", [_race_words(diagnosis)], [chart])
+    return report.Section("The race of the candidates", [_race_words(diagnosis)], [chart])
 
 
 def _race_words(diagnosis: DiagnosisResult) -> str:
@@ -446,15 +444,15 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
     )
 
 
-def _force(diagnosis: DiagnosisResult) -> told.Section | None:
-    blocks: list[told.Block] = []
+def _force(diagnosis: DiagnosisResult) -> report.Section | None:
+    blocks: list[report.Block] = []
     if diagnosis.traces is not None:
         order = [place.location for place in diagnosis.where if place.share >= 0.02]
         order += [name for name in diagnosis.traces.explained if name not in order]
         chart = force_chart(diagnosis.traces, order)
         blocks += [chart] if chart is not None else []
     if diagnosis.verdict in _UNNAMED and diagnosis.description:
-        blocks.append(told.Remarks(diagnosis.description))
+        blocks.append(report.Remarks(diagnosis.description))
     if not blocks:
         return None
     text = (
@@ -463,7 +461,7 @@ def _force(diagnosis: DiagnosisResult) -> told.Section | None:
     )
     if diagnosis.traces is not None and diagnosis.traces.explained:
         text += " In blue, what the likeliest cause says this force is."
-    return told.Section("The missing force", [text], blocks)
+    return report.Section("The missing force", [text], blocks)
 
 
 def force_chart(traces: Traces, locations: Sequence[str]) -> draw.Chart | None:
@@ -522,7 +520,7 @@ def _busiest_part(traces: Traces, name: str) -> tuple[float, float]:
     return float(time[first]), float(time[min(first + width, len(time) - 1)])
 
 
-def _before_and_after(diagnosis: DiagnosisResult) -> told.Section | None:
+def _before_and_after(diagnosis: DiagnosisResult) -> report.Section | None:
     corrected = is_corrected(diagnosis)
     chart = gap_chart(diagnosis)
     if chart is None:
@@ -533,10 +531,10 @@ def _before_and_after(diagnosis: DiagnosisResult) -> told.Section | None:
     section = "On a part of the recordings that was sealed: nothing was fitted or chosen on it."
     if not corrected:
         section += " No cause was added, so the refitted model is all there is to show."
-    return told.Section("Before and after", [section], blocks)
+    return report.Section("Before and after", [section], blocks)
 
 
-def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[told.Table, told.Table]:
+def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[report.Table, report.Table]:
     """The gap by channel at the horizon that stands for all, and at every horizon."""
     shown = shown_horizon({h: None for gaps in diagnosis.gap.values() for h in gaps})
     caption = f"RMS of the errors of free runs of {float(shown or 0):g} s on the sealed part."
@@ -547,26 +545,26 @@ def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[told.Table
         of_all = "Closed: what the correction took from the gap above the floor that "
         of_all += "the refit left."
     rows = [row for row in _gap_rows(diagnosis) if corrected or row["floor"] != ""]
-    columns = [told.Column(head, head) for head in heads]
+    columns = [report.Column(head, head) for head in heads]
     at_shown = [row for row in rows if shown and row[_LENGTH] == f"{float(shown):g}"]
     return (
-        told.table(at_shown, [columns[0], *columns[2:]], caption),
-        told.table(rows, columns, of_all, heads=2, on_screen=False),
+        report.table(at_shown, [columns[0], *columns[2:]], caption),
+        report.table(rows, columns, of_all, heads=2, on_screen=False),
     )
 
 
-def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, told.Cell]]:
+def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, report.Cell]]:
     """Cells by head: a row a channel and horizon, then what all channels say together."""
     for channel, gaps in diagnosis.gap.items():
         for horizon, gap in gaps.items():
             unit, scale = wording.small_unit(gap.unit)
-            mark: told.Judgement = "bad" if gap.corrected > 1.02 * gap.refit else ""
+            mark: report.Judgement = "bad" if gap.corrected > 1.02 * gap.refit else ""
             yield {
                 "output": wording.with_unit(wording.signal(channel), unit),
                 _LENGTH: f"{float(horizon):g}",
                 "as it was": scale * gap.raw,
                 "refitted": scale * gap.refit,
-                "corrected": told.Datum(scale * gap.corrected, mark),
+                "corrected": report.Datum(scale * gap.corrected, mark),
                 "floor": scale * gap.floor,
                 **_closed(diagnosis.shrink.get(channel, {}).get(horizon)),
             }
@@ -575,12 +573,14 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, told.Cell]]:
         yield {"output": "all channels", _LENGTH: f"{float(horizon):g}", **blank, **_closed(shrink)}
 
 
-def _closed(shrink: Shrink | None) -> dict[str, told.Cell]:
+def _closed(shrink: Shrink | None) -> dict[str, report.Cell]:
     if shrink is None or shrink.fraction is None:
         return {_CLOSED[0]: wording.MISSING, _CLOSED[1]: ""}
-    mark: told.Judgement = "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
+    mark: report.Judgement = (
+        "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
+    )
     ends = "" if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
-    return {_CLOSED[0]: told.Datum(wording.gap_share(shrink.fraction), mark), _CLOSED[1]: ends}
+    return {_CLOSED[0]: report.Datum(wording.gap_share(shrink.fraction), mark), _CLOSED[1]: ends}
 
 
 def gap_chart(diagnosis: DiagnosisResult) -> draw.Chart | None:
@@ -648,7 +648,7 @@ def run_chart(traces: Traces) -> draw.Chart | None:
     return draw.Chart("free_run", panels, caption, 1, _WIDTH, 1.6, together=True)
 
 
-def _tests(diagnosis: DiagnosisResult) -> told.Section | None:
+def _tests(diagnosis: DiagnosisResult) -> report.Section | None:
     """A row a test, a column an output: the probability that noise alone does that."""
     if not diagnosis.tests:
         return None
@@ -671,49 +671,49 @@ def _tests(diagnosis: DiagnosisResult) -> told.Section | None:
         "Probability that noise alone does that, corrected for the number of tests; red: a gap."
     )
     heads = ["test", *(wording.signal(channel) for channel in channels)]
-    return told.Section(
+    return report.Section(
         "Is there a gap at all?",
         [text],
-        [told.Table(heads, rows, caption, on_screen=False)],
+        [report.Table(heads, rows, caption, on_screen=False)],
         folded=True,
     )
 
 
-def _probability(test: GapTest) -> told.Datum:
+def _probability(test: GapTest) -> report.Datum:
     text = "< 1e−6" if test.p_corrected < _SMALLEST else wording.number(test.p_corrected, 2)
-    return told.Datum(text, "bad" if test.rejected else "good")
+    return report.Datum(text, "bad" if test.rejected else "good")
 
 
-def _parameters(diagnosis: DiagnosisResult) -> told.Section | None:
+def _parameters(diagnosis: DiagnosisResult) -> report.Section | None:
     if not diagnosis.parameters:
         return None
     items = sorted(diagnosis.parameters.items(), key=lambda item: -abs(item[1].moved or 0.0))
 
-    def moved(item: tuple[str, FittedParameter]) -> told.Datum:
+    def moved(item: tuple[str, FittedParameter]) -> report.Datum:
         by = item[1].moved
         if by is None:
-            return told.Datum(None)
-        mark: told.Judgement = "doubtful" if abs(by) > _FAR else ""
-        return told.Datum(f"{by:+.1f} sd".replace("-", "−"), mark)
+            return report.Datum(None)
+        mark: report.Judgement = "doubtful" if abs(by) > _FAR else ""
+        return report.Datum(f"{by:+.1f} sd".replace("-", "−"), mark)
 
     columns = [
-        told.Column("parameter", lambda item: wording.with_unit(item[0], item[1].unit)),
-        told.Column("before", lambda item: item[1].prior),
-        told.Column("fitted", lambda item: told.Datum(item[1].fitted, sd=item[1].sd)),
-        told.Column("±", lambda item: item[1].sd),
-        told.Column("moved, in sd of what was known", moved),
+        report.Column("parameter", lambda item: wording.with_unit(item[0], item[1].unit)),
+        report.Column("before", lambda item: item[1].prior),
+        report.Column("fitted", lambda item: report.Datum(item[1].fitted, sd=item[1].sd)),
+        report.Column("±", lambda item: item[1].sd),
+        report.Column("moved, in sd of what was known", moved),
     ]
     more = len(items) - _MOST_PARAMETERS
     caption = ""
     if more > 0:
         caption = f"And {more} more, which moved less: see diagnosis.json."
-    return told.Section(
+    return report.Section(
         "Parameters of the model",
         [
             "With the cause in the model, where there is one. A parameter that had to move far "
             "from what was known of it may stand in for something that the model lacks."
         ],
-        [told.table(items[:_MOST_PARAMETERS], columns, caption, on_screen=False)],
+        [report.table(items[:_MOST_PARAMETERS], columns, caption, on_screen=False)],
         folded=True,
     )
 
@@ -736,7 +736,7 @@ def _beats_no_effect(entry: RaceEntry) -> bool:
     return entry.score > max(_LEVEL, 2 * entry.se)
 
 
-def _not_told(diagnosis: DiagnosisResult) -> told.Section | None:
+def _not_told(diagnosis: DiagnosisResult) -> report.Section | None:
     named = {
         name for cause in diagnosis.causes if cause.probability >= LEAST for name in cause.effects
     }
@@ -748,47 +748,47 @@ def _not_told(diagnosis: DiagnosisResult) -> told.Section | None:
     if not unnamed and not diagnosis.detectable:
         return None
     text = ["An effect that was not excited is not tested, which is not to say that it is absent."]
-    blocks: list[told.Block] = []
+    blocks: list[report.Block] = []
     if hardly:
         text.append(
             "Some raced all the same, for the little that they do points at what the refitted "
             "model leaves over."
         )
         columns = [
-            told.Column("raced, but hardly testable", lambda item: wording.readable(item.effect)),
-            told.Column("against no effect", lambda item: _result(raced[item.effect])),
-            told.Column("why", "reason"),
+            report.Column("raced, but hardly testable", lambda item: wording.readable(item.effect)),
+            report.Column("against no effect", lambda item: _result(raced[item.effect])),
+            report.Column("why", "reason"),
         ]
-        blocks.append(told.table(hardly, columns, on_screen=False))
+        blocks.append(report.table(hardly, columns, on_screen=False))
     if untested:
         columns = [
-            told.Column("not testable", lambda item: wording.readable(item.effect)),
-            told.Column("why", "reason"),
+            report.Column("not testable", lambda item: wording.readable(item.effect)),
+            report.Column("why", "reason"),
         ]
-        blocks.append(told.table(untested, columns, on_screen=False))
+        blocks.append(report.table(untested, columns, on_screen=False))
     if diagnosis.detectable:
         columns = [
-            told.Column("effect", lambda item: wording.readable(item[0])),
-            told.Column("smallest size", lambda item: item[1].minimum_size),
-            told.Column("unit", lambda item: wording.unit(item[1].unit)),
+            report.Column("effect", lambda item: wording.readable(item[0])),
+            report.Column("smallest size", lambda item: item[1].minimum_size),
+            report.Column("unit", lambda item: wording.unit(item[1].unit)),
         ]
         caption = (
             "Sizes below these leave no trace in these recordings: such an effect may be there."
         )
         blocks.append(
-            told.table(sorted(diagnosis.detectable.items()), columns, caption, on_screen=False)
+            report.table(sorted(diagnosis.detectable.items()), columns, caption, on_screen=False)
         )
-    return told.Section("What these recordings cannot tell", text, blocks, folded=True)
+    return report.Section("What these recordings cannot tell", text, blocks, folded=True)
 
 
-def _recordings(diagnosis: DiagnosisResult, remarks: Sequence[str]) -> told.Section:
+def _recordings(diagnosis: DiagnosisResult, remarks: Sequence[str]) -> report.Section:
     columns = [
-        told.Column("file", "file"),
-        told.Column("length [s]", "duration_s"),
-        told.Column("rate [Hz]", lambda r: round(1 / r.sample_time_s, 3)),
-        told.Column("channels", lambda r: ", ".join(r.channels)),
-        told.Column("SHA-256", lambda r: r.sha256[:16]),
+        report.Column("file", "file"),
+        report.Column("length [s]", "duration_s"),
+        report.Column("rate [Hz]", lambda r: round(1 / r.sample_time_s, 3)),
+        report.Column("channels", lambda r: ", ".join(r.channels)),
+        report.Column("SHA-256", lambda r: r.sha256[:16]),
     ]
-    blocks: list[told.Block] = [told.Remarks(remarks, on_screen=False)] if remarks else []
-    blocks.append(told.table(diagnosis.recordings, columns, on_screen=False))
-    return told.Section("Recordings", (), blocks, folded=True)
+    blocks: list[report.Block] = [report.Remarks(remarks, on_screen=False)] if remarks else []
+    blocks.append(report.table(diagnosis.recordings, columns, on_screen=False))
+    return report.Section("Recordings", (), blocks, folded=True)

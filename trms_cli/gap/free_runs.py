@@ -10,8 +10,6 @@ and would bend them where it is wrong, by half of the history times what the acc
 Errors stay apart by start, with the block that a start lies in, so that blocks can be resampled.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby

@@ -4,8 +4,6 @@ Each of a handful of open-loop experiments is simulated; along that motion the t
 asked after are projected and compared as those of the recordings are, in nats.
 """
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

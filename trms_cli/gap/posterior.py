@@ -14,8 +14,6 @@ what the refit gained. The constants are fitted to development rigs whose truth 
 other code than the models (``calibration.json``, with the command that makes it again).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

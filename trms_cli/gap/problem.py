@@ -3,8 +3,6 @@
 With a candidate stands what is believed of its sizes beforehand.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

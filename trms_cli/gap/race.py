@@ -8,8 +8,6 @@ same trace: before anything is fitted, and without looking at what the rig answe
 trajectory about which the noise is propagated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

@@ -15,8 +15,6 @@ Places that move the same equation alike (a drive and its motor, a thrust and th
 makes) have one disturbance; which of them it is follows from the causes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ model gives. How much is left to chance: a channel is only called wrong where th
 explained well the other way round.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
@@ -205,10 +203,13 @@ def _still(datasets: Sequence[Dataset]) -> Iterator[Issue]:
     columns = [y[np.isfinite(y)] for d in datasets for y in d.measurements.T]
     if not any(len(y) and np.ptp(y) > 0 for y in columns):
         yield Issue(
-            "excitation", "error", "", "",
+            "excitation",
+            "error",
+            "",
+            "",
             f"nothing moves in {', '.join(d.source for d in datasets)}",
             "record the rig while its commands step or sweep over the range that matters",
-        )  # fmt: skip
+        )
 
 
 def _by_model(dataset: Dataset, model: Model) -> Iterator[Issue]:
@@ -247,59 +248,80 @@ def _inputs(dataset: Dataset, model: Model) -> Iterator[Issue]:
             else:
                 remedy += f" with data.input_scale.{name}"
             yield Issue(
-                "unit", "error", dataset.name, name,
+                "unit",
+                "error",
+                dataset.name,
+                name,
                 f"{name} reaches {largest:.4g} {unit}, {largest / limit:.3g} times the limit of "
                 f"{limit:g} {unit} of model {model.name!r}",
                 remedy,
-            )  # fmt: skip
+            )
             continue
         if largest > _UNCUT * limit:
             beyond = float(np.mean(np.abs(u) > limit))
             yield Issue(
-                "limit", "warning", dataset.name, name,
+                "limit",
+                "warning",
+                dataset.name,
+                name,
                 f"{name} is beyond the limit of {limit:g} {unit} for {beyond:.1%} of the time, up "
                 f"to {largest:.4g} {unit}",
                 "record what reaches the rig, after its limits; models do not cut what is recorded",
-            )  # fmt: skip
+            )
         elif largest < _TINY * limit:
             yield Issue(
-                "unit", "warning", dataset.name, name,
+                "unit",
+                "warning",
+                dataset.name,
+                name,
                 f"{name} never exceeds {largest:.3g} {unit}, {largest / limit:.1%} of its limit",
                 "is it in another unit? data.input_scale tells what a recorded 1 is",
-            )  # fmt: skip
+            )
         share = float(np.mean(np.abs(u) >= 0.98 * limit))
         steady = bool(np.mean(np.diff(u) == 0) > _SATURATED) and share > _SATURATED
         saturated.append(steady)
         if not steady and share > _OFTEN_SATURATED and len(np.unique(np.abs(u))) > 3:
             yield Issue(
-                "saturation", "warning", dataset.name, name,
+                "saturation",
+                "warning",
+                dataset.name,
+                name,
                 f"{name} is at its limit for {share:.0%} of the time",
                 "smaller references or slower control tell more about the rig",
-            )  # fmt: skip
+            )
     rotors = ", ".join(names(dataset.inputs))
     if saturated and all(saturated) and len(saturated) == len(commanded):
         yield Issue(
-            "saturation", "error", dataset.name, "",
+            "saturation",
+            "error",
+            dataset.name,
+            "",
             f"{', '.join(commanded)}: at the limit throughout",
             "record with commands within their limits, as `trms excite` designs them",
-        )  # fmt: skip
+        )
     elif not any(moving):
         moved = any(_moved(dataset, s.name) > _SEEN_WELL for s in dataset.outputs)
         free = not commanded and moved
         yield Issue(
-            "excitation", "warning" if free else "error", dataset.name, "",
+            "excitation",
+            "warning" if free else "error",
+            dataset.name,
+            "",
             f"the inputs never move ({rotors} constant)"
             + (": only the free motion can be told, nothing of the rotors" if free else ""),
             "record with commands that move, as `trms excite` designs them",
-        )  # fmt: skip
+        )
     else:
         for signal, moves in zip(dataset.inputs, moving, strict=True):
             if not moves:
                 yield Issue(
-                    "excitation", "warning", dataset.name, signal.name,
+                    "excitation",
+                    "warning",
+                    dataset.name,
+                    signal.name,
                     f"{signal.name} never moves",
                     "nothing can be told of its rotor from this; move both, or fix its parameters",
-                )  # fmt: skip
+                )
 
 
 def _outputs(dataset: Dataset, model: Model) -> Iterator[Issue]:
@@ -314,18 +336,25 @@ def _outputs(dataset: Dataset, model: Model) -> Iterator[Issue]:
             continue
         if float(np.ptp(there)) == 0:
             yield Issue(
-                "constant", "error", dataset.name, name,
+                "constant",
+                "error",
+                dataset.name,
+                name,
                 f"{name} is constant at {there[0]:.4g} {signal.unit}",
                 f"look at its sensor and record again; if the axis was locked, choose a model of "
                 f"the other axis alone; or {leave}",
-            )  # fmt: skip
+            )
             continue
         missing = 1 - len(there) / len(y)
         if missing > _MOST_MISSING:
             yield Issue(
-                "missing", "warning", dataset.name, name, f"{name} is missing for {missing:.0%}",
+                "missing",
+                "warning",
+                dataset.name,
+                name,
+                f"{name} is missing for {missing:.0%}",
                 f"look at its sensor, or {leave}",
-            )  # fmt: skip
+            )
         stop = model.stops.get(name, np.inf)
         farthest = min(_BEYOND_STOPS * stop, _FARTHEST) if signal.unit == "rad" else np.inf
         largest = float(np.abs(there).max())
@@ -335,19 +364,25 @@ def _outputs(dataset: Dataset, model: Model) -> Iterator[Issue]:
             if np.radians(largest) <= farthest:
                 hint = f": as degrees it were {np.radians(largest):.3g} rad"
             yield Issue(
-                "unit", "error", dataset.name, name,
+                "unit",
+                "error",
+                dataset.name,
+                name,
                 f"{name} reaches {largest:.4g} rad, and {limit}{hint}",
                 f"write the unit that it is in into the header, as {name}[deg]",
-            )  # fmt: skip
+            )
             continue
         seen = _moved(dataset, name)
         if seen < _SEEN:
             yield Issue(
-                "excitation", "warning", dataset.name, name,
+                "excitation",
+                "warning",
+                dataset.name,
+                name,
                 f"{name} hardly moves: {np.std(there):.3g} {signal.unit}, "
                 f"{seen:.2g} times its noise",
                 "record with larger commands, as `trms excite` designs them",
-            )  # fmt: skip
+            )
 
 
 def _length(datasets: Sequence[Dataset], model: Model, free: int) -> Iterator[Issue]:
@@ -356,9 +391,13 @@ def _length(datasets: Sequence[Dataset], model: Model, free: int) -> Iterator[Is
     if samples < needed:
         demand = f" for {free} free parameters" if free else ""
         yield Issue(
-            "length", "error", "", "", f"{samples} samples in all{demand}",
+            "length",
+            "error",
+            "",
+            "",
+            f"{samples} samples in all{demand}",
             f"record at least {needed} samples",
-        )  # fmt: skip
+        )
         return
     scales = [s for s in (time_scales(d, model) for d in datasets) if s is not None]
     if not scales:
@@ -368,11 +407,14 @@ def _length(datasets: Sequence[Dataset], model: Model, free: int) -> Iterator[Is
     if longest < _GOOD_PERIODS * slowest:
         certain = longest < _LEAST_PERIODS * slowest
         yield Issue(
-            "length", "error" if certain else "warning", "", "",
+            "length",
+            "error" if certain else "warning",
+            "",
+            "",
             f"the longest recording has {longest:.3g} s, and the slowest mode of model "
             f"{model.name!r} a period of {slowest:.3g} s",
             f"record at least {_GOOD_PERIODS * slowest:.0f} s at a stretch",
-        )  # fmt: skip
+        )
 
 
 def _rates(datasets: Sequence[Dataset], model: Model) -> Iterator[Issue]:
@@ -382,26 +424,36 @@ def _rates(datasets: Sequence[Dataset], model: Model) -> Iterator[Issue]:
         ratio = dataset.sample_time / own if own else 1.0
         if own and (round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio):
             yield Issue(
-                "sample time", "error", dataset.name, "",
+                "sample time",
+                "error",
+                dataset.name,
+                "",
                 f"sampled every {dataset.sample_time:g} s, and model {model.name!r} steps by "
                 f"{own:g} s",
                 f"resample: data.resample={own:g}",
-            )  # fmt: skip
+            )
         scale = time_scales(dataset, model)
         slow = scale is not None and dataset.sample_time > scale.fastest / _SAMPLES_A_PERIOD
         if scale and slow and too_slow(dataset, model) is None:
             yield Issue(
-                "sample time", "warning", dataset.name, "",
+                "sample time",
+                "warning",
+                dataset.name,
+                "",
                 f"sampled every {dataset.sample_time:g} s, and the fastest mode of model "
                 f"{model.name!r} has a period of {scale.fastest:.2g} s",
                 f"record at least every {scale.fastest / _SAMPLES_A_PERIOD:.2g} s",
-            )  # fmt: skip
+            )
     if len(steps) > 1:
         words = ", ".join(f"{step:g}" for step in steps)
         yield Issue(
-            "sample time", "warning", "", "", f"the recordings have sample times of {words} s",
+            "sample time",
+            "warning",
+            "",
+            "",
+            f"the recordings have sample times of {words} s",
             f"methods that need one take them with data.resample={steps[-1]:g}",
-        )  # fmt: skip
+        )
 
 
 def _without(dataset: Dataset, name: str) -> str:
@@ -479,20 +531,42 @@ def _speeds(dataset: Dataset, motion: RecordedMotion) -> Iterator[Issue]:
         times = f"times what {command} makes of it"
         header = f"write the unit into the header: {name}"
         checks: tuple[tuple[bool, str, Severity, str, str], ...] = (
-            (abs(correlation) < _NONE, "speed", "warning",
-             f"{name} does not follow {command} (correlation {correlation:.2f})",
-             "look at which channel is which, and at the tacho"),
-            (correlation < -_CLEAR, "sign", "error",
-             f"{name} turns the other way than {command} makes it turn",
-             f"one of the two has the wrong sign: turn round {name} or {command} in the file"),
-            (follows and _near(ratio, _RPM, _RPM_SPREAD), "unit", "error",
-             f"{name} is {ratio:.3g} {times}: rpm read as rad/s", f"{header}[rpm]"),
-            (follows and _near(ratio, 1 / _RPM, _RPM_SPREAD), "unit", "error",
-             f"{name} is {ratio:.3g} {times}: rad/s read as rpm", f"{header}[rad/s]"),
-            (follows and not 1 / _ROUGHLY < ratio < _ROUGHLY, "unit", "warning",
-             f"{name} is {ratio:.2g} times what the model makes of {command}",
-             f"is the model that of this rig? Are the units of {name} and {command} right?"),
-        )  # fmt: skip
+            (
+                abs(correlation) < _NONE,
+                "speed",
+                "warning",
+                f"{name} does not follow {command} (correlation {correlation:.2f})",
+                "look at which channel is which, and at the tacho",
+            ),
+            (
+                correlation < -_CLEAR,
+                "sign",
+                "error",
+                f"{name} turns the other way than {command} makes it turn",
+                f"one of the two has the wrong sign: turn round {name} or {command} in the file",
+            ),
+            (
+                follows and _near(ratio, _RPM, _RPM_SPREAD),
+                "unit",
+                "error",
+                f"{name} is {ratio:.3g} {times}: rpm read as rad/s",
+                f"{header}[rpm]",
+            ),
+            (
+                follows and _near(ratio, 1 / _RPM, _RPM_SPREAD),
+                "unit",
+                "error",
+                f"{name} is {ratio:.3g} {times}: rad/s read as rpm",
+                f"{header}[rad/s]",
+            ),
+            (
+                follows and not 1 / _ROUGHLY < ratio < _ROUGHLY,
+                "unit",
+                "warning",
+                f"{name} is {ratio:.2g} times what the model makes of {command}",
+                f"is the model that of this rig? Are the units of {name} and {command} right?",
+            ),
+        )
         for applies, check, severity, problem, remedy in checks:
             if applies:
                 yield Issue(check, severity, dataset.name, name, problem, remedy)
@@ -510,19 +584,25 @@ def _angles(
             thrust.share > _EXPLAINS or _turned_round(dataset, motions, name, thrust)
         ):
             yield Issue(
-                "sign", "error", dataset.name, name,
+                "sign",
+                "error",
+                dataset.name,
+                name,
                 f"{name} moves the other way than {command} drives it in the model",
                 f"turn round the sign of {name} (pitch is positive upwards) or of {command} in "
                 "the file",
-            )  # fmt: skip
+            )
         elif thrust.share < _EXPLAINS:
             continue
         elif _near(thrust.factor, _DEGREES, _DEGREES_SPREAD):
             yield Issue(
-                "unit", "error", dataset.name, name,
+                "unit",
+                "error",
+                dataset.name,
+                name,
                 f"{name} moves {thrust.factor:.3g} times as far as it should: degrees read as rad",
                 f"write the unit into the header: {name}[deg]",
-            )  # fmt: skip
+            )
 
 
 def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) -> Iterator[Issue]:
@@ -564,12 +644,15 @@ def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) ->
     if abs(shift - rest) < _OFF_PITCH:
         hanging = ", as an encoder that was switched on while the beam hung"
     yield Issue(
-        "zero", "warning", dataset.name, name,
+        "zero",
+        "warning",
+        dataset.name,
+        name,
         f"{name} is off by a constant {-shift:.2f} rad: the model counts pitch from the level "
         f"beam and hangs at {rest:.2f} rad without thrust{hanging}",
         f"if so: 'data.offset={{{name}: {rest if hanging else shift:.2f}}}' adds it; if the beam "
         "is balanced otherwise or the thrusts are, leave it",
-    )  # fmt: skip
+    )
 
 
 def _imbalance(dataset: Dataset, motion: RecordedMotion, name: str) -> FloatArray | None:
@@ -610,16 +693,20 @@ def _swapped(
             better = len(again) == len(followed) and min(c for c, _ in again.values()) > _CLEAR
         else:
             gain = _told(_thrusts(other, moved)) - _told(thrusts)
-            better = all(t.factor > 0 and t.share > _EXPLAINS
-                         for t in _thrusts(other, moved).values())  # fmt: skip
+            better = all(
+                t.factor > 0 and t.share > _EXPLAINS for t in _thrusts(other, moved).values()
+            )
         if better and gain > _BETTER:
             yield Issue(
-                "swapped", "error", dataset.name, "u_v",
+                "swapped",
+                "error",
+                dataset.name,
+                "u_v",
                 "u_v and u_h are in each other's place: the motion follows them the other way "
                 "round",
                 "swap the two columns' names (u_v is the main rotor); if the speeds are "
                 "recorded, theirs may be swapped instead",
-            )  # fmt: skip
+            )
             return
     if len(poor) == 2 and "alpha_v" in thrusts and "alpha_h" in thrusts:
         i, j = (names(dataset.outputs).index(name) for name in ("alpha_v", "alpha_h"))
@@ -628,10 +715,13 @@ def _swapped(
         right = all(t.factor > 0 and t.share > _EXPLAINS for t in again_thrusts.values())
         if right and _told(again_thrusts) - _told(thrusts) > _BETTER:
             yield Issue(
-                "swapped", "error", dataset.name, "alpha_v",
+                "swapped",
+                "error",
+                dataset.name,
+                "alpha_v",
                 "alpha_v and alpha_h are in each other's place: each moves as the other should",
                 "swap the two columns' names (alpha_v is pitch)",
-            )  # fmt: skip
+            )
 
 
 def _exchanged(values: FloatArray, i: int, j: int) -> FloatArray:
@@ -713,12 +803,15 @@ def too_slow(dataset: Dataset, model: Model) -> Issue | None:
     if scale is None or step <= scale.fastest:
         return None
     return Issue(
-        "sample time", "error", dataset.name, "",
+        "sample time",
+        "error",
+        dataset.name,
+        "",
         f"{step:.4g} s a sample, and the fastest mode of model {model.name!r} has a period of "
         f"{scale.fastest:.2g} s",
         "is t in ms? Then write t[ms] into the header; if it is not, record at least every "
         f"{scale.fastest / _SAMPLES_A_PERIOD:.2g} s",
-    )  # fmt: skip
+    )
 
 
 def require_sample_time(dataset: Dataset, model: Model) -> None:

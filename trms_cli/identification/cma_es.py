@@ -5,8 +5,6 @@ tutorial", arXiv:1604.00772; restarts with a doubled population after A. Auger &
 restart CMA evolution strategy with increasing population size", CEC 2005.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar

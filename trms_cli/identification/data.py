@@ -4,8 +4,6 @@ The recordings are read, cut, and checked against the model as a replay does it;
 plain arrays.
 """
 
-from __future__ import annotations
-
 import glob
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

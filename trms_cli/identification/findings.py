@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from trms_cli.core import findings as told
+from trms_cli.core import findings as report
 from trms_cli.core import wording
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 #: Parts of the recordings in the document, as a person reads them.
 PARTS = {"held_out": "held out", "fit": "fitted"}
-#: Sets of parameters that imitate each other that are told.
+#: Sets of parameters that imitate each other that are report.
 _MOST_SETS = 4
 #: Prior deviations from which a fitted value is worth a word.
 _FAR = 4.0
@@ -33,8 +33,8 @@ _WIDTH = 5.5
 def findings(
     document: Mapping[str, Any],
     assessment: Assessment | None = None,
-    then: Sequence[told.NextCommand] = (),
-) -> told.Findings:
+    then: Sequence[report.NextCommand] = (),
+) -> report.Findings:
     """What is worth telling of a fit: of ``trms.identification/1``.
 
     ``assessment``: its free runs are drawn. ``then``: what to type next.
@@ -44,7 +44,7 @@ def findings(
         sections.append(_parameters(document))
     sections += [_search(document), _recordings(document)]
     model = wording.model_name(str(document["model"]))
-    return told.Findings(
+    return report.Findings(
         title=f"Fit of {model} by {wording.readable(str(document['method']))}",
         lead=list(_lead(document)),
         sections=sections,
@@ -88,11 +88,11 @@ def _lead(document: Mapping[str, Any]) -> Iterator[str]:
     yield f"How it ended: {document['sentence']}."
 
 
-def _measures(document: Mapping[str, Any]) -> Iterator[told.Measure]:
+def _measures(document: Mapping[str, Any]) -> Iterator[report.Measure]:
     for error in _errors(document, judged_part(document)):
         was = "" if error.before is None else f"; before: {wording.number(error.before)}"
         head = f"RMSE {wording.signal(error.output)}"
-        yield told.Measure(head, error.rmse, error.unit, error.change, PARTS[error.part] + was)
+        yield report.Measure(head, error.rmse, error.unit, error.change, PARTS[error.part] + was)
 
 
 class _Error(NamedTuple):
@@ -107,7 +107,7 @@ class _Error(NamedTuple):
     fit: float | None  #: %
 
     @property
-    def change(self) -> told.Judgement:
+    def change(self) -> report.Judgement:
         if self.before is None or self.rmse is None or not self.before > 0:
             return ""
         change = self.rmse / self.before - 1
@@ -136,22 +136,22 @@ def _facts(document: Mapping[str, Any]) -> dict[str, str]:
     return facts
 
 
-def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> told.Section:
+def _free_runs(document: Mapping[str, Any], assessment: Assessment | None) -> report.Section:
     columns = [
-        told.Column(
+        report.Column(
             "output", lambda error: wording.with_unit(wording.signal(error.output), error.unit)
         ),
-        told.Column("recording", lambda error: PARTS[error.part]),
-        told.Column("RMSE before", "before"),
-        told.Column("RMSE fitted", lambda error: told.Datum(error.rmse, error.change)),
-        told.Column("largest error", "largest"),
-        told.Column("fit [%]", "fit"),
+        report.Column("recording", lambda error: PARTS[error.part]),
+        report.Column("RMSE before", "before"),
+        report.Column("RMSE fitted", lambda error: report.Datum(error.rmse, error.change)),
+        report.Column("largest error", "largest"),
+        report.Column("fit [%]", "fit"),
     ]
     errors = [error for part in PARTS for error in _errors(document, part)]
-    blocks: list[told.Block] = [told.table(errors, columns, "Free runs of the model.", heads=2)]
+    blocks: list[report.Block] = [report.table(errors, columns, "Free runs of the model.", heads=2)]
     chart = None if assessment is None else free_run_chart(assessment)
     blocks += [chart] if chart is not None else []
-    return told.Section(
+    return report.Section(
         "Free runs",
         [
             "The model alone over windows, each started from what was measured in the two seconds "
@@ -238,30 +238,30 @@ def near(
     return low - margin, high + margin
 
 
-def _parameters(document: Mapping[str, Any]) -> told.Section:
+def _parameters(document: Mapping[str, Any]) -> report.Section:
     columns = [
-        told.Column("parameter", lambda item: wording.with_unit(item[0], item[1]["unit"])),
-        told.Column("fitted", lambda item: told.Datum(item[1]["value"], sd=item[1]["sd"])),
-        told.Column("±", lambda item: item[1]["sd"]),
-        told.Column("before", lambda item: item[1]["prior_mean"]),
-        told.Column("± before", lambda item: item[1]["prior_sd"]),
+        report.Column("parameter", lambda item: wording.with_unit(item[0], item[1]["unit"])),
+        report.Column("fitted", lambda item: report.Datum(item[1]["value"], sd=item[1]["sd"])),
+        report.Column("±", lambda item: item[1]["sd"]),
+        report.Column("before", lambda item: item[1]["prior_mean"]),
+        report.Column("± before", lambda item: item[1]["prior_sd"]),
     ]
     if any(p["at_bound"] for p in document["parameters"].values()):
         columns.append(
-            told.Column(
-                "at a bound", lambda item: told.Datum(item[1]["at_bound"] or "", "doubtful")
+            report.Column(
+                "at a bound", lambda item: report.Datum(item[1]["at_bound"] or "", "doubtful")
             )
         )
-    doubts = [told.Datum(text, "doubtful") for text in doubts_of(document)]
-    return told.Section(
+    doubts = [report.Datum(text, "doubtful") for text in doubts_of(document)]
+    return report.Section(
         "Parameters",
         [
             "± is one standard deviation: of the estimate, with the residuals' own size and "
             "correlation, and of what was known before."
         ],
         [
-            told.table(document["parameters"].items(), columns),
-            *([told.Remarks(doubts)] if doubts else []),
+            report.table(document["parameters"].items(), columns),
+            *([report.Remarks(doubts)] if doubts else []),
             parameter_chart(document["parameters"]),
         ],
     )
@@ -369,7 +369,7 @@ def _place(points: tuple[list[float], list[float]], x: float, y: float) -> None:
     points[1].append(y)
 
 
-def _search(document: Mapping[str, Any]) -> told.Section:
+def _search(document: Mapping[str, Any]) -> report.Section:
     settings = ", ".join(f"{k} {v}" for k, v in document["settings"].items() if k[0] != "_")
     text = [f"{document['method']}: {settings}."]
     agree = document["details"].get("starts_agree")
@@ -381,7 +381,7 @@ def _search(document: Mapping[str, Any]) -> told.Section:
         )
     many = len(document["history"]) > 1
     blocks = [convergence_chart(document["history"])] if many else []
-    return told.Section("The search", text, blocks, folded=True)
+    return report.Section("The search", text, blocks, folded=True)
 
 
 def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
@@ -409,16 +409,16 @@ def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
     return Chart("convergence", panels, caption, width=_WIDTH, height=2.6)
 
 
-def _recordings(document: Mapping[str, Any]) -> told.Section:
+def _recordings(document: Mapping[str, Any]) -> report.Section:
     columns = [
-        told.Column("recording", "source"),
-        told.Column("part", lambda r: PARTS[r["part"]]),
-        told.Column("from [s]", "from_s"),
-        told.Column("to [s]", "to_s"),
-        told.Column("rate [Hz]", lambda r: 1 / r["sample_time_s"]),
-        told.Column("SHA-256", lambda r: r["sha256"][:16]),
+        report.Column("recording", "source"),
+        report.Column("part", lambda r: PARTS[r["part"]]),
+        report.Column("from [s]", "from_s"),
+        report.Column("to [s]", "to_s"),
+        report.Column("rate [Hz]", lambda r: 1 / r["sample_time_s"]),
+        report.Column("SHA-256", lambda r: r["sha256"][:16]),
     ]
     remarks = list(dict.fromkeys(remark for r in document["recordings"] for remark in r["remarks"]))
-    blocks: list[told.Block] = [told.table(document["recordings"], columns, on_screen=False)]
-    blocks += [told.Remarks(remarks, on_screen=False)] if remarks else []
-    return told.Section("Recordings", (), blocks, folded=True)
+    blocks: list[report.Block] = [report.table(document["recordings"], columns, on_screen=False)]
+    blocks += [report.Remarks(remarks, on_screen=False)] if remarks else []
+    return report.Section("Recordings", (), blocks, folded=True)

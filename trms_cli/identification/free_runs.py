@@ -12,8 +12,6 @@ the window's start: nothing of the window has been seen.
 those of a fit. With the uncertainty of its parameters they make its assessment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple

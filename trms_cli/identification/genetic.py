@@ -9,8 +9,6 @@ space", Complex Systems 9 (1995); the polynomial mutation is theirs too. Parents
 compete, and the best survive.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar, Literal
 

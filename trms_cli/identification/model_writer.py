@@ -6,8 +6,6 @@ fitted value: a later fit to other data, or a draw of a rig, starts from what is
 counting these data twice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

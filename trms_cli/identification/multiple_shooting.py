@@ -6,8 +6,6 @@ cost close to a parabola where one long simulation would not be, and lets a mode
 its own be fitted without that error growing over minutes. See ``docs/grey-box.md``.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

@@ -23,8 +23,6 @@ settings, another version of a library.
 Points lie in the unit box; what they mean is :class:`Box`'s business.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor

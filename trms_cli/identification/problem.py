@@ -4,8 +4,6 @@ A problem is a model, its free parameters with what is known of them, and record
 gives back the fitted model, and can be stopped on the way.
 """
 
-from __future__ import annotations
-
 import copy
 import fnmatch
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Small tables for notebooks; everything in them is escaped."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape

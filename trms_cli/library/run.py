@@ -289,10 +289,20 @@ def run(
     >>> run("ref.alpha_h.amplitude=0.3", controller=MyController(gain=2.0))
     """
     given = dict(
-        controller=controller, ref=ref, model=model, plant=plant, observer=observer,
-        effect=effect, fault=fault, supervisor=supervisor, experiment=experiment, sim=sim,
-        seed=seed, picture=picture, **keys,
-    )  # fmt: skip
+        controller=controller,
+        ref=ref,
+        model=model,
+        plant=plant,
+        observer=observer,
+        effect=effect,
+        fault=fault,
+        supervisor=supervisor,
+        experiment=experiment,
+        sim=sim,
+        seed=seed,
+        picture=picture,
+        **keys,
+    )
     typed, given = _with_experiment(overrides, given)
     return run_as(arguments_of("run", typed, given, out=out, config_dir=config_dir), verbose)
 
@@ -343,9 +353,13 @@ def _with_experiment(
         )
     whole: Experiment = others[0]
     parts = {
-        "controller": whole.controller, "ref": whole.reference, "model": whole.model,
-        "plant": whole.plant, "observer": whole.observer, "supervisor": whole.supervisor,
-    }  # fmt: skip
+        "controller": whole.controller,
+        "ref": whole.reference,
+        "model": whole.model,
+        "plant": whole.plant,
+        "observer": whole.observer,
+        "supervisor": whole.supervisor,
+    }
     twice = [key for key in (*parts, "effect", "fault", "sim") if given[key] is not None]
     if twice:
         raise ConfigurationError(

@@ -291,9 +291,16 @@ def identify(
     from trms_cli.library.tasks.identify import perform as task
 
     given = dict(
-        real=real, model=model, free=free, effect=effect, method=method, data=data,
-        validation=validation, picture=picture, **keys,
-    )  # fmt: skip
+        real=real,
+        model=model,
+        free=free,
+        effect=effect,
+        method=method,
+        data=data,
+        validation=validation,
+        picture=picture,
+        **keys,
+    )
     asked = arguments_of("identify", overrides, given, out=out, config_dir=config_dir)
     return _performed(Fit, "identify", asked, task, verbose)
 
@@ -422,9 +429,14 @@ def stability(
     if isinstance(study, str) and "=" in study:  # an override, with the usual question
         study, overrides = None, (study, *overrides)
     given = dict(
-        study=study, model=model, effect=effect, controller=controller, observer=observer,
-        page=page, **keys,
-    )  # fmt: skip
+        study=study,
+        model=model,
+        effect=effect,
+        controller=controller,
+        observer=observer,
+        page=page,
+        **keys,
+    )
     asked = arguments_of("stability", overrides, given, out=out, config_dir=config_dir)
     return _performed(Stability, "stability", asked, task, verbose)
 
@@ -486,9 +498,15 @@ def diagnose(
     from trms_cli.library.tasks.diagnose import perform as task
 
     given = dict(
-        real=real, model=model, candidates=candidates, effort=effort, effect=effect, data=data,
-        page=page, **keys,
-    )  # fmt: skip
+        real=real,
+        model=model,
+        candidates=candidates,
+        effort=effort,
+        effect=effect,
+        data=data,
+        page=page,
+        **keys,
+    )
     asked = arguments_of("diagnose", overrides, given, out=out, config_dir=config_dir)
     return _performed(Diagnosis, "diagnose", asked, task, verbose)
 

@@ -116,6 +116,7 @@ def plot(
     logs = [read_log(log_of(path)) for path in run_paths(runs)]
     variant: Any = style
     return figure_for_notebook(
-        drawn(logs, what, width=width, style=variant, start=start, end=end, title=title,
-              names=names)
-    )  # fmt: skip
+        drawn(
+            logs, what, width=width, style=variant, start=start, end=end, title=title, names=names
+        )
+    )

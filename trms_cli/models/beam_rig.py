@@ -3,8 +3,6 @@
 ``_h`` is yaw and the tail rotor, ``_v`` pitch and the main rotor.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

@@ -9,8 +9,6 @@ Some of the states only remember: the step copies them from another state or fro
 delayed outputs and inputs of a NARX model. Where the model rests they follow from the others.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 import casadi as ca

@@ -17,8 +17,6 @@ matrix. CasADi's symbolic QR fills them: on the 8-state model it doubles the ope
 and quadruples those of its derivatives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -5,8 +5,6 @@ of a rotor model. A prescribed state becomes an input; its own equation is dropp
 acted on it (its motor's disturbance) no longer acts on anything.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

@@ -6,8 +6,6 @@ is ``−clip(r/∂r, −torque·h, +torque·h)``. This is Moreau's time stepping
 the sign, no creep at rest, no limit on the step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 

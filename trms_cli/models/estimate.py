@@ -1,7 +1,5 @@
 """What an observer gives and a controller takes: the state that is believed in."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -21,8 +21,6 @@ one step of a predictive controller can integrate. They are no part of the linea
 steady states or of the eigenvalues, which are the manual's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import casadi as ca

@@ -17,8 +17,6 @@ rotors' momenta, and with it no equation of the beam needs a rotor's acceleratio
 With one axis locked, its rows and columns are dropped and its rate is zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import casadi as ca

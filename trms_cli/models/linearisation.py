@@ -5,8 +5,6 @@ with no slope at ω_h = 0. A point to linearise at has ω_h ≠ 0, as at any yaw
 back from; :func:`require_drivable` refuses the others.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

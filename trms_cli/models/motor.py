@@ -5,8 +5,6 @@ J ω̇ = kφ i − B ω − k_t ω|ω| + w            k_t by direction of rotati
 F   = k_f ω|ω|                              k_f by direction of rotation
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

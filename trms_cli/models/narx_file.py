@@ -34,8 +34,6 @@ Source: S. Chen, S. A. Billings & P. M. Grant 1990, "Non-linear system identific
 networks", Int. J. Control 51(6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -17,8 +17,6 @@ main rotor::
 With one axis locked, its rows are dropped and its rates are zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

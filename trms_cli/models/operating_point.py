@@ -5,8 +5,6 @@
 reach, :class:`trms_cli.models.steady_state.SteadyState` finds the closest that can be held.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -20,8 +20,6 @@ act as the limit itself: recordings hold such commands. ``τ_y`` is the delay at
 filter that the angles passed before they were recorded, and right for what is slow for it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import casadi as ca

@@ -9,8 +9,6 @@ so that a network with many delays has no more unknowns than it has outputs. The
 unit of a rate in both cases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 

@@ -14,8 +14,6 @@ about it, which rods and rings have in closed form: ``l²/12`` along a uniform r
 any diameter of a thin ring.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

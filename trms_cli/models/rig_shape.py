@@ -8,8 +8,6 @@ What no parameter tells is drawn by proportion (pillar, base, thickness of bars)
 :attr:`~trms_cli.core.scene.Scene.assumed` where a length of the rig itself is missing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 
 from trms_cli.core.scene import BASE, BEAM, YAW, Arrow, Cylinder, Ring, Scene, Vector
@@ -94,9 +92,13 @@ def _aero(c: Mapping[str, float]) -> Scene:
         Cylinder("hanging mass", BEAM, (0.0, 0.0, -below), _ALONG, 0.5 * arm, 1.5 * bar, "weight"),
     ]
     return Scene(
-        tuple(parts), _arrows(arm, arm, bar), height, 0.0, arm + guard,
+        tuple(parts),
+        _arrows(arm, arm, bar),
+        height,
+        0.0,
+        arm + guard,
         _sentence(["the rotors' guards"]),
-    )  # fmt: skip
+    )
 
 
 def _sentence(missing: list[str]) -> str:

@@ -4,8 +4,6 @@ The equations are those of :mod:`trms_cli.models.motor` behind the interface cir
 load cell measures the thrust beside the tachometer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal
 

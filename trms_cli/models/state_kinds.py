@@ -1,7 +1,5 @@
 """What each state of a model is: the kind by which an observer sets its noise."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import casadi as ca

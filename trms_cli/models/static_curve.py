@@ -17,8 +17,6 @@ limits of a TRMS are near ±21.5 V (main) and ±16.5 V (tail), which commands up
 with the nominal gains.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -25,8 +25,6 @@ reference has a steady state for each. It stays where the search begins, and the
 reference against it.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

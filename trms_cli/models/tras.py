@@ -27,8 +27,6 @@ parameter set, or from the rig's own measured table. The electrical rotor (R, kœ
 same rig is written out in :mod:`trms_cli.models.newtonian`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ How the beam moves under the thrusts is what they differ in (:mod:`trms_cli.mode
 :mod:`trms_cli.models.lagrangian`).
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A model's equations as numbers: rates, slopes, and motions of many starts at once."""
 
-from __future__ import annotations
-
 import copy
 import math
 from functools import cached_property

@@ -13,8 +13,6 @@ on an axis) is read off the model's structure, so that one table serves every mo
 :mod:`trms_cli.models.state_kinds`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated

@@ -4,8 +4,6 @@ Prediction by the model's own discrete step, covariance by its Jacobian at the l
 from one set of symbolic equations; see :mod:`trms_cli.observers.kalman_step`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

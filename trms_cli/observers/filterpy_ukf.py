@@ -9,8 +9,6 @@ here, from the same sigma points, before its update. The sigma points are drawn 
 prediction and update, which filterpy itself does from version 2 on.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any
 

@@ -5,8 +5,6 @@ simulated rigs only, also with ones that have more states than the model. What a
 remembers of past outputs and inputs is no state of a rig: it is kept here, sample by sample.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ be driven off by it (newton_mpc was, from rest). The torques that the estimate t
 those that make the nonlinear model move, from the estimated state, as the linear one does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal

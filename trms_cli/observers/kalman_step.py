@@ -9,8 +9,6 @@ is (Bucy & Joseph 1968). What A is makes the filter: the Jacobian at m (the exte
 state-dependent coefficients at m, or a constant.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 
 from trms_cli.models.discretisation import discretise

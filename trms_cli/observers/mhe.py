@@ -24,8 +24,6 @@ the normalised noises ξ (z_0 = ẑ_0 + L ξ_0, F's error √q ξ_k), whose Hess
 makes singular.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """What an observer is: from commands and measurements to an estimate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -18,8 +18,6 @@ seconds is therefore believed again, from a covariance widened by the prior's, a
 until its innovations have kept within the gate for as long.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping

@@ -42,8 +42,6 @@ approximation (I − z + z²/2)⁻¹(I − z/2). The coefficients move during a 
 in T, where the integrators of :mod:`trms_cli.models.discretisation` are of third and fourth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

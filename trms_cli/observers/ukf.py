@@ -21,8 +21,6 @@ stays short: what differs from point to point is one function mapped over the si
 over the points are matrix products, and only the Cholesky factors are written out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Disturbances by schedule: an external torque that acts on one equation of the rig."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trms_cli.references.signal import ReferenceSignal

@@ -1,7 +1,5 @@
 """What a plant is: it takes commands and gives measurements; nobody sees inside, but the log."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol

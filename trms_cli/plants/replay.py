@@ -3,8 +3,6 @@
 What it holds for a model is read as everywhere: see :mod:`trms_cli.recordings.for_model`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, NoReturn
 

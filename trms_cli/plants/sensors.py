@@ -1,7 +1,5 @@
 """Sensors of a simulated rig: noise, quantum, lost samples; all drawn before the run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated

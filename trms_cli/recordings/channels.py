@@ -6,8 +6,6 @@ Units as people write them are turned into SI by pint. It takes about half a sec
 column already in SI never asks for it.
 """
 
-from __future__ import annotations
-
 import difflib
 from dataclasses import dataclass
 from functools import lru_cache

@@ -4,8 +4,6 @@ Any lab can write one, so anything can be wrong with one. Every fault is an erro
 the line, what was found there and what to do; nothing is repaired in silence.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from itertools import islice

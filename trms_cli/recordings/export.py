@@ -1,7 +1,5 @@
 """Run logs as CSV, Parquet and MAT, for programs that read no MCAP."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ the next one, as in this program's own logs; a recorder that writes down what it
 has it act some samples later. The recording brings its sample time; what it lacks is missing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

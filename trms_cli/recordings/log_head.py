@@ -6,8 +6,6 @@ that a log of any length takes about a millisecond. Their checksums are therefor
 :func:`trms_cli.recordings.log_reader.read_log` does that.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from dataclasses import dataclass, field

@@ -13,8 +13,6 @@ always what :func:`read_log` would read of the file as far as it goes. The file 
 reading alone; the run that writes it notices nothing.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import struct

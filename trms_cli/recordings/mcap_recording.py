@@ -1,7 +1,5 @@
 """Recordings inside run logs: /command, /measurement and /reference on one time grid."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

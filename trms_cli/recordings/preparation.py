@@ -10,8 +10,6 @@ frequency without delay where the new rate is lower, and joined by straight line
 higher. Nothing is invented where nothing was recorded: across gaps the samples are missing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise

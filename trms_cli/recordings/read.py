@@ -1,7 +1,5 @@
 """A recording from a file of any format, told by its ending."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from trms_cli.core.errors import RecordingError

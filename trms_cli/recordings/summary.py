@@ -19,8 +19,6 @@ the shifted cause, and on what else acts, leaves least over. Cross-correlation o
 would find the lags of the physics instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ says so in words and by ``nullable``; ``"type": ["number", "null"]`` would be th
 spelling, but Foxglove refuses a schema with a list of types and would not open the topic.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """A sine whose frequency sweeps from one value to another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A value that does not change."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

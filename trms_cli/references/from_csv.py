@@ -4,8 +4,6 @@ The header is that of a recording, ``t[s],r_v[rad],r_h[rad]``; the strict reader
 is not used, because a reference needs no inputs and outputs beside it.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator
 from dataclasses import dataclass

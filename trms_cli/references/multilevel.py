@@ -4,8 +4,6 @@ Where a rig is nonlinear in its amplitude, two levels (PRBS) cannot show it: see
 "Nonlinear System Identification", section 17.7 (amplitude-modulated PRBS).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -4,8 +4,6 @@ Source: M. R. Schroeder, "Synthesis of low-peak-factor signals and binary sequen
 autocorrelation", IEEE Trans. Information Theory 16(1), 1970, eq. 9 (flat spectrum).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

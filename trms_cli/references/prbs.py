@@ -5,8 +5,6 @@ Source: L. Ljung, "System Identification", 2nd ed., section 13.3. The sequence i
 rest of a run's start.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated

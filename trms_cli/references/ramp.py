@@ -1,7 +1,5 @@
 """A straight line from one value to another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

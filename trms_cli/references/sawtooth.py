@@ -1,7 +1,5 @@
 """Sawteeth and triangles."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

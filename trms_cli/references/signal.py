@@ -5,8 +5,6 @@ The vocabulary is the same in every file of this room: ``amplitude`` and ``offse
 s. Before ``start`` a signal rests at ``offset``.
 """
 
-from __future__ import annotations
-
 from typing import Protocol, runtime_checkable
 
 import numpy as np

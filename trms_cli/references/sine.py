@@ -1,7 +1,5 @@
 """A sine wave."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

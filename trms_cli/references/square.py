@@ -1,7 +1,5 @@
 """A square wave: the reference of the benchmarks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One step from one value to another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Several signals added up."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

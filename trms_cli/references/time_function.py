@@ -1,7 +1,5 @@
 """A function of time as a signal: ``ref={"alpha_h": lambda t: 0.3 * np.sin(t)}``."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import traceback

@@ -148,15 +148,23 @@ def sheet_of(chart: charts.Chart, title: str = "") -> Figure:
             if row is not rows[-1]:
                 axes.set_xlabel("")
             if handles:
-                legend_above(axes, handles=[handle.artist for handle in handles.values()],
-                             labels=list(handles))  # fmt: skip
+                legend_above(
+                    axes,
+                    handles=[handle.artist for handle in handles.values()],
+                    labels=list(handles),
+                )
             if _is_crowded(panel, wide):
                 axes.set_title(panel.note, loc="right", fontsize=8, color=GREY, pad=3 + 72 * _NOTE)
         ceiling -= height + _GAP
     figure.text(
-        0.01, 1 - 0.12 / whole, "\n".join(lines), va="top", fontsize=11, fontweight="bold",
+        0.01,
+        1 - 0.12 / whole,
+        "\n".join(lines),
+        va="top",
+        fontsize=11,
+        fontweight="bold",
         color=INK,
-    )  # fmt: skip
+    )
     return figure
 
 
@@ -352,8 +360,10 @@ def draw_mark(axes: Any, mark: charts.Mark) -> Handle | None:
         case charts.Events():
             return _events(axes, mark)
         case charts.Fans():
-            return _curve(axes, charts.Curve(mark.x, mark.y, mark.label, mark.colour, width=0.6,
-                                      held=mark.held))  # fmt: skip
+            return _curve(
+                axes,
+                charts.Curve(mark.x, mark.y, mark.label, mark.colour, width=0.6, held=mark.held),
+            )
         case charts.Boxes():
             _boxes(axes, mark)
         case charts.Heat():
@@ -394,8 +404,14 @@ def _curve(axes: Any, mark: charts.Curve) -> Handle:
         x, y = thin_every(mark.x, mark.y)
         axes.plot(x, y, drawstyle="steps-post" if mark.held else "default", **look)
         if mark.filled:
-            axes.fill_between(x, y, step="post" if mark.held else None, alpha=mark.opacity,
-                              color=look["color"], linewidth=0)  # fmt: skip
+            axes.fill_between(
+                x,
+                y,
+                step="post" if mark.held else None,
+                alpha=mark.opacity,
+                color=look["color"],
+                linewidth=0,
+            )
         if mark.arrow:
             _arrowhead(axes, np.asarray(mark.x, float), np.asarray(mark.y, float), mark)
     return _line_handle(mark.colour, mark.style, mark.width, mark.opacity)
@@ -552,9 +568,13 @@ def _boxes(axes: Any, mark: charts.Boxes) -> None:
         for low, first, middle, third, high in mark.quantiles
     ]
     axes.bxp(
-        parts, positions=list(mark.places), widths=mark.width, showfliers=False,
-        vert=not mark.across, manage_ticks=False,
-    )  # fmt: skip
+        parts,
+        positions=list(mark.places),
+        widths=mark.width,
+        showfliers=False,
+        vert=not mark.across,
+        manage_ticks=False,
+    )
 
 
 def _note(axes: Any, mark: charts.Note) -> None:

@@ -13,8 +13,6 @@ as many pixels wide is the same as one of all samples (Jugel et al., M4: a visua
 time series data aggregation, VLDB 2014).
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import math
@@ -40,9 +38,13 @@ _MOST_OF_A_BAND = 600
 _LARGEST_SINGLE_TIME = 1_000.0
 _LONGEST_TEXT = 200
 _DASHES = {
-    "solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot",
-    "dashdotdot": "3px,2px,1px,2px,1px,2px", "long": "longdash",
-}  # fmt: skip
+    "solid": "solid",
+    "dashed": "dash",
+    "dotted": "dot",
+    "dashdot": "dashdot",
+    "dashdotdot": "3px,2px,1px,2px,1px,2px",
+    "long": "longdash",
+}
 _SYMBOLS = {
     "stable": "circle",
     "unstable": "circle-open",
@@ -159,16 +161,23 @@ class _Drawing:
             layout["yaxis"] |= {"range": [len(self.panel.y.categories) - 0.3, -0.7]}
         pixels = max(round(_PIXELS * height), 220) + 20 * math.ceil(len(self.named) / 3)
         return Plot(
-            self.panel.title, self.traces, layout, self.panel.caption, self.panel.x.linked, pixels,
-            half, fans=self.fans,
-        )  # fmt: skip
+            self.panel.title,
+            self.traces,
+            layout,
+            self.panel.caption,
+            self.panel.x.linked,
+            pixels,
+            half,
+            fans=self.fans,
+        )
 
     def _draw(self, mark: charts.Mark) -> None:
         match mark:
             case charts.Curve():
                 x, y = _kept(mark.x, mark.y)
-                trace = self._line(x, y, mark, mark.width, held=mark.held,
-                                   arrows=_third(x, y, mark))  # fmt: skip
+                trace = self._line(
+                    x, y, mark, mark.width, held=mark.held, arrows=_third(x, y, mark)
+                )
                 trace |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
                 if mark.filled:
                     trace |= {"fill": "tozeroy", "fillcolor": f"@{mark.colour}"}
@@ -191,22 +200,33 @@ class _Drawing:
             case charts.Span():
                 self.shapes.append(
                     {
-                        "type": "rect", "xref": "x", "x0": mark.begin, "x1": mark.end,
-                        "yref": "paper", "y0": 0, "y1": 1, "layer": "below",
-                        "fillcolor": f"@{mark.colour}", "opacity": mark.opacity,
+                        "type": "rect",
+                        "xref": "x",
+                        "x0": mark.begin,
+                        "x1": mark.end,
+                        "yref": "paper",
+                        "y0": 0,
+                        "y1": 1,
+                        "layer": "below",
+                        "fillcolor": f"@{mark.colour}",
+                        "opacity": mark.opacity,
                         "line": {"width": 0},
                     }
-                )  # fmt: skip
+                )
             case charts.Line():
                 self._across(mark)
             case charts.Note():
                 self.notes.append(
                     {
-                        "x": _place(mark.x, self.panel.x), "y": _place(mark.y, self.panel.y),
-                        "text": plot_text(mark.text), "showarrow": False, "xanchor": "left",
-                        "yanchor": "bottom", "font": {"color": f"@{mark.colour}", "size": 11},
+                        "x": _place(mark.x, self.panel.x),
+                        "y": _place(mark.y, self.panel.y),
+                        "text": plot_text(mark.text),
+                        "showarrow": False,
+                        "xanchor": "left",
+                        "yanchor": "bottom",
+                        "font": {"color": f"@{mark.colour}", "size": 11},
                     }
-                )  # fmt: skip
+                )
             case charts.Events():
                 self._events(mark)
             case charts.Fans():
@@ -231,9 +251,15 @@ class _Drawing:
         return group if first else group | {"showlegend": False}
 
     def _line(
-        self, x: FloatArray, y: FloatArray, mark: Any, width: float, *,
-        held: bool = False, arrows: Sequence[int] = (),
-    ) -> dict[str, Any]:  # fmt: skip
+        self,
+        x: FloatArray,
+        y: FloatArray,
+        mark: Any,
+        width: float,
+        *,
+        held: bool = False,
+        arrows: Sequence[int] = (),
+    ) -> dict[str, Any]:
         dash = _DASHES[getattr(mark, "style", "solid")]
         trace: dict[str, Any] = {
             "type": "scatter",
@@ -250,9 +276,12 @@ class _Drawing:
             sizes[list(arrows)] = _ARROW
             trace["mode"] = "lines+markers"
             trace["marker"] = {
-                "symbol": "arrow", "angleref": "previous", "size": pack_array(sizes),
-                "color": f"@{mark.colour}", "line": {"width": 0},
-            }  # fmt: skip
+                "symbol": "arrow",
+                "angleref": "previous",
+                "size": pack_array(sizes),
+                "color": f"@{mark.colour}",
+                "line": {"width": 0},
+            }
         self.traces.append(trace)
         return trace
 
@@ -292,8 +321,13 @@ class _Drawing:
             trace |= {"mode": "lines+markers", "line": line}
         if mark.reach is not None:
             left, right = (np.asarray(ends, dtype=float).tolist() for ends in mark.reach)
-            trace["error_x"] = {"type": "data", "symmetric": False, "array": right,
-                                "arrayminus": left, "color": f"@{mark.colour}"}  # fmt: skip
+            trace["error_x"] = {
+                "type": "data",
+                "symmetric": False,
+                "array": right,
+                "arrayminus": left,
+                "color": f"@{mark.colour}",
+            }
         if mark.values is not None:
             trace["marker"] |= {
                 "color": [round_significant(float(value), 6) for value in mark.values],
@@ -310,25 +344,34 @@ class _Drawing:
             ends = {"xref": "x", "x0": time, "x1": time, "yref": "paper", "y0": 0, "y1": 1}
             self.shapes.append({"type": "line", "layer": "below", "line": look} | ends)
         self.more["yaxis2"] = {
-            "overlaying": "y", "range": [0, 1], "visible": False, "fixedrange": True,
-        }  # fmt: skip
+            "overlaying": "y",
+            "range": [0, 1],
+            "visible": False,
+            "fixedrange": True,
+        }
         self.traces.append(
             {
-                "type": "scatter", "mode": "markers", "x": packed_time(mark.times),
-                "y": pack_array(np.full(len(mark.times), 0.97)), "yaxis": "y2",
+                "type": "scatter",
+                "mode": "markers",
+                "x": packed_time(mark.times),
+                "y": pack_array(np.full(len(mark.times), 0.97)),
+                "yaxis": "y2",
                 "marker": {"color": f"@{mark.colour}", "size": 9, "symbol": "triangle-down"},
                 "text": [plot_text(text) for text in mark.told],
                 "hovertemplate": "%{text}" if mark.told else "%{x:.4g}",
             }
             | self._legend(mark)
-        )  # fmt: skip
+        )
 
     def _fans(self, mark: charts.Fans) -> None:
         number = len(self.traces)
         every = self._line(
-            np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float),
-            charts.Curve((), (), mark.label, "ink"), 0.4, held=mark.held,
-        )  # fmt: skip
+            np.asarray(mark.x, dtype=float),
+            np.asarray(mark.y, dtype=float),
+            charts.Curve((), (), mark.label, "ink"),
+            0.4,
+            held=mark.held,
+        )
         name = plot_text(f"chosen {mark.label.removesuffix('s')}")
         line = every["line"] | {"color": "@vermilion", "width": 3.0}
         nothing = pack_array(np.zeros(0))
@@ -346,12 +389,15 @@ class _Drawing:
         self.more["yaxis"] = _axis(self.panel.y) | _places(mark.names)
         self.traces.append(
             {
-                "type": "bar", "orientation": "h", "x": pack_array(mark.values),
-                "y": list(range(len(mark.names))), "hovertemplate": "%{x:.4g}<extra></extra>",
+                "type": "bar",
+                "orientation": "h",
+                "x": pack_array(mark.values),
+                "y": list(range(len(mark.names))),
+                "hovertemplate": "%{x:.4g}<extra></extra>",
                 "marker": {"color": [f"@{name}" for name in mark.colours] or "@blue"},
                 "text": [plot_text(note) for note in mark.notes],
             }
-        )  # fmt: skip
+        )
 
     def _boxes(self, mark: charts.Boxes) -> None:
         own, quantity = ("y", "x") if mark.across else ("x", "y")
@@ -364,30 +410,37 @@ class _Drawing:
             }
             self.traces.append(
                 {
-                    "type": "box", "orientation": "h" if mark.across else "v", own: [float(place)],
-                    "line": {"color": f"@{colour}", "width": 1.4}, "hoverinfo": quantity,
+                    "type": "box",
+                    "orientation": "h" if mark.across else "v",
+                    own: [float(place)],
+                    "line": {"color": f"@{colour}", "width": 1.4},
+                    "hoverinfo": quantity,
                     "width": mark.width,
                 }
                 | known
                 | self._legend(mark)
-            )  # fmt: skip
+            )
 
     def _heat(self, mark: charts.Heat) -> None:
         values = np.asarray(mark.values, float).tolist()
         rows = [[round_significant(value, 6) for value in row] for row in values]
-        across, up = ([plot_text(name) for name in axis.categories]
-                      for axis in (self.panel.x, self.panel.y))  # fmt: skip
+        across, up = (
+            [plot_text(name) for name in axis.categories] for axis in (self.panel.x, self.panel.y)
+        )
         self.more = {
             name: _axis(axis) | {"type": "category"}
             for name, axis in (("xaxis", self.panel.x), ("yaxis", self.panel.y))
         }
         self.traces.append(
             {
-                "type": "heatmap", "x": across, "y": up, "z": rows,
+                "type": "heatmap",
+                "x": across,
+                "y": up,
+                "z": rows,
                 "hovertemplate": "%{x}, %{y}: %{z:.4g}<extra></extra>",
             }
             | _SCALE
-        )  # fmt: skip
+        )
 
     def _region(self, mark: charts.Region) -> None:
         if not np.any(mark.inside):
@@ -439,8 +492,11 @@ def _axis(axis: charts.Axis) -> dict[str, Any]:
 
 def _places(names: Sequence[str]) -> dict[str, Any]:
     """Names at the places 0, 1, … of an axis."""
-    return {"tickvals": list(range(len(names))), "ticktext": [plot_text(name) for name in names],
-            "zeroline": False}  # fmt: skip
+    return {
+        "tickvals": list(range(len(names))),
+        "ticktext": [plot_text(name) for name in names],
+        "zeroline": False,
+    }
 
 
 def _place(value: float, axis: charts.Axis) -> float:
@@ -482,8 +538,9 @@ def _third(x: FloatArray, y: FloatArray, mark: charts.Curve) -> list[int]:
     """Where an arrowhead stands on a curve: after about a third of its way."""
     if not mark.arrow or len(x) < 3:
         return []
-    steps = [np.diff(values) / (float(np.nanmax(values) - np.nanmin(values)) or 1.0)
-             for values in (x, y)]  # fmt: skip
+    steps = [
+        np.diff(values) / (float(np.nanmax(values) - np.nanmin(values)) or 1.0) for values in (x, y)
+    ]
     length = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.hypot(*steps)))])
     if not length[-1] > 0:
         return []
@@ -494,9 +551,17 @@ def _stream_lines(flow: charts.Flow) -> tuple[FloatArray, FloatArray, list[int]]
     """Stream lines as one broken curve, and the places of their arrowheads."""
     from matplotlib.figure import Figure
 
-    drawn = Figure().add_subplot().streamplot(
-        np.asarray(flow.x, float), np.asarray(flow.y, float), flow.u, flow.v, density=flow.density
-    )  # fmt: skip
+    drawn = (
+        Figure()
+        .add_subplot()
+        .streamplot(
+            np.asarray(flow.x, float),
+            np.asarray(flow.y, float),
+            flow.u,
+            flow.v,
+            density=flow.density,
+        )
+    )
     xs, ys, arrows, count = [], [], [], 0
     for line in _joined(drawn.lines.get_segments()):
         xs += [line[:, 0], [np.nan]]
@@ -590,9 +655,12 @@ def script_json(value: Any) -> str:
     """
     text = json.dumps(json_data(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for sign, code in (
-        ("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026"),
-        ("\u2028", "\\u2028"), ("\u2029", "\\u2029"),
-    ):  # fmt: skip
+        ("<", "\\u003c"),
+        (">", "\\u003e"),
+        ("&", "\\u0026"),
+        ("\u2028", "\\u2028"),
+        ("\u2029", "\\u2029"),
+    ):
         text = text.replace(sign, code)
     # A lone surrogate, as a damaged text may hold, cannot be written as UTF-8.
     return text.encode("utf-8", "replace").decode("utf-8")

@@ -11,8 +11,6 @@ A figure is a stack of panels over one time, or of pairs of panels; its height f
 many there are.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -358,11 +356,19 @@ def _legend(
     widest = max(len(part) for label in wrapped for part in label.split("\n"))
     columns = max(1, int(line // ((widest * _LETTER + 4.2) * size)))
     figure.legend(
-        [each.artist for each in handles.values()], wrapped, loc="outside upper left",
+        [each.artist for each in handles.values()],
+        wrapped,
+        loc="outside upper left",
         ncols=min(columns, len(wrapped)),
-        handlelength=2.4, columnspacing=1.2, borderaxespad=0.1, borderpad=0.1, labelspacing=0.25,
-        title=title or None, alignment="left", title_fontproperties={"weight": "bold"},
-    )  # fmt: skip
+        handlelength=2.4,
+        columnspacing=1.2,
+        borderaxespad=0.1,
+        borderpad=0.1,
+        labelspacing=0.25,
+        title=title or None,
+        alignment="left",
+        title_fontproperties={"weight": "bold"},
+    )
 
 
 def _wrapped(title: str, width: float, style: Variant) -> list[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -35,9 +35,6 @@ from trms_cli.reporting.run_panels import (
 )
 from trms_cli.reporting.signals import FloatArray, RunReport, RunSignals, TimeSeries
 from trms_cli.scoring.figures import finite, part
-
-if TYPE_CHECKING:
-    from trms_cli.core import chart as draw
 
 _ANGLES, _SPEEDS = ("alpha_v", "alpha_h"), ("omega_v", "omega_h")
 
@@ -80,11 +77,15 @@ def errors(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
         raise Absent("no log has a reference: nothing was to be followed")
     return [
         _over_time(
-            runs, f"{label_of(name)} error", RunSignals.error, name, look,
+            runs,
+            f"{label_of(name)} error",
+            RunSignals.error,
+            name,
+            look,
             title=f"tracking error of {label_of(name)}",
         )
         for name in names
-    ]  # fmt: skip
+    ]
 
 
 def inputs(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
@@ -100,8 +101,9 @@ def inputs(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
         limits, lines = with_limits(runs, [name], axis_range(seen), of_commands=True)
         label = f"{label_of(name)}\ncommand" if label_of(name) != name else name
         axis = draw.Axis(label, unit or "V", limits)
-        panels.append(draw.Panel(time_axis(*runs), axis, [*marks, *lines], symbol_label(name),
-                                 row_height=0.8))  # fmt: skip
+        panels.append(
+            draw.Panel(time_axis(*runs), axis, [*marks, *lines], symbol_label(name), row_height=0.8)
+        )
     return panels
 
 
@@ -128,8 +130,14 @@ def _rate(run: RunSignals, name: str) -> TimeSeries | None:
 
 def estimate(runs: Runs) -> list[draw.Panel]:
     """Estimated minus true, with two standard deviations; without a true state, innovations."""
-    names = {run.name: [n for n in run.names("/estimate") if not n.endswith(("_moment", "_motor"))
-                        and run.estimated(n) is not None] for run in runs}  # fmt: skip
+    names = {
+        run.name: [
+            n
+            for n in run.names("/estimate")
+            if not n.endswith(("_moment", "_motor")) and run.estimated(n) is not None
+        ]
+        for run in runs
+    }
     if not any(names.values()):
         if any(run.names("/estimate") for run in runs):
             raise Absent("the observer is handed the true state (full_state): it estimates nothing")
@@ -230,8 +238,13 @@ def solver(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
             marks.append(draw.Line(y=deadline, label="deadline", colour="alarm"))
         else:
             named = ", ".join(runs[i].name for i in whose)
-            marks.append(draw.Line(y=deadline, label=f"deadline of {named}, {deadline:g} ms",
-                                   colour=look(whose[0])["colour"]))  # fmt: skip
+            marks.append(
+                draw.Line(
+                    y=deadline,
+                    label=f"deadline of {named}, {deadline:g} ms",
+                    colour=look(whose[0])["colour"],
+                )
+            )
     panel = draw.Panel(time_axis(*runs), step_axis(), marks, "time of a control step")
     return [panel, *iteration_panels(runs, look)]
 
@@ -251,8 +264,14 @@ def time_boxes(runs: Runs) -> draw.Panel | None:
     )
     caption = "Box: quartiles and median; whiskers: 1st and 99th percentile; diamond: deadline."
     names = draw.Axis("", categories=[run.name for run, _ in timed])
-    return draw.Panel(step_axis(), names, marks, "times of a control step", caption=caption,
-                      row_height=(60 + 44 * len(timed)) / 240)  # fmt: skip
+    return draw.Panel(
+        step_axis(),
+        names,
+        marks,
+        "times of a control step",
+        caption=caption,
+        row_height=(60 + 44 * len(timed)) / 240,
+    )
 
 
 def phase(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
@@ -283,9 +302,15 @@ def phase_panels(
         if marks:
             across, up = draw.Axis(words, unit), draw.Axis(f"{words} rate", f"{unit}/s")
             panels.append(
-                draw.Panel(across, up, marks, f"{words} against its rate", half=len(names) > 1,
-                           row_height=1.9)
-            )  # fmt: skip
+                draw.Panel(
+                    across,
+                    up,
+                    marks,
+                    f"{words} against its rate",
+                    half=len(names) > 1,
+                    row_height=1.9,
+                )
+            )
     return panels
 
 
@@ -353,8 +378,10 @@ def comparison(runs: Sequence[RunReport]) -> list[draw.Panel]:
         raise Absent("one log compares with nothing: give two or more")
     if not any(run.score for run in runs):
         raise Absent("no log has a score: the runs did not end, or are recordings")
-    names = {key: dict.fromkeys(name for run in runs for name in part(run.score, key))
-             for key in ("channels", "inputs")}  # fmt: skip
+    names = {
+        key: dict.fromkeys(name for run in runs for name in part(run.score, key))
+        for key in ("channels", "inputs")
+    }
     figures = [
         *((f"RMSE of {label_of(n)}", "rad", ("channels", n, "rmse")) for n in names["channels"]),
         *((f"effort, {label_of(n)}", "V² s", ("inputs", n, "effort")) for n in names["inputs"]),
@@ -368,9 +395,14 @@ def comparison(runs: Sequence[RunReport]) -> list[draw.Panel]:
         if not known:
             continue
         named = len(panels) % 2 == 0
-        marks = [draw.Bars([run.name if named else "" for run in runs], np.nan_to_num(values),
-                           [draw.curve_look(i)["colour"] for i in range(len(runs))],
-                           notes=[f" {wording.number(value)}" for value in values])]  # fmt: skip
+        marks = [
+            draw.Bars(
+                [run.name if named else "" for run in runs],
+                np.nan_to_num(values),
+                [draw.curve_look(i)["colour"] for i in range(len(runs))],
+                notes=[f" {wording.number(value)}" for value in values],
+            )
+        ]
         limits = (0.0, 1.05 * max(known) if max(known) > 0 else 1.0)
         height = 0.35 + 0.17 * len(runs)
         panels.append(
@@ -384,9 +416,15 @@ def comparison(runs: Sequence[RunReport]) -> list[draw.Panel]:
 
 
 def _over_time(
-    runs: Runs, label: str, pick: Pick, name: str, look: Look = draw.curve_look,
-    *, title: str = "", height: float = 0.0,
-) -> draw.Panel:  # fmt: skip
+    runs: Runs,
+    label: str,
+    pick: Pick,
+    name: str,
+    look: Look = draw.curve_look,
+    *,
+    title: str = "",
+    height: float = 0.0,
+) -> draw.Panel:
     """A panel into which each run draws one curve; a log alone is named by what its curve is."""
     marks, seen, unit = curves_of(runs, pick, name, look)
     zero = [draw.Line(y=0.0, colour="sky", style="solid")] if "error" in label else []
@@ -396,8 +434,11 @@ def _over_time(
 
 def _references(runs: Runs, name: str, look: Look) -> list[draw.Curve]:
     """One dashed line for a reference that all share, else one each in the run's colour."""
-    told = [(i, wanted) for i, run in enumerate(runs)
-            if (wanted := run.signal("/reference", name)) is not None]  # fmt: skip
+    told = [
+        (i, wanted)
+        for i, run in enumerate(runs)
+        if (wanted := run.signal("/reference", name)) is not None
+    ]
     if not told:
         return []
     longest = max((wanted for _, wanted in told), key=lambda wanted: float(wanted.time[-1]))

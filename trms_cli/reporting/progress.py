@@ -1,7 +1,5 @@
 """What is being done: a line or a bar on standard error, and the way to stop and to go on."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -9,8 +9,6 @@
 From a notebook, with a log's path: :func:`trms_cli.library.report.pages.report_of`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -41,10 +39,15 @@ _MOST_EVENTS = 500
 _LONGEST_CONFIG = 200_000  # characters
 #: Options that are named under the lead, with the words for them.
 _PARTS = {
-    "model": "model", "plant": "rig", "effect": "effects", "fault": "faults",
-    "observer": "observer", "controller": "controller", "ref": "reference",
+    "model": "model",
+    "plant": "rig",
+    "effect": "effects",
+    "fault": "faults",
+    "observer": "observer",
+    "controller": "controller",
+    "ref": "reference",
     "supervisor": "supervisor",
-}  # fmt: skip
+}
 
 THINNED = (
     f"Curves of more than {MOST_POINTS} samples are thinned: of each stretch of the time the least "
@@ -96,9 +99,12 @@ def findings_of_run(run: RunReport, *, title: str = "") -> Findings:
     made += [Details("The whole configuration", _cut(run.config))] if run.config else []
     sections.append(Section(MADE, [THINNED], made, folded=True))
     return Findings(
-        title or title_of(run), _lead(run), sections, measures=measures_of(run.score),
+        title or title_of(run),
+        _lead(run),
+        sections,
+        measures=measures_of(run.score),
         facts=_facts(run),
-    )  # fmt: skip
+    )
 
 
 def plot_section(
@@ -251,14 +257,24 @@ def _ratios(standings: Sequence[Standing]) -> list[Panel]:
     below = [0.0 if i is None else max(ratio - i.low, 0.0) for ratio, i in ends]
     above = [0.0 if i is None else max(i.high - ratio, 0.0) for ratio, i in ends]
     names = [each.name for each in told]
-    dots = Points([each.ratio for each in told], range(len(told)), "", "dot", "blue", told=names,
-                  reach=(below, above))  # fmt: skip
+    dots = Points(
+        [each.ratio for each in told],
+        range(len(told)),
+        "",
+        "dot",
+        "blue",
+        told=names,
+        reach=(below, above),
+    )
     return [
         Panel(
-            Axis("error over the best's in the same conditions"), Axis("", categories=names),
-            [dots], "error over the best's", row_height=(70 + 26 * min(len(told), 60)) / 256,
+            Axis("error over the best's in the same conditions"),
+            Axis("", categories=names),
+            [dots],
+            "error over the best's",
+            row_height=(70 + 26 * min(len(told), 60)) / 256,
         )
-    ]  # fmt: skip
+    ]
 
 
 def _tracking(runs: Sequence[RunReport]) -> list[Panel]:

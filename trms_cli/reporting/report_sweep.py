@@ -5,8 +5,6 @@
     findings_of_sweep(SweepReport(name="sweep", runs=[SweepRun(name="0", …), …], …))
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter
@@ -62,12 +60,19 @@ def spread_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
             ]
             beside = [place + 0.3 * (i * _SCATTER % 1.0 - 0.5) for i, _, _ in shown]
             marks.append(
-                Points([value for _, value, _ in shown], beside, colour=colours[place], size=3,
-                       told=[name for _, _, name in shown], opacity=0.55)
-            )  # fmt: skip
+                Points(
+                    [value for _, value, _ in shown],
+                    beside,
+                    colour=colours[place],
+                    size=3,
+                    told=[name for _, _, name in shown],
+                    opacity=0.55,
+                )
+            )
         height = (90 + 34 * len(entrants)) / 256
-        return Panel(Axis(sweep.title(figure)), who, marks, "by who ran", caption=caption,
-                     row_height=height)  # fmt: skip
+        return Panel(
+            Axis(sweep.title(figure)), who, marks, "by who ran", caption=caption, row_height=height
+        )
 
     def counts(figure: str) -> Panel:
         values = [np.array(_numbers(runs, figure)) for _, runs in groups]
@@ -77,10 +82,15 @@ def spread_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
         edges = np.linspace(low, high if high > low else low + 1e-9, _BINS + 1)
         several = len(groups) > 1
         marks = [
-            histogram(own, edges, name if several else "", _colour(number),
-                      opacity=0.6 if several else 0.9)
+            histogram(
+                own,
+                edges,
+                name if several else "",
+                _colour(number),
+                opacity=0.6 if several else 0.9,
+            )
             for number, ((name, _), own) in enumerate(zip(groups, values, strict=True))
-        ]  # fmt: skip
+        ]
         return Panel(Axis(sweep.title(figure)), Axis("runs"), marks, "distribution")
 
     return [_chosen(sweep, figures, boxes), _chosen(sweep, figures, counts)]
@@ -150,8 +160,9 @@ def _pareto(
 ) -> Panel:
     both = {one.figure, other.figure}
     known = [run for run in sweep.tried if not run.failed and both <= set(run.figures)]
-    best = sorted((run for run in front if both <= set(run.figures)),
-                  key=lambda run: run.figures[one.figure])  # fmt: skip
+    best = sorted(
+        (run for run in front if both <= set(run.figures)), key=lambda run: run.figures[one.figure]
+    )
 
     def dots(
         runs: Sequence[SweepRun], label: str, colour: Colour, size: float, **more: Any
@@ -174,22 +185,36 @@ def _pareto(
     caption = (
         "Of the runs on the front none is as good as another in all objectives and better in one."
     )
-    return Panel(across, up, marks, f"{other.figure} against {one.figure}", caption=caption,
-                 half=half, row_height=1.55)  # fmt: skip
+    return Panel(
+        across,
+        up,
+        marks,
+        f"{other.figure} against {one.figure}",
+        caption=caption,
+        half=half,
+        row_height=1.55,
+    )
 
 
 def _scatter(sweep: SweepReport, key: str, figure: str) -> Panel:
     groups = _groups(sweep, _MOST_COLOURS)
     size = 5.0 if len(sweep.runs) <= 200 else 3.0
     marks = [
-        Points([_float(run.values.get(key)) for run in runs], _numbers(runs, figure),
-               name if len(groups) > 1 else "", colour=_colour(number), size=size, opacity=0.7,
-               told=[run.name for run in runs])
+        Points(
+            [_float(run.values.get(key)) for run in runs],
+            _numbers(runs, figure),
+            name if len(groups) > 1 else "",
+            colour=_colour(number),
+            size=size,
+            opacity=0.7,
+            told=[run.name for run in runs],
+        )
         for number, (name, runs) in enumerate(groups)
-    ]  # fmt: skip
+    ]
     across = Axis(key, log=_spans_decades([run.values.get(key) for run in sweep.runs]))
-    return Panel(across, Axis(sweep.title(figure)), marks, f"against {key}", half=True,
-                 row_height=1.2)  # fmt: skip
+    return Panel(
+        across, Axis(sweep.title(figure)), marks, f"against {key}", half=True, row_height=1.2
+    )
 
 
 def _categories(sweep: SweepReport, key: str, figure: str) -> Panel:
@@ -221,15 +246,18 @@ def _map(sweep: SweepReport, across: str, up: str, figure: str) -> Panel:
     marks: Sequence[Mark]
     if max(len(xs), len(ys)) <= _MOST_CELLS and len(xs) * len(ys) <= 4 * len(runs):
         ys = ys[::-1]  # the largest on top
-        axes = (Axis(across, categories=[f"{v:g}" for v in xs]),
-                Axis(up, categories=[f"{v:g}" for v in ys]))  # fmt: skip
+        axes = (
+            Axis(across, categories=[f"{v:g}" for v in xs]),
+            Axis(up, categories=[f"{v:g}" for v in ys]),
+        )
         marks = [Heat(_cells(runs, across, up, xs, ys, figure))]
         caption = "Mean over the runs of a cell; empty where none ended well."
     else:
         marks, words = _rings(sweep, runs, across, up, figure)
         caption = f"Colour: the figure; dark is large.{words}"
-    return Panel(*axes, marks, f"over {across} and {up}", caption=caption, half=True,
-                 row_height=1.55)  # fmt: skip
+    return Panel(
+        *axes, marks, f"over {across} and {up}", caption=caption, half=True, row_height=1.55
+    )
 
 
 def _rings(
@@ -244,9 +272,15 @@ def _rings(
         x, y = ([_float(run.values[key]) for run in own] for key in (across, up))
         told = [f"{run.name}, {entrant}" if ringed else run.name for run in own]
         marks.append(
-            Points(x, y, marker="unstable" if place else "dot", size=5.7 + 4.3 * place, told=told,
-                   values=_numbers(own, figure))
-        )  # fmt: skip
+            Points(
+                x,
+                y,
+                marker="unstable" if place else "dot",
+                size=5.7 + 4.3 * place,
+                told=told,
+                values=_numbers(own, figure),
+            )
+        )
     if not ringed:
         return marks, ""
     return marks, f" Dot: {entrants[0]}; rings, from the inside: {', '.join(entrants[1:])}."
@@ -572,9 +606,12 @@ def _all_runs(sweep: SweepReport) -> Section:
     example = _example(sweep)
     text = f"Filter by words and by columns, `{example}` for instance; all that is typed has to "
     rows = table(
-        sweep.runs[:MOST_ROWS], [column for _, column in columns], caption,
-        keys=[key.lower() for key, _ in columns], example=example,
-    )  # fmt: skip
+        sweep.runs[:MOST_ROWS],
+        [column for _, column in columns],
+        caption,
+        keys=[key.lower() for key, _ in columns],
+        example=example,
+    )
     return Section("All runs", [f"{text}hold."], [rows])
 
 

@@ -1,7 +1,5 @@
 """The rig's block diagram with a share at each of its places."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

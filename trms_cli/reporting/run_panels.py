@@ -5,8 +5,6 @@ together of them. Several runs over one another: :mod:`trms_cli.reporting.plot_k
 and the main rotor have is blue, what yaw and the tail rotor have is vermilion.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -150,10 +148,14 @@ def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> draw.Pane
             draw.signal_colour(other) == draw.signal_colour(name) for other in names[:number]
         )
         marks += with_band(
-            torque, deviation, name.replace("_", " "), draw.signal_colour(name, number), 0.9,
+            torque,
+            deviation,
+            name.replace("_", " "),
+            draw.signal_colour(name, number),
+            0.9,
             opacity=0.12,
             style="dashed" if again else "solid",
-        )  # fmt: skip
+        )
         begin = len(deviation) // 20  # an observer that finds its feet
         reach.append(_reach(torque.values[begin:], deviation[begin:]))
     limits = axis_range(reach)
@@ -249,9 +251,15 @@ def innovation_panels(
         words = label_of(channel)
         axis = draw.Axis(f"innovation\nof {words}", found.unit, _around_band(found.values, band))
         panels.append(
-            draw.Panel(time_axis(run), axis, marks, f"innovation of {words}", half=True,
-                       note=_foretold(figures[channel]) if figures else "")
-        )  # fmt: skip
+            draw.Panel(
+                time_axis(run),
+                axis,
+                marks,
+                f"innovation of {words}",
+                half=True,
+                note=_foretold(figures[channel]) if figures else "",
+            )
+        )
     return panels
 
 
@@ -329,29 +337,44 @@ def solver_panels(run: RunSignals) -> list[draw.Panel]:
 
 
 def histogram(
-    values: FloatArray, edges: FloatArray, label: str = "", colour: Any = "blue",
+    values: FloatArray,
+    edges: FloatArray,
+    label: str = "",
+    colour: Any = "blue",
     opacity: float = 0.8,
-) -> draw.Curve:  # fmt: skip
+) -> draw.Curve:
     """How many values lie between the edges."""
     counts = np.histogram(values[np.isfinite(values)], edges)[0]
-    return draw.Curve(edges, np.append(counts, 0.0), label, colour, width=0.6, held=True,
-                      opacity=opacity, filled=True)  # fmt: skip
+    return draw.Curve(
+        edges,
+        np.append(counts, 0.0),
+        label,
+        colour,
+        width=0.6,
+        held=True,
+        opacity=opacity,
+        filled=True,
+    )
 
 
 def event_marks(run: RunSignals) -> list[draw.Events]:
     """Triangles at the top, told when pointed at: what alarms, and the rest."""
     events = [e for e in run.events if not e.kind.startswith(_TOLD_ELSEWHERE)]
     events = [e for e in events if math.isfinite(e.time)][:_MOST_MARKS]
-    parts = [("alarm", [e for e in events if e.alarming]),
-             ("grey", [e for e in events if not e.alarming])]  # fmt: skip
+    parts = [
+        ("alarm", [e for e in events if e.alarming]),
+        ("grey", [e for e in events if not e.alarming]),
+    ]
     return [
         draw.Events(
-            [e.time for e in some], "event", colour,  # type: ignore[arg-type]
+            [e.time for e in some],
+            "event",
+            colour,  # type: ignore[arg-type]
             [": ".join(p for p in (e.kind, e.source, e.message) if p) for e in some],
         )
         for colour, some in parts
         if some
-    ]  # fmt: skip
+    ]
 
 
 def fan_panels(run: RunSignals, most: int = MOST_FANS) -> list[draw.Panel]:
@@ -416,9 +439,15 @@ def reference_curve(wanted: TimeSeries, **look: Any) -> draw.Curve:
 
 
 def with_band(
-    signal: TimeSeries, deviation: FloatArray, label: str, colour: Any, width: float,
-    *, opacity: float = 0.22, **look: Any,
-) -> list[draw.Mark]:  # fmt: skip
+    signal: TimeSeries,
+    deviation: FloatArray,
+    label: str,
+    colour: Any,
+    width: float,
+    *,
+    opacity: float = 0.22,
+    **look: Any,
+) -> list[draw.Mark]:
     """A curve and its band of two deviations, which a click on its name hides together."""
     low, high = signal.values - 2 * deviation, signal.values + 2 * deviation
     return [

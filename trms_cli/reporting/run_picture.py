@@ -24,8 +24,14 @@ if TYPE_CHECKING:
 
 #: Topics that a picture shows.
 _TOPICS = (
-    "/reference", "/command", "/measurement", "/plant/state", "/estimate", "/controller", "/event",
-)  # fmt: skip
+    "/reference",
+    "/command",
+    "/measurement",
+    "/plant/state",
+    "/estimate",
+    "/controller",
+    "/event",
+)
 #: Of events that other marks tell already.
 _TOLD_BY_MARKS = ("saturation", "solver", "degraded", "landing", "outlier")
 _WIDTH, _REPLAY_WIDTH = 9.0, 11.0  # inches

@@ -4,8 +4,6 @@ Frames are composed from the transforms, and primitives placed in them, as a vie
 is drawn shows what the messages say, and not what the program meant.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -270,6 +268,12 @@ def _legend(figure: Figure, bodies: Mapping[str, Any]) -> None:
         for tone in tones
     ]
     figure.legend(
-        handles, [_WORDS.get(tone, tone) for tone in tones], loc="upper left", ncols=1,
-        bbox_to_anchor=(0.005, 0.93), handlelength=0.9, labelspacing=0.3, labelcolor=GREY,
-    )  # fmt: skip
+        handles,
+        [_WORDS.get(tone, tone) for tone in tones],
+        loc="upper left",
+        ncols=1,
+        bbox_to_anchor=(0.005, 0.93),
+        handlelength=0.9,
+        labelspacing=0.3,
+        labelcolor=GREY,
+    )

@@ -4,8 +4,6 @@ A table never loses a figure: where it is too wide, heads and names are folded f
 columns are parted into tables below one another, each with the names of its rows.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys
@@ -52,9 +50,14 @@ _SENTENCES_OF_A_JOB = 4
 
 #: Numbers of the styles in an escape sequence (ECMA-48).
 _CODES = {
-    "bold": "1", "dim": "2", "italic": "3",
-    "red": "31", "green": "32", "yellow": "33", "cyan": "36",
-}  # fmt: skip
+    "bold": "1",
+    "dim": "2",
+    "italic": "3",
+    "red": "31",
+    "green": "32",
+    "yellow": "33",
+    "cyan": "36",
+}
 #: A line: parts of text, each with the words of its style.
 Line = Sequence[tuple[str, str]]
 

@@ -232,8 +232,10 @@ class RunSignals:
     @property
     def end(self) -> float:
         """Until when the last sample holds, s."""
-        ends = (time[-1] + (np.median(np.diff(time)) if len(time) > 1 else 0.0)
-                for time in self._times())  # fmt: skip
+        ends = (
+            time[-1] + (np.median(np.diff(time)) if len(time) > 1 else 0.0)
+            for time in self._times()
+        )
         return min(float(max(ends, default=0.0)), self.window[1])
 
     def _times(self) -> Iterator[list[float]]:

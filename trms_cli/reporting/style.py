@@ -9,8 +9,6 @@ Figures are made with matplotlib's objects and the Agg canvas. ``pyplot`` is nev
 costs 0.4 s, keeps figures alive and asks for a display.
 """
 
-from __future__ import annotations
-
 import io
 import sys
 import warnings

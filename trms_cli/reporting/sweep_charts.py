@@ -1,7 +1,5 @@
 """Charts of what a sampler had to say: the front of a search, or how draws spread."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -131,9 +129,15 @@ def _tried(summary: Mapping[str, Any], x: Pick, y: Pick) -> list[Mark]:
 
 
 def _points(
-    trials: Sequence[Trial], x: Pick, y: Pick, label: str, marker: Any, colour: Any, size: float,
+    trials: Sequence[Trial],
+    x: Pick,
+    y: Pick,
+    label: str,
+    marker: Any,
+    colour: Any,
+    size: float,
     **how: Any,
-) -> Mark:  # fmt: skip
+) -> Mark:
     told = [f"trial {trial['trial']}" for trial in trials]
     places = [x(trial) for trial in trials], [y(trial) for trial in trials]
     return Points(*places, label, marker, colour, size=size, told=told, **how)
@@ -234,8 +238,10 @@ def _sensitivity(summary: Mapping[str, Any]) -> list[Chart]:
     """Rank correlations of drawn values with each figure, strongest first; by chance pale."""
     groups, short = summary["groups"], short_keys(summary["varied"])
     looks = [CURVES[i % len(CURVES)] for i in range(len(groups))]
-    legend = [Points([], [], _words(group), "square", look)
-              for group, look in zip(groups, looks, strict=True)]  # fmt: skip
+    legend = [
+        Points([], [], _words(group), "square", look)
+        for group, look in zip(groups, looks, strict=True)
+    ]
     legend.append(Points([], [], "not distinguishable from chance", "square", "pale"))
     panels, most = [], 0
     for name in summary["figures"]:
@@ -254,9 +260,13 @@ def _sensitivity(summary: Mapping[str, Any]) -> list[Chart]:
         )
         most = max(most, len(rows))
         panels.append(
-            Panel(Axis("rank correlation", limits=(-1.0, 1.0)), Axis(""), [bars, *legend],
-                  column_title(name))
-        )  # fmt: skip
+            Panel(
+                Axis("rank correlation", limits=(-1.0, 1.0)),
+                Axis(""),
+                [bars, *legend],
+                column_title(name),
+            )
+        )
     return _side_by_side("sensitivity", panels, 1.4 + 0.17 * most)
 
 

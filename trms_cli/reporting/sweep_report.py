@@ -1,7 +1,5 @@
 """Many runs as a report sees them: a row of figures each, and what was varied between them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ those of other channels, and the errors of estimates, are kept beside them by th
 can be asked for in the same way.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A log, or a job of a sweep that failed before it had one, as a row of the index."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -15,8 +15,6 @@ A filter is true or false of every run. A figure that a run does not have (None)
 it gives None, as division by zero does.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import keyword

@@ -4,8 +4,6 @@ All figures until a moment are those that the score of the run up to there has: 
 RMSE, share of saturation, percentile and misses (:mod:`trms_cli.scoring.score`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

@@ -1,7 +1,5 @@
 """Runs in a notebook: a list of dicts, an Arrow table or a pandas frame, in one line."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from typing import Any

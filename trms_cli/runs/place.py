@@ -9,8 +9,6 @@ file beside it; whoever lists runs next reads the log. That takes a run some ten
 waits for nobody, and tells of a run that is killed later, wherever its folder is.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import platform

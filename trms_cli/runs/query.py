@@ -6,8 +6,6 @@ taken out. So runs that were copied in, moved, deleted or killed are right witho
 told of them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sqlite3

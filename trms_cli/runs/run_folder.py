@@ -1,7 +1,5 @@
 """The folder that a command writes into: new, or asked for by name and empty."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

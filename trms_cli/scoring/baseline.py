@@ -7,8 +7,6 @@ limits, and the solver's failures. Effort and iterations are shown for informati
 are left out, because they belong to the machine.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field

@@ -10,8 +10,6 @@ one that a baseline compares; ``short=False`` leaves it out where only a few sta
            of=lambda m, channel: m.quantile(abs(channel.error), 0.95)),
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 The score may be of another version of the program, or a stranger's: what it lacks is left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -286,8 +284,11 @@ def _estimate(score: Mapping[str, Any]) -> Table:
         if any(value is not None for value in values):
             rows.append([wording.with_unit(_state(name), str(units.get(name, ""))), *values])
     caption = "; ".join(filter(None, [consistency(estimate), *innovation_sentences(estimate)]))
-    return Table(["estimate", *(figure.label for figure in columns)], rows,
-                 f"{caption[0].upper()}{caption[1:]}." if caption else "")  # fmt: skip
+    return Table(
+        ["estimate", *(figure.label for figure in columns)],
+        rows,
+        f"{caption[0].upper()}{caption[1:]}." if caption else "",
+    )
 
 
 def _state(name: str) -> str:

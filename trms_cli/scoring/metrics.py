@@ -20,8 +20,6 @@ section 5.4; G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time ser
 Biometrika 65(2), 1978.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """What happened in a run, in memory and in the log: the same rows go to both."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol

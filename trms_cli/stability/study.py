@@ -1,7 +1,5 @@
 """What a study is: a question about a model or a closed loop, and how it is answered."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 

@@ -1,7 +1,5 @@
 """What a study is about: a model with its effects, the loop around it if there is one, a point."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ again up to its number of retries; one that another worker is still at, left by 
 killed, is waited for.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections import deque

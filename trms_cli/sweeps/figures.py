@@ -1,7 +1,5 @@
 """Figures of a run by the names that ``trms runs`` has for them, as samplers are told of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 

@@ -4,8 +4,6 @@ Made of the documents alone (``trms.sweep-status/1``, and in it the summary of t
 that a screen shows of an old sweep what it showed at its end.
 """
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path

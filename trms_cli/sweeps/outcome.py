@@ -1,7 +1,5 @@
 """How a sweep stands (``trms.sweep-status/1``), or how far it is as it goes on: from its folder."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

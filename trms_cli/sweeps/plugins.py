@@ -8,8 +8,6 @@ is to be done, the workers write the ``status.json`` of each run, and whoever re
 is left, whatever died.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass

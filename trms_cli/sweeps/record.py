@@ -11,8 +11,6 @@ died has left is moved into ``attempt-1/``, each file with ``.dead`` behind its 
 other command takes it for a run.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json

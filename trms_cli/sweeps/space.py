@@ -1,7 +1,5 @@
 """What a sweep varies (choices, ranges, priors of parameters), its points and what came of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -4,8 +4,6 @@ The script asks ``trms completion --query LINE`` for every press of tab; the ans
 :mod:`trms_cli.commands.completion.suggestions`, without Hydra.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """What tab completion offers for an unfinished command line, from the YAML files alone."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The table of ``trms runs``: as wide as the terminal, or aligned and whole for a pipe."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """A picture of a run at one moment, in characters: as wide and as high as the terminal is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A picture of a sweep in characters: its jobs, how fast they come, the best and the failed."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A QP solver that fails on purpose: better to see what a loop does then before a rig does it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 

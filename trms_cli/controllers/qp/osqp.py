@@ -3,8 +3,6 @@
 Each soft row gets two slack variables, one to either side.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

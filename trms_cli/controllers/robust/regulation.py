@@ -1,7 +1,5 @@
 """What the online and the offline robust MPC share: targets, coordinates, bounds, weights."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ memory, direction of motion, drift and change, region, what it depends on. Chanc
 blocks longer than the force remembers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -24,8 +24,6 @@ Weisberg 1982, ch. 3.6): with the hat matrix ``H = Φ(ΦᵀΦ + λ)⁻¹Φᵀ`` 
 fit to everything, the residuals of block ``b`` when it was left out are ``(I − H_bb)⁻¹ r_b``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What methods of networks share: recordings made ready for a fit, and the result of trainings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal

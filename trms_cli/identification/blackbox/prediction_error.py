@@ -6,8 +6,6 @@ Gradients go back through the simulated steps, Jacobians forward along them; bot
 windows are simulated side by side, so that each step is one matrix product for all of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol

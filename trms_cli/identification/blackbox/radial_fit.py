@@ -23,8 +23,6 @@ Three ways to choose centres and widths from data:
 The linear weights follow from linear least squares.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product

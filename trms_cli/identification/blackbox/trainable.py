@@ -5,8 +5,6 @@ What a trained network computes is stated by :class:`trms_cli.models.network.Net
 holds the two together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise

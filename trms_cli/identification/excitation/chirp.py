@@ -1,7 +1,5 @@
 """Chirps: one input sweeps up while the other sweeps down."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trms_cli.identification.excitation.excitation import Plan, Shape, check_band, shape_of

@@ -6,8 +6,6 @@ first for each input alone, then for all together: in open loop pitch may run aw
 amplitude, and no linear estimate tells where.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """What an excitation is: unit signals for all inputs in a band, unlike one another."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """What an excitation has to tell: inputs, what the rig will do, spectra over the noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

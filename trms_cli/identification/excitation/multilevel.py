@@ -1,7 +1,5 @@
 """Multilevel random signals: amplitudes are drawn too, which two levels cannot show."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

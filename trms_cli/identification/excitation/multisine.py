@@ -6,8 +6,6 @@ minimising the L_p norm for p = 4, 8, … (P. Guillaume, J. Schoukens, R. Pintel
 Instrumentation and Measurement 40(6), 1991): the larger p, the nearer to the peak itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -5,8 +5,6 @@ L. Ljung, "System Identification", 2nd ed., section 13.3: the spectrum is flat u
 length.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

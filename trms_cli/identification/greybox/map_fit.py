@@ -33,8 +33,6 @@ with the normalised columns of the set's sensitivities, ``γ = 1/√λ_min`` of 
 others cannot imitate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -24,8 +24,6 @@ Where windows are joined (each start near the end of the window before), the sam
 along the chain, as in a square-root information filter (Bierman 1977).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -8,8 +8,6 @@ put right at every window. A fit takes these starts as its first guess, and as t
 prior that settles what a window says nothing about.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import NamedTuple
 

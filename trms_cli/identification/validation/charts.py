@@ -1,7 +1,5 @@
 """The charts of a validation: free runs, errors by horizon and region, tests, spectra, signals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of a validation as plain data: what ``validation.json`` and the tables hold."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any

@@ -4,12 +4,10 @@ The sentences, each with a judgement, are made from the document's figures alone
 said and what is written agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from trms_cli.core import findings as told
+from trms_cli.core import findings as report
 from trms_cli.core import wording
 from trms_cli.core.invocation import command_line
 from trms_cli.identification.admission import Issue
@@ -45,7 +43,7 @@ _MOST_TESTS = 6
 _WHITENESS = ("auto", "ljung_box", "other")
 
 
-def findings(document: Document, validations: Sequence[ModelValidation] = ()) -> told.Findings:
+def findings(document: Document, validations: Sequence[ModelValidation] = ()) -> report.Findings:
     """What is worth telling of a validation: of ``trms.validation/1``.
 
     ``validations``: what charts are drawn of; none without.
@@ -54,15 +52,15 @@ def findings(document: Document, validations: Sequence[ModelValidation] = ()) ->
     sections = [_comparison(document)] if len(models) > 1 else []
     for name, of in models.items():
         heading = "What is good and what is not" if len(models) == 1 else f"{name} in sentences"
-        items = told.Remarks(remarks_on(of), on_screen=len(models) == 1)
-        sections.append(told.Section(heading, (), [items], folded=len(models) > 1))
+        items = report.Remarks(remarks_on(of), on_screen=len(models) == 1)
+        sections.append(report.Section(heading, (), [items], folded=len(models) > 1))
     sections += [_errors(models, validations), _errors_in_full(models)]
     sections += _regions(validations)
     sections.append(_tests(models, validations))
     sections += _spectra(validations)
     sections += _signals(validations)
     sections.append(_method(document, models))
-    return told.Findings(
+    return report.Findings(
         title=f"Validation of {wording.listing(list(models))}",
         lead=lead_of(document),
         sections=sections,
@@ -82,7 +80,7 @@ def in_short(document: Document) -> str:
     return f"RMS over {float(last):g} s {', '.join(parts)}"
 
 
-def _measures(document: Document, models: Mapping[str, Document]) -> list[told.Measure]:
+def _measures(document: Document, models: Mapping[str, Document]) -> list[report.Measure]:
     if len(models) > 1:
         return []
     (of,) = models.values()
@@ -93,13 +91,13 @@ def _measures(document: Document, models: Mapping[str, Document]) -> list[told.M
         unit, scale = wording.small_unit(of["units"][channel])
         value = None if row["rms"] is None else scale * row["rms"]
         better = row["rms"] is not None and row["rms"] < (row["unchanged_rms"] or 0)
-        judgement: told.Judgement = "" if better else "bad"
+        judgement: report.Judgement = "" if better else "bad"
         note = f"free for {float(last):g} s"
-        measures.append(told.Measure(f"RMS {word(channel)}", value, unit, judgement, note))
+        measures.append(report.Measure(f"RMS {word(channel)}", value, unit, judgement, note))
     failed, count = of["residual_tests"]["failed"], of["residual_tests"]["count"]
-    mark: told.Judgement = "bad" if failed else "good"
+    mark: report.Judgement = "bad" if failed else "good"
     measures.append(
-        told.Measure("tests that fail", f"{failed} of {count}", "", mark, "one step ahead")
+        report.Measure("tests that fail", f"{failed} of {count}", "", mark, "one step ahead")
     )
     return measures
 
@@ -123,19 +121,19 @@ def _facts(document: Document) -> dict[str, str]:
     return facts
 
 
-def _comparison(document: Document) -> told.Section:
+def _comparison(document: Document) -> report.Section:
     ranks = {row["model"]: rank for rank, row in enumerate(document["ranking"], 1)}
     columns = [
-        told.Column("rank", lambda row: ranks[row["model"]]),
-        told.Column("model", "model"),
-        told.Column("error over no change", "relative_error"),
-        told.Column("95 % interval", lambda row: _between(row["ci95"])),
+        report.Column("rank", lambda row: ranks[row["model"]]),
+        report.Column("model", "model"),
+        report.Column("error over no change", "relative_error"),
+        report.Column("95 % interval", lambda row: _between(row["ci95"])),
     ]
-    blocks: list[told.Block] = [
-        told.table(document["ranking"], columns, heads=2),
-        told.Remarks(remarks_on_comparison(document)),
+    blocks: list[report.Block] = [
+        report.table(document["ranking"], columns, heads=2),
+        report.Remarks(remarks_on_comparison(document)),
     ]
-    rows: list[list[told.Cell]] = []
+    rows: list[list[report.Cell]] = []
     for pair in document["comparison"]:
         for channel, horizons in pair["by_channel"].items():
             cells = [_ratio(figures) for figures in horizons.values()]
@@ -143,7 +141,7 @@ def _comparison(document: Document) -> told.Section:
     horizons = list(next(iter(document["comparison"][0]["by_channel"].values()), {}))
     if rows:
         blocks.append(
-            told.Table(
+            report.Table(
                 ["models", "channel", *(f"{float(h):g} s" for h in horizons)],
                 rows,
                 "RMS of the first over RMS of the second, with 95 % intervals; coloured where "
@@ -152,7 +150,7 @@ def _comparison(document: Document) -> told.Section:
                 on_screen=False,
             )
         )
-    return told.Section(
+    return report.Section(
         "Which model",
         [
             "The same windows for all models. The error is the geometric mean, over channels and "
@@ -163,22 +161,24 @@ def _comparison(document: Document) -> told.Section:
     )
 
 
-def _ratio(figures: Document) -> told.Datum:
+def _ratio(figures: Document) -> report.Datum:
     low, high = figures["ci95"]
-    mark: told.Judgement = ""
+    mark: report.Judgement = ""
     if low is not None and abs(figures["ratio"] - 1.0) >= _SMALL:
         mark = "good" if high < 1 else "bad" if low > 1 else ""
     text = wording.number(figures["ratio"])
     if low is not None:
         text += f" ({wording.interval(low, high)})"
-    return told.Datum(text, mark)
+    return report.Datum(text, mark)
 
 
-def _errors(models: Mapping[str, Document], validations: Sequence[ModelValidation]) -> told.Section:
-    blocks: list[told.Block] = [_in_short(name, of) for name, of in models.items()]
+def _errors(
+    models: Mapping[str, Document], validations: Sequence[ModelValidation]
+) -> report.Section:
+    blocks: list[report.Block] = [_in_short(name, of) for name, of in models.items()]
     if validations:
         blocks += [charts.growth_chart(validations), charts.free_run_chart(validations)]
-    return told.Section(
+    return report.Section(
         "Errors",
         [
             "The model runs alone from the start of each window. RMS over all samples of the "
@@ -188,51 +188,51 @@ def _errors(models: Mapping[str, Document], validations: Sequence[ModelValidatio
     )
 
 
-def _errors_in_full(models: Mapping[str, Document]) -> told.Section:
+def _errors_in_full(models: Mapping[str, Document]) -> report.Section:
     text = (
         "RMS over the windows of a horizon, with the 95 % interval; **at its end** that much time "
         "after the last measurement. Fit is 1 − ‖e‖/‖y − ȳ‖, VAF 1 − var e/var y."
     )
     tables = [_error_table(name, of) for name, of in models.items()]
-    return told.Section("Errors in full", [text], tables, folded=True)
+    return report.Section("Errors in full", [text], tables, folded=True)
 
 
-def _in_short(name: str, of: Document) -> told.Table:
+def _in_short(name: str, of: Document) -> report.Table:
     """A row a channel and one of predicting no change; columns of horizons."""
     horizons = list(next(iter(of["by_horizon"].values())))
-    rows: list[list[told.Cell]] = []
+    rows: list[list[report.Cell]] = []
     for channel, by_horizon in of["by_horizon"].items():
         unit, scale = wording.small_unit(of["units"][channel])
         steps = [of["one_step"][channel], *(by_horizon[h] for h in horizons)]
         tests = [t for t in of["residual_tests"]["tests"] if t["channel"] == channel]
         failed = sum(test["failed"] for test in tests)
 
-        def figures(key: str, steps: list[Any] = steps, scale: float = scale) -> list[told.Cell]:
+        def figures(key: str, steps: list[Any] = steps, scale: float = scale) -> list[report.Cell]:
             return [None if s[key] is None else scale * s[key] for s in steps]
 
         fit = by_horizon[horizons[-1]]["fit_percent"]
-        tested = told.Datum(f"{failed}/{len(tests)}", "bad" if failed else "")
+        tested = report.Datum(f"{failed}/{len(tests)}", "bad" if failed else "")
         label = wording.with_unit(word(channel), unit)
         rows.append([label, *figures("rms"), None if fit is None else round(fit), tested])
         rows.append(["  no change", *figures("unchanged_rms"), None, ""])
     heads = [name, "1 step", *(f"{float(h):g} s" for h in horizons), "fit [%]", "tests"]
     caption = f"RMS; fit over {float(horizons[-1]):g} s; residual tests that fail."
-    return told.Table(heads, rows, caption)
+    return report.Table(heads, rows, caption)
 
 
-def _error_table(name: str, of: Document) -> told.Table:
+def _error_table(name: str, of: Document) -> report.Table:
     columns = [
-        *(told.Column(head, head) for head in ("channel", "free for")),
-        told.Column("RMS", "rms"),
-        told.Column("95 % interval", "interval"),
-        told.Column("at its end", "at_end"),
-        told.Column("largest", "max"),
-        told.Column("no change", "unchanged_rms"),
-        told.Column("fit [%]", "fit_percent"),
-        told.Column("VAF [%]", "vaf_percent"),
+        *(report.Column(head, head) for head in ("channel", "free for")),
+        report.Column("RMS", "rms"),
+        report.Column("95 % interval", "interval"),
+        report.Column("at its end", "at_end"),
+        report.Column("largest", "max"),
+        report.Column("no change", "unchanged_rms"),
+        report.Column("fit [%]", "fit_percent"),
+        report.Column("VAF [%]", "vaf_percent"),
     ]
     caption = f"{name}. Red: no better than predicting no change."
-    return told.table(_error_rows(of), columns, caption, heads=2, on_screen=False)
+    return report.table(_error_rows(of), columns, caption, heads=2, on_screen=False)
 
 
 def _error_rows(of: Document) -> Iterator[dict[str, Any]]:
@@ -243,13 +243,13 @@ def _error_rows(of: Document) -> Iterator[dict[str, Any]]:
         yield {"channel": label, "at_end": step["rms"], **step}
         for horizon, row in horizons.items():
             better = row["rms"] is not None and row["rms"] < (row["unchanged_rms"] or 0)
-            rms = told.Datum(row["rms"], "" if better else "bad")
+            rms = report.Datum(row["rms"], "" if better else "bad")
             place = {"channel": "", "free for": f"{float(horizon):g} s"}
             yield {**row, **place, "rms": rms, "interval": _between(row["ci95"])}
         yield {"channel": "", "free for": "to the end", "interval": "", **of["free_run"][channel]}
 
 
-def _regions(validations: Sequence[ModelValidation]) -> list[told.Section]:
+def _regions(validations: Sequence[ModelValidation]) -> list[report.Section]:
     chart = charts.region_chart(validations) if validations else None
     if chart is None:
         return []
@@ -257,21 +257,23 @@ def _regions(validations: Sequence[ModelValidation]) -> list[told.Section]:
         "The error over the operating range: a row a channel, a column a signal that tells where "
         "the rig was. The bins of a column hold equally many samples."
     )
-    return [told.Section("Where the error lies", [text], [chart], folded=True)]
+    return [report.Section("Where the error lies", [text], [chart], folded=True)]
 
 
-def _tests(models: Mapping[str, Document], validations: Sequence[ModelValidation]) -> told.Section:
+def _tests(
+    models: Mapping[str, Document], validations: Sequence[ModelValidation]
+) -> report.Section:
     tests = next(iter(models.values()))["residual_tests"]
     source = (
         "from simulations of the model with the sensors' noise and quanta"
         if tests["calibration"] == "simulated"
         else "from the limit of long recordings, valid for any input and in closed loop"
     )
-    blocks: list[told.Block] = [_test_table(name, of) for name, of in models.items()]
+    blocks: list[report.Block] = [_test_table(name, of) for name, of in models.items()]
     drawn = {v.name: charts.correlation_chart(v) for v in validations}
     blocks += [chart for chart in drawn.values() if chart is not None]
     short = [name for name, chart in drawn.items() if chart is None]
-    return told.Section(
+    return report.Section(
         "Residual tests",
         [
             "What the past foretells of the one-step error, a right model has foretold. The "
@@ -284,10 +286,10 @@ def _tests(models: Mapping[str, Document], validations: Sequence[ModelValidation
     )
 
 
-def _test_table(name: str, of: Document) -> told.Table:
+def _test_table(name: str, of: Document) -> report.Table:
     channels = list(of["by_horizon"])
     by_place = {(t["channel"], t["name"]): t for t in of["residual_tests"]["tests"]}
-    rows: list[list[told.Cell]] = []
+    rows: list[list[report.Cell]] = []
     for test in dict.fromkeys(key[1] for key in by_place):
         own = [by_place.get((channel, test)) for channel in channels]
         known = [one for one in own if one is not None and one["p_holm"] is not None]
@@ -296,14 +298,16 @@ def _test_table(name: str, of: Document) -> told.Table:
     heads = ["test", *(word(channel) for channel in channels), "if it fails"]
     count = of["residual_tests"]["count"]
     caption = f"{name}: p over all {wording.count(count, 'test')}. {_predictor(of)}"
-    return told.Table(heads, rows, caption, on_screen=False)
+    return report.Table(heads, rows, caption, on_screen=False)
 
 
-def _p_value(test: Document | None) -> told.Cell:
+def _p_value(test: Document | None) -> report.Cell:
     if test is None or test["p_holm"] is None:
         return wording.MISSING
     text = p_words(test["p_holm"]).removeprefix("p ").removeprefix("= ")
-    return told.Datum(("✗ " if test["failed"] else "") + text, "bad" if test["failed"] else "good")
+    return report.Datum(
+        ("✗ " if test["failed"] else "") + text, "bad" if test["failed"] else "good"
+    )
 
 
 def _predictor(of: Document) -> str:
@@ -318,7 +322,7 @@ def _predictor(of: Document) -> str:
     return text
 
 
-def _spectra(validations: Sequence[ModelValidation]) -> list[told.Section]:
+def _spectra(validations: Sequence[ModelValidation]) -> list[report.Section]:
     chart = charts.spectra_chart(validations) if validations else None
     if chart is None:
         return []
@@ -327,37 +331,37 @@ def _spectra(validations: Sequence[ModelValidation]) -> list[told.Section]:
         "recording and of its error; the coherence tells how much of the error follows an input "
         "linearly."
     )
-    return [told.Section("Spectra", [text], [chart], folded=True)]
+    return [report.Section("Spectra", [text], [chart], folded=True)]
 
 
-def _signals(validations: Sequence[ModelValidation]) -> list[told.Section]:
+def _signals(validations: Sequence[ModelValidation]) -> list[report.Section]:
     if not validations:
         return []
     columns = [
-        told.Column("signal", lambda c: wording.with_unit(c.name, c.unit)),
-        *(told.Column(n, n) for n in ("mean", "sd", "least", "largest", "skewness", "kurtosis")),
-        told.Column("correlation time [s]", "correlation_time"),
-        told.Column("peak [Hz]", "peak_frequency"),
-        told.Column("95 % of power below [Hz]", "band_edge"),
-        told.Column("p: mean drifts", "trend_of_mean"),
-        told.Column("p: power drifts", "trend_of_power"),
-        told.Column("missing", "missing"),
+        report.Column("signal", lambda c: wording.with_unit(c.name, c.unit)),
+        *(report.Column(n, n) for n in ("mean", "sd", "least", "largest", "skewness", "kurtosis")),
+        report.Column("correlation time [s]", "correlation_time"),
+        report.Column("peak [Hz]", "peak_frequency"),
+        report.Column("95 % of power below [Hz]", "band_edge"),
+        report.Column("p: mean drifts", "trend_of_mean"),
+        report.Column("p: power drifts", "trend_of_power"),
+        report.Column("missing", "missing"),
     ]
     first = characteristics_of(validations[0].datasets[0])
-    blocks: list[told.Block] = []
+    blocks: list[report.Block] = []
     for dataset in validations[0].datasets:
         caption = f"{dataset.name}. Kurtosis is 3 for a normal distribution."
-        blocks.append(told.table(characteristics_of(dataset), columns, caption, on_screen=False))
+        blocks.append(report.table(characteristics_of(dataset), columns, caption, on_screen=False))
     if first:
         blocks.append(charts.signal_chart(first, validations[0].sample_time))
     text = (
         "What the recording excites. A small p of drift means that mean or power changed over the "
         "recording: averages over it then hide something."
     )
-    return [told.Section("Signals", [text], blocks, folded=True)]
+    return [report.Section("Signals", [text], blocks, folded=True)]
 
 
-def _method(document: Document, models: Mapping[str, Document]) -> told.Section:
+def _method(document: Document, models: Mapping[str, Document]) -> report.Section:
     predictor = next(iter(models.values()))["predictor"]
     items = [
         f"Start of a window: {_START_WORDS[document['window_start']]}. Predicting no change "
@@ -370,7 +374,9 @@ def _method(document: Document, models: Mapping[str, Document]) -> told.Section:
     if left:
         listed = ", ".join(f"{horizon:g} s" for horizon in left)
         items.append(f"Horizons that do not fit the recording: {listed}.")
-    return told.Section("How it was made", (), [told.Remarks(items, on_screen=False)], folded=True)
+    return report.Section(
+        "How it was made", (), [report.Remarks(items, on_screen=False)], folded=True
+    )
 
 
 def _between(ends: Sequence[float | None]) -> str:
@@ -476,7 +482,7 @@ def _lead_of_several(document: Document) -> list[str]:
     return sentences
 
 
-def remarks_on(document: Document) -> list[told.Datum]:
+def remarks_on(document: Document) -> list[report.Datum]:
     """One model's figures in sentences: errors, tests, regions."""
     return [
         *_on_errors(document),
@@ -486,7 +492,7 @@ def remarks_on(document: Document) -> list[told.Datum]:
     ]
 
 
-def _on_errors(document: Document) -> Iterator[told.Datum]:
+def _on_errors(document: Document) -> Iterator[report.Datum]:
     for channel, rows in document["by_horizon"].items():
         unit = document["units"][channel]
         chosen = list(rows)[-2:]
@@ -495,7 +501,7 @@ def _on_errors(document: Document) -> Iterator[told.Datum]:
         )
         naive = wording.listing([quantity_words(rows[h]["unchanged_rms"], unit) for h in chosen])
         grades = [_grade(document, channel, rows[h]) for h in chosen]
-        judgement: told.Judgement = "doubtful"
+        judgement: report.Judgement = "doubtful"
         if "bad" in grades:
             judgement = "bad"
         elif "useful" not in grades:
@@ -507,10 +513,10 @@ def _on_errors(document: Document) -> Iterator[told.Datum]:
         if set(grades) == {"noise"}:
             noise = quantity_words(document["noise_sd"][channel], unit)
             text += f". That is the sensor's noise ({noise})"
-        yield told.Datum(text + ".", judgement)
+        yield report.Datum(text + ".", judgement)
 
 
-def _on_belief(document: Document) -> Iterator[told.Datum]:
+def _on_belief(document: Document) -> Iterator[report.Datum]:
     off = {
         channel: figures["normalised_square"]
         for channel, figures in document["one_step"].items()
@@ -518,21 +524,21 @@ def _on_belief(document: Document) -> Iterator[told.Datum]:
     }
     if off:
         parts = wording.listing([f"{word(c)} {value:.2g}" for c, value in off.items()])
-        yield told.Datum(
+        yield report.Datum(
             f"The one-step errors are not as wide as the declared noise and the filter expect "
             f"(mean square over expected: {parts}; 1 is right): `data.noise_sd` may be wrong.",
             "doubtful",
         )
 
 
-def _on_tests(document: Document) -> Iterator[told.Datum]:
+def _on_tests(document: Document) -> Iterator[report.Datum]:
     tests = document["residual_tests"]
     level = f"{100 * tests['level']:g} %"
     if not tests["count"] or all(test["p"] is None for test in tests["tests"]):
-        yield told.Datum("No residual test could be made: too few samples.", "doubtful")
+        yield report.Datum("No residual test could be made: too few samples.", "doubtful")
         return
     if not tests["failed"]:
-        yield told.Datum(
+        yield report.Datum(
             f"None of {tests['count']} residual tests fails (a false alarm in any: {level}).",
             "good",
         )
@@ -551,7 +557,7 @@ def _on_tests(document: Document) -> Iterator[told.Datum]:
                 " A quantised angle does that to a right model too: `tests.calibration=simulated` "
                 "tells the two apart."
             )
-        yield told.Datum(text, "doubtful" if len(coloured) == len(failed) else "bad")
+        yield report.Datum(text, "doubtful" if len(coloured) == len(failed) else "bad")
     groups: dict[tuple[str, str], list[Document]] = {}
     for test in failed:
         if test["name"] not in _WHITENESS:
@@ -564,13 +570,13 @@ def _on_tests(document: Document) -> Iterator[told.Datum]:
             largest = max(abs(test["largest_correlation"] or 0.0) for test in found)
             size = f" correlation up to {largest:.2f},"
         p = p_words(found[0]["p_holm"])
-        yield told.Datum(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
+        yield report.Datum(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
     rest = sum(len(found) for found in list(groups.values())[_MOST_TESTS:])
     if rest:
-        yield told.Datum(f"{rest} more tests fail: see the table.", "bad")
+        yield report.Datum(f"{rest} more tests fail: see the table.", "bad")
 
 
-def _on_regions(document: Document) -> Iterator[told.Datum]:
+def _on_regions(document: Document) -> Iterator[report.Datum]:
     """Per channel, the quarter of the time with most of the error, if it is much."""
     horizon = document["regions"]["horizon_s"]
     for channel, rows in document["by_horizon"].items():
@@ -588,7 +594,7 @@ def _on_regions(document: Document) -> Iterator[told.Datum]:
         share, low, high, time, variable = max(found)
         if share >= max(_CONCENTRATED, 1.5 * time):
             unit = document["units"].get(variable, "")
-            yield told.Datum(
+            yield report.Datum(
                 f"{100 * share:.0f} % of the squared error of {word(channel)} over {horizon:g} s "
                 f"lies where {word(variable)} is between {_digits(low)} and {_digits(high)} {unit}"
                 f"{' ' if unit else ''}({100 * time:.0f} % of the time).",
@@ -610,7 +616,7 @@ def worst_quarter(table: Document) -> tuple[float, float, float, float]:
     return edges[i], edges[i + width], sum(time[i : i + width]), sum(error[i : i + width])
 
 
-def remarks_on_comparison(document: Document) -> list[told.Datum]:
+def remarks_on_comparison(document: Document) -> list[report.Datum]:
     """Pairs of models in sentences."""
     remarks = []
     for pair in document["comparison"]:
@@ -622,13 +628,13 @@ def remarks_on_comparison(document: Document) -> list[told.Datum]:
             ratio += f" ({pair['ci95'][0]:.3g} to {pair['ci95'][1]:.3g})"
         text = f"{one} errs {ratio} times as much as {other}"
         if not pair["differ"]:
-            remarks.append(told.Datum(f"{text}: these recordings do not tell.", "doubtful"))
+            remarks.append(report.Datum(f"{text}: these recordings do not tell.", "doubtful"))
         elif abs(pair["ratio"] - 1.0) < _SMALL:
             remarks.append(
-                told.Datum(f"{text}: more than chance, and next to nothing.", "doubtful")
+                report.Datum(f"{text}: more than chance, and next to nothing.", "doubtful")
             )
         else:
-            remarks.append(told.Datum(f"{text}: more than chance.", "good"))
+            remarks.append(report.Datum(f"{text}: more than chance.", "good"))
     return remarks
 
 

@@ -29,8 +29,6 @@ Trans. Audio Electroacoust. 15, 1967; J. S. Bendat, A. G. Piersol, "Random data"
 sections 8.5 and 9.2 (bands, and the coherence that independent signals show by chance).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

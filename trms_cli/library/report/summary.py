@@ -25,8 +25,11 @@ def drawn_keys(plan: Mapping[str, Any]) -> list[str]:
     """Keys whose values were drawn, the most strongly correlated ones first; none of a search."""
     if search_of(plan):
         return []
-    keys = [str(each["key"]) for each in _mappings(_part(plan, "space").get("continuous"))
-            if isinstance(each.get("key"), str)]  # fmt: skip
+    keys = [
+        str(each["key"])
+        for each in _mappings(_part(plan, "space").get("continuous"))
+        if isinstance(each.get("key"), str)
+    ]
     strength = dict.fromkeys(keys, 0.0)
     for _, group in _groups(plan):
         for each in _mappings(group.get("sensitivity")):

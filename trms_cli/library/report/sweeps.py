@@ -207,9 +207,15 @@ def _entrant_keys(keys: Sequence[str]) -> tuple[str, ...]:
 
 
 def _swept(
-    row: Mapping[str, Any], typed: Mapping[str, Any], keys: Sequence[str], by: Sequence[str],
-    figures: Mapping[str, str], named: Mapping[str, str], root: Path, page_folder: Path,
-) -> SweepRun:  # fmt: skip
+    row: Mapping[str, Any],
+    typed: Mapping[str, Any],
+    keys: Sequence[str],
+    by: Sequence[str],
+    figures: Mapping[str, str],
+    named: Mapping[str, str],
+    root: Path,
+    page_folder: Path,
+) -> SweepRun:
     from trms_cli.reporting.sweep_report import SweepRun
     from trms_cli.runs.columns import ALIASES
     from trms_cli.scoring.comparison.ranking import controller_name

@@ -1,7 +1,5 @@
 """An excitation: request, design, findings, files."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping
 from dataclasses import replace

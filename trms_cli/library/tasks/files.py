@@ -1,7 +1,5 @@
 """What a fit or a diagnosis leaves besides figures: its request, and what a model file says."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path

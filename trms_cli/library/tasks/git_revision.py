@@ -1,7 +1,5 @@
 """The revision of the checkout that the program runs from."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A fit: problem, result, figures as ``trms.identification/1``, findings, files."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

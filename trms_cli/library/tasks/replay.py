@@ -1,7 +1,5 @@
 """``trms run plant=replay``: an observer over a recording, logged, scored and drawn."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator, Mapping

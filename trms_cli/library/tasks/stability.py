@@ -1,7 +1,5 @@
 """A study of stability: request, findings, document, files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from time import perf_counter

@@ -1,7 +1,5 @@
 """What commands that hold models against recordings share: model, effects, recordings, driven."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a worker of a sweep does with a point: it makes one run in a folder of its own."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

@@ -1,7 +1,5 @@
 """Several models in one command: ``model=[newtonian,fit.yaml]``, one configuration each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands that arrive late: a network or a computer that is busy."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

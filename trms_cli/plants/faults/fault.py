@@ -4,8 +4,6 @@ An effect (:mod:`trms_cli.effects`) belongs to the rig's physics and lasts; a fa
 and is in the wiring. Faults act in the order in which they are given.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

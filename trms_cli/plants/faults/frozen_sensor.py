@@ -1,7 +1,5 @@
 """A channel that shows its last value: a counter or a converter that hangs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trms_cli.core.arrays import FloatArray

@@ -1,7 +1,5 @@
 """A channel that is not read: a wire that is off, or samples dropped on the way."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Single readings far off: spikes on a tacho's line, a bit that flips in a counter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A channel that is off by a constant from one sample to the next: an encoder that slipped."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

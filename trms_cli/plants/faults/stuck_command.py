@@ -1,7 +1,5 @@
 """An input that no longer follows its command: an amplifier that holds its last value."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from trms_cli.core.arrays import FloatArray

@@ -5,8 +5,6 @@ it. The bodies stand in one message at the beginning; commands are arrows of a t
 because a viewer that jumps within a recording shows each topic's last message before that time.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -167,9 +165,14 @@ def _pointer(parts: Sequence[rig.Cylinder | rig.Ring]) -> rig.Cylinder:
     ends = [part.centre[0] + sign * 1.3 * part.radius for part in rings for sign in (-1, 1)]
     low, high = min(ends), max(ends)
     return rig.Cylinder(
-        "estimate", rig.BEAM, (0.5 * (low + high), 0.0, 0.0), (1.0, 0.0, 0.0), high - low,
-        0.4 * min(part.thickness for part in rings), "estimate",
-    )  # fmt: skip
+        "estimate",
+        rig.BEAM,
+        (0.5 * (low + high), 0.0, 0.0),
+        (1.0, 0.0, 0.0),
+        high - low,
+        0.4 * min(part.thickness for part in rings),
+        "estimate",
+    )
 
 
 def _cylinder(part: rig.Cylinder, ghost: str) -> foxglove.CylinderPrimitive:

@@ -5,8 +5,6 @@ fields and numbers are those of Foxglove's documentation, *Foxglove schemas*; a 
 against the schemas of the published package ``foxglove-sdk``.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 from functools import cache
 from pathlib import Path

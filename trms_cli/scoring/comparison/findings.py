@@ -1,7 +1,5 @@
 """What a comparison has to tell, as data: who won and by how much, what that took, what failed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -265,8 +263,10 @@ def ranking_tables(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) ->
     ]
     unwell = [each for each in told if _failed(each[1])]
     caption = " ".join(notes(ranking, shown))
-    tables = [table(told, [*heads, *tracking], caption, heads=2),
-              table(told, [*heads, *cost], heads=2)]  # fmt: skip
+    tables = [
+        table(told, [*heads, *tracking], caption, heads=2),
+        table(told, [*heads, *cost], heads=2),
+    ]
     return tables + ([table(unwell, [*heads, *failures], heads=2)] if unwell else [])
 
 

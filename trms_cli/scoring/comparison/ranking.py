@@ -12,8 +12,6 @@ the same ones, which keeps the pairing. Efron & Tibshirani, An Introduction to t
 chapter 13.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -9,8 +9,6 @@ A run's coordinates are the options that were chosen (``controller``, ``ref``, â
 with the same options have other values, the keys of the configuration in which they differ.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

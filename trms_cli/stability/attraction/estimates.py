@@ -18,8 +18,6 @@ over Q and, outside, over the box. The corners enter as they are violated. A sol
 proposal: what is reported is proved again in interval arithmetic.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Sequence

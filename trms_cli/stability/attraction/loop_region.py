@@ -12,8 +12,6 @@ the states (x, ξ), whose command is the feed-forward ū.
 From which starts a closed loop recovers: its runs, and for an LQR sets that are proved.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import casadi as ca

@@ -14,8 +14,6 @@ that is computed, which Krawczyk's test proves. All bounds allow for it. The mod
 taken as the double precision numbers that the program computes with.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -33,8 +33,6 @@ equilibrium, its modes scaled against each other. The eigenvalues are computed i
 with a margin that is far above its error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

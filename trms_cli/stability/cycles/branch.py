@@ -11,8 +11,6 @@ On a switch, where the slopes of the two sides differ, the eigenvalues are those
 After Kuznetsov (2004), ch. 3.4 and 10.2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ stops it exactly (:mod:`trms_cli.models.dry_friction`). What lies between two st
 loop hunts if slips go on to and fro after the transient without dying out.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Mapping, Sequence

@@ -17,8 +17,6 @@ found. The equations must be continuous; where they have a kink (a coefficient f
 the bounds of the slopes hold the slopes of both sides.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import groupby, pairwise, product
 

@@ -7,8 +7,6 @@ taken first, so that the search may stop at any time: the lowest key that is lef
 After Neumaier, "Complete search in continuous global optimization" (Acta Numerica 2004), ch. 11.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -12,8 +12,6 @@ boxes the mean value form
 is tighter. :meth:`Enclosure.mean_value` intersects the two.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The figures: the complex plane with trajectories, and damping and frequency over a range.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -55,8 +55,6 @@ where the rig's lightly damped modes and the controller's integrators have their
 carries is judged by leaving out every other line.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

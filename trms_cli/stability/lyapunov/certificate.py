@@ -11,8 +11,6 @@ failed      a counterexample is shown: a state at which V rises, confirmed in in
 open        neither proved nor refuted
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Charts of portraits, as data."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

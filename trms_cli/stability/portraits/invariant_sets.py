@@ -18,8 +18,6 @@ single unstable direction are curves, and shown. Dry friction is left out of the
 is a set, not a point.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence

@@ -20,8 +20,6 @@ Where d = 0 no motion leaves the section, and the portrait is the motion itself;
 cut through the field, and trajectories drawn over it are projections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -9,8 +9,6 @@ Of a closed loop the command follows from what the controller and its observer r
 the state alone: there is no field in the plane, so no nullclines, and trajectories may cross.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """``study=controllability``: what each input moves, and what each set of sensors sees."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """``study=equilibria``: where the rig can rest, all of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Which motions of a model repeat themselves while its commands are held."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest

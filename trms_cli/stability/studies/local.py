@@ -1,7 +1,5 @@
 """``study=local``: the modes at an operating point, and over the range of the rig."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

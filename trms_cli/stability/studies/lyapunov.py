@@ -1,7 +1,5 @@
 """``study=lyapunov``: an energy function, its sets N and N′, and every claim about them checked."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Margins of the loop that any controller closes, measured around an operating point."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

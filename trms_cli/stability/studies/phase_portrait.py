@@ -1,7 +1,5 @@
 """``study=phase_portrait``: how a model, or a closed loop, moves in two or three of its states."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

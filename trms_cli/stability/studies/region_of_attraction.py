@@ -1,7 +1,5 @@
 """Which starts come to rest at an equilibrium: estimates that are proved, and the region itself."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

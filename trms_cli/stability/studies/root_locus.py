@@ -1,7 +1,5 @@
 """``study=root_locus``: eigenvalues over an input or a parameter, where they cross, and why."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Mapping, Sequence

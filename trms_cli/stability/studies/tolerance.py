@@ -1,7 +1,5 @@
 """How much delay, gain error and friction a loop tolerates in simulation."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ attempt has been begun, so the second worker leaves it, and the driver decides a
 attempt. Where the scheduler is ours it is told not to try.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import logging

@@ -5,8 +5,6 @@ killed, but then gives up the whole pool. So each worker is a pool of its own: t
 costs the run that it was at, and a new one takes its place.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import queue

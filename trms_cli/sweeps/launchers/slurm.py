@@ -7,8 +7,6 @@ interrupted, which is then made again elsewhere. Where jobs have ended while the
 are submitted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """Every combination of the choices, each once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

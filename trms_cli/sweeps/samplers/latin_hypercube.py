@@ -7,8 +7,6 @@ by the reordering of Iman and Conover (1982, Communications in Statistics B 11(3
 every column's values and thus its strata.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar

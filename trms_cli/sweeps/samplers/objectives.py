@@ -1,7 +1,5 @@
 """What a search is after: objectives, limits, and which trials are the best of those tried."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Independent draws from ranges and priors, crossed with the choices: plain Monte Carlo."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 

@@ -5,8 +5,6 @@ nothing else: not of how many workers there are, nor which of them was faster. S
 repeated, or goes on after an interruption, proposes the same.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager

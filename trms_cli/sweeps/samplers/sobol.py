@@ -1,7 +1,5 @@
 """Scrambled Sobol points: they fill the space more evenly than random draws, however many."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from typing import Annotated, ClassVar

@@ -10,8 +10,6 @@ the training reduces F = β E_D + α E_W, and after each step
 follow from it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 

@@ -12,8 +12,6 @@ Powell restarts where successive gradients are far from orthogonal, |gₖ₋₁�
 the direction is no sufficient descent, and after n steps. The first two restart after n steps.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal

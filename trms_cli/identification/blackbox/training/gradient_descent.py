@@ -8,8 +8,6 @@ Vogl, Mangis, Rigler, Zink & Alkon (1988, Biological Cybernetics 59)::
                                    step that lowers E, η grows
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -9,8 +9,6 @@ can be gathered piece by piece from any number of samples; and Bayesian regulari
 Both end in the same minimum, which a test holds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -7,8 +7,6 @@ Hessian before each update is the identity, so that a direction costs a few prod
     B = sᵀg / sᵀy,        A = −(1 + yᵀy/sᵀy) sᵀg/sᵀy + yᵀg/sᵀy
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -6,8 +6,6 @@ slope plays no part. After a change of sign the last step of that weight is take
 slope counts as zero once.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

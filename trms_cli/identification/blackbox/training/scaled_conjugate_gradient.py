@@ -7,8 +7,6 @@ Hessian with p, δ its product with p, μ the slope along −p, Δ the compariso
 the found reduction).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

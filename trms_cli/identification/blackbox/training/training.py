@@ -5,8 +5,6 @@ report raises :class:`TrainingStopped` when it is time to end, which no algorith
 algorithm is nothing but its published steps, and a library's minimiser fits the same interface.
 """
 
-from __future__ import annotations
-
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass, field
