@@ -4,6 +4,7 @@ import functools
 import json
 import logging
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -341,6 +342,9 @@ def test_composing_commands_take_out_as_an_option(command, spelling, capsys):
 def test_other_commands_take_their_options_as_keys(command, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    # others write to the disk between two calls
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
 
     def answer(argv):
         code = main([command, *argv])

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rich.text import Text
 
@@ -183,6 +183,7 @@ class TestChart:
         rows=st.integers(1, 10),
         plain=st.booleans(),
     )
+    @example(values=[math.nan, 0.0, math.nan], columns=58, rows=1, plain=False)  # at an edge
     def test_has_its_size_and_a_dot_where_there_are_values(self, values, columns, rows, plain):
         v = np.array(values)
         t = np.linspace(0.0, 10.0, len(v))

@@ -106,7 +106,8 @@ def _heights(
     if not len(time):
         return low, high
     width = (within[1] - within[0]) / columns
-    index = np.clip(((time - within[0]) / width).astype(int), 0, columns - 1)
+    along = (time - within[0]) / (within[1] - within[0])
+    index = np.clip((along * columns).astype(int), 0, columns - 1)
     np.fmin.at(low, index, values)
     np.fmax.at(high, index, values)
     if len(time) == 1:
