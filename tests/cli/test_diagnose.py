@@ -130,7 +130,7 @@ class TestDiagnosis:
         refit = document["gap"]["alpha_h"]["2.0"]["refit"]
         assert re.search(rf"yaw \[mrad\] .* {1e3 * refit:.3g} ", done.stdout)
         assert document["next_experiment"]["command"] in done.stdout
-        assert len(done.stdout.splitlines()) <= 45
+        assert len(done.stdout.splitlines()) <= 46  # that of the page among them
 
     def test_several_recordings_and_part_of_the_suspects(self, diagnosed, lab):
         (lab / "second.csv").write_bytes((lab / "rig.csv").read_bytes())

@@ -20,7 +20,7 @@ def program() -> str:
     be.
     """
     called = Path(sys.argv[0])
-    if called.name == "__main__.py":
+    if called.name == "__main__.py" and called.parent.name == "trms_cli":
         return f"{shlex.quote(_relative(sys.executable))} -m trms_cli"
     found = shutil.which(_NAME)
     if called.name != _NAME or (found and Path(found).absolute() == called.absolute()):
