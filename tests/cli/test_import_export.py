@@ -108,11 +108,3 @@ def test_what_is_called_a_log_is_not_imported(trms: Program, tmp_path: Path, csv
     with pytest.raises(RecordingError) as caught:
         import_.main([str(text)])
     assert "log already" not in caught.value.problem
-
-
-def test_a_recording_of_three_samples_is_one_and_many_turns_are_noted(
-    trms: Program, tmp_path: Path
-) -> None:
-    (tmp_path / "short.csv").write_text("t[s],u_v[V],alpha_v[rad]\n0,0,1\n0.1,1,2\n0.2,1,30\n")
-    told = trms("import", "short.csv").stdout
-    assert "3 samples" in told and "note: alpha_v reaches" in told and "full turn" in told

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.program import in_process, loaded_by, wait_for
+from tests.program import in_process, loaded_by
 from trms_cli.runs.columns import COLUMNS
 
 
@@ -92,26 +92,6 @@ class TestFigures:
 class TestFolders:
     """What changes under it."""
 
-    def test_deleted_moved_and_killed(self, runs_of, trms, started, lab_with_runs, monkeypatch):
-        assert len(runs_of()) == 6
-        shutil.rmtree(lab_with_runs / "sweep" / "3")
-        shutil.move(lab_with_runs / "friction", lab_with_runs / "kept")
-        assert sorted(Path(run["path"]).name for run in runs_of("--in", "kept")) == ["kept"]
-        log = lab_with_runs / "killed" / "run.mcap"
-        monkeypatch.setenv("TRMS_RUNS", str(lab_with_runs / ".index"))
-        process = started("run", "controller=pid", "sim.duration=20000", "out=killed")
-        wait_for(lambda: log.is_file() and log.stat().st_size > 300_000)
-        process.kill()
-        process.wait()
-        (run,) = runs_of("not complete")
-        assert (run["path"], run["outcome"]) == (str(log.parent), "unfinished")
-        assert run["rmse"] > 0
-        score = json.loads(trms("score", str(log), "--json").stdout)
-        assert run["rmse_alpha_v"] == score["channels"]["alpha_v"]["rmse"]
-        assert len(runs_of()) == 6
-        incremental = runs_of("--sort", "path")
-        assert runs_of("--rebuild", "--sort", "path") == incremental
-
     def test_runs_elsewhere_are_known_by_what_they_told(self, made, trms):
         result = trms("runs", "--all", "--json", TRMS_RUNS=str(made / ".index"))
         assert len(json.loads(result.stdout)["runs"]) == 6
@@ -129,16 +109,6 @@ class TestFolders:
         assert "\x1b" not in result.stderr + result.stdout
         assert len(ask("--unreadable").stdout.splitlines()) == 3
         assert len(json.loads(ask("--json").stdout)["unreadable"]) == 3
-
-    def test_a_run_ends_well_where_there_can_be_no_index(self, trms, tmp_path):
-        (tmp_path / "file").touch()
-        nowhere = {"TRMS_RUNS": str(tmp_path / "file" / "index")}
-        argv = ("run", "controller=pid", "sim.duration=1", "picture=false", "out=one")
-        result = trms(*argv, **nowhere)
-        assert (result.returncode, result.stderr) == (0, "")
-        result = trms("runs", **nowhere)
-        assert "pid" in result.stdout
-        assert "cannot be kept" in result.stderr
 
 
 class TestOutput:
