@@ -28,33 +28,3 @@ def test_it_holds_the_rig(trms: Program, configs: Path, tmp_path: Path, rig: lis
     for channel in score["channels"].values():
         # under friction and a push yaw comes back slowly
         assert channel["steady_state_error"] < (0.05 if "disturbed" in str(rig) else 0.005)
-
-
-def test_it_is_listed_like_ours(trms: Program, configs: Path) -> None:
-    listed = trms("list", "--config-dir", str(configs), "controller").stdout
-    assert "my_cascade" in listed and "Cascade of angle, thrust and rotor speed" in listed
-    keys = trms("list", "--config-dir", str(configs), "controller", "my_cascade")
-    assert "speed_gain" in keys.stdout
-
-
-def test_its_run_is_repeated_from_the_log(trms: Program, configs: Path, tmp_path: Path) -> None:
-    words = ["controller=my_cascade", "sim.duration=5", "picture=false"]
-    trms("run", "--config-dir", str(configs), *words, "out=first")
-    trms("run", "--from", "first/run.mcap", "out=again")
-    scores = [json.loads((tmp_path / d / "score.json").read_text()) for d in ("first", "again")]
-    assert scores[0]["channels"] == scores[1]["channels"]
-
-
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("controller.pitch.derivitive=1", "derivative"),
-        ("controller.yaw.speed_gain=-1", "controller.yaw.speed_gain"),
-        ("controller.pitch.integral=slow", "controller.pitch.integral"),
-    ],
-)
-def test_its_keys_are_checked_like_ours(
-    trms: Program, configs: Path, override: str, words: str
-) -> None:
-    done = trms("run", "--config-dir", str(configs), "controller=my_cascade", override, code=2)
-    assert words in done.stderr

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from trms_cli import compare, plot, report, run, score
 from trms_cli.composition.arguments import arguments_of, text_of
-from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.references.time_function import TimeFunction
 
@@ -43,24 +42,6 @@ from .own_parts import Steady
 )
 def test_keywords_are_the_words_one_types(keys, words):
     assert list(arguments_of("run", (), keys).words) == words
-
-
-def test_arguments_compose_to_what_the_words_compose_to():
-    asked = arguments_of(
-        "run",
-        ["seed=4"],
-        {
-            "controller": "pid",
-            "ref": {"sine": {"alpha_h": {"amplitude": 0.25}}},
-            "effect": {"yaw_coulomb_friction": {"torque": 0.01}},
-            "plant": {"parameters": {"k_g": 0.1}},
-        },
-    )
-    typed = [
-        "controller=pid", "ref=sine", "ref.alpha_h.amplitude=0.25", "effect=yaw_coulomb_friction",
-        "effect.yaw_coulomb_friction.torque=0.01", "plant.parameters.k_g=0.1", "seed=4",
-    ]  # fmt: skip
-    assert compose(asked.argv).config == compose(typed).config
 
 
 @given(
