@@ -24,7 +24,7 @@ class TestASweep:
     def found(self, trms, swept):
         return json.loads(trms("compare", str(swept), "--json").stdout)
 
-    def test_is_ranked_by_what_differs(self, found):
+    def test_is_ranked_by_what_differs(self, found, swept):
         assert found["schema"] == "trms.compare/1"
         assert found["by"] == ["controller", "controller.sample_time"]
         assert found["conditions_by"] == ["ref"]
@@ -33,6 +33,9 @@ class TestASweep:
         assert {ranks[f"{c} + sample_time=none"] for c in ("lqr", "pid")} == {1, 2}
         assert len(found["failed"]) == 4
         assert all("0.03" in job["message"] for job in found["failed"])
+        error = json.loads((swept / "1" / "status.json").read_text())["error"]
+        assert set(error) == {"type", "problem", "where", "remedy"}
+        assert (error["type"], error["where"]) == ("ConfigurationError", "controller.sample_time")
 
     def test_its_errors_are_those_of_the_scores(self, found, swept):
         for entrant in found["entrants"]:

@@ -14,7 +14,7 @@ from tests.program import loaded_by
 from trms_cli.cli import COMMANDS, load_command, main
 from trms_cli.commands.execution import execute
 from trms_cli.commands.plain_options import as_options
-from trms_cli.composition.composer import Composition, compose
+from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 
@@ -124,18 +124,6 @@ class TestInThisProcess:
         with pytest.raises(ConfigurationError, match=r"did you mean gain\?"):
             build(node, "controller")
 
-    def test_a_model_from_a_file(self, own, lab, tmp_path):
-        fitted = tmp_path / "a fit (1).yaml"
-        fitted.write_text("k_g: 0.1\n")
-        (lab / "model" / "from_file.yaml").write_text(
-            "# a fitted model\n_target_: own_lab_plugins.FromFile\npath: ???  # its file\n"
-        )
-        composition = compose([*own, f"model={fitted}"])
-        assert composition.choices["model"] == "from_file"
-        assert composition.config["model"]["path"] == str(fitted)
-        with pytest.raises(ConfigurationError, match=r"there is no file 'nowhere\.yaml'"):
-            compose([*own, "model=nowhere.yaml"])
-
     def test_a_folder_is_new_or_empty(self, own, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         composition = compose(own)
@@ -183,6 +171,8 @@ BAD_INPUT = [
     ("sgnal@ref.alpha_v=sine", "there is no group 'sgnal'", "did you mean signal?"),
     ("experiment=shrt", "experiment has no option 'shrt'", "did you mean short?"),
     ("hydra.run.dir=x", "hydra.run.dir", "are not taken"),
+    ("hydra/launcher=basic", "hydra/launcher", "are not taken"),
+    ("+hydra.x=1", "hydra.x", "are not taken"),
     ("--multrun", "unknown option '--multrun'", "did you mean --multirun?"),
     ("--config-dir=/nowhere/at/all", "does not exist"),
     ("--config-dir=.", "holds no group"),
@@ -214,44 +204,14 @@ def test_a_broken_yaml_of_the_user_s(refused, own, lab, choice, text, words):
     refused("run", *own, choice, words=words)
 
 
-class TestSweep:
-    """``-m``, its runs in this process; more in ``test_sweep.py``."""
-
-    @staticmethod
-    def task(composition: Composition) -> int:
-        if composition.config["seed"] == 2:
-            raise ConfigurationError("two is bad", where="seed", remedy="take three")
-        if composition.config["seed"] == 3:
-            raise ZeroDivisionError("oops")
-        file = composition.folder("run") / "seen.yaml"
-        file.write_text(composition.yaml, encoding="utf-8")
-        return 0
-
-    def test_each_job_has_its_numbered_folder_and_status(self, own, tmp_path, monkeypatch, capsys):
-        monkeypatch.chdir(tmp_path)
-        words = ("seed=1,2,3", "effect=late,sticky", "out=swept", "launcher.workers=0")
-        assert execute([*own, "-m", *words], "run", self.task) == 1
-        folders = [tmp_path / "swept" / str(job) for job in range(6)]
-        status = [json.loads((folder / "status.json").read_text()) for folder in folders]
-        assert [each["state"] for each in status] == ["done"] * 2 + ["failed"] * 4
-        seen = yaml.safe_load((folders[1] / "seen.yaml").read_text())
-        assert list(seen["effect"]) == ["sticky"] and seen["out"] == str(folders[1])
-        told = {"problem": "two is bad", "where": "seed", "remedy": "take three"}
-        assert status[2]["error"] == told | {"type": "ConfigurationError"}
-        assert "ZeroDivisionError" in status[5]["error"]["trace"]
-        output = capsys.readouterr().out
-        assert "2 of 6 runs done" in output
-        assert output.count("two is bad") == 1 and "2×" in output
-        assert not list(tmp_path.rglob(".hydra"))
-
-
 def test_a_model_files_parameters_can_be_overridden_and_the_rig_may_have_other_equations(
     tmp_path: Path,
 ) -> None:
-    file = tmp_path / "fit.yaml"
+    file = tmp_path / "a fit (1).yaml"
     file.write_text("name: fit\nmodel: newtonian\nparameters: {}\n")
     composition = compose([f"model={file}", "model.parameters.k_g=0.1"])
     assert composition.config["model"]["parameters"] == {"k_g": 0.1}
+    assert composition.config["model"]["path"] == str(file)
     composition = compose(["model@plant.model=newtonian_full"])
     assert composition.config["plant"]["model"]["currents"] == "dynamic"
     assert composition.config["model"]["currents"] == "quasi_static"
@@ -289,6 +249,7 @@ def test_every_command_takes_the_folder_of_a_fit(fit, primary, more):
         ("rig.csv", "not a model file", "a model's YAML"),
         ("empty", "no model.yaml in the folder", "trms identify"),
         ("fti", "no option 'fti'", ""),
+        ("nowhere.yaml", r"there is no file 'nowhere\.yaml'", ""),
     ],
 )
 def test_what_is_no_model_is_told(fit, typed, problem, remedy):

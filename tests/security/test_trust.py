@@ -253,12 +253,6 @@ def test_references_to_other_keys_stay(lab: Path) -> None:
     assert config["seed"] == 4 and config["sim"]["sample_time"] == 3.0
 
 
-@pytest.mark.parametrize("word", ["hydra.run.dir=x", "hydra/launcher=basic", "+hydra.x=1"])
-def test_hydra_is_not_steered(word: str) -> None:
-    with pytest.raises(ConfigurationError, match="not taken"):
-        compose([word])
-
-
 def test_options_that_a_log_holds_are_not_followed(tmp_path: Path) -> None:
     from trms_cli.library.tasks.repeat import repetition
     from trms_cli.recordings.run_log import RunLog
