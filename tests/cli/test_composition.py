@@ -402,13 +402,3 @@ class TestMapping:
     def test_without_the_commands(self, tmp_path):
         code = "from trms_cli.composition.composer import compose; compose({'controller': 'pid'})"
         assert not any(name.startswith("trms_cli.commands") for name in loaded_by(code, tmp_path))
-
-    def test_an_object_stands_in_it(self):
-        from trms_cli.composition.given_object import place_objects
-        from trms_cli.core.plugins import build
-        from trms_cli.references.constant import Constant
-
-        signal = Constant(offset=0.2)
-        composition = compose({"ref": {"alpha_h": signal}})
-        with place_objects([signal]):
-            assert build(composition.config["ref"], "ref").alpha_h is signal

@@ -5,7 +5,6 @@ import gc
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import typing
@@ -115,14 +114,6 @@ def test_it_works_inside_a_running_event_loop_and_beside_a_notebook_s_own_hydra(
         assert asyncio.run(cell()).outcome == "completed"
         assert GlobalHydra.instance().hydra is mine
         assert hydra.compose("mine").a == 1
-
-
-def test_the_second_run_is_that_of_a_fresh_process(here):
-    run(**SHORT | {"controller": "newton_mpc"})
-    second = run(**SHORT, out="second")
-    code = f"from trms_cli import run; run(**{SHORT}, out='fresh')"
-    subprocess.run([sys.executable, "-c", code], check=True)
-    assert trms_cli.read_log("fresh")["/plant/state"].equals(second["/plant/state"])
 
 
 def test_in_a_notebook_nothing_is_displayed_beside_the_result(here, monkeypatch):
