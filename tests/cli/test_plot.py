@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -140,19 +141,12 @@ def test_several_logs_are_named_by_what_they_differ_in_and_one_by_its_folder(log
         plot(logs * 10, "tracking")
 
 
-def looks(figure) -> dict[str, set[tuple[str, str]]]:
-    """Colours and dashes by the words of the legend."""
-    found: dict[str, set[tuple[str, str]]] = {}
-    for axes in figure.axes:
+def test_each_word_of_a_legend_has_one_look_and_no_other_has_it(logs):
+    found = defaultdict(set)  # colours and dashes by the words of the legend
+    for axes in plot(logs[:1], ["tracking", "errors", "rates", "estimate", "torques"]).axes:
         for line in axes.lines:
             if not line.get_label().startswith("_"):
-                look = (str(line.get_color()), str(line.get_linestyle()))
-                found.setdefault(line.get_label(), set()).add(look)
-    return found
-
-
-def test_each_word_of_a_legend_has_one_look_and_no_other_has_it(logs):
-    found = looks(plot(logs[:1], ["tracking", "errors", "rates", "estimate", "torques"]))
+                found[line.get_label()].add((str(line.get_color()), str(line.get_linestyle())))
     assert all(len(each) == 1 for each in found.values())
     seen = [found[word] for word in ("rig", "estimate ± 2 sd", "estimate − true", "reference")]
     assert len(set.union(*seen)) == len(seen)
