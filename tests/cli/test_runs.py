@@ -170,7 +170,7 @@ class TestOutput:
         assert not any("…" in line for line in screen.lines)
 
     def test_it_starts_without_what_is_heavy(self, lab_with_runs, ask):
-        ask()  # the logs are read
+        ask("--rebuild")  # the logs are read
         code = "import trms_cli.cli as c; c.main(['runs', '--json', 'seed == 1'])"
         loaded = loaded_by(code, lab_with_runs, TRMS_RUNS=str(lab_with_runs / ".index"))
         slow = {"numpy", "scipy", "casadi", "hydra", "omegaconf", "rich", "pyarrow", "mcap", "yaml"}

@@ -95,6 +95,7 @@ class TestAWholeSweep:
         assert record["schema"] == "trms.sweep/1" and record["primary"] == "run"
         assert (record["state"], record["total"], record["counts"]["done"]) == ("done", 4, 4)
         assert record["directory"] == str(folder.parent) and "numpy" in record["versions"]
+        assert not list(folder.rglob(".hydra"))
         points = [json.loads(line) for line in (folder / "points.jsonl").read_text().splitlines()]
         assert points[2]["values"] == {"plant.parameters.k_g": "0.2", "seed": "1"}
         told = [(point["number"], point["overrides"]) for point in points]
@@ -112,14 +113,6 @@ class TestAWholeSweep:
         assert document["failures"] == [] and document["best"]["run"] in range(4)
         best = statuses(folder)[document["best"]["run"]]["objective"]
         assert best == min(status["objective"] for status in statuses(folder).values())
-
-    def test_a_run_is_repeated_by_its_log(self, made, trms, tmp_path):
-        folder, _ = made
-        result = trms("run", "--from", str(folder / "1" / "run.mcap"), "out=again")
-        assert "note" not in result.stderr
-        scores = (place / "score.json" for place in (folder / "1", tmp_path / "again"))
-        one, again = (json.loads(score.read_text())["channels"] for score in scores)
-        assert one == again
 
     def test_resuming_it_does_nothing(self, made, trms, begun):
         folder, _ = made
@@ -202,16 +195,6 @@ def test_a_second_process_is_refused(started, trms, tmp_path, plugins):
     process.communicate(timeout=60)
 
 
-def test_sweeps_that_begin_at_once_have_folders_of_their_own(started, tmp_path):
-    words = ["run", "-m", *SHORT, "seed=1,2", "launcher.workers=0"]
-    processes = [started(*words) for _ in range(3)]
-    for process in processes:
-        _, err = process.communicate(timeout=120)
-        assert process.returncode == 0, err
-    folders = list(tmp_path.glob("outputs/*/*-run-sweep*"))
-    assert len(folders) == 3 and all(states(folder) == {"done": 2} for folder in folders)
-
-
 class TestFailures:
     def test_are_told_by_their_reason_and_made_again_when_asked(self, trms, tmp_path, plugins):
         words = ["run", *plugins, "-m", *SHORT, "out=s", "launcher.workers=1"]
@@ -221,7 +204,7 @@ class TestFailures:
         assert "0 of 3 runs done, 3 failed" in result.stdout
         assert "3×" in result.stdout and "no such gain" in result.stdout
         assert "--retry-failed" in result.stdout
-        assert "RuntimeError" in json.dumps(statuses(tmp_path / "s")[0]["error"])
+        assert "RuntimeError: no such gain" in statuses(tmp_path / "s")[0]["error"]["trace"]
         trms("sweep", "resume", "s", "--allow", "misbehaving", code=1)
         assert statuses(tmp_path / "s")[0]["attempt"] == 1
         trms("sweep", "resume", "s", "--retry-failed", "--allow", "misbehaving", code=1)
@@ -252,7 +235,6 @@ class TestFailures:
         (["sim.duration=interval(1,2)"], ["range of numbers"]),
         (["retries=-1"], ["retries", "whole number"]),
         (["retries=much"], ["retries"]),
-        (["controller=pid,lqrr"], ["did you mean lqr?"]),
         (["seed=range(3"], ["'seed=range(3'", "bracket or a quote is not closed"]),
         (["out=/dev/null"], ["'/dev/null' is a file", "out=FOLDER"]),
         (
@@ -398,25 +380,6 @@ class TestResuming:
         assert count
         (stopped / "sweep.json").write_text(changed)
         assert words in trms("sweep", "resume", "s", "launcher.workers=0", code=code).stderr
-
-
-def test_a_sweep_from_python(tmp_path, monkeypatch):
-    from trms_cli.commands.run import perform
-    from trms_cli.library.tasks.sweep import go_on, make_sweep
-
-    monkeypatch.chdir(tmp_path)
-    seen = []
-    swept = make_sweep(
-        [*SHORT, "seed=1,2", "launcher.workers=0", "out=s"],
-        "run",
-        perform,
-        tell=lambda progress, result: seen.append(result),
-    )
-    assert swept.all_done and swept.counts["done"] == 2 and swept.folder == tmp_path / "s"
-    assert [point.values["seed"] for point in swept.points] == ["1", "2"]
-    assert all(result.figures["rmse_alpha_h"] > 0 for result in swept.results.values())
-    assert len([result for result in seen if result is not None]) == 2
-    assert go_on(tmp_path / "s").results.keys() == swept.results.keys()
 
 
 @pytest.mark.slow

@@ -43,7 +43,7 @@ from trms_cli.sweeps.record import drive_sweep
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    """A folder with a run of 6 s and a sweep of four, of which two fail."""
+    """A folder with a run of 6 s and a sweep of four."""
     folder = tmp_path_factory.mktemp("lab")
     sweep = ("-m", "controller=pid,lqr", "seed=1,2", "launcher.workers=0", "out=sweep")
     one = ("controller=lqr", "effect=yaw_coulomb_friction", "out=one")
@@ -303,10 +303,6 @@ class TestOnce:
         shown = program("watch", "one", "--once", PYTHONIOENCODING="ascii").stdout
         assert "RMSE" in shown and shown.isascii()
 
-    def test_of_a_sweep(self, there):
-        text = there("sweep", "--once")
-        assert "4 / 4 done" in text and "ended" in text and "controller=lqr seed=1" in text
-
     def test_is_quick_and_without_hydra(self, there, tmp_path):
         loaded = loaded_by("import trms_cli.cli as c; c.main(['watch', 'one', '--once'])", tmp_path)
         assert not loaded & {"hydra", "omegaconf", "casadi", "scipy", "matplotlib", "pyarrow"}
@@ -396,44 +392,28 @@ class TestTerminal:
         assert "6.0 / 6 s" in last and "q quit" not in last  # the last picture stays
 
 
-@pytest.fixture
-def long_run(started, tmp_path, monkeypatch):
-    """A run that goes on until it is ended."""
+def test_a_run_that_goes_on_is_found_followed_and_told_when_killed(
+    started, on_screen, there, tmp_path, monkeypatch
+):
     monkeypatch.setenv("TRMS_RUNS", "off")
     words = ("controller=newton_mpc", "sim.duration=20000", "picture=false", "out=long")
-    process = started("run", *words)
-    log = tmp_path / "long" / "run.mcap"
+    process, log = started("run", *words), tmp_path / "long" / "run.mcap"
     wait_for(lambda: log.exists() and log.stat().st_size > 50_000)
-    return process
-
-
-class TestLive:
-    """A run that goes on."""
-
-    def test_is_found_followed_and_told_when_killed(self, long_run, on_screen, there, tmp_path):
-        if RunFollower(tmp_path / "long" / "run.mcap").state == "unfinished":
-            pytest.skip("this system does not tell who writes a file")
-        os.utime(tmp_path / "one" / "run.mcap")  # a later one, but not running
-        found = latest_run(tmp_path)
-        assert found is not None and found.running and found.log.parent.name == "long"
-        assert "running" in there("--once").splitlines()[0]
-        screen = on_screen()
-        assert screen.read(20.0, b"running") and screen.read(5.0, b"/ 20000 s")
-        long_run.kill()
-        long_run.wait()
-        assert screen.end() == 1
-        assert screen.is_as_it_was()
-        last = screen.shown.rpartition(NORMAL)[2].decode()
-        assert "died: its log has no end, and nobody writes it" in last
-        assert "died" in there("long", "--once")
-
-    def test_is_not_disturbed_and_its_end_is_told(self, long_run, on_screen, tmp_path):
-        screen = on_screen("long")
-        assert screen.read(20.0, b"/ 20000 s")
-        long_run.send_signal(signal.SIGINT)
-        assert long_run.wait(30) == 130
-        assert screen.end() == 1
-        assert b"interrupted" in screen.shown and screen.is_as_it_was()
+    if RunFollower(log).state == "unfinished":
+        pytest.skip("this system does not tell who writes a file")
+    os.utime(tmp_path / "one" / "run.mcap")  # a later one, but not running
+    found = latest_run(tmp_path)
+    assert found is not None and found.running and found.log == log
+    assert "running" in there("--once").splitlines()[0]
+    screen = on_screen()
+    assert screen.read(20.0, b"running") and screen.read(5.0, b"/ 20000 s")
+    process.kill()
+    process.wait()
+    assert screen.end() == 1
+    assert screen.is_as_it_was()
+    last = screen.shown.rpartition(NORMAL)[2].decode()
+    assert "died: its log has no end, and nobody writes it" in last
+    assert "died" in there("long", "--once")
 
 
 class TestSweep:
