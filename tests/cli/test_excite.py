@@ -73,12 +73,6 @@ def test_slips_are_told_by_their_key(override, where, refused):
     refused("excite", *QUICK, override, words=where)
 
 
-def test_an_excitation_is_not_overwritten(designed):
-    before = (designed / "excitation.csv").read_bytes()
-    assert main(["excite", *QUICK, "seed=3", f"out={designed}"]) == 2
-    assert (designed / "excitation.csv").read_bytes() == before
-
-
 def test_a_duration_without_a_period_is_told(refused):
     refused("excite", "duration=0.5", words=["in duration", "a longer duration"])
 

@@ -183,14 +183,6 @@ def test_bad_input_is_told_with_what_to_do(refused, words, told):
     refused("identify", "model=newtonian_vertical", *words, "out=never", words=told)
 
 
-def test_a_constant_channel_is_told_with_what_to_record(refused, lab):
-    rows = "".join(f"{k / 50:.2f},{(k // 50) % 2},0.3,{100 + k % 40}\n" for k in range(1500))
-    text = f"t[s],u_v[V],alpha_v[rad],omega_v[rad/s]\n{rows}"
-    (lab / "constant.csv").write_text(text, encoding="utf-8")
-    words = ["alpha_v is constant", "record again"]
-    refused("identify", "model=newtonian_vertical", "real=constant.csv", words=words)
-
-
 @pytest.mark.parametrize("method", ["multiple_shooting", "genetic"])
 def test_a_rig_that_cannot_be_simulated_is_an_error_and_leaves_no_model(trms, lab, method):
     out = f"runaway_{method}"
@@ -203,10 +195,6 @@ def test_a_rig_that_cannot_be_simulated_is_an_error_and_leaves_no_model(trms, la
 
 class TestDoubts:
     """What a fit says of itself when it should not be believed."""
-
-    def test_a_parameter_far_from_what_was_known(self, trms, lab):
-        done = trms(*FIT, "priors.k_fvp={mean: 2.4e-5, sd: 1.0e-6}", "picture=false", "out=far")
-        assert re.search(r"^\? far: k_fvp \(\d+\)", done.stdout, re.MULTILINE)
 
     def test_a_search_that_did_not_settle(self, trms, lab):
         done = trms(*FIT, *SMALL, "out=unsettled")

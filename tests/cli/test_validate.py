@@ -104,12 +104,6 @@ def test_bad_input_is_explained(here, trms, arguments, words):
     assert not (here / "outputs").exists()
 
 
-def test_a_recording_in_which_nothing_moves_is_refused(here, refused):
-    rows = "".join(f"{k * 0.02:.2f},0,-35.5,0\n" for k in range(400))
-    (here / "still.csv").write_text(HEADER + rows, encoding="utf-8")
-    refused("validate", "real=still.csv", "model=newtonian_vertical", words="nothing moves")
-
-
 class TestWhatTheRecordingsTell:
     """Recordings are looked at before models are held against them, as before a fit."""
 
