@@ -144,22 +144,6 @@ class TestWhatItIsOf:
         # the reports of single runs are no runs, and change nothing
         assert report("sweep", "--force") == 0
 
-    def test_the_ranking_is_that_of_compare(self, here, capsys):
-        assert main(["compare", "sweep", "--json"]) == 0
-        compared = json.loads(capsys.readouterr().out)
-        assert report("sweep") == 0
-        ranks = re.findall(
-            r'<th scope="row">(\d+)</th><th scope="row">(.*?)</th>(.*?)</tr>',
-            section_of("sweep", "Ranking"),
-        )
-        cells = [(rank, who, re.findall(">(.*?)</td>", rest)) for rank, who, rest in ranks]
-        rows = [(int(rank), who, float(values[2])) for rank, who, values in cells[:4]]
-        expected = [
-            (each["rank"], each["name"], round(each["tracking"]["ratio"], 3))
-            for each in compared["entrants"]
-        ]
-        assert rows == expected and len(rows) == 4
-
     def test_an_optimisation_has_its_front(self, here):
         objectives = [{"figure": "rmse_alpha_h", "direction": "minimize"}, "effort"]
         plan = {"schema": "trms.sweep/1", "objectives": objectives, "pareto": [0, 2]}

@@ -108,11 +108,6 @@ def test_an_exception_in_a_plugin_names_it_and_marks_the_log(trms, own, tmp_path
     assert len(log.table("/command")) == 50  # all before the sample that failed
 
 
-def test_its_trace_can_be_had(program, own):
-    told = program("run", *own, "controller.how=raise", "sim.duration=3", "--debug").stderr
-    assert "Traceback" in told and "raise ZeroDivisionError" in told
-
-
 @pytest.mark.parametrize(
     ("how", "told"),
     [("nothing", "step returned None, not a Command"), ("words", "no array of numbers")],
@@ -240,11 +235,3 @@ def test_a_folder_that_cannot_be_written_to(own, tmp_path):
     assert result.stdout.split() == ["exit", "2", "exit", "2"]
     assert result.stderr.count("name a folder that you can write to: out=FOLDER") == 2
     assert "Traceback" not in result.stderr
-
-
-def test_a_folder_that_holds_something_is_refused(trms, own, tmp_path):
-    (tmp_path / "there").mkdir()
-    (tmp_path / "there" / "mine.txt").write_text("mine")
-    result = trms("run", *own, "sim.duration=1", "out=there", code=2)
-    assert "not empty" in result.stderr
-    assert [file.name for file in (tmp_path / "there").iterdir()] == ["mine.txt"]
