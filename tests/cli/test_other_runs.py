@@ -24,15 +24,17 @@ from trms_cli.references.step import Step
 
 QUICK = ("controller=open_loop", "observer=full_state", "plant=ideal", "picture=false")
 #: Every signal that needs no file; a run with each is played to the rig.
-KINDS = (
-    *("constant", "step", "ramp", "square", "sine", "sawtooth", "chirp", "prbs"),
-    *("multilevel", "multisine", "schedule", "sum"),
-)
+KINDS = sorted(set(read_groups()["signal"]) - {"from_csv"})
 
 
 def run(folder: Path, *overrides: str) -> Path:
     assert main(["run", *QUICK, f"out={folder}", *overrides]) == 0
     return folder
+
+
+def score_of(folder: Path) -> dict:
+    document: dict = json.loads((folder / "score.json").read_text(encoding="utf-8"))
+    return document
 
 
 def command(folder: Path, name: str) -> np.ndarray:
@@ -46,10 +48,6 @@ def test_every_signal_is_played_as_it_is(kind, tmp_path):
     signal = build(compose([*QUICK, *words]).config["controller"]["u_v"], "controller.u_v")
     expected = signal.sample(np.arange(300) * 0.02)
     np.testing.assert_allclose(command(tmp_path / "run", "u_v"), expected, atol=1e-12)
-
-
-def test_all_kinds_of_signals_are_tried_here():
-    assert {*KINDS, "from_csv"} == set(read_groups()["signal"])
 
 
 def test_a_csv_of_commands_is_played(tmp_path):
@@ -74,8 +72,7 @@ def test_no_tracking_is_scored_and_the_log_says_that_the_loop_was_open(tmp_path,
     folder = run(tmp_path / "run", "sim.duration=2")
     printed = capsys.readouterr().out
     assert "tracking  " not in printed and "ref " not in printed and "ref=" not in printed
-    score = json.loads((folder / "score.json").read_text())
-    assert score["channels"] == {}
+    assert score_of(folder)["channels"] == {}
     log = read_log(folder / "run.mcap")
     assert "/reference" not in log.tables or not len(log.tables["/reference"])
     assert read_recording(folder / "run.mcap").metadata["loop"] == "open"
@@ -180,16 +177,10 @@ def with_rig(network: Path, rig: str) -> str:
 
 
 def composed(trms, *argv: str) -> dict:
-    shown = trms("run", *argv, "--cfg", "job")
-    return yaml.safe_load(shown.stdout)
+    return yaml.safe_load(trms("run", *argv, "--cfg", "job").stdout)
 
 
 class TestRun:
-    @staticmethod
-    def score(folder: Path) -> dict:
-        document: dict = json.loads((folder / "score.json").read_text(encoding="utf-8"))
-        return document
-
     def test_with_a_network_file_says_what_it_is_and_is_repeated_from_its_log(
         self, program, network, tmp_path
     ):
@@ -198,7 +189,7 @@ class TestRun:
         done = program("run", "model=net.yaml", *words, **interpreted)
         assert "model net · plant simulated (net)" in " ".join(done.stdout.split())
         program("run", "--from", "a/run.mcap", "out=b", "picture=false", **interpreted)
-        first, again = (self.score(tmp_path / folder) for folder in "ab")
+        first, again = (score_of(tmp_path / folder) for folder in "ab")
         assert first["solver"]["failures"] == 0 and first["channels"] == again["channels"]
 
     def test_with_the_trained_network_reaches_the_reference(self, program, tmp_path):
@@ -206,7 +197,7 @@ class TestRun:
         options = ("controller=newton_mpc", "sim.duration=20", "out=run", "picture=false")
         done = program("run", "model=narx_2dof", *options, TRMS_COMPILE="0")
         assert "model narx_2dof" in done.stdout and "(newtonian)" in done.stdout
-        score = self.score(tmp_path / "run")
+        score = score_of(tmp_path / "run")
         assert score["solver"]["failures"] == 0
         for axis in ("alpha_v", "alpha_h"):
             assert score["channels"][axis]["settling_time_s"] < 5.0
@@ -223,7 +214,7 @@ class TestRun:
             ("aged", "narx_2dof", "plant.parameters.k_fvp=1.45e-5", "effect=[main_dead_zone]"),
         ):
             trms("run", f"model={model}", *usual, f"out={name}", *others)
-            scores[name] = self.score(tmp_path / name)["channels"]
+            scores[name] = score_of(tmp_path / name)["channels"]
         for axis in ("alpha_v", "alpha_h"):
             rmse = {name: score[axis]["rmse"] for name, score in scores.items()}
             assert rmse["learnt"] < 1.1 * rmse["known"]
@@ -291,7 +282,7 @@ def scored(folder: Path, *words: str, duration: float = 20.0) -> dict[str, float
     out = folder / "run"
     given = ["run", *words, f"sim.duration={duration}", "picture=false", f"out={out}"]
     assert main(given) == 0
-    score = json.loads((out / "score.json").read_text(encoding="utf-8"))
+    score = score_of(out)
     assert not score["solver"]["failures"]
     return {name: channel["rmse"] for name, channel in score["channels"].items()}
 

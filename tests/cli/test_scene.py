@@ -199,21 +199,17 @@ def test_a_motor_alone_has_none_and_says_why(tmp_path, capsys):
 class TestLayout:
     """Each message path of the layout leads to something in a real log."""
 
-    def paths(self) -> list[str]:
-        told = json.loads(layout())
-        found = []
-        for name, panel in told["configById"].items():
-            found += [path["value"] for path in panel.get("paths", ())]
-            found += [panel[key] for key in ("topicPath", "topicToRender") if panel.get(key)]
-            if name.startswith("3D!"):
-                found += list(panel["topics"])
-        return found
-
     def test_every_path_resolves(self, log):
+        paths = []
+        for name, panel in json.loads(layout())["configById"].items():
+            paths += [path["value"] for path in panel.get("paths", ())]
+            paths += [panel[key] for key in ("topicPath", "topicToRender") if panel.get(key)]
+            if name.startswith("3D!"):
+                paths += list(panel["topics"])
+        assert len(paths) > 15
         fields = {topic: set(table.columns) for topic, table in read_log(log).tables.items()}
         viewed = messages(log)
-        assert len(self.paths()) > 15
-        for path in self.paths():
+        for path in paths:
             topic, _, field = path.partition(".")
             if topic in viewed:
                 assert viewed[topic] and not field
