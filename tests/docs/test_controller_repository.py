@@ -54,26 +54,20 @@ def test_the_steps_pass_where_nothing_has_changed(repository):
         assert (repository / "tracking" / "runs" / reference / "report.html").is_file()
 
 
-def test_a_worse_controller_fails(repository):
-    option = repository / "configs" / "controller" / "my_cascade.yaml"
+def test_a_worse_controller_fails(repository, tmp_path):
+    changed = shutil.copytree(repository, tmp_path / "mine")
+    option = changed / "configs" / "controller" / "my_cascade.yaml"
     before = option.read_text(encoding="utf-8")
     assert "steady_thrust: 0.62 " in before
-    try:
-        option.write_text(before.replace("steady_thrust: 0.62 ", "steady_thrust: 0.3 "))
-        done = bash("./tracking.sh", repository)
-    finally:
-        option.write_text(before)
+    option.write_text(before.replace("steady_thrust: 0.62 ", "steady_thrust: 0.3 "))
+    done = bash("./tracking.sh", changed)
     assert done.returncode == 1 and "worse" in done.stdout + done.stderr
 
 
-def test_a_baseline_that_is_missing_is_told(repository):
-    baseline = repository / "tracking" / "sine.json"
-    kept = baseline.read_bytes()
-    baseline.unlink()
-    try:
-        done = bash("sed 's/^references=.*/references=(sine)/' tracking.sh | bash -s", repository)
-    finally:
-        baseline.write_bytes(kept)
+def test_a_baseline_that_is_missing_is_told(repository, tmp_path):
+    changed = shutil.copytree(repository, tmp_path / "mine")
+    (changed / "tracking" / "sine.json").unlink()
+    done = bash("sed 's/^references=.*/references=(sine)/' tracking.sh | bash -s", changed)
     assert done.returncode == 2 and './tracking.sh --update "why"' in done.stderr
 
 

@@ -53,19 +53,17 @@ def derived() -> dict[str, sp.Expr]:
     """M, C and G of the program, sine and cosine of the pitch as s and c."""
     symbols = {name: ca.SX.sym(name) for name in (*NAMES, "pitch", "a", "b")}
     rig = energies(bodies(symbols), symbols["g"])
-    inertia = rig.inertia
     at = [ca.vertcat(0, symbols["pitch"]), ca.vertcat(symbols["a"], symbols["b"])]
     parts = ca.substitute(
-        [inertia, rig.coriolis(inertia), rig.gravity],
+        [rig.inertia, rig.coriolis(rig.inertia), rig.gravity],
         [rig.angles, rig.rates],
         [ca.densify(value) for value in at],
     )
     found = {}
     for letter, part in zip("MCG", parts, strict=True):
         matrix, own = in_sympy(part, symbols)
-        pitch = own["pitch"]
-        matrix = matrix.subs({sp.cos(pitch): sp.Symbol("c", real=True)})
-        matrix = matrix.subs({sp.sin(pitch): sp.Symbol("s", real=True)})
+        for function, short in ((sp.cos, "c"), (sp.sin, "s")):
+            matrix = matrix.subs({function(own["pitch"]): sp.Symbol(short, real=True)})
         for i in range(matrix.shape[0]):
             for j in range(matrix.shape[1]):
                 name = f"{letter}{i + 1}" + (f"{j + 1}" if matrix.shape[1] > 1 else "")

@@ -13,6 +13,7 @@ import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -102,28 +103,23 @@ def _messages(message: bytes, count: int) -> bytes:
     return b"".join(_record(5, struct.pack("<HIQQ", 1, 0, i, i) + message) for i in range(count))
 
 
-def _zeros_in_lz4() -> bytes:
-    import lz4.frame
-
-    packer = lz4.frame.LZ4FrameCompressor()
-    block = bytes(2**22)
-    return packer.begin() + b"".join(packer.compress(block) for _ in range(640)) + packer.flush()
-
-
-def _zeros_in_zstd() -> bytes:
-    import zstandard
-
-    packer = zstandard.ZstdCompressor(level=3).compressobj()
+def _zeros(packer: Any) -> bytes:
+    """2.5 GiB of them."""
     block = bytes(2**22)
     return b"".join(packer.compress(block) for _ in range(640)) + packer.flush()
 
 
-def _lz4_log(claimed: int) -> Callable[[], bytes]:
-    return lambda: _log(_chunk(_zeros_in_lz4(), claimed, b"lz4"))
+def _lz4_log(claimed: int) -> bytes:
+    import lz4.frame
+
+    packer = lz4.frame.LZ4FrameCompressor()
+    return _log(_chunk(packer.begin() + _zeros(packer), claimed, b"lz4"))
 
 
-def _zstd_log(claimed: int) -> Callable[[], bytes]:
-    return lambda: _log(_chunk(_zeros_in_zstd(), claimed, b"zstd"))
+def _zstd_log(claimed: int) -> bytes:
+    import zstandard
+
+    return _log(_chunk(_zeros(zstandard.ZstdCompressor(level=3).compressobj()), claimed, b"zstd"))
 
 
 def _wide_log() -> bytes:
@@ -167,8 +163,7 @@ def _mat_of_zeros() -> bytes:
     head = _matrix(6, (1, values // 8))
     size = struct.pack("<II", 14, values + len(head))
     head = size + head[8:] + struct.pack("<II", 9, values)
-    data = packer.compress(head)
-    data += b"".join(packer.compress(bytes(2**22)) for _ in range(640)) + packer.flush()
+    data = packer.compress(head) + _zeros(packer)
     return _mat(struct.pack("<II", 15, len(data)) + data)
 
 
@@ -194,10 +189,10 @@ _DEEP_CONFIGURATION = (
 )  # fmt: skip
 _HOSTILE: dict[str, dict[str, Callable[[], bytes]]] = {
     "log": {
-        "a chunk of lz4 that unpacks to 2.5 GiB and says so": _lz4_log(2**32),
-        "a chunk of lz4 that unpacks to 2.5 GiB and claims 1 KiB": _lz4_log(1024),
-        "a chunk of zstd that unpacks to 2.5 GiB and says so": _zstd_log(2**32),
-        "a chunk of zstd that unpacks to 2.5 GiB and claims 1 KiB": _zstd_log(1024),
+        "a chunk of lz4 that unpacks to 2.5 GiB and says so": lambda: _lz4_log(2**32),
+        "a chunk of lz4 that unpacks to 2.5 GiB and claims 1 KiB": lambda: _lz4_log(1024),
+        "a chunk of zstd that unpacks to 2.5 GiB and says so": lambda: _zstd_log(2**32),
+        "a chunk of zstd that unpacks to 2.5 GiB and claims 1 KiB": lambda: _zstd_log(1024),
         "a schema of 20 000 columns for 20 000 empty messages": _wide_log,
         "eight million messages in 40 chunks": _many_messages,
         "messages that nest 100 000 deep": lambda: _log(
@@ -206,7 +201,7 @@ _HOSTILE: dict[str, dict[str, Callable[[], bytes]]] = {
         "a record that claims 2^63 bytes": lambda: _log() + struct.pack("<BQ", 6, 2**63) + b"xx",
     },
     "tail": {
-        "a chunk that unpacks to 2.5 GiB, while it is written": _zstd_log(2**32),
+        "a chunk that unpacks to 2.5 GiB, while it is written": lambda: _zstd_log(2**32),
         "a schema of 20 000 columns, while it is written": _wide_log,
         "a schema that nests 100 000 deep": lambda: _log(_channel(_nested(100_000))),
     },
