@@ -345,22 +345,6 @@ def test_the_gate_opens_after_its_patience_and_closes_after_as_long_an_agreement
     assert gate.quiet()
 
 
-def test_outliers_are_told_in_the_log_and_counted() -> None:
-    close_loop = pytest.importorskip("experiments.chapter7.runs").close_loop
-
-    from trms_cli.scoring.score import score_tables
-
-    fault = ["fault=[yaw_outliers]", "controller=lqr", "sim.duration=15", "supervisor=none"]
-    tables, limits, duration = close_loop(fault)
-    events = tables["/event"]
-    told = events.columns["source"][np.asarray(events.columns["kind"] == "outlier", dtype=bool)]
-    assert set(told) == {"alpha_h"}
-    estimate = score_tables(tables, limits=limits, duration_s=duration)["estimate"]
-    assert estimate["rejected_samples"] == estimate["innovations"]["alpha_h"]["rejected"]
-    assert estimate["rejected_samples"] == len(told) > 3
-    assert estimate["rmse"]["alpha_h"] < 1e-3
-
-
 @pytest.mark.parametrize(
     ("target", "options", "where", "remedy"),
     [

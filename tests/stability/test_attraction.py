@@ -272,6 +272,9 @@ def test_shares_and_their_confidence_are_told_with_enough_digits():
         low, high = percent(share).split("(")[1].removesuffix(" %)").split("–")
         assert low != high
         assert float(low) < 100.0 and (high == "100") == (share.upper == 1.0)
+    assert percent(share_of(2000, 2000)) == "100 % (99.8–100 %)"
+    assert percent(ConfidenceShare(5e-9, 1e-10, 2e-8)) == "5e-07 % (1e-08–2e-06 %)"  # hardly known
+    assert percent(ConfidenceShare(5e-9, 4e-9, 6e-9)) == "5e-07 %"
 
 
 def test_a_kink_is_covered_and_gives_no_integral():
@@ -406,18 +409,6 @@ def test_another_controller_is_only_run():
     assert found.results["law"] is None
     assert any("Nothing is proved for pid" in warning for warning in found.warnings)
     assert found.results["runs"]["recovered"] == [True, True, True]
-
-
-@pytest.mark.parametrize(
-    ("share", "words"),
-    [
-        (share_of(2000, 2000), "100 % (99.8–100 %)"),
-        (ConfidenceShare(5e-9, 1e-10, 2e-8), "5e-07 % (1e-08–2e-06 %)"),  # hardly known
-        (ConfidenceShare(5e-9, 4e-9, 6e-9), "5e-07 %"),
-    ],
-)
-def test_a_share_is_told_with_what_is_known_of_it(share, words):
-    assert percent(share) == words
 
 
 def test_a_cut_duration_is_told_and_proofs_and_simulations_are_of_the_same_rig():
