@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag, solve_discrete_are
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.core.compilation import BufferedFunction
@@ -177,3 +178,22 @@ def matrices(discrete_step: ca.Function, model: Model) -> tuple[np.ndarray, np.n
         np.zeros(model.n_x), np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w)
     )
     return np.array(a), np.array(b)
+
+
+def regulator(
+    A: np.ndarray, B: np.ndarray, states: Any, rates: Any, inputs: Any, moves: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gain on (x, last u) and cost to go of an infinite horizon, by weights of each kind.
+
+    The last input is a state of its own; the cost of x⁺ is one of x and u.
+    """
+    n, m = B.shape
+    after = np.hstack([A, B])
+    moved = after - np.eye(n, n + m)
+    joint = after.T @ np.diag(states) @ after + moved.T @ np.diag(rates) @ moved
+    s = np.diag(moves)
+    Q, R = block_diag(joint[:n, :n], s), joint[n:, n:] + np.diag(inputs) + s
+    S = np.vstack([joint[:n, n:], -s])
+    A, B = block_diag(A, np.zeros((m, m))), np.vstack([B, np.eye(m)])
+    P = solve_discrete_are(A, B, Q, R, s=S)
+    return np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A + S.T), P

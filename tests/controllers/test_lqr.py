@@ -18,7 +18,7 @@ from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.kalman import Kalman
 
 from ..simulation.looping import composed, looped
-from .closed_loop_case import SAMPLE_TIME, DoubleMass, matrices, sample_of, setup_of
+from .closed_loop_case import SAMPLE_TIME, DoubleMass, matrices, regulator, sample_of, setup_of
 
 BOTH = Newtonian()
 
@@ -63,19 +63,15 @@ def test_a_reference_out_of_reach_is_said_and_does_not_wind_up() -> None:
     np.testing.assert_allclose(command.u, state.steady.solve(r).u, atol=1e-6)
 
 
-def errors(*overrides: str) -> dict[str, np.ndarray]:
-    """Of each controlled angle against the true state, rad."""
-    experiment = composed("experiment=lqg", *overrides)
+@pytest.mark.parametrize("model", ["newtonian", "newtonian_vertical", "newtonian_horizontal"])
+def test_squares_are_followed_by_an_lqg(model: str) -> None:
+    experiment = composed("experiment=lqg", f"model={model}", "sim.duration=40")
     assert isinstance(experiment.controller, Lqr)
     assert isinstance(experiment.observer, Kalman)
     history = looped(experiment).history
     truth, reference = (history.columns(t) for t in ("/plant/state", "/reference"))
-    return {name: truth[name] - reference[name] for name in reference}
-
-
-@pytest.mark.parametrize("model", ["newtonian", "newtonian_vertical", "newtonian_horizontal"])
-def test_squares_are_followed_by_an_lqg(model: str) -> None:
-    for error in errors(f"model={model}", "sim.duration=40").values():
+    for name in reference:
+        error = truth[name] - reference[name]
         assert np.sqrt((error**2).mean()) < 0.25
         for end in (1000, 2000):  # before each change of the reference
             assert np.abs(error[end - 50 : end]).max() < 0.01
@@ -93,31 +89,6 @@ WEIGHTS: dict[str, Any] = {
 }
 
 
-def dynamic_programming(model: DoubleMass, periods: int) -> np.ndarray:
-    """First gain on (x, last u) of the finite problem, backwards, by textbook steps."""
-    A, B = matrices(discretise(model, PERIOD, 5).step, model)
-    q = np.array([3.0, 0.1, 2.0, 0.0])
-    d = np.array([0.5, 0.0, 0.0, 0.0]) / PERIOD**2
-    rho, s = np.array([0.2, 0.0]), np.array([0.05, 0.3])
-    V = np.zeros((6, 6))
-    gain = np.zeros((2, 6))
-    for _ in range(periods):
-        # Unknowns (x, last, u): the cost of this period and of what follows.
-        ahead = np.hstack([A, np.zeros((4, 2)), B])
-        moved = ahead - np.hstack([np.eye(4), np.zeros((4, 4))])
-        u = np.hstack([np.zeros((2, 6)), np.eye(2)])
-        change = u - np.hstack([np.zeros((2, 4)), np.eye(2), np.zeros((2, 2))])
-        following = np.vstack([ahead, u])
-        total = sum(
-            rows.T @ np.diag(weight) @ rows
-            for rows, weight in ((ahead, q), (moved, d), (u, rho), (change, s))
-        )
-        total = total + following.T @ V @ following
-        gain = -np.linalg.solve(total[6:, 6:], total[6:, :6])
-        V = total[:6, :6] + total[:6, 6:] @ gain
-    return gain
-
-
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(
     ("periods", "terminal"), [(6, "riccati"), (400, "none")], ids=["cost to go", "long horizon"]
@@ -131,13 +102,16 @@ def test_without_active_limits_it_is_the_regulator(way: Any, periods: int, termi
         terminal=terminal,
         **WEIGHTS,
     )
-    gain = dynamic_programming(model, 2000)
+    A, B = matrices(discretise(model, PERIOD, 5).step, model)
+    rates = np.array([0.5, 0.0, 0.0, 0.0]) / PERIOD**2
+    gain, _ = regulator(A, B, [3.0, 0.1, 2.0, 0.0], rates, [0.2, 0.0], [0.05, 0.3])
     rng = np.random.default_rng(1)
     for _ in range(2):
         x, last = rng.normal(size=4), rng.normal(size=2)
         sample = sample_of(model, [0.0, 0.0], x, last)
         answer = law.step(law.init(setup_of(model)), sample, want_prediction=False)
-        np.testing.assert_allclose(answer.u, gain @ np.concatenate([x, last]), rtol=2e-5, atol=1e-6)
+        expected = -gain @ np.concatenate([x, last])
+        np.testing.assert_allclose(answer.u, expected, rtol=2e-5, atol=1e-6)
 
 
 def test_with_limits_it_is_the_converged_newton_mpc_of_a_linear_rig() -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
 from trms_cli.controllers.controller import Status
@@ -33,6 +32,7 @@ from .closed_loop_case import (
     close_loop,
     constant,
     matrices,
+    regulator,
     sample_of,
     setup_of,
     squares,
@@ -458,19 +458,8 @@ def test_equals_the_infinite_horizon_lqr_without_constraints(horizon: int) -> No
     command = mpc.step(state, sample_of(model, [0.0, 0.0], x, before), want_prediction=False)
 
     a, b = matrices(discretise(model, 0.2).step, model)
-    # The last input is a state of its own; the cost of x⁺ is one of x and u.
-    A = np.block([[a, np.zeros((4, 2))], [np.zeros((2, 6))]])
-    B = np.vstack([b, np.eye(2)])
-    q = np.diag([3.0, 0.2, 1.0, 0.0])
-    rate = (np.array([[0.0, 0.0, 1.0, 0.0]]) @ np.hstack([a - np.eye(4), b])) / 0.2
-    after = np.hstack([a, b])
-    joint = after.T @ q @ after + 0.3 * rate.T @ rate
-    s = np.diag([0.2, 0.1])
-    Q = np.block([[joint[:4, :4], np.zeros((4, 2))], [np.zeros((2, 4)), s]])
-    R = joint[4:, 4:] + np.diag([0.5, 0.0]) + s
-    S = np.vstack([joint[:4, 4:], -s])
-    P = solve_discrete_are(A, B, Q, R, s=S)
-    gain = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A + S.T)
+    rates = np.array([0.0, 0.0, 0.3, 0.0]) / 0.2**2
+    gain, P = regulator(a, b, [3.0, 0.2, 1.0, 0.0], rates, [0.5, 0.0], [0.2, 0.1])
     xi = np.concatenate([x, before])
     assert command.u == pytest.approx(-gain @ xi, abs=1e-5)
     assert command.objective == pytest.approx(xi @ P @ xi, rel=1e-5)

@@ -1,7 +1,6 @@
 """A NARX model computes what its network says, and a file of it comes back bit for bit."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -58,14 +57,10 @@ def test_runs_as_the_network_evaluated_on_the_history(kinds):
     rng = np.random.default_rng(0)
     made = structure(**kinds)
     n_phi = made.n_regressors
+    shapes = {"W1": (6, n_phi), "b1": 6, "W2": (4, 6), "b2": 4}
     network = Network(
         "mlp",
-        {
-            "W1": rng.normal(0, 0.5, (6, n_phi)),
-            "b1": rng.normal(0, 0.5, 6),
-            "W2": rng.normal(0, 0.5, (4, 6)),
-            "b2": rng.normal(0, 0.1, 4),
-        },
+        {name: rng.normal(0, 0.5, shape) for name, shape in shapes.items()},
         rng.normal(0, 1, n_phi),
         np.exp(rng.normal(0, 0.5, n_phi)),
         rng.normal(0, 0.1, 4),
@@ -210,14 +205,9 @@ def content() -> NarxFile:
     )
 
 
-@pytest.fixture
-def file(content, tmp_path) -> Path:
-    path = tmp_path / "bent.yaml"
-    write_narx_file(path, content)
-    return path
-
-
-def test_comes_back_as_it_was_written_and_is_a_model_that_takes_effects(content, file, tmp_path):
+def test_comes_back_as_it_was_written_and_is_a_model_that_takes_effects(content, tmp_path):
+    file = tmp_path / "bent.yaml"
+    write_narx_file(file, content)
     back = read_narx_file(str(file))
     assert back.to_data() == content.to_data()
     for name, weight in content.network.weights.items():

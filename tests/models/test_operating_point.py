@@ -263,12 +263,11 @@ def test_every_model_has_its_steady_states(model):
         is_steady(model, target, np.zeros(model.n_w))
         np.testing.assert_allclose(target.reference_reached, reference, atol=1e-6)
         guess = target
-    full = {n: i for i, n in enumerate(BOTH.state_names)}
-    same = SOLVER.solve(np.full(2, 0.3))
     if len(model.controlled) == 2:
-        found = solver.solve(np.full(2, 0.3))
+        found, same = (one.solve(np.full(2, 0.3)) for one in (solver, SOLVER))
         for name in ("omega_v", "omega_h", "alpha_v"):
-            assert found.x[model.state_index(name)] == pytest.approx(same.x[full[name]], rel=1e-6)
+            expected = same.x[BOTH.state_index(name)]
+            assert found.x[model.state_index(name)] == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_reference_is_taken_up_again_when_what_kept_it_out_of_reach_has_gone():

@@ -117,28 +117,21 @@ class TestUkf:
         assert estimate is after
 
 
-TRUTH = {
-    "i_v": 9.0,
-    "alpha_v": 0.3,
-    "omega_h": 50.0,
-    "S_h": 0.1,
-    "alpha_h": 0.5,
-    "omega_v": 200.0,
-    "S_v": -0.2,
-    "effect.extra": 7.0,
-}
-
-
 SETUP = setup_for(Newtonian(), ("alpha_v", "omega_h"))
+#: Of a rig with more states, in another order.
+TRUTH = {
+    name: 10.0 + k
+    for k, name in enumerate(["i_v", *sorted(SETUP.model.state_names), "effect.extra"])
+}
 
 
 def test_truth_is_mapped_by_name_also_from_a_rig_with_more_states_and_nothing_is_shared() -> None:
     observer = FullState()
     state = observer.init(SETUP)
-    estimate = observer.step(state, np.zeros(2), np.array([0.31, np.nan]), TRUTH)
+    estimate = observer.step(state, np.zeros(2), np.array([TRUTH["alpha_v"] + 0.01, np.nan]), TRUTH)
     np.testing.assert_array_equal(estimate.x, [TRUTH[name] for name in SETUP.model.state_names])
-    np.testing.assert_array_equal(estimate.predicted, [0.3, 50.0])
-    np.testing.assert_allclose(estimate.innovation, [0.01, np.nan], atol=1e-15)
+    np.testing.assert_array_equal(estimate.predicted, [TRUTH["alpha_v"], TRUTH["omega_h"]])
+    np.testing.assert_allclose(estimate.innovation, [0.01, np.nan], atol=1e-14)
     np.testing.assert_array_equal(estimate.innovation_sd, [5e-4, 1.6])
     assert not estimate.disturbance.any() and not estimate.sd.any()
     first, second = observer.init(SETUP), observer.init(SETUP)

@@ -180,15 +180,8 @@ def test_of_both_axes_none_is_found_but_that_is_left_open():
 
 def test_nothing_is_proved_of_what_cycles_nor_of_what_that_drives_but_where_areas_shrink():
     """x, y cycle as van der Pol's, z settles towards x: a limit cycle in z too."""
-
-    class Driven(Planar):
-        states = (*Planar.states, Signal("z", "1"))
-
-        def dynamics(self, x, u, p, w):
-            return ca.vertcat(super().dynamics(x, u, p, w), x[0] - x[2])
-
-    model = Driven(lambda x, y, u: (y, (1 - x**2) * y - x))
-    proof = absence(model, np.zeros(3), np.zeros(1), 3 * np.ones(3))
+    driven = WithLag(van_der_pol(), 1.0, 0.0)
+    proof = absence(driven, np.zeros(3), np.zeros(1), 3 * np.ones(3))
     assert [(block.states, block.constant) for block in proof.blocks] == [
         (("x", "y"), False),
         (("z",), False),
@@ -198,27 +191,31 @@ def test_nothing_is_proved_of_what_cycles_nor_of_what_that_drives_but_where_area
     # Within |x| < 1 the divergence 1 − x² is positive: no cycle lies there.
     inner = absence(van_der_pol(), np.zeros(2), np.zeros(1), 0.9 * np.ones(2))
     assert inner.proved and not inner.everywhere
-    (block,) = absence(WithLag(), np.zeros(3), np.array([-1.0]), np.full(3, 0.3)).blocks
+    (block,) = absence(COUPLED, np.zeros(3), np.array([-1.0]), np.full(3, 0.3)).blocks
     assert block.share == 1.0
 
 
 class WithLag(Planar):
-    """The normal form with a lag that acts back a little: one block of three states."""
+    """A planar system with a lag behind x, and how much that acts back."""
 
     states = (*Planar.states, Signal("z", "1"))
 
-    def __init__(self) -> None:
-        super().__init__(normal_form()._rates)
+    def __init__(self, plane: Planar, rate: float, back: float) -> None:
+        super().__init__(plane._rates)
+        self.rate, self.back = rate, back
 
     def dynamics(self, x, u, p, w):
         plane = super().dynamics(x, u, p, w)
-        return ca.vertcat(plane[0] + 1e-3 * x[2], plane[1], x[0] - 3 * x[2])
+        return ca.vertcat(plane[0] + self.back * x[2], plane[1], x[0] - self.rate * x[2])
+
+
+COUPLED = WithLag(normal_form(), 3.0, 1e-3)  # one block of three states
 
 
 @settings(max_examples=4, deadline=None)
 @given(u=st.floats(-0.24, -0.02), width=st.floats(0.1, 1.5))
 def test_no_box_that_is_proved_empty_holds_a_known_cycle(u, width):
-    (block,) = absence(WithLag(), np.zeros(3), np.array([u]), np.full(3, width)).blocks
+    (block,) = absence(COUPLED, np.zeros(3), np.array([u]), np.full(3, width)).blocks
     radius = np.sqrt((1 - np.sqrt(1 + 4 * u)) / 2)  # of the unstable cycle, to the lag's 1e-3
     assert 0 < block.share <= 1 and not block.constant
     assert block.share * width < radius + 0.01

@@ -577,33 +577,6 @@ def test_two_axes_newtonian_with_cross_terms_of_which_one_does_not_cancel() -> N
     assert vanishes(left.subs(H, D - E) + power_of_what_lacks)
 
 
-def test_two_axes_lagrangian_coriolis_terms_have_no_power() -> None:
-    """½ q̇ᵀṀq̇ − q̇ᵀCq̇ = 0 with M and C of docs/model.md, and Ṁ = C + Cᵀ."""
-    J1, J2, m11, h, mt, mb = sp.symbols("J1 J2 m11 h mt mb")
-    r_h, r_v = sp.symbols("r_h r_v")
-    off = h * (mt * sp.sin(a_v) - mb * sp.cos(a_v))
-    M = sp.Matrix([[J1 * sp.cos(a_v) ** 2 + J2 * sp.sin(a_v) ** 2 + m11, off], [off, J1 + J2]])
-    # Christoffel's symbols of that M; C q̇ is what model.md prints.
-    q, rates = (a_h, a_v), (r_h, r_v)
-
-    def christoffel(i: int, j: int, k: int) -> sp.Expr:
-        return sp.diff(M[i, j], q[k]) + sp.diff(M[i, k], q[j]) - sp.diff(M[j, k], q[i])
-
-    C = sp.Matrix(2, 2, lambda i, j: sum(christoffel(i, j, k) * rates[k] / 2 for k in range(2)))
-    velocity = sp.Matrix(rates)
-    printed = sp.Matrix(
-        [
-            2 * (J2 - J1) * sp.sin(a_v) * sp.cos(a_v) * r_v * r_h
-            + h * (mt * sp.cos(a_v) + mb * sp.sin(a_v)) * r_v**2,
-            (J1 - J2) * sp.sin(a_v) * sp.cos(a_v) * r_h**2,
-        ]
-    )
-    assert sp.simplify(C * velocity - printed) == sp.zeros(2, 1)
-    M_dot = sp.diff(M, a_v) * r_v
-    assert sp.simplify(velocity.T * (M_dot / 2 - C) * velocity) == sp.zeros(1, 1)
-    assert sp.simplify(M_dot - C - C.T) == sp.zeros(2, 2)
-
-
 FORMS: list[Any] = [
     pytest.param(kind, freedom, at, weights, id=f"{kind.__name__}-{freedom}-{name}")
     for kind in (Newtonian, Lagrangian)

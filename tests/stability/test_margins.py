@@ -361,25 +361,16 @@ def plain() -> FrequencyResponse:
     return measured(lqr())
 
 
-def sampled_rig(step: float) -> tuple[np.ndarray, np.ndarray]:
-    """A and B of the rig over a control period, in the steps that the rig is simulated in."""
-    discrete = discretise(MODEL, step, round(step / 0.005))
-    p, w = MODEL.parameters.values, np.zeros(MODEL.n_w)
-    _, A, B = (np.array(v) for v in discrete.slopes()(POINT.x, POINT.u, p, w))
-    return A, B
-
-
-def response(A: np.ndarray, B: np.ndarray, z: np.ndarray) -> np.ndarray:
-    return np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B)
-
-
 def regulated(omega: np.ndarray) -> np.ndarray:
     """Loop transfer of the LQR: u = −K x − K_i z, z⁺ = z + T C x, on the sampled rig."""
     law = lqr().init(ControlSetup(MODEL, PERIOD, POINT.u)).regulator
-    A, B = sampled_rig(PERIOD)
+    # In the steps that the rig is simulated in.
+    slopes = discretise(MODEL, PERIOD, round(PERIOD / 0.005)).slopes()
+    p, w = MODEL.parameters.values, np.zeros(MODEL.n_w)
+    _, A, B = (np.array(part) for part in slopes(POINT.x, POINT.u, p, w))
     z = np.exp(1j * omega * PERIOD)
     rows = [MODEL.state_index(name) for name in MODEL.controlled]
-    states = response(A, B, z)
+    states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B)
     return law.K @ states + law.K_i @ (PERIOD * states[:, rows] / (z - 1)[:, None, None])
 
 
