@@ -197,3 +197,19 @@ def regulator(
     A, B = block_diag(A, np.zeros((m, m))), np.vstack([B, np.eye(m)])
     P = solve_discrete_are(A, B, Q, R, s=S)
     return np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A + S.T), P
+
+
+def plan_slopes(horizon: Any, step: float) -> np.ndarray:
+    """Central differences of the terminal rows and the objective over the plan, (rows + 1, n_z)."""
+    plan = horizon.arguments["z"]
+    middle, columns = plan.copy(), []
+    for away in step * np.eye(plan.size):
+        ends = []
+        for sign in (1.0, -1.0):
+            plan[:] = middle + sign * away.reshape(plan.shape, order="F")
+            horizon.evaluate()
+            _, terminal, objective, *_ = horizon.evaluate.outputs
+            ends.append(np.append(terminal, objective))
+        columns.append((ends[0] - ends[1]) / (2 * step))
+    plan[:] = middle
+    return np.array(columns).T

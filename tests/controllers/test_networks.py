@@ -15,7 +15,15 @@ from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.steady_state import SteadyState
 
-from .closed_loop_case import DoubleMass, close_loop, constant, matrices, sample_of, setup_of
+from .closed_loop_case import (
+    DoubleMass,
+    close_loop,
+    constant,
+    matrices,
+    plan_slopes,
+    sample_of,
+    setup_of,
+)
 
 MPC = NewtonMpc(prediction_horizon=12, move_blocks=(1, 1, 2, 3, 5))
 
@@ -71,26 +79,9 @@ class TestPrediction:
             np.testing.assert_allclose(trajectory[:, k], x, rtol=1e-9, atol=1e-10)
         horizon.linearise()
         gradient, slope = horizon.linearise.outputs[5].copy(), horizon.linearise.outputs[7].copy()
-        plan = point["z"].copy()
-        h = 1e-5
-
-        def along(direction):
-            results = []
-            for sign in (1, -1):
-                point["z"][:] = plan + sign * h * direction
-                horizon.evaluate()
-                _, terminal, objective, *_ = horizon.evaluate.outputs
-                results.append(np.append(terminal, objective))
-            point["z"][:] = plan
-            return (results[0] - results[1]) / (2 * h)
-
-        rng = np.random.default_rng(6)
-        for _ in range(4):
-            direction = rng.normal(size=plan.shape)
-            differences = along(direction)
-            flat = direction.ravel(order="F")
-            np.testing.assert_allclose(slope @ flat, differences[:-1], rtol=1e-6, atol=1e-7)
-            np.testing.assert_allclose(gradient @ flat, differences[-1], rtol=1e-6, atol=1e-7)
+        *terminal, objective = plan_slopes(horizon, 1e-5)
+        np.testing.assert_allclose(slope, terminal, rtol=1e-6, atol=1e-7)
+        np.testing.assert_allclose(gradient, objective, rtol=1e-6, atol=1e-7)
 
 
 class TestNewtonMpc:

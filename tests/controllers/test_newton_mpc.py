@@ -32,6 +32,7 @@ from .closed_loop_case import (
     close_loop,
     constant,
     matrices,
+    plan_slopes,
     regulator,
     sample_of,
     setup_of,
@@ -476,17 +477,9 @@ def test_gradient_and_slopes_are_those_of_the_objective() -> None:
     horizon.linearise()
     _, residual, _, _, _, gradient, _, slope, _ = (out.copy() for out in horizon.linearise.outputs)
     assert residual.shape == (1,)
-    middle = z.copy()
-    for k in range(z.size):
-        change = 1e-6 * np.eye(z.size)[k]
-        ends = []
-        for sign in (1.0, -1.0):
-            z[:] = middle + sign * change.reshape(z.shape, order="F")
-            horizon.evaluate()
-            ends.append((horizon.evaluate.outputs[2][0], horizon.evaluate.outputs[1][0]))
-        objective, distance = ((ends[0][i] - ends[1][i]) / 2e-6 for i in range(2))
-        assert gradient[k] == pytest.approx(objective, rel=1e-4, abs=1e-4)
-        assert slope.ravel()[k] == pytest.approx(distance, rel=1e-4, abs=1e-5)
+    distance, objective = plan_slopes(horizon, 1e-6)
+    assert gradient == pytest.approx(objective, rel=1e-4, abs=1e-4)
+    assert slope.ravel() == pytest.approx(distance, rel=1e-4, abs=1e-5)
 
 
 @pytest.mark.parametrize("goal", GOALS)
