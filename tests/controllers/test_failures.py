@@ -1,6 +1,7 @@
 """What the laws answer where a solve fails, a number is none, or the configuration is mistaken."""
 
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -44,10 +45,6 @@ def spoil(monkeypatch: pytest.MonkeyPatch, state: Any) -> None:
         monkeypatch.setattr(state.solver, "solve", lost)
 
 
-def breaks(self: Any, workspace: Any, qp: Any) -> QpResult:
-    raise RuntimeError("made to fail")
-
-
 @pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input", "stop"])
 @pytest.mark.parametrize("name", PREDICTIVE)
 def test_a_failed_solve_falls_back_as_declared(name, policy, monkeypatch) -> None:
@@ -75,6 +72,7 @@ def test_a_failed_solve_falls_back_as_declared(name, policy, monkeypatch) -> Non
     np.testing.assert_allclose(answer.u, expected, atol=1e-9)
     assert law.step(state, sample, want_prediction=False).status is not Status.FAILED
     if name != "nmpc":
+        breaks = Mock(side_effect=RuntimeError("made to fail"))
         monkeypatch.setattr(Daqp, "solve", breaks)
         broken = law.step(state, sample, want_prediction=False)
         assert broken.status is Status.FAILED and np.isfinite(broken.u).all()

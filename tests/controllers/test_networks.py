@@ -34,12 +34,6 @@ def interpreted(monkeypatch):
     monkeypatch.setattr("trms_cli.core.compilation.compiler", lambda: None)
 
 
-def network_step(model: Narx, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """One sample of a network with output lags 1, 2 and input lag 1, by its NumPy evaluation."""
-    phi = model.structure.arrangement() @ np.concatenate([x[:8], u])
-    return np.concatenate([x[:4] + model.network.evaluate(phi[None, :])[0], x[:4]])
-
-
 class TestSteadyState:
     @pytest.mark.parametrize("lags", [((1, 2), (1,)), ((1, 3), (1, 2))], ids=str)
     @pytest.mark.parametrize("push", [np.zeros(4), np.array([0.2, -0.1, 20.0, -10.0])], ids=str)
@@ -73,9 +67,11 @@ class TestPrediction:
         horizon.evaluate()
         trajectory = horizon.evaluate.outputs[0]
         x = point["x0"].copy()
+        arrangement, network = horizon.model.structure.arrangement(), horizon.model.network
         for k, block in enumerate(horizon.blocks):
-            for _ in range(5):
-                x = network_step(horizon.model, x, point["z"][:, block])
+            for _ in range(5):  # of output lags 1, 2 and input lag 1, by NumPy
+                phi = arrangement @ np.concatenate([x[:8], point["z"][:, block]])
+                x = np.concatenate([x[:4] + network.evaluate(phi[None, :])[0], x[:4]])
             np.testing.assert_allclose(trajectory[:, k], x, rtol=1e-9, atol=1e-10)
         horizon.linearise()
         gradient, slope = horizon.linearise.outputs[5].copy(), horizon.linearise.outputs[7].copy()

@@ -29,13 +29,6 @@ def test_gravity_moment_has_the_published_size_and_phase():
     assert np.arctan2(g["B"] - g["A"], g["C"]) == pytest.approx(0.6194, abs=6e-5)
 
 
-def thesis() -> Newtonian:
-    """With the mean of the cable's two slopes, which is what the published values belong to."""
-    base = Newtonian(parameter_set="rahideh").parameters
-    mean = (base["k_chp"].value + base["k_chn"].value) / 2
-    return Newtonian(parameter_set="rahideh", parameters={"k_chp": mean, "k_chn": mean})
-
-
 def test_main_rotor_at_rest_decays_with_back_emf_and_bearing_alone():
     # model.md prints −0.328 here; the exact slope at ω = 0, where the drag has none, is
     # −(kφ²/R + B_mr)/J_mr = −0.3200.
@@ -48,7 +41,10 @@ def test_main_rotor_at_rest_decays_with_back_emf_and_bearing_alone():
 
 
 def test_thesis_gain_makes_pitch_unstable_above_the_published_angle():
-    model = thesis()
+    # The published value is that of the mean of the cable's two slopes.
+    base = Newtonian(parameter_set="rahideh").parameters
+    mean = (base["k_chp"].value + base["k_chn"].value) / 2
+    model = Newtonian(parameter_set="rahideh", parameters={"k_chp": mean, "k_chn": mean})
     p = {parameter.name: parameter.value for parameter in model.parameters}
     g = geometry(p)
     # What holds α_v = 0.4: G sin(α_v + 0.6194) = l_m k_fvp ω_v², and the motor's balance.

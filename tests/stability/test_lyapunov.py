@@ -272,7 +272,7 @@ ROWS: dict[str, tuple[Any, dict[str, Any], dict[str, float]]] = {
     "Lagrangian, `rahideh`, hover": (Lagrangian, {"parameter_set": "rahideh"}, LEVEL),
 }
 #: Rows that take more than a second or two.
-LONG = ("Newtonian", "Lagrangian")
+LONG, SLOW = ("Newtonian", "Lagrangian"), pytest.mark.slow
 
 
 def rows() -> list[list[str]]:
@@ -286,21 +286,18 @@ def rows() -> list[list[str]]:
     return found
 
 
-def cases() -> list[Any]:
-    return [
-        pytest.param(
-            row, id=f"{row[0]} {row[1]}", marks=[pytest.mark.slow] * row[0].startswith(LONG)
-        )
-        for row in rows()
-    ]
-
-
 def test_every_row_is_known() -> None:
     assert len(rows()) >= 14
     assert {row[0] for row in rows()} == set(ROWS)
 
 
-@pytest.mark.parametrize("row", cases())
+@pytest.mark.parametrize(
+    "row",
+    [
+        pytest.param(row, id=f"{row[0]} {row[1]}", marks=[SLOW] * row[0].startswith(LONG))
+        for row in rows()
+    ],
+)
 def test_a_row_is_what_is_found(row: list[str]) -> None:
     kind, options, at = ROWS[row[0]]
     model: TwinRotor = kind(**options)
