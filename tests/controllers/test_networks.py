@@ -9,7 +9,6 @@ from tests.models.network_case import rig_like
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.core.errors import ModelError
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.narx_file import Narx
 from trms_cli.models.network import NarxStructure, Network
@@ -81,15 +80,13 @@ class TestPrediction:
 
 
 class TestNewtonMpc:
-    def test_leaves_no_offset_knows_a_constant_push_and_needs_whole_steps_of_the_network(self):
+    def test_leaves_no_offset_and_knows_a_constant_push(self):
         ran = close_loop(MPC, rig_like(), constant(0.25, -0.3), 12.0)
         np.testing.assert_allclose(ran.errors[-10:], 0, atol=2e-3)
         assert ran.commands[-1].status.label == "ok"
         push = {"torque": lambda t: [0.15, -0.08, 10, 0], "known": True}
         ran = close_loop(MPC, rig_like(), constant(0, 0), 12.0, **push)
         np.testing.assert_allclose(ran.errors[-10:], 0, atol=2e-3)
-        with pytest.raises(ModelError, match=r"controller\.sample_time"):
-            MPC.init(setup_of(rig_like(), 0.05))
 
 
 def linear_narx(model: DoubleMass, step: float) -> Narx:

@@ -226,19 +226,14 @@ def regulation() -> Regulation:
     return regulation_of()
 
 
-def states(model: Model, count: int, seed: int = 0) -> np.ndarray:
-    random = np.random.default_rng(seed)
-    width = np.array([{"o": 200.0, "S": 1.0, "a": 0.9}[name[0]] for name in model.state_names])
-    return random.uniform(-1, 1, (count, model.n_x)) * width
-
-
 class TestCoordinates:
     def test_the_step_is_the_models_own_and_a_target_stays(self, regulation: Regulation) -> None:
         coordinates = regulation.coordinates
         step = BufferedFunction(coordinates.step)
         plain = BufferedFunction(coordinates.discrete.step)
         w = np.array([0.002, -0.001, 1e-4, -1e-4])
-        for x in states(BOTH, 20):
+        width = np.tile([200.0, 1.0, 0.9], 2)  # of speed, momentum and angle of either axis
+        for x in width * np.random.default_rng(0).uniform(-1, 1, (20, 6)):
             z = coordinates.forward(x)
             v = np.array([1.3, 0.8 * z[0] + 3000.0])
             u = coordinates.command(x, v, w)

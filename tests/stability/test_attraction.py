@@ -63,24 +63,17 @@ def found(van_der_pol):
     return estimates(van_der_pol, limits, METHODS, 20_000, silent)
 
 
-def cycle():
-    """The limit cycle of the van der Pol equation in reversed time, as a polygon (n, 2)."""
+def test_estimates_of_van_der_pol_cover_as_much_of_its_cycle_as_is_known(found, van_der_pol):
+    from matplotlib.path import Path
 
     def forwards(t, x):
         return [x[1], -x[0] - (x[0] ** 2 - 1.0) * x[1]]
 
+    # The limit cycle in reversed time, as a polygon.
     path = solve_ivp(forwards, (0.0, 60.0), [2.0, 0.0], rtol=1e-9, atol=1e-10, max_step=0.01)
-    last = path.t > 60.0 - 6.66328686
-    return path.y[:, last].T
-
-
-def test_estimates_of_van_der_pol_cover_as_much_of_its_cycle_as_is_known(found, van_der_pol):
-    from matplotlib.path import Path
-
-    rim = cycle()
-    x, y = rim.T
+    x, y = rim = path.y[:, path.t > 60.0 - 6.66328686]
     whole = 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
-    region = Path(rim)
+    region = Path(rim.T)
     assert tuple(e.method for e in found) == METHODS
     for estimate in found:
         assert estimate.proved

@@ -198,7 +198,6 @@ INFLOW = {"main_inflow": Inflow(rotor="main", coefficient=0.1)}
         (Newtonian(parameters={"k_ov": 0.0}), {}, ModelError, "viscous friction of pitch"),
         (Lagrangian(parameters={"k_chn": 0.0}), {}, ModelError, "yaw rests anywhere"),
         (extend_model(Newtonian(), INFLOW), {}, ModelError, "main_inflow"),
-        (VERTICAL, {"u_v": 2.4}, ConfigurationError, "ends at"),  # beyond the fold
         (VERTICAL, {"alpha_v": 1.0}, ModelError, "crest"),  # a saddle
     ],
 )

@@ -249,14 +249,6 @@ class TestTheStudy:
             grows = pitch[-500:].max() > 0.001
             assert grows == (late * 0.1 > foretold)
 
-    @pytest.mark.slow
-    def test_one_axis_needs_no_point_of_the_other(self):
-        vertical = Newtonian(freedom="vertical")
-        loop = loop_of(Lqr(operating_point={"alpha_v": 0.0}, sample_time=0.1), vertical)
-        findings = replace(STUDY, at={}).run(Subject(vertical, "vertical", loop), silent)
-        assert set(findings.results["loops"]) == {"u_v"}
-        assert len(findings.tables) == 2  # nothing is changed together
-
 
 class TestDryFriction:
     def test_holds_its_axis_is_left_out_of_the_margins_and_that_is_told(self, findings):
@@ -321,13 +313,15 @@ class TestLoopsWithoutMargins:
         assert "relaxed" in findings.warnings[0]
 
 
-def test_from_the_command_line(tmp_path, capsys):
+def test_from_the_command_line_one_axis_needs_no_point_of_the_other(tmp_path, capsys):
     words = ["study=margins", "model=newtonian_vertical", "controller=lqr", "page=false"]
     keys = ["study.lowest=0.5", "study.ratio=1.2", "controller.operating_point.alpha_v=0"]
     out = tmp_path / "margins"
     assert main(["stability", *words, *keys, f"out={out}"]) == 0
     document = json.loads((out / "stability.json").read_text(encoding="utf-8"))
     assert document["study"] == "margins" and document["loop"]["controller"] == "lqr"
+    assert set(document["results"]["loops"]) == {"u_v"}
+    assert len(document["tables"]) == 2  # nothing is changed together
     assert document["results"]["loops"]["u_v"]["gain_up"] > 2
     assert "gain may grow" in capsys.readouterr().out
 
