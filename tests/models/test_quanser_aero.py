@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.cli import main
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
@@ -12,9 +11,6 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.steady_state import SteadyState
-from trms_cli.recordings.csv_recording import write_csv
-from trms_cli.recordings.log_reader import read_log
-from trms_cli.recordings.recording import Recording
 
 from ..simulation.looping import composed, looped
 from .simulate import rates, slopes, travel
@@ -190,21 +186,3 @@ def test_a_controller_tracks_with_it(chosen):
     state = looped(composed(*settings)).history.columns("/plant/state")
     assert state["alpha_v"][-50:] == pytest.approx(0.3, abs=0.02)
     assert state["alpha_h"][-50:] == pytest.approx(0.5, abs=0.02)
-
-
-def test_a_recording_with_angles_alone_and_commands_beyond_the_limit_replays(tmp_path, capsys):
-    t = 0.01 * np.arange(300)
-    command = lambda t: (8 + 30 * (t > 1), 6 + 0 * t)  # noqa: E731
-    x = travel(QuanserAero(), np.zeros(6), command, 3.0)[:-1]
-    columns = [*command(t), x[:, 5], x[:, 2]]
-    channels = dict(zip(("u_v", "u_h", "alpha_v", "alpha_h"), columns, strict=True))
-    units = {name: "V" if name.startswith("u") else "rad" for name in channels}
-    file = tmp_path / "aero.csv"
-    write_csv(Recording(t, channels, units), file)
-    folder = tmp_path / "run"
-    settings = ["plant=replay", f"plant.file={file}", "model=quanser_aero", "picture=false"]
-    assert main(["run", *settings, f"out={folder}"]) == 0
-    assert "not measured: omega_v" in capsys.readouterr().out
-    estimate = read_log(folder / "run.mcap").tables["/estimate"].columns
-    # The observer sees the angles alone, and finds the rotor that the limit held at 24 V.
-    assert estimate["omega_v"][-1] == pytest.approx(24 * 17.38, rel=0.05)

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.static_curve import read_static_curve, rising_spline
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
@@ -96,12 +94,6 @@ class TestEquations:
         target = SteadyState(Tras()).solve(np.array([0.0, 0.3]))
         assert target.converged and not target.projected
         assert 0.2 < target.u[0] < 0.8
-
-    def test_takes_effects(self):
-        rubbing = extend_model(Tras(), {"rub": CoulombFriction(axis="yaw", torque=0.004)})
-        w = np.array([0.0, 0.003, 0.0, 0.0])  # less than friction holds
-        after = travel(rubbing, Tras().rest(), (0, 0), 0.01, w=w)[-1]
-        assert after[1] == pytest.approx(0.0, abs=1e-12)
 
 
 class TestMeasuredCurves:
