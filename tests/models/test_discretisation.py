@@ -26,12 +26,7 @@ COMMAND = [1.8, 0.9]
 def exact(model: Model, x: np.ndarray, seconds: float) -> np.ndarray:
     """SciPy's stiff integrator on the model's own equations."""
     solved = solve_ivp(
-        lambda _, z: rates(model, z, COMMAND),
-        (0.0, seconds),
-        x,
-        method="Radau",
-        rtol=1e-10,
-        atol=1e-12,
+        lambda _, z: rates(model, z, COMMAND), (0.0, seconds), x, "Radau", rtol=1e-10, atol=1e-12
     )
     return solved.y[:, -1]
 

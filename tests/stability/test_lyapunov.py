@@ -271,7 +271,7 @@ ROWS: dict[str, tuple[Any, dict[str, Any], dict[str, float]]] = {
     "Lagrangian, `rahideh`, hover": (Lagrangian, {"parameter_set": "rahideh"}, LEVEL),
 }
 #: Rows that take more than a second or two.
-LONG, SLOW = ("Newtonian", "Lagrangian"), pytest.mark.slow
+LONG = ("Newtonian", "Lagrangian")
 
 
 def rows() -> list[list[str]]:
@@ -293,7 +293,9 @@ def test_every_row_is_known() -> None:
 @pytest.mark.parametrize(
     "row",
     [
-        pytest.param(row, id=f"{row[0]} {row[1]}", marks=[SLOW] * row[0].startswith(LONG))
+        pytest.param(
+            row, id=f"{row[0]} {row[1]}", marks=[pytest.mark.slow] * row[0].startswith(LONG)
+        )
         for row in rows()
     ],
 )
