@@ -8,7 +8,6 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.models.static_curve import read_static_curve, rising_spline
-from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
 
 from .simulate import rates, slopes, travel
@@ -89,11 +88,6 @@ class TestEquations:
         level = rates(model, x)
         assert rates(model, x, (1.0, 0.0))[1] - level[1] == pytest.approx(-0.0178 / 0.0268)
         assert rates(model, x, (0.0, 1.0))[4] - level[4] == pytest.approx(0.0042 / 0.03006)
-
-    def test_hovers_and_yaws_within_its_limits(self):
-        target = SteadyState(Tras()).solve(np.array([0.0, 0.3]))
-        assert target.converged and not target.projected
-        assert 0.2 < target.u[0] < 0.8
 
 
 class TestMeasuredCurves:
