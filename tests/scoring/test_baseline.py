@@ -18,16 +18,8 @@ from trms_cli.scoring.baseline import (
     has_regressed,
     read_baseline,
 )
-from trms_cli.scoring.score import score_tables
-
-from .conftest import LIMITS, MakeTables
 
 KEY = "channels.alpha_v.rmse"
-
-
-@pytest.fixture(scope="module")
-def score(make_tables: MakeTables) -> dict[str, Any]:
-    return score_tables(make_tables(), limits=LIMITS, duration_s=40.0)
 
 
 def changed(score: dict[str, Any], path: str, value: Any) -> dict[str, Any]:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.comparison.findings import pair, ranking_findings
+from trms_cli.core.findings import plain
+from trms_cli.scoring.comparison.findings import pair, pair_findings, ranking_findings
 from trms_cli.scoring.comparison.ranking import FAILED_RATIO, figures_of, group, matching_runs, rank
 from trms_cli.scoring.comparison.runs import (
     ComparisonRun,
@@ -22,7 +23,10 @@ def run(controller, rmse=0.1, ref="square", rig="nominal", **more):
     """A run whose two channels share an error, and whose effort is 10 times that."""
     score = {
         "duration_s": 40.0,
-        "channels": {n: {"rmse": rmse / 2, "iae": 2 * rmse} for n in ("alpha_v", "alpha_h")},
+        "channels": {
+            name: {"rmse": rmse / 2, "iae": 2 * rmse, "unit": "rad"}
+            for name in ("alpha_v", "alpha_h")
+        },
         "inputs": {n: {"effort": 5 * rmse, "total_variation": 1.0} for n in ("u_v", "u_h")},
         "solver": {"time_ms": {"median": 0.1, "p99": 0.2, "max": 0.3}, "failures": 2},
         "constraint_violations": {},
@@ -243,10 +247,12 @@ class TestCoordinates:
 def test_a_pair_lists_every_figure_and_what_differs():
     one = replace(run("a"), config={"controller": {"gain": 1}, "sim": {"duration": 40.0}})
     other = replace(run("b", 0.2), config={"controller": {"k": 2}, "sim": {"duration": 80.0}})
-    found = pair(one, other)
-    assert found.settings == (("controller", "a", "b"), ("sim.duration", "40.0", "80.0"))
-    rmse = next(row for row in found.rows if row.key == "channels.alpha_v.rmse")
-    assert rmse.change == pytest.approx(1.0)
+    told = pair_findings(pair(one, other))
+    given, compared = told.tables
+    assert given.rows == [["controller", "a", "b"], ["sim.duration", "40.0", "80.0"]]
+    first = [plain(cell) for cell in compared.rows[0]]
+    assert first == ["alpha_v RMSE [rad]", 0.05, 0.1, 0.05, "+100.0 %"]
+    assert told.results["schema"] == "trms.compare_pair/1"
 
 
 def _title_and_notes(runs):

@@ -14,13 +14,10 @@ from trms_cli.reporting.run_panels import score_note
 from trms_cli.runs.columns import COLUMNS, figures_of
 from trms_cli.scoring import figures, findings
 from trms_cli.scoring.baseline import Baseline, compare
-from trms_cli.scoring.comparison.findings import pair, pair_findings, ranking_tables
+from trms_cli.scoring.comparison.findings import pair, ranking_tables
 from trms_cli.scoring.comparison.ranking import group, rank
 from trms_cli.scoring.comparison.runs import ComparisonRun
 from trms_cli.scoring.figures import Figure, FigureTolerance
-from trms_cli.scoring.score import score_tables
-
-from .conftest import LIMITS
 
 
 @pytest.fixture
@@ -62,10 +59,9 @@ def test_one_entry_is_a_figure_everywhere(ninth, make_log, capsys):
     assert worse.key == "channels.alpha_h.error_p95" and worse.unit == "rad"
 
 
-def test_keys_and_columns_are_told_once(make_tables):
+def test_keys_and_columns_are_told_once(score):
     keys = [(figure.group, figure.key) for figure in figures.FIGURES]
     assert len(set(keys)) == len(keys)
-    score = score_tables(make_tables(), limits=LIMITS, duration_s=40.0)
     columns = figures_of(score)
     for name, column in COLUMNS.items():
         if column.about and column.is_number and name not in ("seed", "sample_time", "took"):
@@ -97,22 +93,6 @@ def test_a_ranking_has_the_figures_of_each_entrant():
     cells = [plain(cell) for row in rows for cell in row]
     for shown in (0.1234, 123.4, 56.7, 1.23, 4.56, 7.89):
         assert cells.count(pytest.approx(shown)) == 3, shown
-
-
-def test_two_runs_are_told_with_what_differs():
-    one, other = (
-        ComparisonRun(
-            path=who, coordinates={"controller": who},
-            score={"channels": {"alpha_v": {"rmse": rmse, "unit": "rad"}}},
-        )
-        for who, rmse in (("pid", 0.2), ("lqr", 0.1))
-    )  # fmt: skip
-    told = pair_findings(pair(one, other))
-    given, compared = told.tables
-    assert given.rows == [["controller", "pid", "lqr"]]
-    first = [plain(cell) for cell in compared.rows[0]]
-    assert first == ["alpha_v RMSE [rad]", 0.2, 0.1, -0.1, "−50.0 %"]
-    assert told.results["schema"] == "trms.compare_pair/1"
 
 
 @pytest.mark.parametrize(
