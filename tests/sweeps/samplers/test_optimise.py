@@ -1,7 +1,6 @@
 """The search finds what there is to be found, proposes the same again, and tells it honestly."""
 
 import numpy as np
-import optuna
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -233,15 +232,6 @@ class TestFront:
             i for i, row in enumerate(losses) if not any(dominates(other, row) for other in losses)
         ]
         assert front(losses).tolist() == expected
-
-    def test_equals_that_of_optuna(self):
-        rows = np.random.default_rng(0).random((60, 3))
-        optuna.logging.set_verbosity(optuna.logging.ERROR)
-        study = optuna.create_study(directions=["minimize"] * 3)
-        for row in rows:
-            study.add_trial(optuna.trial.create_trial(values=list(row)))
-        theirs = sorted(trial.number for trial in study.best_trials)
-        assert front(rows).tolist() == theirs
 
     def test_hypervolume_of_a_staircase_and_of_one_point(self):
         """Two corners of the unit square: each alone has 1.1·0.1, together one 0.1² less than 2."""
