@@ -215,9 +215,3 @@ def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.
 def run() -> RunReport:
     """A run with everything that a log can hold."""
     return example_run()
-
-
-@pytest.fixture
-def make_run() -> Callable[..., RunReport]:
-    """Several runs."""
-    return example_run

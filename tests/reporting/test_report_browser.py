@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.reporting.conftest import events
+from tests.reporting.conftest import events, example_run
 from trms_cli.core.chart import Axis, Chart, Curve, Panel
 from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.reporting.chart_plot import Plot, script_json
@@ -137,11 +137,11 @@ def test_a_sweep_sorts_filters_and_changes_its_figure(opened, sweep):
 
 
 @pytest.mark.parametrize("what", ["run", "comparison", "sweep"])
-def test_a_telephone_needs_no_sideways_scroll(opened, make_run, sweep, what):
-    long = make_run("a_rather_long_name_of_a_folder_without_any_space_in_it_" + 3 * "0123456789")
+def test_a_telephone_needs_no_sideways_scroll(opened, sweep, what):
+    long = example_run("a_rather_long_name_of_a_folder_without_any_space_in_it_" + 3 * "0123456789")
     pages = {
         "run": lambda: findings_of_run(long),
-        "comparison": lambda: findings_of_comparison([long, make_run("other")]),
+        "comparison": lambda: findings_of_comparison([long, example_run("other")]),
         "sweep": lambda: findings_of_sweep(sweep),
     }
     page = opened(page_html(pages[what]()), width=375, is_mobile=True, has_touch=True)

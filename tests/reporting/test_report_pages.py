@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.reporting.conftest import logged, unpacked, with_columns
+from tests.reporting.conftest import example_run, logged, unpacked, with_columns
 from trms_cli.core.findings import Datum, Findings, Section, Table
 from trms_cli.library.report.pages import runs_of_rows
 from trms_cli.library.report.sweeps import read_sweep, relative_link
@@ -36,7 +36,7 @@ from trms_cli.reporting.sweep_report import (
 )
 from trms_cli.runs.query import QueryResult
 from trms_cli.scoring.comparison.ranking import group, rank
-from trms_cli.scoring.comparison.runs import ComparisonRun, State, complete_coordinates
+from trms_cli.scoring.comparison.runs import ComparisonRun, State
 
 
 def plots_of(page):
@@ -199,9 +199,9 @@ class TestRun:
         np.testing.assert_allclose([x[s] for s in starts[:-1]], made, rtol=1e-6)
         assert not len(unpacked(spec["traces"][chosen]["x"]))
 
-    def test_is_small_for_eighty_seconds_at_a_hundred_hertz(self, make_run):
+    def test_is_small_for_eighty_seconds_at_a_hundred_hertz(self):
         # ten times the samples of the example are those of 80 s at 200 Hz
-        page = findings_of_run(make_run(seconds=800.0))
+        page = findings_of_run(example_run(seconds=800.0))
         assert len(page_html(page).encode()) < 3e6
         traces = [trace for spec in plots_of(page).values() for trace in spec["traces"]]
         longest = max(len(unpacked(t["y"])) for t in traces if isinstance(t["y"], dict))
@@ -247,9 +247,9 @@ class TestRun:
 class TestComparison:
     """Several runs over one another."""
 
-    def test_runs_lie_over_one_another_and_the_best_is_marked(self, make_run):
-        one = make_run("one")
-        page = findings_of_comparison([one, make_run("other", shift=0.2)])
+    def test_runs_lie_over_one_another_and_the_best_is_marked(self):
+        one = example_run("one")
+        page = findings_of_comparison([one, example_run("other", shift=0.2)])
         plots = plots_of(page)
         assert list(traces_of(plots["yaw"])) == ["reference", "one", "other"]
         assert "**one** tracks best" in page.lead[0]
@@ -263,20 +263,22 @@ class TestComparison:
         )
         np.testing.assert_allclose(error, wanted - actual, atol=1e-7)
 
-    def test_different_references_are_drawn_each(self, make_run):
-        other = make_run("other")
+    def test_different_references_are_drawn_each(self):
+        other = example_run("other")
         higher = {n: v + 0.1 for n, v in other.tables["/reference"].columns.items()}
-        page = findings_of_comparison([make_run("one"), with_columns(other, "/reference", higher)])
+        page = findings_of_comparison(
+            [example_run("one"), with_columns(other, "/reference", higher)]
+        )
         names = ["reference of one", "reference of other", "one", "other"]
         assert list(traces_of(plots_of(page)["yaw"])) == names
 
-    def test_runs_without_anything_in_common(self, make_run):
+    def test_runs_without_anything_in_common(self):
         empty = RunReport(name="dead", tables={}, outcome="died")
-        page = findings_of_comparison([make_run("one"), empty], left_out=[("x.mcap", "damaged")])
+        page = findings_of_comparison([example_run("one"), empty], left_out=[("x.mcap", "damaged")])
         assert "**Incomplete**: dead" in page.lead[1] and "x.mcap" in page_html(page)
 
-    def test_ranking_has_intervals(self, make_run, ranking):
-        page = findings_of_comparison([make_run("a"), make_run("b")], ranking=ranking)
+    def test_ranking_has_intervals(self, ranking):
+        page = findings_of_comparison([example_run("a"), example_run("b")], ranking=ranking)
         (trace,) = plots_of(page)["error over the best's"]["traces"]
         first, second = ranking.standings
         ends = second.interval.low, second.interval.high
@@ -393,26 +395,15 @@ class TestSweep:
         typed = ["a/fit/model.yaml", "./b/fit", "b/fit/model.yaml"]
         rows = [row(i, path) for i, path in enumerate(typed)]
         found = QueryResult(runs=rows, columns={}, matching=3, of=3, folders=(), unreadable=())
-        logs = [
-            ComparisonRun(
-                path=path,
-                coordinates={"controller": "lqr", "model": "fit"},
-                config={"model": {"path": path}},
-            )
-            for path in ("a/fit/model.yaml", "b/fit/model.yaml")
-        ]
-        names = group(complete_coordinates(logs)).entrants
-        assert names == ("fit + path=a/fit/model.yaml", "fit + path=b/fit/model.yaml")
+        names = ("fit + path=a/fit/model.yaml", "fit + path=b/fit/model.yaml")
         assert group(runs_of_rows(found)).entrants == names
         report = read_sweep([tmp_path], found, tmp_path)
         assert [run.entrant for run in report.runs] == [names[0], names[1], names[1]]
         assert report.keys == ["model.path"]
         other = [{**row(3, "c/rig.yaml"), "model": "rig"}]
         found = replace(found, runs=[rows[0], *other])
-        assert [run.entrant for run in read_sweep([tmp_path], found, tmp_path).runs] == [
-            "fit",
-            "rig",
-        ]
+        report = read_sweep([tmp_path], found, tmp_path)
+        assert [run.entrant for run in report.runs] == ["fit", "rig"]
 
     @pytest.mark.parametrize("count", [0, 1])
     def test_one_run_and_none(self, count):
