@@ -6,25 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.recordings.played_rig import play
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
 from trms_cli.observers.augmentation import InitialSd, ProcessNoise
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.ukf import Ukf
-from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.replay import RecordedRig
 from trms_cli.plants.sensors import Sensors
-from trms_cli.plants.simulated import SimulatedRig
 from trms_cli.recordings.csv_recording import write_csv
-from trms_cli.recordings.recording import Recording
 from trms_cli.scoring.score import Series, innovation_table
 from trms_cli.simulation.closed_loop import estimate_row
 from trms_cli.simulation.history import History
 from trms_cli.simulation.replay import Replay
 
 SAMPLE_TIME = 0.02
-SAMPLES = 3000
 #: White noise, no quanta: what the theory of innovations is about.
 SENSORS = Sensors(noise_sd={"alpha_v": 0.002, "alpha_h": 0.002, "omega_v": 1.6, "omega_h": 1.6})
 #: A filter that believes what is true of these rigs: no process noise, no disturbance.
@@ -34,24 +31,12 @@ CERTAIN = Ukf(
 )
 
 
-def record(model: Model, path: Path, rig: SimulatedRig | None = None) -> np.ndarray:
+def record(model: Model, path: Path) -> np.ndarray:
     """Shake a rig with random steps and write what was measured; returns the measurements."""
-    rig = rig or SimulatedRig(model=model, sensors=SENSORS)
-    run = rig.init(PlantSetup(SAMPLE_TIME, SAMPLES, seed=5))
-    generator = np.random.default_rng(8)
-    scale = run.input_limits[1] * [0.3, 0.4]
-    offset = run.input_limits[1] * [0.4, 0.0]
-    commands = np.repeat(generator.uniform(-1, 1, (SAMPLES // 50, 2)), 50, axis=0) * scale + offset
-    measured = []
-    for u in commands:
-        measured.append(run.measure())
-        run.advance(u)
-    measurements = np.array(measured)
-    channels = {s.name: commands[:, i] for i, s in enumerate(run.inputs)}
-    channels |= {s.name: measurements[:, i] for i, s in enumerate(run.outputs)}
-    units = {s.name: s.unit for s in (*run.inputs, *run.outputs)}
-    write_csv(Recording(np.arange(SAMPLES) * SAMPLE_TIME, channels, units), path)
-    return measurements
+    scale = 0.4 * model.input_bounds()[1]
+    recording = play("multilevel", model=model, seed=5, scale=scale, sensors=SENSORS)
+    write_csv(recording, path)
+    return np.column_stack([recording.channels[s.name] for s in model.outputs])
 
 
 def replay(file: Path, model: Model, observer: Ukf = CERTAIN, **keys) -> Replay:
