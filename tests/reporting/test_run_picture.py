@@ -7,18 +7,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.reporting.conftest import events, logged
+from tests.reporting.conftest import events, example_run, logged
 from trms_cli.reporting import run_picture
 from trms_cli.reporting.run_picture import Painter, draw_run
 from trms_cli.scoring.score import Series, score_tables
 
-TIME = np.arange(500) * 0.02
-LIMITS = {"u_v": (-2.5, 2.5), "alpha_v": (-1.05, 1.05)}
+LIMITS = {"u_v": (-0.5, 0.5), "alpha_v": (-1.05, 1.05)}  # which u_v exceeds
+EXAMPLE = example_run(seconds=10.0).tables
+TIME = EXAMPLE["/reference"].time
+#: Columns by topic of a run with all that its picture shows, but events.
+EVERYTHING = {
+    topic: dict(table.columns)
+    for topic, table in EXAMPLE.items()
+    if topic not in ("/event", "/prediction")
+}
+PITCH = {"/reference": {"alpha_v": np.sin(TIME)}}
 
 
 def told(columns: dict[str, dict[str, Any]], *happened: Any) -> dict[str, Series]:
     """Signals that are made up, with their events."""
-    times = dict.fromkeys(columns, TIME)
+    times = {topic: EXAMPLE[topic].time for topic in columns}
     if happened:
         columns = {**columns, "/event": events(*happened)}
         times["/event"] = columns["/event"].pop("time")
@@ -27,31 +35,7 @@ def told(columns: dict[str, dict[str, Any]], *happened: Any) -> dict[str, Series
 
 @pytest.fixture
 def history() -> dict[str, Series]:
-    return told(everything())
-
-
-def wave(lag: float = 0.0) -> np.ndarray:
-    return np.sin(TIME - lag)
-
-
-def everything() -> dict[str, dict[str, Any]]:
-    return {
-        "/reference": {"alpha_v": wave(), "alpha_h": wave(1.0)},
-        "/command": {"u_v": 3 * wave(), "u_h": wave()},
-        "/measurement": {"alpha_v": wave(0.1)},
-        "/plant/state": {"alpha_v": wave(0.1), "alpha_h": wave(1.1)},
-        "/estimate": {
-            "alpha_v": wave(0.12),
-            "sd_alpha_v": np.full(500, 0.05),
-            "yaw_moment": 0.01 * wave(),
-            "sd_yaw_moment": np.full(500, 0.002),
-        },
-        "/controller": {
-            "solve_time_s": np.full(500, 1e-4),
-            "fallback": (TIME > 8) & (TIME < 9),
-            "status": np.array(["ok"] * 500, dtype=object),
-        },
-    }
+    return told(EVERYTHING)
 
 
 def score(tables: dict[str, Series]) -> dict[str, Any]:
@@ -67,19 +51,19 @@ def size(picture: Path) -> tuple[int, int]:
 
 
 def only(*topics: str) -> dict[str, dict[str, Any]]:
-    return {topic: columns for topic, columns in everything().items() if topic in topics}
+    return {topic: columns for topic, columns in EVERYTHING.items() if topic in topics}
 
 
 @pytest.mark.parametrize(
     "columns",
     [
-        everything(),
+        EVERYTHING,
         only("/reference", "/command", "/plant/state", "/controller"),
         only("/command", "/measurement", "/estimate"),
         only("/reference", "/command"),
-        {**everything(), "/reference": {"alpha_v": wave()}},
-        {**everything(), "/plant/state": {"alpha_v": np.full(500, np.nan)}},
-        {**everything(), "/controller": {"solve_time_s": np.zeros(500)}},
+        {**EVERYTHING, **PITCH},
+        {**EVERYTHING, "/plant/state": {"alpha_v": np.full(len(TIME), np.nan)}},
+        {**EVERYTHING, "/controller": {"solve_time_s": np.zeros(len(TIME) // 2)}},
     ],
     ids=["all", "no observer", "recording", "no outputs", "one axis", "no numbers", "no time"],
 )
@@ -91,20 +75,20 @@ def test_every_kind_of_run_is_drawn(tmp_path, columns):
     assert width == 990 and height > 250
 
 
-ROTORS = {"main_motor": 0.001 * wave(), "sd_main_motor": np.full(500, 1e-4)}
+ROTORS = {"main_motor": 0.001 * np.sin(TIME), "sd_main_motor": np.full(len(TIME), 1e-4)}
 
 
 @pytest.mark.parametrize(
     ("topic", "columns", "title", "least"),
     [
-        ("/reference", {"alpha_v": wave(), "alpha_h": wave()}, "", 150),
-        ("/estimate", {**everything()["/estimate"], **ROTORS}, "", 80),
-        ("/reference", {"alpha_v": wave()}, " · ".join(f"part {i} of it" for i in range(10)), 15),
+        ("/reference", EVERYTHING["/reference"], "", 150),
+        ("/estimate", {**EVERYTHING["/estimate"], **ROTORS}, "", 80),
+        ("/reference", PITCH["/reference"], " · ".join(f"part {i} of it" for i in range(10)), 15),
     ],
     ids=["another axis", "torques on rotors", "a title of two lines"],
 )
 def test_what_is_more_makes_the_picture_taller(tmp_path, topic, columns, title, least):
-    one = {**everything(), "/reference": {"alpha_v": wave()}}
+    one = {**EVERYTHING, **PITCH}
     heights = []
     for shown, words in ((one, "short"), ({**one, topic: columns}, title)):
         history = told(shown)
@@ -122,7 +106,7 @@ def test_events_change_the_picture(tmp_path):
         [(2.0, "fault", "controller", "", np.nan)],
         [(2.0, "fault_end", "controller", "", np.nan)],
     ):
-        history = told(everything(), *happened)
+        history = told(EVERYTHING, *happened)
         draw_run(history, score(history), tmp_path / "run.png")
         pictures.add((tmp_path / "run.png").read_bytes())
     assert len(pictures) == 4  # the end of a fault alone is no mark

@@ -23,7 +23,7 @@ _TOPICS = standard_topics(
 CONFIG = b"sim:\n  duration: 6\n  sample_time: 0.02\nseed: 0\n"
 
 
-def _score(**changes: Any) -> dict[str, Any]:
+def score(**changes: Any) -> dict[str, Any]:
     """A ``trms.score/1`` of two channels with the figures that index and filters are tried on."""
     channel = {"rmse": 0.1, "iae": 1.0, "settling_time_s": None, "steps": 1, "unit": "rad"}
     document: dict[str, Any] = {
@@ -40,12 +40,6 @@ def _score(**changes: Any) -> dict[str, Any]:
         if f"rmse_{channel_name}" in changes:
             document["channels"][channel_name]["rmse"] = changes.pop(f"rmse_{channel_name}")
     return document | changes
-
-
-@pytest.fixture
-def score() -> Callable[..., dict[str, Any]]:
-    """Makes a score; keys replace what it has."""
-    return _score
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +97,7 @@ def write_run(runs: Path) -> WriteRun:
         log.flush()
         if ending is None:  # killed: what was flushed is all there is
             return log.path
-        log.close(ending, _score() if scored is None else scored)
+        log.close(ending, score() if scored is None else scored)
         return log.path
 
     return write

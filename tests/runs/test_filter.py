@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import fnmatch
+import math
+import operator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -40,25 +43,23 @@ class Missing:
     __truediv__ = __rtruediv__ = __neg__ = __pos__ = same
 
 
-class Number(float):
-    """A number whose arithmetic is that of the language: what has no value is missing."""
+def with_missing(operation: Callable[[float, float], float]) -> Callable[[Any, Any], Any]:
+    """An operation by the rules of the language: what has no value is missing."""
 
-    def _told(self, value: float) -> Any:
-        return Missing() if value != value else Number(value)
-
-    def __add__(self, other: Any) -> Any:
-        return other if isinstance(other, Missing) else self._told(float(self) + float(other))
-
-    def __sub__(self, other: Any) -> Any:
-        return other if isinstance(other, Missing) else self._told(float(self) - float(other))
-
-    def __mul__(self, other: Any) -> Any:
-        return other if isinstance(other, Missing) else self._told(float(self) * float(other))
-
-    def __truediv__(self, other: Any) -> Any:
-        if isinstance(other, Missing) or float(other) == 0:
+    def result(one: Any, other: Any) -> Any:
+        if isinstance(other, Missing) or (operation is operator.truediv and other == 0):
             return Missing()
-        return self._told(float(self) / float(other))
+        value = operation(float(one), float(other))
+        return Missing() if math.isnan(value) else Number(value)
+
+    return result
+
+
+class Number(float):
+    """A number whose arithmetic is that of the language."""
+
+    __add__, __sub__ = with_missing(operator.add), with_missing(operator.sub)
+    __mul__, __truediv__ = with_missing(operator.mul), with_missing(operator.truediv)
 
     def __neg__(self) -> Any:
         return Number(-float(self))

@@ -26,7 +26,7 @@ from trms_cli.runs.place import index_file, new_runs, note_run
 from trms_cli.runs.query import Query, find
 from trms_cli.scoring.score import score_log
 
-from .conftest import CONFIG
+from .conftest import CONFIG, score
 
 
 def paths(**how) -> list[str]:
@@ -92,7 +92,7 @@ class TestRow:
         assert (run["controller"], run["effects"], run["version"]) == ("lqr", "inflow", None)
         assert (run["rmse_alpha_v"], run["complete"]) == (0.1, True)
 
-    def test_a_rig_with_other_channels(self, write_run, score):
+    def test_a_rig_with_other_channels(self, write_run):
         channels = {"beta": {"rmse": 0.3}, "alpha_v": {"rmse": 0.1}}
         write_run(scored=score(channels=channels))
         write_run("two")
@@ -391,7 +391,7 @@ class TestDatabase:
 class TestOrder:
     """Sorting, limits and columns."""
 
-    def test_what_has_no_value_comes_last(self, write_run, score):
+    def test_what_has_no_value_comes_last(self, write_run):
         for k, value in enumerate((0.2, None, 0.1)):
             write_run(f"r{k}", scored=score(rmse_alpha_h=value))
         assert paths(sort="rmse_yaw") == ["r2", "r0", "r1"]
@@ -411,7 +411,7 @@ class TestOrder:
         assert "rmse_yaw" in caught.value.remedy
 
 
-def test_a_table_has_types_units_and_what_find_runs_says(write_run, score):
+def test_a_table_has_types_units_and_what_find_runs_says(write_run):
     write_run("a", overrides=["plant.prior_seed=3"])
     write_run("b", scored=score(rmse_alpha_h=None), ending="failed")
     columns = ["path", "complete", "seed", "rmse_yaw", "plant.prior_seed"]
@@ -431,7 +431,7 @@ def test_values_of_several_types_become_text(write_run):
 
 
 @pytest.mark.skipif(find_spec("pandas") is None, reason="pandas is no dependency")
-def test_a_frame(write_run, score):
+def test_a_frame(write_run):
     write_run("a")
     write_run("b", scored=score(rmse_alpha_h=None))
     frame = runs_frame("controller == 'pid'", sort="rmse_yaw")
