@@ -78,17 +78,6 @@ def test_files_that_are_no_logs(path, content, problem):
     assert str(path) in str(caught.value) and caught.value.remedy
 
 
-def test_a_log_of_another_program(path):
-    writer = Writer(str(path))
-    writer.start(library="robot 1.0")
-    schema = writer.register_schema("x", "jsonschema", b"{}")
-    channel = writer.register_channel("/odometry", "json", schema)
-    writer.add_message(channel, 0, b"{}", 0)
-    writer.finish()
-    with pytest.raises(RecordingError, match=r"another program \(robot 1\.0; topics /odometry\)"):
-        read_log(path)
-
-
 @pytest.mark.parametrize("chunked", [True, False])
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_a_log_rewritten_by_another_tool(tmp_path, write_run, chunked, compression):
@@ -118,16 +107,21 @@ def test_a_log_rewritten_by_another_tool(tmp_path, write_run, chunked, compressi
     )
 
 
-def test_messages_that_do_not_fit_are_a_clear_error(path):
+@pytest.mark.parametrize(
+    ("library", "topic", "message", "problem"),
+    [
+        ("robot 1.0", "/odometry", b"{}", r"another program \(robot 1\.0; topics /odometry\)"),
+        ("trms 0", "/t", b'{"x": "text"}', "/t are not as trms writes them"),
+    ],
+)
+def test_messages_of_another_program_or_that_do_not_fit(path, library, topic, message, problem):
     writer = Writer(str(path))
-    writer.start(library="trms 0")
+    writer.start(library=library)
     schema = orjson.dumps({"type": "object", "properties": {"x": {"type": "number"}}})
-    channel = writer.register_channel(
-        "/t", "json", writer.register_schema("x", "jsonschema", schema)
-    )
-    writer.add_message(channel, 0, b'{"x": "text"}', 0)
+    schema_id = writer.register_schema("x", "jsonschema", schema)
+    writer.add_message(writer.register_channel(topic, "json", schema_id), 0, message, 0)
     writer.finish()
-    with pytest.raises(RecordingError, match="/t are not as trms writes them"):
+    with pytest.raises(RecordingError, match=problem):
         read_log(path)
 
 

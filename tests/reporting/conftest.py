@@ -125,12 +125,8 @@ def with_columns(run: RunReport, topic: str, columns: Mapping[str, Any]) -> RunR
 def events(*rows: tuple[float, str, str, str, float]) -> dict[str, Any]:
     """Columns of events: time, kind, source, message and value of each."""
     names = ("time", "kind", "source", "message", "value")
-    return {
-        name: np.array(
-            [row[i] for row in rows], dtype=float if name in ("time", "value") else object
-        )
-        for i, name in enumerate(names)
-    }
+    columns = dict(zip(names, np.array(rows, dtype=object).T, strict=True))
+    return columns | {name: columns[name].astype(float) for name in ("time", "value")}
 
 
 def example_run(name: str = "first", *, shift: float = 0.0, seconds: float = 20.0) -> RunReport:

@@ -124,28 +124,26 @@ def test_a_first_order_response(tau, size, offset, start):
     assert steady_state_error(TIME, reference, response) < abs(size) * 1e-3
 
 
-@given(st.floats(0.3, 0.85), st.floats(1.0, 6.0), sizes, st.floats(-1, 1))
-def test_a_second_order_response(damping, frequency, size, offset):
-    reference = offset + np.where(TIME >= 2.0 - 1e-9, size, 0.0)
-    response = offset + size * second_order(TIME - 2.0, damping, frequency)
-    (step,) = steps(TIME, reference, response)
+@given(st.floats(0.3, 0.85), st.floats(1.0, 6.0), sizes, st.floats(-1, 1), st.floats(1.0, 5.0))
+def test_a_second_order_response(damping, frequency, size, offset, start):
+    start = round(start / 0.002) * 0.002
+
+    def step_of(size: float, offset: float, start: float) -> metrics.StepMetrics:
+        reference = offset + np.where(start - 1e-9 <= TIME, size, 0.0)
+        response = offset + size * second_order(TIME - start, damping, frequency)
+        (step,) = steps(TIME, reference, response)
+        return step
+
+    step, unit = step_of(size, offset, start), step_of(1.0, 0.0, 2.0)
     root = math.sqrt(1 - damping**2)
     expected = 100 * math.exp(-math.pi * damping / root)
     assert step.overshoot_percent == pytest.approx(expected, abs=0.01)
     # the envelope settles no earlier
     assert step.settling_time <= -math.log(0.02 * root) / (damping * frequency) + 0.01
     assert 0.5 / frequency < step.rise_time < 3.5 / frequency
-
-
-@given(st.floats(0.3, 0.85), sizes)
-def test_size_sign_offset_and_start_do_not_matter(damping, size):
-    def metrics_of(size: float, offset: float, start: float) -> tuple[float, ...]:
-        reference = offset + np.where(start - 1e-9 <= TIME, size, 0.0)
-        response = offset + size * second_order(TIME - start, damping, 2.0)
-        (step,) = steps(TIME, reference, response)
-        return step.overshoot_percent, step.rise_time, step.settling_time
-
-    assert metrics_of(size, 0.3, 4.0) == pytest.approx(metrics_of(1.0, 0.0, 2.0), abs=5e-3)
+    # size, sign, offset and start do not matter
+    assert step.rise_time == pytest.approx(unit.rise_time, abs=5e-3)
+    assert step.settling_time == pytest.approx(unit.settling_time, abs=5e-3)
 
 
 def square(half: float, count: int) -> tuple[np.ndarray, np.ndarray]:

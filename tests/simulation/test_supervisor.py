@@ -13,7 +13,6 @@ from trms_cli.core.resources import config_folder
 from trms_cli.library.tasks.run import score_of
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.scoring.score import Series
 from trms_cli.simulation.supervisor import Mode, Supervisor, SupervisorSetup, WatchingRun
 
 from .looping import composed, looped
@@ -155,22 +154,15 @@ class Ran:
         self.score: dict[str, Any] = score_of(self.loop, Path("x"), complete=True)
         history = self.loop.history
         self.commands = np.column_stack(list(history.columns("/command").values()))
-        state = Series(np.array(history.times("/plant/state")), history.columns("/plant/state"))
-        reference = history.columns("/reference")
+        self.variation = float(np.abs(np.diff(self.commands, axis=0)).sum())  # of all inputs, V
+        state = history.columns("/plant/state")
         self.late_error = max(
-            float(np.abs(np.asarray(state.columns[n])[-100:] - np.asarray(r)[-100:]).max())
-            for n, r in reference.items()
+            float(np.abs(np.asarray(state[n])[-100:] - np.asarray(r)[-100:]).max())
+            for n, r in history.columns("/reference").items()
         )
 
-    @property
-    def variation(self) -> float:
-        """Total variation of all inputs, V."""
-        return float(np.abs(np.diff(self.commands, axis=0)).sum())
 
-
-@cache
-def ran(*overrides: str) -> Ran:
-    return Ran(*overrides)
+ran = cache(Ran)
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)

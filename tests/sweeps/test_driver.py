@@ -274,19 +274,14 @@ def test_a_lost_run_tells_what_is_known(tmp_path):
     assert "died 2 times: killed" in status["error"]["problem"]
 
 
-@pytest.fixture
-def plan() -> SweepPlan:
+def test_the_plan_comes_back_as_it_was(tmp_path):
     space = Space(
         ("controller=pid",),
         (Choice("seed", ("1", "2")),),
         (Range("a.b", 0.1, 1.0, True), PriorOfKey("plant.parameters.k_g", 0.2, 0.01, 0.1, 0.3)),
     )
-    return SweepPlan(
-        "run", "trms_cli.commands.run:perform", ("controller=pid",), (), space, {"a": 1}, {"b": 2}
-    )
-
-
-def test_the_plan_comes_back_as_it_was(tmp_path, plan):
+    work = "trms_cli.commands.run:perform"
+    plan = SweepPlan("run", work, ("controller=pid",), (), space, {"a": 1}, {"b": 2})
     record = Record(tmp_path)
     record.begin(plan)
     record.note(total=12)
@@ -294,7 +289,7 @@ def test_the_plan_comes_back_as_it_was(tmp_path, plan):
     assert record.document()["total"] == 12 and record.document()["schema"] == "trms.sweep/1"
 
 
-def test_a_half_written_line_is_cut_off(tmp_path, plan):
+def test_a_half_written_line_is_cut_off(tmp_path):
     record = Record(tmp_path)
     record.append(
         [SweepPoint(0, ("seed=1",), {"seed": "1"}), SweepPoint(1, ("seed=2",), {}, trial=3)]
