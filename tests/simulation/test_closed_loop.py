@@ -13,17 +13,15 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.full_state import FullState
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
-from trms_cli.recordings.topics import CONTROLLER_TOPIC
 from trms_cli.references.constant import Constant
 from trms_cli.references.square import Square
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.closed_loop import Experiment, Loop
 from trms_cli.simulation.history import History
 
+from .looping import looped, started
+
 MODEL = Newtonian()
-INPUTS = ("u_v", "u_h")
-ANGLES = ("alpha_v", "alpha_h")
-STATES = tuple(signal.name for signal in MODEL.states)
 NOWHERE = ReferenceTrajectory(alpha_v=Constant(offset=math.nan), alpha_h=Constant())
 
 
@@ -64,22 +62,8 @@ def experiment(controller: Any, **changes: Any) -> Experiment:
     return Experiment(**(settings | changes))
 
 
-def keep(plant: Any) -> History:
-    """A history in memory."""
-    return History(
-        {
-            "/reference": dict.fromkeys(ANGLES, "rad"),
-            "/command": dict.fromkeys(INPUTS, "V"),
-            "/plant/state": dict.fromkeys(STATES, ""),
-        },
-        None,
-    )
-
-
 def run(controller: Any, **changes: Any) -> Loop:
-    loop = Loop.start(experiment(controller, **changes), keep)
-    loop.run()
-    return loop
+    return looped(experiment(controller, **changes))
 
 
 def kinds(loop: Loop) -> list[tuple[str, str]]:
@@ -99,9 +83,7 @@ def test_a_command_that_is_not_finite_never_reaches_the_plant(value: float) -> N
 
 def test_commands_that_are_not_finite_are_told_once_a_spell_and_count_as_failures() -> None:
     script = Scripted(lambda k: (math.nan if k in (3, 4, 9) else 0.5, 0.0))
-    words = dict.fromkeys(CONTROLLER_TOPIC.field_names, "")
-    loop = Loop.start(experiment(script), lambda plant: History({"/controller": words}, None))
-    loop.run()
+    loop = run(script)
     assert kinds(loop) == [("fault", "controller"), ("fault_end", "controller")] * 2
     acted = np.flatnonzero(loop.history.columns("/controller")["fallback"])
     assert acted.tolist() == [3, 4, 9]
@@ -155,7 +137,7 @@ def test_the_controller_sees_the_command_as_it_was_applied() -> None:
 
 def test_two_runs_are_equal_to_the_bit_and_share_nothing() -> None:
     one = experiment(Scripted(lambda k: (1.0 + 0.1 * math.sin(k), -0.2)), seed=4)
-    first, second = Loop.start(one, keep), Loop.start(one, keep)
+    first, second = started(one), started(one)
     second.run()
     first.run()
     for topic in ("/plant/state", "/command"):
@@ -165,7 +147,7 @@ def test_two_runs_are_equal_to_the_bit_and_share_nothing() -> None:
 
 def test_progress_is_told_each_simulated_second() -> None:
     told: list[float] = []
-    loop = Loop.start(experiment(Scripted(lambda k: (0.0, 0.0)), duration=3.0), keep)
+    loop = started(experiment(Scripted(lambda k: (0.0, 0.0)), duration=3.0))
     loop.run(lambda time, error: told.append(time))
     assert told == pytest.approx([1.0, 2.0, 3.0])
 
@@ -176,7 +158,7 @@ def test_an_interrupted_loop_keeps_what_is_done() -> None:
             raise KeyboardInterrupt
         return 0.1, 0.1
 
-    loop = Loop.start(experiment(Scripted(stop_at_30)), keep)
+    loop = started(experiment(Scripted(stop_at_30)))
     with pytest.raises(KeyboardInterrupt):
         loop.run()
     assert loop.done == 30
@@ -214,7 +196,7 @@ def test_nothing_is_kept_of_a_plugin_that_refuses() -> None:
 def test_what_cannot_be_run_names_its_key(changes: dict[str, Any], where: str) -> None:
     changes = {"controller": Scripted(lambda k: (0.0, 0.0))} | changes
     with pytest.raises(ConfigurationError) as caught:
-        Loop.start(experiment(**changes), keep)
+        started(experiment(**changes))
     assert caught.value.where == where
     assert caught.value.remedy
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.recordings.played_rig import play
+from trms_cli.library.tasks.replay import _topics
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.tras import Tras
@@ -20,6 +21,8 @@ from trms_cli.scoring.score import Series, innovation_table
 from trms_cli.simulation.closed_loop import estimate_row
 from trms_cli.simulation.history import History
 from trms_cli.simulation.replay import Replay
+
+from .looping import units_of
 
 SAMPLE_TIME = 0.02
 #: White noise, no quanta: what the theory of innovations is about.
@@ -41,19 +44,7 @@ def record(model: Model, path: Path) -> np.ndarray:
 
 def replay(file: Path, model: Model, observer: Ukf = CERTAIN, **keys) -> Replay:
     rig = RecordedRig(file=str(file), sensors=SENSORS, **keys).load(model)
-    outputs = {s.name: s.unit for s in rig.outputs}
-    states = {s.name: s.unit for s in (*model.states, *model.disturbances)}
-    estimate = states | {f"sd_{name}": unit for name, unit in states.items()}
-    for name, unit in outputs.items():
-        estimate |= {
-            f"{kind}_{name}": unit for kind in ("predicted", "innovation", "innovation_sd")
-        }
-    units = {
-        "/command": {s.name: s.unit for s in rig.inputs},
-        "/measurement": outputs,
-        "/estimate": estimate,
-        "/reference": dict.fromkeys(rig.references, "rad"),
-    }
+    units = units_of(_topics(model, rig))
     replay = Replay.start(model, rig, observer, lambda rig: History(units, None))
     replay.run()
     return replay
