@@ -1,6 +1,5 @@
 """Compiled functions: equal to interpreted ones, cached by content, optional."""
 
-import os
 import stat
 import subprocess
 import sys
@@ -50,13 +49,8 @@ def test_compiled_equals_interpreted_in_arrays_that_stay_and_may_be_shared(cache
 def test_cache_is_by_content_in_another_process_too(cache: Path) -> None:
     compile_function(function(2.0))
     compile_function(function(2.0))
-    code = (
-        "import casadi as ca; from trms_cli.core.compilation import compile_function\n"
-        "x, y = ca.SX.sym('x', 3), ca.SX.sym('y', 2, 2)\n"
-        "compile_function(ca.Function('sample', [x, y],"
-        " [2.0 * ca.sin(x), ca.mtimes(y, y), ca.jacobian(x**2, x)]))"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ.copy())
+    code = "from tests.core.test_compilation import *; compile_function(function(2.0))"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
     assert len(list(cache.glob("*.so"))) == 1
     compile_function(function(3.0))
     assert len(list(cache.glob("*.so"))) == 2

@@ -1,5 +1,6 @@
 """Resampling, outliers, gaps and shifts: what is done is right, said, and done on request only."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -169,8 +170,7 @@ class TestDelays:
         recording = play("prbs", duration=30.0)
         late = dict(recording.channels)
         late["omega_h"] = np.concatenate([np.full(4, late["omega_h"][0]), late["omega_h"][:-4]])
-        spoilt = Recording(recording.time, late, recording.units, {}, recording.source)
-        mended = shift_channels(spoilt, {"omega_h": 4 * STEP})
+        mended = shift_channels(replace(recording, channels=late), {"omega_h": 4 * STEP})
         assert len(mended) == len(recording) - 4
         for name in recording.channels:
             np.testing.assert_array_equal(mended.channels[name], recording.channels[name][:-4])
@@ -201,8 +201,7 @@ class TestLoop:
 
     def test_what_the_recording_says_wins_and_too_little_is_not_told(self):
         recording = play("closed", duration=20.0)
-        said = Recording(recording.time, recording.channels, recording.units, {"loop": "open"})
-        loop = summarise(said).loop
+        loop = summarise(replace(recording, metadata={"loop": "open"})).loop
         assert loop.declared and loop.state == "open" and max(loop.answered.values()) > 0.1
         assert summarise(made(np.arange(50) * 0.02)).loop.state == "unknown"
 
@@ -214,9 +213,7 @@ class TestFindings:
         channels["alpha_h"] = np.zeros(len(recording))
         channels["omega_h"] = np.full(len(recording), np.nan)
         channels["u_v"] = np.clip(channels["u_v"] + np.linspace(0, 1e-3, len(recording)), -0.4, 0.4)
-        found = summarise(
-            Recording(recording.time, channels, recording.units, {}, recording.source)
-        )
+        found = summarise(replace(recording, channels=channels))
         words = " | ".join(found.sentences)
         assert "alpha_h is constant at 0 rad" in words
         assert "omega_h: not a single value" in words

@@ -36,7 +36,7 @@ from trms_cli.reporting.sweep_report import (
 )
 from trms_cli.runs.query import QueryResult
 from trms_cli.scoring.comparison.ranking import group, rank
-from trms_cli.scoring.comparison.runs import ComparisonRun, State
+from trms_cli.scoring.comparison.runs import ComparisonRun
 
 
 def plots_of(page):
@@ -126,9 +126,7 @@ def ranking():
         ComparisonRun(
             path=f"{who}{rig}",
             coordinates={"controller": who, "plant": str(rig)},
-            state=State.DONE,
             score={"channels": {"alpha_h": {"rmse": 0.1 + more * rig}}},
-            message="",
         )
         for rig in range(1, 7)
         for who, more in (("pid", 0.0), ("lqr", 0.01))

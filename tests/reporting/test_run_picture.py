@@ -39,8 +39,7 @@ def history() -> dict[str, Series]:
 
 
 def score(tables: dict[str, Series]) -> dict[str, Any]:
-    signals = {topic: table for topic, table in tables.items() if topic != "/event"}
-    return score_tables(signals, limits=LIMITS, duration_s=10.0)
+    return score_tables(tables, limits=LIMITS, duration_s=10.0)
 
 
 def size(picture: Path) -> tuple[int, int]:

@@ -126,14 +126,14 @@ class TestRanking:
 
 
 class TestIntervals:
-    def field(self, factor, spread, rigs=30):
-        generator = np.random.default_rng(3)
+    def field(self, factor, spread, rigs=30, seed=3, **how):
+        generator = np.random.default_rng(seed)
         made = []
         for r in range(rigs):
             hard = float(generator.uniform(0.1, 1.0))  # rigs differ much more than entrants do
             noise = float(np.exp(spread * generator.standard_normal()))
             made += [run("a", hard, rig=str(r)), run("b", factor * hard * noise, rig=str(r))]
-        return rank(group(made))
+        return rank(group(made), **how)
 
     def test_pairing_tells_a_small_difference_apart_on_very_different_rigs(self):
         found = standing(self.field(1.03, 0.02), "b")
@@ -165,13 +165,7 @@ class TestIntervals:
     def test_cover_the_truth_as_often_as_they_say(self):
         truth, hits = 1.05, 0
         for seed in range(60):
-            generator = np.random.default_rng(seed)
-            made = []
-            for r in range(40):
-                factor = truth * float(np.exp(0.1 * generator.standard_normal()))
-                made += [run("a", 0.1, rig=str(r)), run("b", 0.1 * factor, rig=str(r))]
-            ranking = rank(group(made), resamples=400)
-            found = ranking.standings[1]
+            found = self.field(truth, 0.1, rigs=40, seed=seed, resamples=400).standings[1]
             sign = 1 if found.name == "b" else -1
             low, high = found.against_interval.low, found.against_interval.high
             hits += low <= truth**sign <= high

@@ -107,15 +107,13 @@ def test_a_controller_that_fails_degrades_and_lands_and_gets_another_chance() ->
         watched.run.heard(failed)
         watched.sample()
     assert watched.run.mode is Mode.LANDING
-    for _ in range(30):  # it is not asked while the rig is landed
-        watched.sample()
+    watched.seconds(0.6)  # it is not asked while the rig is landed
     assert watched.run.mode is Mode.NORMAL
 
 
 def test_innovations_far_beyond_their_deviation_are_said_but_change_nothing() -> None:
     watched = Watched()
-    for _ in range(200):
-        watched.sample(share=20.0)
+    watched.seconds(4.0, share=20.0)
     assert watched.run.mode is Mode.DEGRADED
     assert watched.run.reasons().startswith("inconsistent alpha_v")
 
