@@ -207,12 +207,3 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path_factory, recording) -> Non
     for name, values in recording.channels.items():
         np.testing.assert_array_equal(back.channels[name], values)
     assert back.units == recording.units and back.metadata == recording.metadata
-
-
-def test_writing_never_overwrites_unasked(csv: Path, recording: Recording) -> None:
-    csv.write_text("mine")
-    with pytest.raises(RecordingError, match="already") as caught:
-        write_csv(recording, csv)
-    assert "--force" in caught.value.remedy and csv.read_text() == "mine"
-    write_csv(recording, csv, force=True)
-    assert len(read_csv(csv)) == 4

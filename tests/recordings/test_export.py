@@ -102,8 +102,9 @@ def test_a_dead_runs_log_becomes_parquet_as_far_as_it_goes(tmp_path, write_run) 
 def test_never_half_and_never_over(tmp_path, log, format_, monkeypatch) -> None:
     out = tmp_path / "there"
     out.write_text("mine")
-    with pytest.raises(RecordingError, match="already"):
+    with pytest.raises(RecordingError, match="already") as caught:
         export_log(log, out, format_)
+    assert "--force" in caught.value.remedy and out.read_text() == "mine"
 
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

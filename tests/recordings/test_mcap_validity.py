@@ -15,7 +15,7 @@ import orjson
 import pytest
 from mcap.data_stream import ReadDataStream
 from mcap.reader import make_reader
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 
 from trms_cli import __version__
 from trms_cli.core.scene import Ring, Scene
@@ -101,8 +101,6 @@ def test_records_and_summary_agree(log_path: Path) -> None:
 
 
 def messages_of(chunk: r.Chunk) -> list[r.Message]:
-    from mcap.stream_reader import breakup_chunk
-
     return [m for m in breakup_chunk(chunk, validate_crc=True) if isinstance(m, r.Message)]
 
 
@@ -127,8 +125,10 @@ def check_indexes(data: bytes, summary: list[r.McapRecord], chunks: list[r.Chunk
                 assert (opcode, channel, time_ns) == (5, channel_id, log_time)
                 entries += 1
         assert entries == len(messages_of(chunk))
-        last = chunk_end(data, index)
-        assert last == index.chunk_start_offset + index.chunk_length + index.message_index_length
+        behind = position = index.chunk_start_offset + index.chunk_length
+        while data[position] == 0x07:  # the message indexes behind the chunk
+            position += 9 + struct.unpack_from("<Q", data, position + 1)[0]
+        assert position == behind + index.message_index_length
     for offset in (s for s in summary if isinstance(s, r.SummaryOffset)):
         assert data[offset.group_start] == offset.group_opcode
     for item in summary:
@@ -136,14 +136,6 @@ def check_indexes(data: bytes, summary: list[r.McapRecord], chunks: list[r.Chunk
             assert data[item.offset] == 0x0C
         if isinstance(item, r.AttachmentIndex):
             assert data[item.offset] == 0x09
-
-
-def chunk_end(data: bytes, index: r.ChunkIndex) -> int:
-    """Return where the message indexes behind a chunk end."""
-    position = index.chunk_start_offset + index.chunk_length
-    while data[position] == 0x07:
-        position += 9 + struct.unpack_from("<Q", data, position + 1)[0]
-    return position
 
 
 def test_an_indexed_reader_seeks_and_messages_satisfy_their_schemas(

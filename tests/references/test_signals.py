@@ -186,26 +186,26 @@ def test_any_value_of_a_multilevel_is_drawn_evenly_and_seeds_differ():
     assert abs(np.corrcoef(a, b)[0, 1]) < 0.02
 
 
-def test_mistakes_are_named():
-    with pytest.raises(ConfigurationError, match="no multiple"):
-        Multisine(amplitude=1.0, frequency=1.0, lowest=0.2, highest=0.7)
-    with pytest.raises(ConfigurationError, match="below its begin"):
-        Multisine(amplitude=1.0, frequency=0.1, lowest=0.8, highest=0.7)
-    with pytest.raises(ConfigurationError, match="no signals"):
-        Sum(terms=[])
-    with pytest.raises(ConfigurationError, match="int is not a signal"):
-        Sum(terms=[3])
-    with pytest.raises(ConfigurationError, match="not after"):
-        Schedule(pieces=[Piece(start=t, signal=Constant()) for t in (3.0, 3.0)])
-    with pytest.raises(ConfigurationError, match="no pieces"):
-        Schedule(pieces=[])
-    with pytest.raises(ConfigurationError, match="Piece"):
-        Schedule(pieces=[{"start": 0}])
-    with pytest.raises(ConfigurationError, match="below the shortest"):
-        Multilevel(amplitude=1.0, shortest=2.0, longest=1.0)
+@pytest.mark.parametrize(
+    ("words", "signal", "keys"),
+    [
+        ("no multiple", Multisine, {**COMMON, "frequency": 1.0, "lowest": 0.2, "highest": 0.7}),
+        ("below its begin", Multisine, {**COMMON, "frequency": 0.1, "lowest": 0.8, "highest": 0.7}),
+        ("no signals", Sum, {"terms": []}),
+        ("int is not a signal", Sum, {"terms": [3]}),
+        ("not after", Schedule, {"pieces": 2 * [Piece(start=3.0, signal=Constant())]}),
+        ("no pieces", Schedule, {"pieces": []}),
+        ("Piece", Schedule, {"pieces": [{"start": 0}]}),
+        ("below the shortest", Multilevel, {**COMMON, "shortest": 2.0, "longest": 1.0}),
+    ],
+)
+def test_mistakes_are_named(words, signal, keys):
+    with pytest.raises(ConfigurationError, match=words):
+        signal(**keys)
 
 
 GOOD = "# rig: mine\n\nt[s],r_v[rad],note_free[V]\n10,0.1,1\n11,0.3,1\n13,-0.1,1\n"
+SPREADSHEET = "\ufefft[s],r_v[rad]\r\n0,0.1\r\n1,0.2\r\n"
 
 
 def write(folder: Path, text: str) -> str:
@@ -223,18 +223,13 @@ def test_values_hold_or_are_joined_by_lines(tmp_path):
     np.testing.assert_allclose(joined, [0.1, 0.1, 0.2, 0.3, 0.1, -0.1, -0.1])
 
 
-def test_it_is_moved_and_scaled_and_its_units_are_converted(tmp_path):
+def test_it_is_moved_scaled_converted_and_read_as_a_spreadsheet_writes_it(tmp_path):
     signal = FromCsv(file=write(tmp_path, GOOD), column="r_v", start=5.0, scale=2.0, offset=1.0)
     np.testing.assert_allclose(signal.sample(np.array([5.0, 6.0])), [1.2, 1.6])
     file = write(tmp_path, "t[ms],r_h[deg]\n0,0\n500,90\n")
     signal = FromCsv(file=file, column="r_h")
     np.testing.assert_allclose(signal.sample(np.array([0.49, 0.5])), [0.0, np.pi / 2])
-
-
-def test_a_recording_made_by_a_spreadsheet_is_read(tmp_path):
-    path = tmp_path / "sheet.csv"
-    path.write_bytes("\ufefft[s],r_v[rad]\r\n0,0.1\r\n1,0.2\r\n".encode())
-    signal = FromCsv(file=str(path), column="r_v")
+    signal = FromCsv(file=write(tmp_path, SPREADSHEET), column="r_v")
     np.testing.assert_allclose(signal.sample(np.array([1.0])), [0.2])
 
 

@@ -12,10 +12,6 @@ from trms_cli.scoring.metrics import Series
 TIME = np.arange(2000) * 0.02
 
 
-def column(value: float) -> np.ndarray:
-    return np.full(len(TIME), value)
-
-
 def estimating(**columns: Any) -> RunSignals:
     units = dict.fromkeys(columns, "N*m")
     return RunSignals(tables={"/estimate": Series(TIME, columns, units)})
@@ -23,8 +19,8 @@ def estimating(**columns: Any) -> RunSignals:
 
 def test_torques_by_where_they_act_without_those_that_nobody_estimates():
     deviations = {"alpha_v": 0.1, "pitch_moment": 1e-3, "yaw_moment": 0.0, "tail_motor": 1e-3}
-    columns = dict.fromkeys([*deviations, "main_motor"], column(0.0))
-    columns |= {f"sd_{name}": column(value) for name, value in deviations.items()}
+    columns = dict.fromkeys([*deviations, "main_motor"], np.full_like(TIME, 0.0))
+    columns |= {f"sd_{name}": np.full_like(TIME, value) for name, value in deviations.items()}
     run = estimating(**columns)
     assert run.torques() == {"axes": ["pitch_moment"], "rotors": ["tail_motor"]}
     assert [panel.y.unit for panel in torque_panels(run)] == ["mN m", "mN m"]
@@ -33,7 +29,7 @@ def test_torques_by_where_they_act_without_those_that_nobody_estimates():
 
 @pytest.mark.parametrize(("value", "sd"), [(0.005, 1e-4), (0.0, 1e-3), (-0.02, 2e-3)])
 def test_a_panel_reaches_as_far_as_the_line_and_its_band(value, sd):
-    torque, deviation = column(value), column(sd)
+    torque, deviation = np.full_like(TIME, value), np.full_like(TIME, sd)
     torque[:50] = 1.0  # an observer that finds its feet
     deviation[:50] = 1.0
     torque[1000] = 5.0  # one outlier

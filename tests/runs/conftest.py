@@ -91,9 +91,8 @@ def write_run(runs: Path) -> WriteRun:
             {"config.yaml": ("application/yaml", config)},
         )
         for k in range(samples):
-            values = [0.1, 0.2]
             for topic in ("/reference", "/command", "/measurement"):
-                log.write(topic, k * 20_000_000, values)
+                log.write(topic, k * 20_000_000, [0.1, 0.2])
         log.flush()
         if ending is None:  # killed: what was flushed is all there is
             return log.path
