@@ -302,9 +302,6 @@ def test_innovations_are_doubted_by_size_not_by_number_of_samples(
     lines = innovation_sentences(estimate)
     assert said in "\n".join(lines)
     assert any("misses something" in line for line in lines) is warned
-
-
-def test_without_innovations_nothing_is_said_of_them():
     assert innovation_sentences({"innovation_whiteness_p": None, "innovations": {}}) == []
 
 

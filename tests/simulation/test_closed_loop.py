@@ -17,7 +17,6 @@ from trms_cli.references.constant import Constant
 from trms_cli.references.square import Square
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.closed_loop import Experiment, Loop
-from trms_cli.simulation.history import History
 
 from .looping import looped, started
 
@@ -172,11 +171,11 @@ def test_nothing_is_kept_of_a_plugin_that_refuses() -> None:
         def init(self, setup: ControlSetup) -> list[int]:
             raise ConfigurationError("no", where="controller")
 
-    def never(plant: Any) -> History:
-        raise AssertionError("a folder would have been made")
-
     with pytest.raises(ConfigurationError, match="no"):
-        Loop.start(experiment(Refusing(lambda k: (0, 0))), never)
+        Loop.start(
+            experiment(Refusing(lambda k: (0, 0))),
+            lambda plant: pytest.fail("a folder would have been made"),
+        )
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,11 @@ class Unreliable:
         return RunResult(run.number, "done", objective=1.0)
 
 
+def _driver(folder, count, begun=0, **more) -> Driver:
+    proposals = Listed(count, begun)
+    return Driver(Record(folder), proposals, lambda attempt: None, **{"retries": 1} | more)
+
+
 FATES = ["before", "amid", "after", "twice", "told twice"]
 
 
@@ -135,9 +140,7 @@ def test_a_driver_that_is_killed_again_and_again(tmp_path_factory, seed, stops):
                 if left[0] < 0:
                     raise Killed
 
-        driver = Driver(
-            record, Listed(count, len(known)), lambda attempt: None, retries=50, tell=tell
-        )
+        driver = _driver(folder, count, len(known), retries=50, tell=tell)
         try:
             driver.take_stock(known)
             driver.drive(crew)
@@ -158,10 +161,6 @@ class Scripted(Unreliable):
     def ended(self, timeout_s):
         attempt = self.given.pop(0) if self.given else None
         return [] if attempt is None else [EndedAttempt(attempt, self.script(self, attempt))]
-
-
-def _driver(folder, count, **more) -> Driver:
-    return Driver(Record(folder), Listed(count), lambda attempt: None, **{"retries": 1} | more)
 
 
 def test_a_full_disk_ends_the_sweep_with_what_to_do(tmp_path):
@@ -197,9 +196,8 @@ def test_failed_runs_are_made_again_only_when_asked(tmp_path):
 
     _driver(tmp_path, 3).drive(Scripted(tmp_path, fails))
     known = Record(tmp_path).points()
-    work = lambda attempt: None  # noqa: E731
     for again, expected in ((False, {"failed": 3}), (True, {"done": 3})):
-        driver = Driver(Record(tmp_path), Listed(3, 3), work, retries=1, retry_failed=again)
+        driver = _driver(tmp_path, 3, 3, retry_failed=again)
         driver.take_stock(known)
         driver.drive(Scripted(tmp_path, lambda crew, a: crew.work(a, dies=False)))
         assert driver.progress.counts == expected
