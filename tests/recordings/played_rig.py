@@ -1,6 +1,6 @@
 """Simulated rigs played in open loop or under a plain controller, as recordings in memory."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -70,14 +70,15 @@ def play(
                 0.4 * np.sign(np.sin(2 * np.pi * time / 37 + 0.5 * seed)),
             ]
         )
-        control = _Controller(step, np.array(scale))
+        control = _feedback(step)
+        angles = [names(run.outputs).index(name) for name in ("alpha_v", "alpha_h")]
     else:
         asked = np.column_stack([s.sample(time + 7.3 * seed) for s in SIGNALS[kind]]) * scale
     lower, upper = run.input_limits
     measured, commands = [], []
     for k in range(count):
         y = run.measure()
-        u = control.step(references[k], y, names(run.outputs)) if kind == "closed" else asked[k]
+        u = control(references[k], y[angles]) * scale if kind == "closed" else asked[k]
         u = np.clip(u[: len(lower)], lower, upper)
         measured.append(y)
         commands.append(u)
@@ -92,22 +93,18 @@ def play(
     return Recording(time, channels, units, {}, Path("played.csv"))
 
 
-class _Controller:
-    """PI with a filtered derivative on each axis."""
+def _feedback(step: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """PI with a filtered derivative on each axis: commands for references and angles."""
+    integral, rate = np.zeros(2), np.zeros(2)
+    last: np.ndarray | None = None
 
-    def __init__(self, step: float, scale: np.ndarray) -> None:
-        self.step_s, self.scale = step, scale
-        self.integral = np.zeros(2)
-        self.last: np.ndarray | None = None
-        self.rate = np.zeros(2)
-
-    def step(self, reference: np.ndarray, y: np.ndarray, outputs: Sequence[str]) -> np.ndarray:
-        angles = np.array([y[outputs.index("alpha_v")], y[outputs.index("alpha_h")]])
-        last = angles if self.last is None else self.last
-        self.rate += 0.3 * ((angles - last) / self.step_s - self.rate)
-        self.last = angles
+    def command(reference: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        nonlocal integral, rate, last
+        moved = np.zeros(2) if last is None else angles - last
+        rate, last = rate + 0.3 * (moved / step - rate), angles
         error = reference - angles
-        self.integral = np.clip(self.integral + 0.3 * error * self.step_s, -1, 1)
+        integral = np.clip(integral + 0.3 * error * step, -1, 1)
         gains, damping = np.array([0.6, 0.8]), np.array([0.9, 1.0])
-        u = np.array([0.9, 0.0]) + gains * error + self.integral - damping * self.rate
-        return u * self.scale
+        return np.array([0.9, 0.0]) + gains * error + integral - damping * rate
+
+    return command
