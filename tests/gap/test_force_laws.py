@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from trms_cli.gap.force.description import description
 from trms_cli.gap.force.laws import ForceRecord, explained_shares, hysteresis
@@ -19,11 +20,8 @@ SAMPLES = 4000
 
 
 def lag(values: np.ndarray, time: float) -> np.ndarray:
-    result, now = np.empty_like(values), values[0]
-    for i, value in enumerate(values):
-        result[i] = now
-        now += STEP * (value - now) / time
-    return result
+    share = STEP / time
+    return lfilter([0, share], [1, share - 1], values, zi=values[:1])[0]
 
 
 @cache

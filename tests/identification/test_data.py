@@ -1,6 +1,7 @@
 """What ``real`` and ``data`` mean: files found, channels taken, preparation done and told."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.recordings.played_rig import BENCH, play
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.identification.data import DataOptions, files_of, load_datasets, noise_estimate
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.recordings.csv_recording import write_csv
 
 MODEL = Newtonian()
 DECLARED = DataOptions(noise_sd=dict(BENCH.noise_sd), quantum=dict(BENCH.quantum))
@@ -19,11 +21,7 @@ DECLARED = DataOptions(noise_sd=dict(BENCH.noise_sd), quantum=dict(BENCH.quantum
 def file(tmp_path_factory) -> Path:
     recording = play("prbs", duration=30.0)
     path = tmp_path_factory.mktemp("data") / "monday.csv"
-    names = list(recording.channels)
-    header = ",".join(["t[s]", *(f"{n}[{recording.units[n]}]" for n in names)])
-    table = np.column_stack([recording.time, *recording.channels.values()])
-    rows = "\n".join(",".join(f"{value:.9g}" for value in row) for row in table)
-    path.write_text(f"# loop: open\n{header}\n{rows}\n")
+    write_csv(replace(recording, metadata={"loop": "open"}), path)
     return path
 
 

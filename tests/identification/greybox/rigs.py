@@ -27,19 +27,17 @@ def levels(seed: int, samples: int, ranges: list[tuple[float, float]]) -> np.nda
 
 
 def sensed(
-    model: Model, y: np.ndarray, generator: np.random.Generator, *, noisy: bool = True
+    model: Model, y: np.ndarray, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Angles counted by an encoder, speeds with a tacho's noise, and what is declared of both."""
     measured, sd = y.copy(), np.empty(y.shape[1])
     for i, signal in enumerate(model.outputs):
         if signal.unit == "rad":
             sd[i] = QUANTUM / 12**0.5
-            if noisy:
-                measured[:, i] = np.round(y[:, i] / QUANTUM) * QUANTUM
+            measured[:, i] = np.round(y[:, i] / QUANTUM) * QUANTUM
         else:
             sd[i] = TACHO_NOISE
-            if noisy:
-                measured[:, i] += TACHO_NOISE * generator.standard_normal(len(y))
+            measured[:, i] += TACHO_NOISE * generator.standard_normal(len(y))
     return measured, sd
 
 
@@ -76,7 +74,6 @@ def recording(
     seed: int = 0,
     seconds: float = 20.0,
     ranges: list[tuple[float, float]],
-    noisy: bool = True,
     substeps: int = 4,
     feedback: float = 0.0,
 ) -> tuple[Dataset, np.ndarray]:
@@ -95,5 +92,5 @@ def recording(
         found = rollout.outputs(u, [k], [1], x[None])
         y.append(found.y[0])
         x = found.ends[0]
-    measured, sd = sensed(model, np.array(y), np.random.default_rng(seed + 1), noisy=noisy)
+    measured, sd = sensed(model, np.array(y), np.random.default_rng(seed + 1))
     return dataset_of(model, u, measured, sd, name=f"rig{seed}"), np.array(states)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.identification.blackbox.differences import central
 from tests.identification.greybox.rigs import measuring, recording
 from trms_cli.effects.actuator_lag import ActuatorLag
 from trms_cli.effects.extended_model import extend_model
@@ -67,21 +68,17 @@ def objective(
 def largest_slope_error(own: MapObjective, theta: np.ndarray, starts: np.ndarray) -> float:
     """Of the parabola in each scaled variable against central differences, relative."""
     _, quadratic, _ = own.parabola(theta, starts)
-    spread, zero_x, zero = own.windows.spread, np.zeros_like(starts), np.zeros_like(theta)
-    wanted, found = [], []
-    step = 1e-5
-    for i in range(len(theta)):
-        move = step * np.eye(len(theta))[i]
-        ends = [own.cost(theta + s * move * own.scales, starts) for s in (1, -1)]
-        wanted.append((ends[0] - ends[1]) / (2 * step))
-        found.append((quadratic.cost(zero_x, move) - quadratic.cost(zero_x, -move)) / (2 * step))
-    for i in range(starts.shape[1]):
-        move = np.zeros_like(starts)
-        move[:, i] = step
-        ends = [own.cost(theta, starts + s * move * spread) for s in (1, -1)]
-        wanted.append((ends[0] - ends[1]) / (2 * step))
-        found.append((quadratic.cost(move, zero) - quadratic.cost(-move, zero)) / (2 * step))
-    return float(np.max(np.abs(np.subtract(wanted, found))) / np.max(np.abs(wanted)))
+    n, still = len(theta), np.zeros_like(starts)
+
+    def cost(move: np.ndarray) -> float:
+        return own.cost(theta + move[:n] * own.scales, starts + move[n:] * own.windows.spread)
+
+    def parabola(move: np.ndarray) -> float:
+        return quadratic.cost(still + move[n:], move[:n])
+
+    zero = np.zeros(n + starts.shape[1])
+    wanted, found = (central(f, zero, 1e-5) for f in (cost, parabola))
+    return float(np.max(np.abs(wanted - found)) / np.max(np.abs(wanted)))
 
 
 @pytest.mark.parametrize("joined", [None, 0.03])

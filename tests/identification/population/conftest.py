@@ -1,6 +1,6 @@
 """A short recording of a vertical rig whose parameters are known."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -46,10 +46,3 @@ def rig() -> Rig:
     sd = np.array([NOISE[signal.name] for signal in model.outputs])
     measured = y + sd * generator.standard_normal(y.shape)
     return Rig(model, dataset_of(model, commands, measured, sd, step=step), true)
-
-
-@pytest.fixture(scope="session")
-def with_gaps(rig: Rig) -> Rig:
-    measured = rig.dataset.measurements.copy()
-    measured[100:160] = np.nan
-    return Rig(rig.model, replace(rig.dataset, measurements=measured), rig.true)

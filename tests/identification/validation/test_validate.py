@@ -3,12 +3,12 @@
 import json
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from tests.identification.greybox.rigs import dataset_of, measuring
-from tests.identification.validation.known_rig import QUANTUM, SAMPLE_TIME, model, recording
+from tests.identification.greybox.rigs import SAMPLE, dataset_of, measuring
+from tests.identification.validation.known_rig import QUANTUM, model, recording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.document import document_of
@@ -28,10 +28,10 @@ from trms_cli.identification.validation.validate import (
     measured_states,
     validate_all,
 )
-from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.driven_model import DrivenModel
-from trms_cli.models.model import Model, Signal, names
-from trms_cli.models.parameters import ParameterSet
+from trms_cli.models.model import Model, names
+from trms_cli.models.narx_file import Narx
+from trms_cli.models.network import NarxStructure, Network
 
 OPTIONS = ValidationOptions()
 
@@ -217,42 +217,27 @@ class TestWords:
         assert quantity_words(None, "rad") == "–"
 
 
-class Remembering(SteppedModel):
-    """y(k+1) = a y(k) + b y(k−1) + c u(k) + d u(k−1): a linear NARX model of one axis."""
-
-    def __init__(self) -> None:
-        self.name = "remembering"
-        self.sample_time = SAMPLE_TIME
-        self.states = (
-            Signal("alpha_v", "rad"), Signal("alpha_v_1", "rad"), Signal("u_v_1", "V")
-        )  # fmt: skip
-        self.inputs, self.outputs = (Signal("u_v", "V"),), (Signal("alpha_v", "rad"),)
-        self.disturbances = ()
-        self.parameters = ParameterSet([])
-        self.controlled, self.input_limits, self.stops = ("alpha_v",), {"u_v": 2.5}, {}
-        self.axes, self.rotors = {}, {}
-
-    def transition(self, x, u, p, w):
-        return ca.vertcat(1.7 * x[0] - 0.72 * x[1] + 0.01 * u[0] + 0.01 * x[2], x[0], u[0])
-
-    def measurement(self, x, u, p):
-        return x[:1, 0]
-
-
 class TestBlackBox:
     @pytest.fixture
-    def made(self) -> Dataset:
-        rng = np.random.default_rng(0)
-        n = 1500
-        u = np.repeat(rng.uniform(-1, 1, n // 10), 10)
-        y = np.zeros(n)
-        for k in range(1, n - 1):
-            y[k + 1] = 1.7 * y[k] - 0.72 * y[k - 1] + 0.01 * u[k] + 0.01 * u[k - 1]
-            y[k + 1] += 0.001 * rng.standard_normal()
-        return dataset_of(Remembering(), u[:, None], y[:, None], np.array([0.001]))
+    def linear(self) -> Model:
+        """y(k+1) = a y(k) + b y(k−1) + c u(k) + d u(k−1): a linear NARX model of one axis."""
+        structure = NarxStructure(
+            ("alpha_v",), ("u_v",), ("rad",), ("V",), (1, 2), (1, 2), SAMPLE, False, False
+        )
+        weights = {"W1": np.array([[1.7, -0.72, 0.01, 0.01]]), "b1": np.zeros(1)}
+        network = Network("mlp", weights, np.zeros(4), np.ones(4), np.zeros(1), np.ones(1))
+        return Narx(structure, network)
 
-    def test_its_state_is_the_measured_past(self, made):
-        states = measured_states(Remembering(), made)
+    @pytest.fixture
+    def made(self, linear) -> Dataset:
+        rng = np.random.default_rng(0)
+        u = np.repeat(rng.uniform(-1, 1, 150), 10)
+        driven = lfilter([0, 0.01, 0.01], [1], u) + 0.001 * rng.standard_normal(1500)
+        y = lfilter([1], [1, -1.7, 0.72], driven)
+        return dataset_of(linear, u[:, None], y[:, None], np.array([0.001]))
+
+    def test_its_state_is_the_measured_past(self, linear, made):
+        states = measured_states(linear, made)
         y, u = made.measurements[:, 0], made.commands[:, 0]
         assert np.array_equal(states[5], [y[5], y[4], u[4]])
         assert np.isnan(states[0]).any()
@@ -267,8 +252,8 @@ class TestBlackBox:
         row = found["by_horizon"]["alpha_v"]["0.5"]
         assert row["rms"] == found["error"]["alpha_v"]["0.5"] < 0.2 * row["unchanged_rms"]
 
-    def test_its_one_step_errors_are_the_noise_that_drove_it(self, made):
-        found = validated(Remembering(), made)
+    def test_its_one_step_errors_are_the_noise_that_drove_it(self, linear, made):
+        found = validated(linear, made)
         figures = document_of([found])
         assert figures["one_step"]["alpha_v"]["rms"] == pytest.approx(0.001, rel=0.06)
         assert figures["residual_tests"]["failed"] == 0
