@@ -17,30 +17,12 @@ from trms_cli.models.model import Model, RigAxis, Signal
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import Parameter, ParameterSet
 
-#: The size of each effect that is zero when the effect is absent; the others are shapes.
+#: Sizes that are zero when the effect is absent, where it is not its first alone; the others are
+#: shapes.
 SIZES = {
-    "coulomb_friction": ["torque"],
-    "stribeck_friction": ["torque"],
-    "quadratic_damping": ["coefficient"],
     "cable_stiffness": ["stiffness", "cubic"],
-    "cable_hysteresis": ["torque"],
-    "mass_imbalance": ["mass"],
-    "input_delay": ["delay"],
-    "actuator_lag": ["time_constant"],
-    "dead_zone": ["width"],
-    "supply_derating": ["depth"],
-    "rotor_friction": ["torque"],
     "thrust_curve": ["exponent", "reverse"],
     "rotor_reaction": ["drag", "inertia"],
-    "gyroscopic_coupling": ["inertia"],
-    "inflow": ["coefficient"],
-    "ground_effect": ["gain"],
-    "sensor_bias": ["bias"],
-    "sensor_delay": ["delay"],
-    "quantisation": ["quantum"],
-    "tacho_lag": ["time_constant"],
-    "flexible_mode": ["share"],
-    "disturbance": ["torque"],
 }
 NAMES = sorted(path.stem for path in (config_folder() / "effect").glob("*.yaml"))
 
@@ -97,18 +79,17 @@ def _kind(name: str) -> str:
 
 
 def _absent(name: str):
-    return _effect(name, **dict.fromkeys(SIZES[_kind(name)], 0.0))
+    first = _effect(name).parameters()[0].name
+    return _effect(name, **dict.fromkeys(SIZES.get(_kind(name), [first]), 0.0))
 
 
-def _simulate(
-    model, inputs, step=0.02, substeps=4, start=None, method="auto", w=None, compile=False
-):
+def _simulate(model, inputs, step=0.02, substeps=4, start=None, w=None, compile=False):
     """States (n + 1, n_x), memory included, under inputs (n, n_u) held over each step.
 
     By CasADi's virtual machine, as a compiler would take longer than the steps do.
     """
     inputs = np.asarray(inputs, dtype=float)
-    discrete = discretise(model, step, substeps, method, sensors=True)
+    discrete = discretise(model, step, substeps, sensors=True)
     function = BufferedFunction(discrete.step, compile=compile)
     p = model.parameters.values
     w = np.zeros(model.n_w) if w is None else w
@@ -129,10 +110,10 @@ def _readings(model, states, inputs, step=0.02):
     return np.asarray(function(np.asarray(states).T, u.T, p)).T
 
 
-def _rich_input(samples: int, step: float = 0.02, seed: int = 1) -> np.ndarray:
+def _rich_input(samples: int) -> np.ndarray:
     """Slow sines, steps and noise over the whole range, both signs, both rotors."""
-    t = np.arange(samples) * step
-    noise = np.random.default_rng(seed).normal(size=(samples, 2))
+    t = np.arange(samples) * 0.02
+    noise = np.random.default_rng(1).normal(size=(samples, 2))
     u_v = 1.2 * np.sin(0.7 * t) + 0.8 * np.sign(np.sin(2.1 * t)) + 0.3 * noise[:, 0]
     u_h = np.sin(1.3 * t) + 0.5 * noise[:, 1]
     return np.column_stack([u_v, u_h]).clip(-2.5, 2.5)

@@ -62,18 +62,6 @@ def test_effects_are_data(rig, effect_name):
     assert msgspec.json.encode(dataclasses.asdict(effect))
 
 
-def test_several_effects_and_their_sizes_are_chosen_on_the_command_line(rig):
-    words = [
-        "effect=[yaw_coulomb_friction,main_input_delay]",
-        "effect.yaw_coulomb_friction.torque=0.004",
-    ]
-    nodes = compose(words).config["effect"]
-    effects = {name: build(node, f"effect.{name}") for name, node in nodes.items()}
-    assert list(effects) == ["yaw_coulomb_friction", "main_input_delay"]
-    assert effects["yaw_coulomb_friction"].torque == 0.004
-    assert effects["main_input_delay"] == rig.effect("main_input_delay")
-
-
 DOCUMENT = config_folder().parent / "docs" / "effects.md"
 
 

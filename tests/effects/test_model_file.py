@@ -98,11 +98,7 @@ MISTAKES = [
     (of_effect(torque="much"), TORQUE, "number"),
     (of_effect(axis="pitch", torque=float("nan")), TORQUE, ""),
     (of_effect("mine", _target_="no.such.Class"), "effects.mine._target_", "allow no"),
-    (
-        of_effect("mine", _target_="trms_cli.models.newtonian.Newtonian"),
-        "effects.mine._target_",
-        "",
-    ),
+    (of_effect("mine", _target_="trms_cli.models.tras.Tras"), "effects.mine._target_", ""),
     ({"model": "newtonian_vertical"} | of_effect(), "effects", "pitch"),
     ({"limits": {"u_x": 1.0}}, "limits.u_x", "u_v"),
     ({"limits": {"u_v": -1.0}}, "limits.u_v", "positive"),

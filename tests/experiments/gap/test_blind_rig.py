@@ -20,7 +20,6 @@ from experiments.gap.blind.drivers import (
 from experiments.gap.blind.nominal import nominal
 from experiments.gap.blind.rig import Nuisances, RigRecordings, Rigs
 from trms_cli.composition.catalogue import read_yaml
-from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.extended_model import extend_model
@@ -78,24 +77,16 @@ def recorded() -> tuple[np.ndarray, dict[str | None, np.ndarray]]:
 
 
 def simulated(name: str | None, commands: np.ndarray) -> np.ndarray:
-    model = Newtonian() if name is None else extend_model(Newtonian(), {name: effect(name)})
+    effects = {} if name is None else {name: build(LIBRARY[name], name)}
+    model = extend_model(Newtonian(), effects)
     discrete = discretise(model, SAMPLE, 4, sensors=True)
-    # forty models, a few hundred steps each: not worth forty compilations
-    step, measure = (
-        BufferedFunction(f, compile=False) for f in (discrete.step, discrete.measurement)
-    )
-    p, w = model.parameters.values, np.zeros(model.n_w)
-    start = model.rest()
+    p, start = model.parameters.values, model.rest()
     start[model.state_index("alpha_v")] = hanging(nominal())
-    x, rows = discrete.initial(start, np.zeros(2)), []
-    for u in commands:
-        rows.append(measure.evaluate(x, u, p)[0].copy())
-        x = step.evaluate(x, u, p, w)[0].copy()
-    return np.array(rows)
-
-
-def effect(name: str) -> Any:
-    return build(LIBRARY[name], name)
+    x = discrete.initial(start, np.zeros(2))
+    # forty models, a few hundred steps each: not worth forty compilations
+    steps = discrete.step.mapaccum(SAMPLES - 1)
+    states = np.column_stack([x, steps(x, commands[:-1].T, p, np.zeros(model.n_w))])
+    return np.asarray(discrete.measurement(states, commands.T, p)).T
 
 
 def hanging(c: dict[str, float]) -> float:

@@ -11,10 +11,10 @@ from experiments.gap.blind.cases import Case
 from experiments.gap.blind.drivers import rich_excitation
 from experiments.gap.blind.judgement import Answer, FreshResult, JudgedCase, answer_of, on_fresh
 from experiments.gap.blind.measures import Table, Target, table
-from experiments.gap.blind.nominal import nominal
 from experiments.gap.blind.recording import csv_of
 from experiments.gap.blind.statistics import quantile, reliability, share
 from tests.gap.diagnosis_case import CHANNELS, diagnosis
+from trms_cli.core.resources import config_folder
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import document_of
@@ -211,13 +211,6 @@ def test_what_is_no_diagnosis_is_refused(broken: dict[str, Any]) -> None:
         answer_of(broken)
 
 
-def _model_file(path: Path, effects: str) -> None:
-    values = nominal()
-    lines = [f"  {name}: {{value: {value!r}}}" for name, value in values.items()]
-    text = "\n".join(["name: x", "model: newtonian", "parameters:", *lines, effects])
-    path.write_text(text + "\n", encoding="utf-8")
-
-
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten seconds of a rig with friction of yaw, from the library's own code."""
@@ -234,9 +227,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("better", "worse"), [(True, ()), (False, ("alpha_h",))])
 def test_models_run_on_a_recording_that_nobody_saw(recording, tmp_path, better, worse) -> None:
-    effect = "effects: {yaw_coulomb_friction: {torque: 0.003}}"
-    _model_file(tmp_path / "corrected_model.yaml", effect if better else "")
-    _model_file(tmp_path / "refit_model.yaml", "" if better else effect)
+    plain = (config_folder() / "parameters" / "bench.yaml").read_text(encoding="utf-8")
+    rubbing = plain + "\neffects: {yaw_coulomb_friction: {torque: 0.003}}\n"
+    (tmp_path / "corrected_model.yaml").write_text(rubbing if better else plain, encoding="utf-8")
+    (tmp_path / "refit_model.yaml").write_text(plain if better else rubbing, encoding="utf-8")
     floors = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
     found = on_fresh(answer(FRICTION, floors=floors), tmp_path, recording)
     assert found is not None
