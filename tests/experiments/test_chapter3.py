@@ -25,10 +25,8 @@ PAGE = ROOT / "docs" / "chapter3.md"
 SHORT = 0.15
 
 
-def quick(
-    system: str, label: str, training: str = "lm", seed: int = 0, method: str = "narx"
-) -> Job:
-    return Job(system, label, method, training, seed, {"stopping": {"epochs": 5}})
+def quick(system: str, label: str, training: str = "lm") -> Job:
+    return Job(system, label, "narx", training, 0, {"stopping": {"epochs": 5}})
 
 
 @pytest.fixture(scope="module")
@@ -88,11 +86,8 @@ class TestStudy:
             dataset = make_recording(system, part)
             assert len(cut_at_stops(dataset, stops, 0.0)) == 1, part
         if system == settings()["excitations"]["system"]:
-            own = settings()["excitations"]["prbs"]
-            dataset = recording(
-                settings()["systems"][system]["model"], own, duration=180.0, sample_time=0.02,
-                seed=0, name="p",
-            )  # fmt: skip
+            own = settings()["systems"][system] | {"excitation": settings()["excitations"]["prbs"]}
+            dataset = made(own, 180.0)
             assert len(cut_at_stops(dataset, stops, 0.0)) == 1
 
     def test_a_training_is_judged_on_all_three_recordings(self, study):

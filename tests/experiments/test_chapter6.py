@@ -21,14 +21,13 @@ class TestStudy:
     def test_references_stay_within_what_the_rig_can_hold(self):
         loop = Loop(Mode().controller())
         for name, case in read_study().cases.runs.items():
-            for sign_v in (-1, 1):
-                for sign_h in (-1, 1):
-                    goal = [
-                        given.get("offset", 0.0) + sign * given["amplitude"]
-                        for given, sign in ((case.alpha_v, sign_v), (case.alpha_h, sign_h))
-                    ]
-                    target = loop.state.steady_state.solve(np.array(goal))
-                    assert target.converged and not target.projected, (name, goal)
+            for signs in itertools.product((-1, 1), repeat=2):
+                goal = [
+                    given.get("offset", 0.0) + sign * given["amplitude"]
+                    for given, sign in zip((case.alpha_v, case.alpha_h), signs, strict=True)
+                ]
+                target = loop.state.steady_state.solve(np.array(goal))
+                assert target.converged and not target.projected, (name, goal)
 
     def test_six_cases_in_the_thesis_order_of_which_the_quick_one_is_a_part(self):
         full, quick = read_study(), read_study(quick=True)

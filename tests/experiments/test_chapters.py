@@ -57,7 +57,7 @@ def test_a_part_is_not_recorded(number, words, capsys):
     assert "--update" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("number", [2, 5, 6, 8])
+@pytest.mark.parametrize("number", WHOLE)
 def test_the_figures_of_a_page_are_there_and_small(number):
     page, figures = program(number).PAGE, program(number).FIGURES
     pages = [page, *(page.parent.glob("stability*.md") if number == 5 else ())]

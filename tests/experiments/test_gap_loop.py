@@ -1,9 +1,7 @@
 """Controllers of this program on rigs of other code, and what the study counts."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +19,9 @@ from trms_cli.models.newtonian import Newtonian
 STEP = 0.02
 
 
-def _run(model: str, rmse: float, rig: str = "a-1", effect: str = "a") -> Tracking:
+def _run(model: str, rmse: float) -> Tracking:
     both = {"pitch": rmse, "yaw": 2 * rmse}
-    return Tracking(rig, effect, 1, "squares", model, both, both, both, both)
+    return Tracking("a-1", "a", 1, "squares", model, both, both, both, both)
 
 
 def test_a_rig_meets_the_same_noise_in_any_company() -> None:
@@ -120,14 +118,10 @@ def test_tables_and_document_say_the_same() -> None:
 
 
 def test_what_a_diagnosis_holds_of_a_pair(tmp_path: Path) -> None:
-    causes: list[Mapping[str, Any]] = [
-        {"effects": ["b"], "probability": 0.6},
-        {"effects": ["a"], "probability": 0.3},
-        {"effects": ["b", "a"], "probability": 0.1},
-    ]
+    believed = [(["b"], 0.6), (["a"], 0.3), (["b", "a"], 0.1)]
     content = {
         "verdict": "effect",
-        "causes": causes,
+        "causes": [{"effects": names, "probability": p} for names, p in believed],
         "confusable": [["b", "c", "a"]],
         "next_experiment": None,
     }

@@ -9,8 +9,8 @@ import pytest
 from experiments.aero.study import fit_model, parts_of, problem_of, read_study, recording
 from experiments.tras_fit import study as tras
 from trms_cli.identification.problem import Prior, free_parameters
-from trms_cli.models.discretisation import discretise
 from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.simulation.rollout import Rollout
 
 
 @pytest.mark.parametrize("study", ["aero", "tras_fit"])
@@ -32,15 +32,12 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, QuanserAero]:
     on = t >= 5.0
     u = np.column_stack([9.5 * on - 28 * (on & (t < 5.4)), 12.0 * on + 24 * (on & (t < 5.15))])
     u[t >= 6.5] -= [1.0, 4.0]
-    discrete = discretise(truth, 0.002)
-    x, p = np.zeros(6), truth.parameters.values
-    rows = ["t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"]
-    for time, command in zip(t, u, strict=True):
-        y = np.asarray(discrete.measurement(x, command, p)).ravel()
-        rows.append(f"{time:.3f},{command[0]:.4f},{command[1]:.4f},{y[0]:.6f},{y[1]:.6f}")
-        x = np.asarray(discrete.step(x, command, p, np.zeros(4))).ravel()
+    y = Rollout(truth, 0.002).outputs(u, [0], [len(u)], np.zeros((1, 6))).y
     folder = tmp_path_factory.mktemp("aero")
-    (folder / "nominal_a.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    np.savetxt(
+        folder / "nominal_a.csv", np.column_stack([t, u, y]), fmt="%.6f", delimiter=",",
+        header="t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]", comments="",
+    )  # fmt: skip
     return folder, truth
 
 
