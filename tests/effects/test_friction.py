@@ -78,14 +78,10 @@ def test_the_slip_of_the_rig_equals_an_event_located_solution(rig):
         np.testing.assert_allclose(x, expected, atol=tolerance)
 
 
-@pytest.mark.parametrize("freedom", ["both", "vertical", "horizontal"])
 @given(data=st.data())
 @settings(max_examples=60, deadline=None)
-def test_friction_on_the_rig_takes_energy_and_never_reverses_the_motion(
-    rig, step_of, freedom, data
-):
-    axis = {"both": "yaw", "vertical": "pitch", "horizontal": "yaw"}[freedom]
-    with_friction, without, model, rate_of = step_of(freedom, axis)
+def test_friction_on_the_rig_takes_energy_and_never_reverses_the_motion(steps, data):
+    with_friction, without, model, rate_of = steps
     spread = st.floats(-1.5, 1.5)
     x = np.array([data.draw(spread) for _ in range(model.n_x)])
     u = np.array([data.draw(st.floats(-2.5, 2.5)) for _ in range(model.n_u)])
@@ -99,22 +95,22 @@ def test_friction_on_the_rig_takes_energy_and_never_reverses_the_motion(
     assert after * before >= -1e-12
 
 
-@pytest.fixture(scope="module")
-def step_of(rig):
-    kept = {}
-
-    def make(freedom, axis):
-        if freedom not in kept:
-            base = rig.newtonian(freedom=freedom)
-            model = rig.extended(base, coulomb(axis))
-            f = rig.right_hand_side(base)
-            row = base.state_index(base.axes[axis].angle)
-            steps = [BufferedFunction(discretise(m, 0.005, 1).step).evaluate for m in (model, base)]
-            rate = lambda x: f(x, np.zeros(base.n_u), np.zeros(base.n_w))[row]  # noqa: E731
-            kept[freedom] = (*steps, model, rate)
-        return kept[freedom]
-
-    return make
+@pytest.fixture(scope="module", params=["both", "vertical", "horizontal"])
+def steps(rig, request):
+    """A step with friction and one without, the model with it, and the rate of its axis."""
+    base = rig.newtonian(freedom=request.param)
+    axis = "pitch" if request.param == "vertical" else "yaw"
+    model = rig.extended(base, coulomb(axis))
+    f, row = rig.right_hand_side(base), base.state_index(base.axes[axis].angle)
+    with_friction, without = (
+        BufferedFunction(discretise(m, 0.005, 1).step).evaluate for m in (model, base)
+    )
+    return (
+        with_friction,
+        without,
+        model,
+        lambda x: f(x, np.zeros(base.n_u), np.zeros(base.n_w))[row],
+    )
 
 
 # -- Stribeck

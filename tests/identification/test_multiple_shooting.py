@@ -31,9 +31,7 @@ HIDDEN = {"k_fvp": 1.70e-5, "k_ov": 0.0045, "J_mr": 1.60e-4, "k_uv": 8.8, "l_cb"
 
 
 def vertical(**values: float) -> Model:
-    model = Newtonian(freedom="vertical")
-    model.parameters = model.parameters.replaced(values)
-    return model
+    return Newtonian(freedom="vertical", parameters=values)
 
 
 @pytest.fixture(scope="module")

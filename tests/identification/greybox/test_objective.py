@@ -27,16 +27,6 @@ def vertical() -> Model:
 
 
 @pytest.fixture(scope="module")
-def remembering() -> Model:
-    effects = {
-        "main_input_delay": InputDelay(rotor="main", delay=0.03, longest=0.06),
-        "main_actuator_lag": ActuatorLag(rotor="main", time_constant=0.05),
-        "main_supply_derating": SupplyDerating(rotor="main", depth=0.1, time_constant=20.0),
-    }
-    return extend_model(Newtonian(freedom="vertical"), effects)
-
-
-@pytest.fixture(scope="module")
 def recorded(vertical: Model) -> tuple[Dataset, np.ndarray]:
     return recording(vertical, ranges=RANGES)
 
@@ -82,24 +72,24 @@ def largest_slope_error(own: MapObjective, theta: np.ndarray, starts: np.ndarray
 
 
 @pytest.mark.parametrize("joined", [None, 0.03])
-def test_slopes_are_exact(vertical: Model, dataset: Dataset, joined: float | None) -> None:
-    off = vertical.parameters.replaced({"k_fvp": 1.7e-5, "k_ov": 0.004})
-    model = Newtonian(freedom="vertical")
-    model.parameters = off
+def test_slopes_are_exact(dataset: Dataset, joined: float | None) -> None:
+    model = Newtonian(freedom="vertical", parameters={"k_fvp": 1.7e-5, "k_ov": 0.004})
     own, theta, starts = objective(model, dataset, ["k_fvp", "k_ov", "J_mr", "k_uv"], joined)
     assert largest_slope_error(own, theta, starts) < 1e-5
 
 
-def test_slopes_see_what_commands_before_the_window_left_behind(remembering: Model) -> None:
+def test_slopes_see_what_commands_before_the_window_left_behind(vertical: Model) -> None:
+    effects = {
+        "main_input_delay": InputDelay(rotor="main", delay=0.03, longest=0.06),
+        "main_actuator_lag": ActuatorLag(rotor="main", time_constant=0.05),
+        "main_supply_derating": SupplyDerating(rotor="main", depth=0.1, time_constant=20.0),
+    }
+    remembering = extend_model(vertical, effects)
     dataset, _ = recording(remembering, ranges=RANGES)
     free = ["*lag.time_constant", "*derating.*", "k_fvp"]
     moved = {"main_supply_derating.depth": 0.15, "main_actuator_lag.time_constant": 0.08}
-    values = remembering.parameters
-    try:
-        remembering.parameters = values.replaced(moved)
-        own, theta, starts = objective(remembering, dataset, free)
-    finally:
-        remembering.parameters = values
+    remembering.parameters = remembering.parameters.replaced(moved)
+    own, theta, starts = objective(remembering, dataset, free)
     assert largest_slope_error(own, theta, starts) < 1e-5
 
 
