@@ -17,16 +17,14 @@ from trms_cli.identification.greybox.map_fit import (
 )
 
 
-def information(
-    columns: np.ndarray, *, prior: float = 1.0, inflation: float = 1.0, trust: float = 1.0
-) -> Information:
+def information(columns: np.ndarray, prior: float = 1.0, inflation: float = 1.0) -> Information:
     """Of white residuals with these sensitivities (rows, n_f), in two outputs of equal share."""
     fisher = columns.T @ columns / 2
     n = columns.shape[1]
     return Information(
         curvature=np.array([fisher, fisher]),
         score=inflation * np.array([fisher, fisher]),
-        trust=np.array([trust, trust]),
+        trust=np.ones(2),
         prior=np.full(n, prior),
         scales=np.full(n, 2.0),
         size=np.ones(2),
