@@ -264,7 +264,8 @@ def _settled(
 class ModelStructure:
     """The nominal model with effects, ready to be fitted.
 
-    ``free``: of the nominal model. ``block``: s.
+    ``free``: of the nominal model. ``block``: s. ``unseen``: samples at the beginning of each block
+    that are not compared: sensors that remember fill their memory there.
     """
 
     def __init__(
@@ -274,8 +275,10 @@ class ModelStructure:
         effects: Sequence[CandidateEffect],
         datasets: Sequence[Dataset],
         block: float,
+        unseen: int = 0,
     ) -> None:
         self.effects = tuple(effects)
+        self._unseen = unseen
         sizes = [size for candidate in effects for size in candidate.free]
         names = tuple(candidate.name for candidate in effects)
         known = _ROLLOUTS.setdefault(nominal, {})
@@ -288,7 +291,7 @@ class ModelStructure:
         self.problem = FitProblem(
             model=model, datasets=tuple(datasets), free=tuple(every), window_length=block, jobs=1
         )
-        self.windows = Windows(self.problem, rollout=rollout)
+        self.windows = Windows(self.problem, rollout=rollout, unseen=unseen)
         known[key] = self.windows.rollout
         self._with: dict[tuple[str, ...], ModelStructure] = {}
 
@@ -298,7 +301,9 @@ class ModelStructure:
         key = tuple(effect.name for effect in chosen)
         if key not in self._with:
             p = self.problem
-            self._with[key] = ModelStructure(p.model, p.free, chosen, p.datasets, p.window_length)
+            self._with[key] = ModelStructure(
+                p.model, p.free, chosen, p.datasets, p.window_length, self._unseen
+            )
         return self._with[key]
 
     @property
@@ -394,7 +399,11 @@ def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
 
 
 def refit(
-    model: Model, free: Sequence[FreeParameter], datasets: Sequence[Dataset], block: float
+    model: Model,
+    free: Sequence[FreeParameter],
+    datasets: Sequence[Dataset],
+    block: float,
+    unseen: int = 0,
 ) -> Refit:
     """Fit the nominal model and the size of its discrepancy in turn.
 
@@ -402,7 +411,7 @@ def refit(
     large enough to follow them: about the model's own simulation they would be those of another
     motion where the gap is large.
     """
-    structure = ModelStructure(model, free, (), datasets, block)
+    structure = ModelStructure(model, free, (), datasets, block, unseen)
     windows = structure.windows
     linearisation = TrajectoryLinearisation(windows)
     theta = structure.theta({})

@@ -97,9 +97,11 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     watch.enter("refit")
     parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
     free = nominal_parameters(problem.model)
-    nominal = refit(problem.model, free, parts.fitted, parts.block)
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
     simulated = {name: candidate for name, candidate in candidates.items() if candidate.simulated}
+    step = parts.fitted[0].sample_time
+    unseen = max((len(c.effect.sensor_memory(step)) for c in simulated.values()), default=0)
+    nominal = refit(problem.model, free, parts.fitted, parts.block, unseen)
     watch.enter("separability")
     traces = _traces(nominal, simulated, problem.jobs, watch)
     watch.enter("race")

@@ -110,6 +110,11 @@ class Rollout:
     def n_x(self) -> int:
         return len(self.states)
 
+    @property
+    def n_free(self) -> int:
+        """Number of states that commands do not determine: the model's, and its sensors' memory."""
+        return self.model.n_x + self._discrete.n_sensors
+
     def initial(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """A full state from the model's own, its memory as after a long time at a command."""
         return self._discrete.initial(x, u)

@@ -2,10 +2,14 @@
 
 Where they start is estimated from the data before anything is fitted. Measured states are read off
 a polynomial through the samples around the start; the momenta follow from the angles' rates by the
-model's own kinematics. States that are not measured (a rotor without tacho, a hysteresis) and the
-memory of the input path are simulated from the beginning of the recording, with the measured states
-put right at every window. A fit takes these starts as its first guess, and as the centre of a wide
-prior that settles what a window says nothing about.
+model's own kinematics. States that are not measured (a rotor without tacho, a hysteresis), the
+memory of the sensors and that of the input path are simulated from the beginning of the recording,
+with the measured states put right at every window. A fit takes these starts as its first guess, and
+as the centre of a wide prior that settles what a window says nothing about.
+
+The memory of the input path follows from the commands and stays as it is simulated. What sensors
+remember (past angles of a delay, a mode that rings) is the past of a motion that the simulation had
+left long before the window: it is free, as the states are.
 """
 
 from functools import cached_property
@@ -43,8 +47,8 @@ _SPREAD: dict[Kind, float] = {
 class Starts(NamedTuple):
     """Starts of windows."""
 
-    states: FloatArray  #: (m, n) array; the model's states, then its memory
-    #: (m, n - n_x, n_f) array; of the memory in the free parameters, exact; the commands before the
+    states: FloatArray  #: (m, n) array; those that are free, then the memory of the input path
+    #: (m, n - n_x, n_f) array; of that memory in the free parameters, exact; the commands before the
     #: window made it
     memory_slopes: FloatArray
 
@@ -78,7 +82,7 @@ class StartEstimator:
         """The starts with all parameters at ``p``, shape (n_p,)."""
         rollout, model = self._rollout, self._rollout.model
         n = model.n_x
-        state, slopes = self._opening, np.zeros((rollout.n_x - n, len(rollout.free)))
+        state, slopes = self._opening, np.zeros((rollout.n_x - rollout.n_free, len(rollout.free)))
         states, memories, at = [], [], 0
         for j, sample in enumerate(self._first):
             if sample > at:
@@ -107,7 +111,7 @@ def _carried(
     p: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """State and slopes of the memory after a stretch; a state that diverges stays where it was."""
-    n = rollout.model.n_x
+    n = rollout.n_free
     window = ([span[0]], [span[1] - span[0]])
     if rollout.n_x > n:
         after = rollout.sensitivities(commands, *window, state[None], p)
@@ -184,8 +188,7 @@ class Residuals(NamedTuple):
     """Predicted less measured, not yet divided by anything."""
 
     r: FloatArray  #: (m, c, n_y) array; by window, sample, output; 0 where nothing was measured
-    #: (m, c, n_y, n_x + n_f) array or None; slopes in the window's start (the model's states) and
-    #: in the free parameters
+    #: (m, c, n_y, n_x + n_f) array or None; slopes in the window's start and in the free parameters
     j: FloatArray | None
     ends: FloatArray  #: (m, n_x) array; states one sample after each window
     dends: FloatArray | None  #: (m, n_x, n_x + n_f) array or None
@@ -201,11 +204,18 @@ class Windows:
 
     ``with_parameters``: whether slopes in the free parameters are wanted; without them only those
     in the starts are computed, which is what a search without gradients needs. ``rollout``: of the
-    problem's model, free parameters and sample time, made before; None: make it.
+    problem's model, free parameters and sample time, made before; None: make it. ``unseen``: samples
+    at the beginning of each window that are not compared, so that models whose sensors remember so
+    many, and models whose sensors do not, are compared on the same samples.
     """
 
     def __init__(
-        self, problem: FitProblem, *, with_parameters: bool = True, rollout: Rollout | None = None
+        self,
+        problem: FitProblem,
+        *,
+        with_parameters: bool = True,
+        rollout: Rollout | None = None,
+        unseen: int = 0,
     ) -> None:
         self.problem, self.datasets = problem, problem.datasets
         times = {round(dataset.sample_time, 9) for dataset in self.datasets}
@@ -243,7 +253,6 @@ class Windows:
         )
         for _, _, rows in self._of_dataset:
             self.follows[rows.start] = False
-        self.spread = spreads(model)  #: (n_x,) array; of the prior of the starts
         self._estimators = [
             StartEstimator(self.rollout, dataset, first) for dataset, first, _ in self._of_dataset
         ]
@@ -252,26 +261,28 @@ class Windows:
         #: Standard deviation of each output's noise as declared, (m, n_y), and what was measured,
         #: (m, c, n_y), NaN where there is nothing to compare
         self.declared, self.target = self._measurements()
+        self.target[:, :unseen] = np.nan
         self.measured = np.isfinite(self.target)
         if not self.measured.any():
             raise ConfigurationError(
                 "the recordings hold no measured sample", where="real", remedy="look at the files"
             )
+        self.spread = self._spread()  #: (n_x,) array; of the prior of the starts
 
     def __len__(self) -> int:
         return len(self.first)
 
     @property
     def n_x(self) -> int:
-        """Number of states of the model, its memory not among them."""
-        return self.problem.model.n_x
+        """Number of states that a window begins with: the model's, and its sensors' memory."""
+        return self.rollout.n_free
 
     def starts(self, p: FloatArray) -> FloatArray:
         """Estimated starts of the windows, shape (m, n_x)."""
         return np.vstack([s[:, : self.n_x] for s, _ in self._estimated(p)])
 
     def with_memory(self, p: FloatArray, starts: FloatArray) -> FloatArray:
-        """Full states (m, n): some starts of the model's states, and the memory at them."""
+        """Full states (m, n): some starts, and the memory of the input path at them."""
         return self._with_memory(p, starts)[0]
 
     @cached_property
@@ -303,7 +314,7 @@ class Windows:
     def _in_model_states(
         self, j: FloatArray, dends: FloatArray, memory_slopes: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        """Slopes without those in the memory, whose own slopes go to the parameters."""
+        """Slopes without those in the input's memory, whose own slopes go to the parameters."""
         n, n_all = self.n_x, self.rollout.n_x
         if memory_slopes is None:
             return j, dends
@@ -327,6 +338,16 @@ class Windows:
 
     def _estimated(self, p: FloatArray) -> list[Starts]:
         return [estimator.at(p) for estimator in self._estimators]
+
+    def _spread(self) -> FloatArray:
+        """Spread of the starts; what a sensor remembers is as uncertain as it is large."""
+        model = self.problem.model
+        of_states = spreads(model)
+        if self.n_x == model.n_x:
+            return of_states
+        remembered = self.starts(self.problem.all_values(self.problem.starts))[:, model.n_x :]
+        size = np.sqrt(np.mean(remembered**2, axis=0))
+        return np.concatenate([of_states, np.maximum(size, self.declared.min())])
 
     def _measurements(self) -> tuple[FloatArray, FloatArray]:
         """Declared noise (m, n_y) and measured outputs (m, c, n_y), NaN where there is none."""
