@@ -114,7 +114,7 @@ def recovery_of(name: str, case: Case, document: Mapping[str, Any]) -> Recovery:
 def table_of(found: Sequence[Recovery]) -> str:
     """A line a rig."""
     lines = [
-        "| effect | × typical | size | estimate | error | nats above the refit | said | recovered |",
+        "| effect | × typical | size | estimate | error | nats above refit | said | recovered |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for one in found:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox import map_fit
-from trms_cli.identification.greybox.windows import StartEstimator, Windows
+from trms_cli.identification.greybox.windows import StartEstimator, Windows, spread_of_memory
 from trms_cli.identification.problem import FitProblem, FitResult, with_values
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
 from trms_cli.models.model import Model, index_of, names
@@ -87,18 +87,21 @@ def fitted_starts(
     """Fit the states at the beginnings of stretches, all of ``samples``.
 
     ``first``: (m,) array; first sample of each stretch. ``guess``: (m, rollout.n_x) array; states
-    around which the starts are sought, with memory, which stays. ``prior_sd``: (n_x,) array; of the
-    model's states around the guess; None: as wide as what the default observer believes before the
-    first measurement. ``p``: (n_p,) array; all parameters; None: the model's. Returns starts and
-    ends, (m, rollout.n_x) arrays: states at the first sample, and one sample after the last.
+    around which the starts are sought, with memory; that of the input path stays. ``prior_sd``:
+    (n_x,) array; of the model's states around the guess; None: as wide as what the default observer
+    believes before the first measurement. ``p``: (n_p,) array; all parameters; None: the model's.
+    Returns starts and ends, (m, rollout.n_x) arrays: states at the first sample, and one sample
+    after the last.
     """
-    model, n = rollout.model, rollout.model.n_x
+    model, n = rollout.model, rollout.n_free
     columns, count = output_columns(model, dataset), np.full(len(first), samples)
     measured = dataset.measurements[first[:, None] + np.arange(samples)]
     present, shape = ~np.isnan(measured), measured.shape
     sd = np.where(dataset.noise_sd > 0, dataset.noise_sd, _LEAST_SD)
     if prior_sd is None:
         prior_sd = np.array([getattr(InitialSd(), kind) for kind in kinds_of_states(model)])
+    remembered = spread_of_memory(guess[:, model.n_x : n], float(sd.min()))
+    prior_sd = np.concatenate([prior_sd, remembered])
 
     def simulated(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Costs, residuals, their slopes in the model's states, and the ends.

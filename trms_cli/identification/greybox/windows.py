@@ -48,14 +48,22 @@ class Starts(NamedTuple):
     """Starts of windows."""
 
     states: FloatArray  #: (m, n) array; those that are free, then the memory of the input path
-    #: (m, n - n_x, n_f) array; of that memory in the free parameters, exact; the commands before the
-    #: window made it
+    #: (m, n - n_x, n_f) array; of that memory in the free parameters, exact; the commands before
+    #: the window made it
     memory_slopes: FloatArray
 
 
 def spreads(model: Model) -> FloatArray:
     """Standard deviation of the prior of each state at a window's start, shape (n_x,)."""
     return np.array([_SPREAD[kind] for kind in kinds_of_states(model)])
+
+
+def spread_of_memory(remembered: FloatArray, least: float) -> FloatArray:
+    """Standard deviation of the prior of what sensors remember, shape (k,): as large as it is.
+
+    ``remembered``: (m, k) array; at some starts, as simulated. ``least``: no deviation is smaller.
+    """
+    return np.asarray(np.maximum(np.sqrt(np.mean(remembered**2, axis=0)), least))
 
 
 class StartEstimator:
@@ -204,9 +212,9 @@ class Windows:
 
     ``with_parameters``: whether slopes in the free parameters are wanted; without them only those
     in the starts are computed, which is what a search without gradients needs. ``rollout``: of the
-    problem's model, free parameters and sample time, made before; None: make it. ``unseen``: samples
-    at the beginning of each window that are not compared, so that models whose sensors remember so
-    many, and models whose sensors do not, are compared on the same samples.
+    problem's model, free parameters and sample time, made before; None: make it. ``unseen``:
+    samples at the beginning of each window that are not compared, so that models whose sensors
+    remember so many, and models whose sensors do not, are compared on the same samples.
     """
 
     def __init__(
@@ -340,14 +348,12 @@ class Windows:
         return [estimator.at(p) for estimator in self._estimators]
 
     def _spread(self) -> FloatArray:
-        """Spread of the starts; what a sensor remembers is as uncertain as it is large."""
         model = self.problem.model
         of_states = spreads(model)
         if self.n_x == model.n_x:
             return of_states
         remembered = self.starts(self.problem.all_values(self.problem.starts))[:, model.n_x :]
-        size = np.sqrt(np.mean(remembered**2, axis=0))
-        return np.concatenate([of_states, np.maximum(size, self.declared.min())])
+        return np.concatenate([of_states, spread_of_memory(remembered, self.declared.min())])
 
     def _measurements(self) -> tuple[FloatArray, FloatArray]:
         """Declared noise (m, n_y) and measured outputs (m, c, n_y), NaN where there is none."""
