@@ -10,8 +10,6 @@ predicts held-out blocks far better than the refit does. What lies in OUT is onl
 interrupted study goes on.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

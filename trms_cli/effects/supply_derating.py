@@ -38,7 +38,7 @@ class SupplyDerating(Effect):
         )
 
     def memory(self, step: float) -> tuple[Signal, ...]:
-        return (Signal("warmth", "1", "0 cold, 1 after full load for ever"),)
+        return (Signal("warmth", "1", "0 cold, 1 after full load for ever", begins_cold=True),)
 
     def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
         channel = rotor_input(at.model, self.rotor)

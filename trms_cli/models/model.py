@@ -36,6 +36,9 @@ class Signal:
     description: str = ""  #: what it is, without the unit
     #: whether, as a state, it remembers a path: it rests at any value, and only motion changes it
     path_memory: bool = False
+    #: whether, as memory of the input path, it begins at zero with a recording: what takes minutes
+    #: (a drive that warms up) has not settled at the first command
+    begins_cold: bool = False
 
 
 @dataclass(frozen=True)

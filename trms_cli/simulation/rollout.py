@@ -116,8 +116,13 @@ class Rollout:
         return self.model.n_x + self._discrete.n_sensors
 
     def initial(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """A full state from the model's own, its memory as after a long time at a command."""
-        return self._discrete.initial(x, u)
+        """A full state from the model's own at the beginning of a recording.
+
+        Its memory is as after a long time at the command, but for what begins cold.
+        """
+        full = self._discrete.initial(x, u)
+        full[[state.begins_cold for state in self.states]] = 0.0
+        return full
 
     def outputs(
         self,

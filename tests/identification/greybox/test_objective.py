@@ -9,7 +9,9 @@ from tests.identification.blackbox.differences import central
 from tests.identification.greybox.rigs import measuring, recording
 from trms_cli.effects.actuator_lag import ActuatorLag
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.flexible_mode import FlexibleMode
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.objective import MapObjective, ResidualWeights, sizes
@@ -91,6 +93,34 @@ def test_slopes_see_what_commands_before_the_window_left_behind(vertical: Model)
     remembering.parameters = remembering.parameters.replaced(moved)
     own, theta, starts = objective(remembering, dataset, free)
     assert largest_slope_error(own, theta, starts) < 1e-5
+
+
+def test_what_sensors_remember_is_free_and_samples_that_are_not_seen_count_for_nothing() -> None:
+    sensors = {
+        "pitch_sensor_delay": SensorDelay(axis="pitch", delay=0.05, longest=0.1),
+        "pitch_flexible_mode": FlexibleMode(axis="pitch", share=0.5, frequency=4.0, damping=0.03),
+    }
+    model = extend_model(Newtonian(freedom="vertical"), sensors)
+    dataset, _ = recording(model, ranges=RANGES)
+    own, theta, starts = objective(model, dataset, ["*delay.delay", "*mode.*", "k_fvp"])
+    memory = len(model.sensor_memory(dataset.sample_time))
+    assert starts.shape[1] == model.n_x + memory == own.windows.n_x
+    assert np.all(own.windows.spread > 0)
+    assert largest_slope_error(own, theta, starts) < 1e-5
+    hidden = Windows(own.windows.problem, unseen=memory)
+    assert hidden.measured.sum() == own.windows.measured.sum() - memory * hidden.measured[:, 0].size
+    # past angles reach no further than the samples that are not seen
+    delay_only = extend_model(Newtonian(freedom="vertical"), dict([*sensors.items()][:1]))
+    late, theta, starts = objective(delay_only, dataset, ["k_fvp"])
+    past = len(delay_only.sensor_memory(dataset.sample_time))
+    windows = Windows(late.windows.problem, unseen=past)
+    p = windows.problem.all_values(theta)
+    moved = starts.copy()
+    moved[:, delay_only.n_x :] += 0.3
+    np.testing.assert_array_equal(windows.residuals(p, moved).r, windows.residuals(p, starts).r)
+    assert not np.array_equal(
+        late.windows.residuals(p, moved).r, late.windows.residuals(p, starts).r
+    )
 
 
 def test_starts_are_near_the_truth_also_of_rotors_that_are_not_measured(vertical, recorded):

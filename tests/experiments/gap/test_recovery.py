@@ -1,0 +1,43 @@
+"""Effects that the diagnosis did not recover of their own simulation, by rigs of other code."""
+
+import pytest
+
+from experiments.gap.blind.truths import LIBRARY
+from experiments.gap.recovery import FACTORS, Recovery, cases_of, main, study, table_of
+
+
+def test_every_effect_of_the_library_has_a_rig_of_each_size():
+    cases = cases_of(list(LIBRARY), seed=1)
+    assert len(cases) == len(FACTORS) * len(LIBRARY) == 117
+    for name, case in cases.items():
+        ((effect, sizes),) = case.effects.items()
+        key = LIBRARY[effect].grows[0]
+        factor = float(name.rsplit("-", 1)[1])
+        assert sizes[key] == pytest.approx(factor * LIBRARY[effect].sizes[key])
+
+
+def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
+    def one(effect: str = "yaw_sensor_delay", **changed: object) -> Recovery:
+        known = {"factor": 1.0, "size": 0.05, "estimate": 0.052, "sd": 1e-4, "score": 50.0}
+        said = {"named": True, "verdict": "effect", "seconds": 5.0}
+        return Recovery(effect, **(known | said | changed))  # type: ignore[arg-type]
+
+    assert one().recovered
+    assert not one(estimate=0.06).recovered and one(estimate=0.06, sd=0.004).recovered
+    assert not one(score=3.0).recovered
+    assert not one(estimate=None, sd=None, score=None).recovered
+    # noise is recovered where it is named, and a rig's other law has another size
+    assert one("yaw_disturbance", estimate=None).recovered
+    assert not one("yaw_disturbance", named=False).recovered
+    assert one("yaw_cable_hysteresis", estimate=0.08).recovered
+    assert "1 of 2 recovered" in table_of([one(), one(score=3.0)])
+
+
+@pytest.mark.slow
+def test_a_sensor_that_is_late_is_recovered_at_three_sizes(tmp_path, capsys):
+    found = study(tmp_path, ["yaw_sensor_delay"], race=False, seed=20, jobs=2)
+    assert [one.factor for one in found] == list(FACTORS)
+    assert all(one.recovered and one.named for one in found)
+    # what is there is only read
+    assert main([str(tmp_path), "yaw_sensor_delay"]) == 0
+    assert "3 of 3 recovered" in capsys.readouterr().out
