@@ -36,8 +36,6 @@ def replies(tmp_path: Path):
 
 @needs_bash
 class TestBash:
-    """The function that bash calls."""
-
     @pytest.mark.parametrize(
         ("line", "among"),
         [

@@ -143,8 +143,6 @@ class TestErrors:
 
 
 class TestList:
-    """``trms list``."""
-
     def test_groups_with_descriptions_also_as_json(self, trms):
         shown = trms("list").stdout
         assert "model  (what the controller and the observer believe)" in shown
@@ -178,8 +176,6 @@ class TestList:
 
 
 class TestDoctor:
-    """``trms doctor``."""
-
     def test_this_machine_is_ready(self, trms):
         assert trms("doctor").stdout.endswith("\nready\n")
         document = json.loads(trms("doctor", "--json").stdout)

@@ -37,8 +37,6 @@ def raw(log: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 
 class TestWhatItLeaves:
-    """The folder and the screen."""
-
     def test_the_screen_fits_a_terminal_and_tells_what_to_do_next(self, finished):
         _, result = finished
         lines = result.stdout.splitlines()

@@ -112,8 +112,6 @@ class TestFolders:
 
 
 class TestOutput:
-    """Tables, JSON, CSV, Parquet."""
-
     def test_a_pipe_gets_aligned_columns(self, ask):
         lines = ask("--sort", "rmse_yaw").stdout.splitlines()
         heading, *rows = (line.split() for line in lines)

@@ -98,8 +98,6 @@ def text_of(lines: list[Text]) -> str:
 
 
 class TestFrame:
-    """A picture of a run."""
-
     def test_of_80_by_24_has_everything(self):
         text = text_of(run_frame(a_view(), 80, 24))
         for words in (
@@ -174,8 +172,6 @@ class TestFrame:
 
 
 class TestChart:
-    """Curves in characters."""
-
     @settings(max_examples=60, deadline=None)
     @given(
         values=st.lists(st.floats(-50, 50) | st.just(math.nan), min_size=1, max_size=60),
@@ -244,8 +240,6 @@ def test_keys(sent, keys):
 
 
 class TestPlayer:
-    """Where one is in a run."""
-
     @pytest.fixture
     def player(self, made):
         run = RunFollower(made / "one" / "run.mcap")
@@ -280,8 +274,6 @@ class TestPlayer:
 
 
 class TestOnce:
-    """One picture, printed."""
-
     def test_of_the_latest_run_with_the_figures_of_its_score(self, there, tmp_path):
         text = there("--once")
         score = json.loads((tmp_path / "one" / "score.json").read_text())
@@ -364,8 +356,6 @@ def on_screen(there, in_terminal):
 
 
 class TestTerminal:
-    """In a real terminal."""
-
     @pytest.mark.parametrize(("how", "code"), [("q", 0), ("ctrl-c", 130), ("sigterm", 143)])
     def test_is_left_as_it_was(self, on_screen, how, code):
         screen = on_screen("one", "--speed", "0.5")
@@ -417,8 +407,6 @@ def test_a_run_that_goes_on_is_found_followed_and_told_when_killed(
 
 
 class TestSweep:
-    """A sweep that goes on."""
-
     @pytest.fixture
     def folder(self, tmp_path) -> Path:
         folder = tmp_path / "sweep"

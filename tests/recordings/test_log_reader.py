@@ -329,8 +329,6 @@ class TestWriter:
 
 
 class TestBadFiles:
-    """What is no log."""
-
     def test_none_no_mcap_and_a_folder(self, path):
         with pytest.raises(RecordingError, match="no such file"):
             LogTail(path)

@@ -135,8 +135,6 @@ def ranking():
 
 
 class TestRun:
-    """The page of one run."""
-
     @pytest.fixture
     def plots(self, run):
         return plots_of(findings_of_run(run))
@@ -243,8 +241,6 @@ class TestRun:
 
 
 class TestComparison:
-    """Several runs over one another."""
-
     def test_runs_lie_over_one_another_and_the_best_is_marked(self):
         one = example_run("one")
         page = findings_of_comparison([one, example_run("other", shift=0.2)])
@@ -288,8 +284,6 @@ class TestComparison:
 
 
 class TestSweep:
-    """Many runs."""
-
     def test_draws_show_failures_correlations_and_limits_and_the_strongest_are_plotted(self, drawn):
         page = findings_of_sweep(drawn)
         text, plots = page_html(page), plots_of(page)

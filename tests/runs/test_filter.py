@@ -309,8 +309,6 @@ class TestHostile:
 
 
 class TestErrors:
-    """What a person reads."""
-
     @pytest.mark.parametrize(
         ("text", "position", "hint"),
         [

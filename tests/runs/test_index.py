@@ -34,8 +34,6 @@ def paths(**how) -> list[str]:
 
 
 class TestRow:
-    """What a log becomes."""
-
     def test_words_and_figures(self, write_run, runs):
         write_run(
             choices={"controller": "lqr", "effect": ["cable_stiffness", "inflow"]},
@@ -280,8 +278,6 @@ class TestStatus:
 
 
 class TestTold:
-    """What runs say of themselves."""
-
     def test_a_run_elsewhere_is_known(self, write_run, tmp_path):
         log = write_run("a", ending=None, samples=10)
         elsewhere = tmp_path / "elsewhere" / "a"
@@ -328,8 +324,6 @@ class TestTold:
 
 
 class TestDatabase:
-    """The file itself."""
-
     def test_an_index_damaged_inside_or_as_a_whole_is_made_anew(self, write_run):
         for k in range(30):
             write_run(f"r{k}")
@@ -389,8 +383,6 @@ class TestDatabase:
 
 
 class TestOrder:
-    """Sorting, limits and columns."""
-
     def test_what_has_no_value_comes_last(self, write_run):
         for k, value in enumerate((0.2, None, 0.1)):
             write_run(f"r{k}", scored=score(rmse_alpha_h=value))
@@ -461,8 +453,6 @@ def test_a_run_that_tells_of_itself_loads_no_database(tmp_path):
 
 
 class TestPage:
-    """What the page and the help say."""
-
     page = (Path(__file__).parents[2] / "docs" / "runs.md").read_text(encoding="utf-8")
 
     def test_every_column_is_told_of(self):

@@ -223,8 +223,6 @@ class TestConjugateGradient:
 
 
 class TestScaledConjugateGradient:
-    """Møller's algorithm."""
-
     def test_solves_a_quadratic_in_as_many_steps_as_it_has_variables(self, quadratic):
         trace = traced(ScaledConjugateGradient(first_scale=1e-12), quadratic, np.zeros(6), 6)
         scale = np.linalg.norm(quadratic.minimum)
