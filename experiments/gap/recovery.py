@@ -47,7 +47,6 @@ class Recovery:
     score: float | None  #: Held-out nats above the refit
     named: bool  #: Whether the likeliest cause is the effect, or one that is declared alike
     verdict: str
-    seconds: float
 
     @property
     def recovered(self) -> bool:
@@ -105,7 +104,6 @@ def recovery_of(name: str, case: Case, document: Mapping[str, Any]) -> Recovery:
         None if row is None else row["score"],
         len(first) == 1 and first[0] in alike,
         document["verdict"],
-        sum(document["seconds"].values()),
     )
 
 
@@ -131,7 +129,7 @@ def table_of(found: Sequence[Recovery]) -> str:
 
 
 def study(out: Path, effects: Sequence[str], *, race: bool, seed: int, jobs: int) -> list[Recovery]:
-    """Record, diagnose, read."""
+    """Record, diagnose, read; a rig that cannot be diagnosed is told, and not in the list."""
     cases = cases_of(effects, seed)
     write_recordings(cases, out / "recordings", seed)
     answers = out / ("race" if race else "alone")
@@ -140,7 +138,8 @@ def study(out: Path, effects: Sequence[str], *, race: bool, seed: int, jobs: int
     for effect in dict.fromkeys(next(iter(cases[name].effects)) for name in waiting):
         files = [out / "recordings" / f"{n}.csv" for n in waiting if effect in cases[n].effects]
         words = [] if race else [f"candidates=[{effect}]"]
-        diagnose_all(files, answers, words, jobs, _say)
+        for name, why in diagnose_all(files, answers, words, jobs, _say).items():
+            _say(name, f"not diagnosed: {why}")
     return [
         recovery_of(name, case, json.loads(document.read_text(encoding="utf-8")))
         for name, case in cases.items()
@@ -162,11 +161,14 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args(argv)
-    found = study(
-        given.out, given.effects or list(LIBRARY), race=given.race, seed=given.seed, jobs=given.jobs
-    )
+    effects = given.effects or list(LIBRARY)
+    unknown = [name for name in effects if name not in LIBRARY]
+    if unknown:
+        parser.error(f"no effect {unknown[0]!r}; there are: {', '.join(LIBRARY)}")
+    found = study(given.out, effects, race=given.race, seed=given.seed, jobs=given.jobs)
     sys.stdout.write(table_of(found))
-    return 0 if all(one.recovered for one in found) else 1
+    complete = len(found) == len(cases_of(effects, given.seed))
+    return 0 if complete and all(one.recovered for one in found) else 1
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from experiments.gap.recovery import FACTORS, Recovery, cases_of, main, study, t
 def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
     def one(effect: str = "yaw_sensor_delay", **changed: object) -> Recovery:
         known = {"factor": 1.0, "size": 0.05, "estimate": 0.052, "sd": 1e-4, "score": 50.0}
-        said = {"named": True, "verdict": "effect", "seconds": 5.0}
+        said = {"named": True, "verdict": "effect"}
         return Recovery(effect, **(known | said | changed))  # type: ignore[arg-type]
 
     assert one().recovered
@@ -22,6 +22,8 @@ def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
     assert one("yaw_cable_hysteresis", estimate=0.08).recovered
     assert "1 of 2 recovered" in table_of([one(), one(score=3.0)])
     assert len(cases_of(list(LIBRARY), seed=1)) == len(FACTORS) * len(LIBRARY) == 117
+    with pytest.raises(SystemExit, match="2"):
+        main(["nowhere", "yaw_friction"])
 
 
 @pytest.mark.slow
