@@ -12,9 +12,11 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.findings import json_data
 
 SCHEMA = "trms.diagnosis/1"
-Verdict = Literal["effect", "parameters_only", "no_gap", "none_of_these", "undecided"]
+Verdict = Literal[
+    "effect", "parameters_only", "no_gap", "no_change", "none_of_these", "undecided"
+]
 #: Causes that are no effect, as they stand among the ``causes``.
-NO_EFFECT = ("no_gap", "parameters_only", "none_of_these")
+NO_EFFECT = ("no_gap", "no_change", "parameters_only", "none_of_these")
 #: Where a gap can lie, from the command to the sensor.
 LOCATIONS = (
     "main_actuator",
@@ -71,12 +73,55 @@ class SizeEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Onset:
+    """When a cause begins within the recordings."""
+
+    time_s: float  #: s, from the beginning of the recording that it begins in
+    ci95: tuple[float, float]  #: s
+
+
+@dataclass(frozen=True, kw_only=True)
 class Cause:
     """One entry of the race: effects together (or one of :data:`NO_EFFECT`), calibrated."""
 
     effects: tuple[str, ...]  #: sorted by name
     probability: float  #: 0 to 1
     parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)  #: sizes by name
+    onset: Onset | None = None  #: None: it acts from the beginning to the end
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovedParameter:
+    """A nominal parameter that may be what differs, alone."""
+
+    parameter: str  #: its name
+    probability: float  #: 0 to 1; of the parameters that moved, that this one did
+    change: float  #: in its unit, from the model's value
+    sd: float  #: of the posterior
+    unit: str  #: SI
+    words: str  #: in physical words
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rejected:
+    """A suspect that is not the answer, and why not."""
+
+    effect: str  #: its name
+    score: float | None  #: held-out nats above the refitted model; None: not fitted
+    size: SizeEstimate | None  #: of its first size, where it was fitted
+    upper_bound: float | None  #: the first size lies below it with 95 %, in its unit
+    reason: str  #: in words
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worth:
+    """What the correction gains in the loop, simulated on the corrected model."""
+
+    before: Mapping[str, float]  #: RMS tracking error by angle with the model as it was, rad
+    after: Mapping[str, float]  #: the same with the corrected model in the controller
+    controller: str  #: its name
+    command: str  #: that drives with the corrected model
+    words: str  #: in a sentence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +239,14 @@ class DiagnosisResult:
     gap: Mapping[str, Mapping[str, Gap]]  #: by channel and horizon
     shrink: Mapping[str, Mapping[str, Shrink]]  #: by channel, and "all", and horizon
     next_experiment: NextExperiment | None
+    #: Recordings of a known state that these are compared with; empty without
+    against: tuple[DiagnosedRecording, ...] = ()
+    #: Probability of each effect to be part of the answer, descending
+    inclusion: Mapping[str, float] = field(default_factory=dict)
+    worth: Worth | None = None  #: None where nothing is corrected
+    moved: tuple[MovedParameter, ...] = ()  #: descending by probability
+    rejected: tuple[Rejected, ...] = ()  #: every other suspect, the nearest first
+    excitation: tuple[str, ...] = ()  #: what the recordings cannot tell, said first
     # Beyond the contract: what the report tells besides.
     sentence: str  #: what a colleague would say
     tests: tuple[GapTest, ...] = ()  #: of the refit's innovations
