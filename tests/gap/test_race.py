@@ -85,8 +85,11 @@ def test_noise_is_read_from_steps_and_ripple():
     read = with_noise(unknown).noise_sd
     assert read[:2] == pytest.approx(QUANTUM / np.sqrt(12), rel=1e-3)
     assert read[2:] == pytest.approx(TACHO_NOISE, rel=0.1)
-    told = with_noise(dataset).noise_sd
-    assert told == pytest.approx(dataset.noise_sd)
+    # what is declared counts where nothing can be read, and no sensor is believed without limit
+    still = replace(dataset, measurements=np.where(np.arange(4) < 3, dataset.measurements, 0.0))
+    assert with_noise(still).noise_sd[3] == pytest.approx(dataset.noise_sd[3])
+    exact = replace(dataset, measurements=np.sin(dataset.time[:, None] * [0.3, 0.2, 0.3, 0.2]))
+    assert with_noise(exact).noise_sd == pytest.approx(2e-4 / np.sqrt(2), rel=0.2)
     # A smooth signal has no step.
     random = np.random.default_rng(0)
     assert quantum_of(random.standard_normal(500)) == 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -225,7 +226,7 @@ class FittedModel:
         """The free parameters by name."""
         return dict(zip(self.structure.problem.names, self.fit.theta.tolist(), strict=True))
 
-    @property
+    @cached_property
     def model(self) -> Model:
         """The model at the fitted values."""
         return with_values(self.structure.problem.model, self.values)
@@ -418,20 +419,19 @@ def refit(
     p = structure.problem.all_values(theta)
     centres = windows.starts(p)
     channels = usual_channels(model)
-    count = len(channels)
     first = Discrepancy(windows, linearisation.along(p, centres), channels)
     trajectory = linearisation.through(p, _followed(first))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
     point = (theta, centres)
     for share in _FIRST_SHARES:
-        metric = Metric(fitting, np.full(count, share))
+        metric = Metric(fitting, fitting.sizes(share))
         fitted = structure.fit(metric, [point], centres=centres, tolerance=0.5, with_evidence=False)
         point = (fitted.fit.theta, fitted.fit.starts)
     p = structure.problem.all_values(point[0])
     trajectory = linearisation.along(p, point[1])
     trajectory = linearisation.through(p, _followed(replace(first, trajectory=trajectory)))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
-    fitted = _settled(fitted, fitting, np.full(count, _FIRST_SHARES[-1]), rounds=3)
+    fitted = _settled(fitted, fitting, fitting.sizes(_FIRST_SHARES[-1]), rounds=3)
     points = [(theta, fitted.fit.starts), (theta, centres)]
     # with its parameters as they were, only the windows' starts are fitted
     raw = structure.held().fit(fitted.metric, points, centres=centres).fit
@@ -442,7 +442,6 @@ def _followed(discrepancy: Discrepancy) -> FloatArray:
     """States that follow the data, (m, c, n)."""
     r = discrepancy.windows.target - discrepancy.trajectory.y
     r = np.where(np.isfinite(r), r, 0.0)
-    shares = np.full(len(discrepancy.channels), 0.5)
-    x, _ = discrepancy.smoothed(shares, r)
+    x, _ = discrepancy.smoothed(discrepancy.sizes(0.5), r)
     n = discrepancy.trajectory.x.shape[-1]
     return np.asarray(discrepancy.trajectory.x + x[..., :n])

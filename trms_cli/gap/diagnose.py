@@ -17,6 +17,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import json_data
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
 from trms_cli.gap import free_runs
+from trms_cli.gap.belief import calibration
 from trms_cli.gap.competing_model import FittedModel, Metric, Refit, nominal_parameters, refit
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
@@ -37,7 +38,7 @@ from trms_cli.gap.diagnosis import (
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.next_experiment import advise
-from trms_cli.gap.posterior import Posterior, calibration, posterior_of
+from trms_cli.gap.posterior import Posterior, posterior_of
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, EffectTraces, Race, effect_traces, run_race
 from trms_cli.gap.residuals import Location, innovation_tests, locate, smoothed_forces
@@ -116,7 +117,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     )
     constants = calibration()
     channels = nominal.metric.discrepancy.channels
-    usual = {c.location: constants.usual(c.location) for c in channels if c.fixed is None}
+    usual = {c.location: constants.usual(c.location) for c in channels}
     watch.enter("where")
     place = locate(nominal, usual)
     forces = smoothed_forces(nominal, nominal)
@@ -125,9 +126,10 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     limits = np.array([usual.get(c.location, np.inf) for c in channels])
     calm = Metric(nominal.metric.discrepancy, np.minimum(nominal.metric.shares, limits))
     tests = innovation_tests(replace(nominal, metric=calm), seed=problem.seed)
-    posterior = posterior_of(problem, race, candidates, forces, place, constants)
     watch.enter("how far")
-    sealed = free_runs.sealed_comparison(problem, parts, race, posterior)
+    runs = free_runs.SealedRuns(problem, parts)
+    posterior = posterior_of(problem, race, candidates, forces, place, constants, runs)
+    sealed = free_runs.sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
     result = result_of(
         StageResults(
@@ -232,7 +234,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         refit=refit.values,
         evidence={
             **json_data(posterior.features),
-            "shares": {channel.location: s for channel, s in shares if channel.fixed is None},
+            "shares": {channel.location: s for channel, s in shares},
             "outside": posterior.outside,
         },
         traces=_report_traces(stages, [w.location for w in where]),

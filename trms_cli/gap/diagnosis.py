@@ -12,9 +12,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.findings import json_data
 
 SCHEMA = "trms.diagnosis/1"
-Verdict = Literal[
-    "effect", "parameters_only", "no_gap", "no_change", "none_of_these", "undecided"
-]
+Verdict = Literal["effect", "parameters_only", "no_gap", "no_change", "none_of_these", "undecided"]
 #: Causes that are no effect, as they stand among the ``causes``.
 NO_EFFECT = ("no_gap", "no_change", "parameters_only", "none_of_these")
 #: Where a gap can lie, from the command to the sensor.

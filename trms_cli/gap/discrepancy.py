@@ -97,14 +97,15 @@ def scores(
     ``∂ log p/∂ log q_i = ½ q_i (squares_i − variances_i)`` (Koopman & Shephard 1992): at the most
     likely sizes the two are equal.
 
-    ``z``, (m, c, n_y) array: whitened innovations. Returns ``squares, variances``, (n,) arrays.
+    ``z``, (m, c, n_y) array: whitened innovations. Returns ``squares, variances``, (2, n) arrays:
+    for the variance of each state at the windows' first samples, and of what disturbs it later.
     """
     n = system.h.shape[-1]
     e = np.asarray(np.linalg.solve(filter_.root, z[..., None])[..., 0], dtype=np.float64)
     library = _library()
     if library is None:
         return _scores_of_arrays(system, filter_, e)
-    squares, variances = np.empty(n), np.empty(n)
+    squares, variances = np.empty((2, n)), np.empty((2, n))
     _run(library.trms_scores, system, (filter_.k, filter_.root, _c(e), squares, variances))
     return squares, variances
 
@@ -113,11 +114,10 @@ def _scores_of_arrays(
     system: LinearSystem, filter_: FilterGains, e: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     n = system.h.shape[-1]
-    squares, variances = np.zeros(n), np.zeros(n)
+    squares, variances = np.zeros((2, n)), np.zeros((2, n))
     for t, back, spread in _backward(system, filter_, e):
-        if t > 0:
-            squares += (back**2).sum(axis=0)
-            variances += np.einsum("mii->i", spread)
+        squares[min(t, 1)] += (back**2).sum(axis=0)
+        variances[min(t, 1)] += np.einsum("mii->i", spread)
     return squares, variances
 
 
@@ -313,9 +313,10 @@ class TrajectoryLinearisation:
 
 #: s. Time over which a discrepancy forgets itself, of every channel but a drive's gain.
 CORRELATION_TIME = 0.5
-#: The gain of a drive wanders on every rig, with the temperature and the supply: by this share
-#: (standard deviation), over this time in s.
-GAIN_DRIFT, DRIFT_TIME = 0.015, 30.0
+#: The gain of a drive wanders on every rig, with the temperature and the supply: over this time in
+#: s, by a share that is estimated; its prior is log-normal about this centre, with this spread.
+DRIFT_TIME = 30.0
+_USUAL_DRIFT, _DRIFT_SPREAD = 0.01, 0.7
 #: Sensors' outputs by name, and where in the block diagram they are.
 SENSORS = {
     "alpha_v": "pitch_sensor",
@@ -333,7 +334,7 @@ class DiscrepancyChannel:
     kind: str  #: ``gain``: in proportion to a command
     index: int  #: In the model's ``w``, ``u`` or ``y``
     unit: str
-    fixed: float | None = None  #: Its size, where that is not to be estimated
+    usual: float | None = None  #: Centre of the prior of its size; None: nothing is known of it
 
 
 def equation_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
@@ -357,7 +358,7 @@ def input_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
 def usual_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     """What may always err: every equation, and the gain of every drive a little."""
     gains_ = tuple(
-        DiscrepancyChannel(channel.location, "gain", channel.index, "1", GAIN_DRIFT)
+        DiscrepancyChannel(channel.location, "gain", channel.index, "1", _USUAL_DRIFT)
         for channel in input_channels(model)
     )
     return (*equation_channels(model), *gains_)
@@ -387,18 +388,9 @@ class Discrepancy:
         times = [DRIFT_TIME if c.kind == "gain" else CORRELATION_TIME for c in self.channels]
         return np.asarray(np.exp(-self.windows.sample_time / np.array(times)))
 
-    @cached_property
-    def fixed(self) -> BoolArray:
-        """Channels whose size is not to be estimated, (n_d,)."""
-        return np.array([channel.fixed is not None for channel in self.channels])
-
-    def effective(self, shares: FloatArray) -> FloatArray:
-        """The sizes, those that are fixed as they are fixed, (n_d,)."""
-        given = [
-            share if channel.fixed is None else channel.fixed
-            for share, channel in zip(shares, self.channels, strict=True)
-        ]
-        return np.array(given, dtype=float)
+    def sizes(self, share: float) -> FloatArray:
+        """One share for every channel, the usual one where one is known, (n_d,)."""
+        return np.array([share if c.usual is None else c.usual for c in self.channels])
 
     @cached_property
     def scales(self) -> FloatArray:
@@ -466,7 +458,7 @@ class Discrepancy:
         """
         n = self.trajectory.x.shape[-1]
         variance = np.zeros(n + len(self.channels))
-        variance[n:] = self.effective(shares) ** 2
+        variance[n:] = shares**2
         forgotten = np.concatenate([np.zeros(n), self.forgotten])
         q = np.diag(variance * (1 - forgotten**2))
         system = replace(self.system, start=self.system.start + np.diag(variance))
@@ -515,15 +507,23 @@ def likely_shares(
     """
     shares = np.maximum(np.asarray(shares, dtype=float), least)
     n = discrepancy.trajectory.x.shape[-1]
-    chosen = ~discrepancy.fixed if moving is None else moving & ~discrepancy.fixed
+    chosen = np.ones(len(shares), dtype=bool) if moving is None else moving
+    usual = np.array([np.nan if c.usual is None else c.usual for c in discrepancy.channels])
+    later = 1 - discrepancy.forgotten**2
     for _ in range(iterations):
         try:
             filter_ = discrepancy.filter(shares)
         except FloatingPointError:  # so large that numbers no longer hold it
             return np.maximum(shares / 4, least)
         z = discrepancy.whitened(filter_, r[..., None])[..., 0]
-        squares, variances = scores(discrepancy.system, filter_, z)
-        ratio = squares[n:] / np.maximum(variances[n:], 1e-300)
+        slopes = [  # in the logarithm of each size
+            shares**2 * (part[0, n:] + later * part[1, n:])
+            for part in scores(discrepancy.system, filter_, z)
+        ]
+        pull = np.nan_to_num(-np.log(shares / usual) / _DRIFT_SPREAD**2)
+        ratio = (slopes[0] + np.maximum(pull, 0.0)) / np.maximum(
+            slopes[1] + np.maximum(-pull, 0.0), 1e-300
+        )
         # the size is the root of the variance; half of the rest of the way is taken at a time
         after = np.clip(shares * np.clip(np.sqrt(ratio), 0.3, 4.0), least, _MOST)
         after = np.where(chosen, after, shares)

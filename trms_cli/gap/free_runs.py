@@ -19,10 +19,9 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import Gap, Shrink
-from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import HORIZONS, GapProblem, Parts
-from trms_cli.gap.race import Race
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
 from trms_cli.identification.greybox.windows import StartEstimator, spreads
@@ -53,6 +52,10 @@ class HorizonErrors:
     def rms(self) -> float:
         """Over all runs."""
         return float(np.sqrt(np.mean(self.squared)))
+
+
+#: Free runs by channel, then by horizon in s.
+Errors = Mapping[str, Mapping[float, HorizonErrors]]
 
 
 def free_run_errors(
@@ -235,6 +238,48 @@ class Shrinkage:
     worse: tuple[str, ...]  #: Channels that the correction made worse at 2 s
 
 
+class SealedRuns:
+    """Free runs of models on the sealed part, each model's made once."""
+
+    def __init__(self, problem: GapProblem, parts: Parts) -> None:
+        self._problem, self._parts = problem, parts
+        self._options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
+        self._errors: dict[int, tuple[Model, Errors]] = {}
+        self._floors: dict[int, tuple[Model, Errors]] = {}
+
+    def errors(self, model: Model, rollout: Rollout | None = None) -> Errors:
+        """By channel and horizon; ``rollout``: of the model's structure, where one is at hand."""
+        # the model stands beside its errors so that its identity stays its own
+        known = self._errors.get(id(model))
+        if known is None:
+            own = self._parts
+            made = free_run_errors(model, own.whole, own.sealed, rollout=rollout, **self._options)
+            known = self._errors[id(model)] = (model, made)
+        return known[1]
+
+    def floor(self, model: Model, rollout: Rollout | None = None) -> Errors:
+        """What a model leaves of its own simulation, seen through the sensors' noise."""
+        known = self._floors.get(id(model))
+        if known is None:
+            own, seed = self._parts, self._problem.seed
+            made = expected_errors(
+                model, own.whole, own.sealed, seed=seed, rollout=rollout, **self._options
+            )
+            known = self._floors[id(model)] = (model, made)
+        return known[1]
+
+
+def farthest_error(errors: Errors, floor: Errors) -> float:
+    """Largest error of all channels at the longest horizon, in floors; NaN where there is none."""
+    ratios = []
+    for channel, by_horizon in errors.items():
+        longest = max(by_horizon)
+        least = floor[channel][longest].rms
+        if least > 0:
+            ratios.append(by_horizon[longest].rms / least)
+    return max(ratios, default=float("nan"))
+
+
 def measure_shrinkage(
     problem: GapProblem,
     parts: Parts,
@@ -242,6 +287,7 @@ def measure_shrinkage(
     refit: Model,
     corrected: Model,
     rollouts: tuple[Rollout | None, Rollout | None] = (None, None),
+    runs: SealedRuns | None = None,
 ) -> Shrinkage:
     """Free runs of three models on the sealed part.
 
@@ -249,22 +295,14 @@ def measure_shrinkage(
     declared noise.
 
     ``rollouts``: of the refitted and of the corrected model's structure, where they are at hand.
+    ``runs``: that may have been made.
     """
-    options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
+    runs = runs or SealedRuns(problem, parts)
     plain, richer = rollouts
-
-    def runs(model: Model, rollout: Rollout | None) -> dict[str, dict[float, HorizonErrors]]:
-        return free_run_errors(model, parts.whole, parts.sealed, rollout=rollout, **options)
-
-    before = after = runs(refit, plain)
-    if corrected is refit:
-        richer = plain
-    else:
-        after = runs(corrected, richer)
-    errors = {"raw": runs(raw, plain), "refit": before, "corrected": after}
-    right = expected_errors(
-        corrected, parts.whole, parts.sealed, seed=problem.seed, rollout=richer, **options
-    )
+    before = runs.errors(refit, plain)
+    after = before if corrected is refit else runs.errors(corrected, richer)
+    errors = {"raw": runs.errors(raw, plain), "refit": before, "corrected": after}
+    right = runs.floor(corrected, plain if corrected is refit else richer)
     units = {s.name: s.unit for d in parts.whole for s in d.outputs}
     gap: dict[str, dict[str, Gap]] = {}
     shrink: dict[str, dict[str, Shrink]] = {}
@@ -332,15 +370,20 @@ class SealedComparison:
 
 
 def sealed_comparison(
-    problem: GapProblem, parts: Parts, race: Race, posterior: Posterior
+    problem: GapProblem,
+    parts: Parts,
+    refit: FittedModel,
+    corrected: FittedModel | None,
+    runs: SealedRuns,
 ) -> SealedComparison:
-    """Free runs of the model as it was, refitted, and corrected."""
-    plain = race.refit.structure.windows.rollout
-    refit = corrected = (race.refit.model, plain)
-    models = {"raw": (problem.model, plain), "refit": refit}
-    if posterior.corrected is not None:
-        fitted = posterior.corrected
-        models["corrected"] = corrected = (fitted.model, fitted.structure.windows.rollout)
-    (first, plain), (last, richer) = refit, corrected
-    measured = measure_shrinkage(problem, parts, problem.model, first, last, (plain, richer))
+    """Free runs of the model as it was, refitted, and corrected where there is a cause."""
+    plain = refit.structure.windows.rollout
+    last, richer = refit.model, plain
+    models = {"raw": (problem.model, plain), "refit": (refit.model, plain)}
+    if corrected is not None:
+        last, richer = corrected.model, corrected.structure.windows.rollout
+        models["corrected"] = (last, richer)
+    measured = measure_shrinkage(
+        problem, parts, problem.model, refit.model, last, (plain, richer), runs
+    )
     return SealedComparison(measured, models)

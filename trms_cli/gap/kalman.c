@@ -141,7 +141,7 @@ void trms_scores(long long windows, const long long *count, int n, int m, const 
                  const double *H, const unsigned char *seen, const double *K, const double *L,
                  const double *e, double *squares, double *variances) {
   double r[n], N[n * n], A[n * n], T[n * n], V[m * n], g[m];
-  for (int i = 0; i < n; ++i) squares[i] = variances[i] = 0.0;
+  for (int i = 0; i < 2 * n; ++i) squares[i] = variances[i] = 0.0;
   for (long long j = 0; j < windows; ++j) {
     memset(r, 0, sizeof r);
     memset(N, 0, sizeof N);
@@ -150,8 +150,8 @@ void trms_scores(long long windows, const long long *count, int n, int m, const 
       const double *et = e + k * m;
       const unsigned char *st = seen + k * m;
       for (int i = 0; i < n; ++i) {
-        squares[i] += r[i] * r[i];
-        variances[i] += N[i * n + i];
+        squares[n + i] += r[i] * r[i];
+        variances[n + i] += N[i * n + i];
       }
       /* A = F (I - K H) */
       for (int i = 0; i < n; ++i)
@@ -203,6 +203,10 @@ void trms_scores(long long windows, const long long *count, int n, int m, const 
           for (int q = 0; q < n; ++q) s += A[q * n + i] * T[q * n + l];
           N[i * n + l] = s;
         }
+    }
+    for (int i = 0; i < n; ++i) { /* of the first sample's state */
+      squares[i] += r[i] * r[i];
+      variances[i] += N[i * n + i];
     }
     F += count[j] * n * n; H += count[j] * m * n; seen += count[j] * m;
     K += count[j] * n * m; L += count[j] * m * m; e += count[j] * m;

@@ -1,111 +1,25 @@
-"""How sure: from scores to probabilities that mean what they say, the verdict, what is confusable.
+"""What is believed once all have raced: probabilities, the verdict, what is not told apart.
 
-A nat of a likelihood is not a nat of belief: the real discrepancy is not Gaussian, and of forty
-candidates one fits best by chance. With ``x`` the held-out score of a competitor above the refit's
-(each in the discrepancy that suits it) and ``R`` the nats that it owes to discrepancies larger than
-those of rigs without a gap, probabilities are proportional to the exponentials of
-
-    no effect              −γ log(1 + R₀/ρ)
-    effects                β x − γ log(1 + R/ρ) R/(R₀ + ρ) − κ·(effects) − κ′·(further sizes)
-    none of these          β x* − κ*                     x* the best competitor's
-
-and that of no effect is divided between "no gap" and "parameters only" by a logistic function of
-what the refit gained. The constants are fitted to development rigs whose truth is known, built by
-other code than the models (``calibration.json``, with the command that makes it again).
+The probabilities are those of ``belief.py``; what no simulation shows (a torque from outside, a
+sensor that rounds coarsely) is divided from them by its own marks.
 """
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
-from importlib.resources import files
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.gap.belief import Calibration, Features, probabilities_of
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.discrepancy import log_likelihood
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.free_runs import SealedRuns, farthest_error
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
-
-
-@dataclass(frozen=True, kw_only=True)
-class Calibration:
-    """Constants of the probabilities."""
-
-    #: Error of each equation of a rig without a gap, as a share of what acts there
-    usual_shares: Mapping[str, float] = field(default_factory=dict)
-    temperature: float  #: β, belief per nat
-    rest_weight: float  #: γ and ρ, nats
-    rest_scale: float  #: γ and ρ, nats
-    entrance: float  #: κ, for each effect
-    shape: float  #: κ′, for each further size: of laws that explain the same, the one with fewer
-    unnamed: float  #: κ*, for none of these
-    parameters_slope: float  #: Of the logistic function of log(1 + gain of the refit in nats)
-    parameters_centre: float  #: Its gain of one half, nats
-    command: str = ""  #: That makes the file again
-
-    def usual(self, location: str) -> float:
-        """Error of an equation of a rig without a gap."""
-        return self.usual_shares.get(location, max(self.usual_shares.values(), default=0.03))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Features:
-    """What a diagnosis knows before it believes anything; scores by block add up."""
-
-    gained: float  #: Score of the refit above the model as it was, nats
-    behind: float  #: Nats that the refit owes to discrepancies beyond the usual
-    names: tuple[tuple[str, ...], ...]  #: Effects of each competitor
-    scores: FloatArray  #: (k,) array; held-out score above the refit's, nats
-    behinds: FloatArray  #: (k,) array; as ``behind``, of each competitor
-    sizes: FloatArray  #: (k,) array; number of sizes that each competitor's effects have
-
-
-@cache
-def calibration() -> Calibration:
-    """The package's."""
-    text = (files("trms_cli.gap") / "calibration.json").read_text(encoding="utf-8")
-    return Calibration(**json.loads(text))
-
-
-def probabilities_of(features: Features, constants: Calibration) -> dict[tuple[str, ...], float]:
-    """Probability of each competitor, and of ``no_gap``, ``parameters_only``, ``none_of_these``."""
-    c = constants
-
-    def rest(behind: float | FloatArray) -> Any:
-        return c.rest_weight * np.log1p(np.maximum(behind, 0.0) / c.rest_scale)
-
-    scores = np.asarray(features.scores, dtype=float)
-    finite = np.isfinite(scores)
-    count = np.array([len(n) for n in features.names])
-    logits: dict[tuple[str, ...], float] = {("no_effect",): -float(rest(features.behind))}
-    left = np.maximum(np.asarray(features.behinds), 0.0)
-    # a cause is not blamed for a hundredth of the gap: no law is exactly that of the rig
-    share = np.minimum(left / (max(features.behind, 0.0) + c.rest_scale), 1.0)
-    of_effects = c.temperature * scores - rest(left) * share - c.entrance * count
-    of_effects = of_effects - c.shape * (np.asarray(features.sizes) - count)
-    for name, logit, fine in zip(features.names, of_effects, finite, strict=True):
-        if fine:
-            logits[name] = float(logit)
-    best = float(np.max(scores[finite], initial=0.0))
-    logits["none_of_these",] = c.temperature * max(best, 0.0) - c.unnamed
-    top = max(logits.values())
-    weights = {name: float(np.exp(logit - top)) for name, logit in logits.items()}
-    total = sum(weights.values())
-    found = {name: weight / total for name, weight in weights.items()}
-    nothing = found.pop(("no_effect",))
-    moved = np.log1p(max(features.gained, 0.0)) - np.log1p(c.parameters_centre)
-    of_parameters = float(1 / (1 + np.exp(-c.parameters_slope * 10 * moved)))
-    found["no_gap",] = nothing * (1 - of_parameters)
-    found["parameters_only",] = nothing * of_parameters
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
-
 
 #: Probability from which a verdict is given.
 _DECIDED = 0.5
@@ -121,6 +35,8 @@ _FROM_OUTSIDE = 0.15
 #: How far such a judgement is trusted: laws that nobody knows can be hard to predict, too.
 _OUTSIDE_SURE, _OUTSIDE_UNSURE = 0.6, 0.4
 _RESAMPLES = 200
+#: Competitors whose free runs on the sealed part are asked for.
+_RUN = 5
 #: rad. Step of the encoders that the models' rigs have.
 _USUAL_QUANTUM = 2 * np.pi / 4096
 
@@ -140,22 +56,46 @@ class Posterior:
     outside: str = ""  #: Axis on which a torque from outside acts; empty for none
 
 
-def features_of(
-    race: Race, behinds: Sequence[FloatArray], blocks: IntArray | None = None
-) -> Features:
-    """Scores of all, from some blocks; None: from all. ``behinds`` as of :func:`excesses`."""
-    refit = race.refit
-    chosen: slice | IntArray = slice(None) if blocks is None else blocks
-    own = refit.fit.predictive[chosen].sum()
-    raw = refit.raw.predictive[chosen].sum()
-    scores = np.array([e.fit.predictive[chosen].sum() for e in race.entries])
+def features_of(race: Race, behinds: Sequence[FloatArray], runs: SealedRuns) -> Features:
+    """Features of all that raced; ``behinds`` as of :func:`excesses`.
+
+    Free runs are those of the first :data:`_RUN` competitors; the others lie behind these.
+    """
+    refit, plain = race.refit, race.refit.structure.windows.rollout
+    own = float(refit.fit.predictive.sum())
+    floor = runs.floor(refit.model, plain)
+    errors = np.full(len(race.entries), farthest_error(runs.errors(refit.model, plain), floor))
+    raw = farthest_error(runs.errors(refit.structure.problem.model, plain), floor)
+    refit_error = float(farthest_error(runs.errors(refit.model, plain), floor))
+    for i, entry in enumerate(race.entries[:_RUN]):
+        errors[i] = farthest_error(runs.errors(entry.model, entry.structure.windows.rollout), floor)
     return Features(
-        gained=float(own - raw),
-        behind=float(behinds[0][chosen].sum()),
+        gained=own - float(refit.raw.predictive.sum()),
+        behind=float(behinds[0].sum()),
         names=tuple(e.names for e in race.entries),
-        scores=scores - own,
-        behinds=np.array([b[chosen].sum() for b in behinds[1:]]),
+        scores=np.array([e.fit.score for e in race.entries]) - own,
+        behinds=np.array([b.sum() for b in behinds[1:]]),
         sizes=np.array([sum(len(s.free) for s in e.structure.effects) for e in race.entries]),
+        surprises=np.array(
+            [sum(s.surprise(e.values) for s in e.structure.effects) for e in race.entries]
+        ),
+        errors=errors,
+        raw_error=raw,
+        refit_error=refit_error,
+    )
+
+
+def resampled_features(
+    features: Features, race: Race, behinds: Sequence[FloatArray], blocks: IntArray
+) -> Features:
+    """Features with other blocks, (m,) array of their numbers with repetition."""
+    own = race.refit.fit.predictive[blocks].sum()
+    return replace(
+        features,
+        gained=float(own - race.refit.raw.predictive[blocks].sum()),
+        behind=float(behinds[0][blocks].sum()),
+        scores=np.array([e.fit.predictive[blocks].sum() for e in race.entries]) - own,
+        behinds=np.array([b[blocks].sum() for b in behinds[1:]]),
     )
 
 
@@ -171,7 +111,7 @@ def excesses(race: Race, constants: Calibration) -> list[FloatArray]:
     found = []
     for fitted in (refit, *race.entries):
         shares = fitted.metric.shares
-        if np.all(discrepancy.effective(shares) <= discrepancy.effective(usual) * 1.001):
+        if np.all(shares <= usual * 1.001):
             found.append(np.zeros(len(refit.structure.windows)))
             continue
         r = fitted.residuals
@@ -188,6 +128,7 @@ def posterior_of(
     forces: Mapping[str, ForceRecord],
     place: Location,
     constants: Calibration,
+    runs: SealedRuns,
 ) -> Posterior:
     """Weigh all that raced.
 
@@ -195,14 +136,17 @@ def posterior_of(
     force of each equation.
     """
     behinds = excesses(race, constants)
-    features = features_of(race, behinds)
-    probabilities = probabilities_of(features, constants)
+    features = features_of(race, behinds, runs)
+    probabilities = probabilities_of(features, constants.weights)
     probabilities, outside = _from_outside(probabilities, candidates, forces, place, problem.seed)
     probabilities = _with_coarse_sensor(probabilities, problem, candidates)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(race.refit.structure.windows)
     resampled = tuple(
-        probabilities_of(features_of(race, behinds, random.integers(0, m, m)), constants)
+        probabilities_of(
+            resampled_features(features, race, behinds, random.integers(0, m, m)),
+            constants.weights,
+        )
         for _ in range(_RESAMPLES)
     )
     entries = {e.names: e for e in race.entries}

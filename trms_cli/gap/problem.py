@@ -56,8 +56,8 @@ _LEAST_SEALED = 12.0
 _AT_STOP = 0.995
 #: From so many recordings on, whole ones are sealed.
 _SEVERAL = 3
-#: In the outputs' units: a reader of recordings that is told no noise gives less than this.
-_NOT_DECLARED = 1e-5
+#: No sensor is believed closer than this share of its channel's motion (standard deviation).
+_PRECISION = 2e-4
 #: Ripple below so many times a step's own share is that share.
 _RIPPLE = 1.4
 #: Blocks that must be left to fit: fewer cannot be compared in pairs.
@@ -131,13 +131,18 @@ def _without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]
 
 
 def with_noise(dataset: Dataset) -> Dataset:
-    """The recording with its noise: as declared, or read from its steps and its ripple."""
+    """The recording with its noise: read from its steps and its ripple, else as declared.
+
+    A precise sensor is believed only so far as its share of the motion: nothing that is fitted to
+    the whole motion follows it more closely, and a search for what does ends anywhere.
+    """
     quanta = np.array([quantum_of(column) for column in dataset.measurements.T])
     ripple, rounding = noise_estimate(dataset.measurements), quanta / np.sqrt(12)
     # what a step makes of a moving angle is not quite white, and looks like a little more of it
     read = np.where(ripple < _RIPPLE * rounding, rounding, np.maximum(ripple, rounding))
-    declared = dataset.noise_sd > _NOT_DECLARED
-    return replace(dataset, noise_sd=np.where(declared, dataset.noise_sd, np.maximum(read, 1e-9)))
+    motion = np.ma.masked_invalid(dataset.measurements).std(axis=0).filled(0.0)
+    noise = np.where(read > 0, read, dataset.noise_sd)
+    return replace(dataset, noise_sd=np.maximum(noise, np.maximum(_PRECISION * motion, 1e-9)))
 
 
 def quantum_of(values: FloatArray) -> float:
@@ -179,6 +184,8 @@ def thin_dataset(dataset: Dataset) -> Dataset:
 _MULTIPLES = (0.3, 1.0, 3.0)
 #: How far beyond its typical range a size may lie that gives an effect its shape, a factor.
 _BEYOND = 2.0
+#: A typical range that reaches to zero or to both sides is taken to span this factor.
+_DECADE = 10.0
 #: Width of a size's prior, in the largest typical size.
 _WIDTH = 2.0
 
@@ -193,6 +200,24 @@ class CandidateEffect:
     free: tuple[FreeParameter, ...]  #: Its sizes, named ``<effect>.<size>``, with their priors
     variants: FloatArray  #: (k, n_s) array; sizes to try it at
     stochastic: bool  #: Whether noise drives it, so that no simulation shows it
+
+    def surprise(self, values: Mapping[str, float]) -> float:
+        """How unusual its sizes are, nats below the densest of their log-normal prior.
+
+        Of the sizes that can make the effect vanish the most usual one counts: the others may be
+        zero. The prior's 68 % are the typical range; ``values``: by name, ``<effect>.<size>``.
+        """
+        found = []
+        for i, parameter in enumerate(self.effect.parameters()):
+            if i and not _vanishes(parameter):
+                continue
+            low, high = parameter.typical or (parameter.value / 3, parameter.value * 3)
+            most = max(abs(low), abs(high))
+            least = max(min(abs(low), abs(high)) if low * high > 0 else 0.0, most / _DECADE)
+            spread = max(np.log(most / least) / 2, np.log(2))
+            size = max(abs(values[f"{self.name}.{parameter.name}"]), 1e-9 * most)
+            found.append(float(0.5 * (np.log(size / np.sqrt(least * most)) / spread) ** 2))
+        return min(found)
 
     @property
     def simulated(self) -> bool:

@@ -11,6 +11,7 @@ trajectory about which the noise is propagated.
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -25,6 +26,12 @@ from trms_cli.gap.problem import CandidateEffect
 _AT_ONCE = 12
 #: Standard deviations of its projected trace at which an effect counts as visible.
 _VISIBLE = 5.0
+
+
+#: Traces nearer to each other than this cosine make no pair.
+_PARALLEL = 0.98
+#: Rows of each effect that are looked at in pairs.
+_ROWS = 3
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,37 @@ class Signatures:
         by = np.clip(self.towards / left, 0.0, 3.0)
         gain: FloatArray = by * self.towards - 0.5 * by**2 * left
         return np.maximum(gain, 0.0)
+
+    def pairs(self, least: float) -> list[tuple[float, int, int]]:
+        """Pairs of rows of two effects, best first, each pair of effects once.
+
+        Each with the nats by which both together lower the cost and their rows; only pairs that
+        promise ``least`` nats more than either of them alone. Where one of the two would have to
+        act backwards or beyond three times its size they are no pair.
+        """
+        rows = np.array([r for n in dict.fromkeys(self.names) for r in self._promising(n)])
+        length = np.sqrt(self.left[rows])
+        towards, cosine = self.towards[rows] / length, self.cosine[np.ix_(rows, rows)]
+        with np.errstate(all="ignore"):
+            turned = 1 / (1 - cosine**2)
+            by = (towards[:, None] - cosine * towards[None, :]) * turned  # (i, j): size of i
+            together = 0.5 * (by * towards[:, None] + by.T * towards[None, :])
+        multiple = by / length[:, None]
+        alone = self.gain[rows]
+        fine = (multiple > 0) & (multiple < 3) & (np.abs(cosine) < _PARALLEL)
+        fine &= fine.T & (together > np.maximum(alone[:, None], alone[None, :]) + least)
+        found: dict[frozenset[str], tuple[float, int, int]] = {}
+        for i, j in np.argwhere(np.triu(fine, 1)):
+            key = frozenset((self.names[rows[i]], self.names[rows[j]]))
+            gain = float(together[i, j])
+            if len(key) == 2 and gain > found.get(key, (0.0,))[0]:
+                found[key] = (gain, int(rows[i]), int(rows[j]))
+        return sorted(found.values(), reverse=True)
+
+    def _promising(self, name: str) -> IntArray:
+        """Rows of an effect that are worth a look beside another one."""
+        rows = self.rows(name)
+        return rows[np.argsort(-self.gain[rows] - 1e-9 * self.towards[rows])][:_ROWS]
 
     def rows(self, name: str) -> IntArray:
         """Rows of an effect."""
@@ -210,8 +248,8 @@ class Effort:
 
 EFFORTS = {
     "quick": Effort(5, 3, 2, 2),
-    "normal": Effort(9, 5, 4, 2),
-    "thorough": Effort(18, 8, 8, 3),
+    "normal": Effort(9, 5, 4, 3),
+    "thorough": Effort(18, 8, 8, 4),
 }
 
 
@@ -328,12 +366,33 @@ def run_race(
     finals.sort(key=lambda e: -e.fit.score)
     joint: list[FittedModel] = []
     best = finals[0] if finals else None
+    if best is not None and effort.deepest > 1:
+        pairs = promising_pairs((tight_signs, wide_signs), candidates, effort.pairs)
+
+        def both(pair: tuple[Signatures, int, int]) -> FittedModel:
+            chosen = [candidates[pair[0].names[row]] for row in pair[1:]]
+            structure = refit.structure.with_effects(*chosen)
+            return once(
+                "pair " + "+".join(structure.names),
+                structure,
+                lambda: _both(refit, middle, chosen, pair, structure),
+            )
+
+        joint = _each(both, pairs, jobs, watch, 0.75, 0.85, "two at once")
+        joint.sort(key=lambda e: -e.fit.score)
+        if joint and joint[0].fit.score > best.fit.score + _ENTRANCE:
+            best = joint[0]
     while best is not None and len(best.names) < effort.deepest:
         # effects whose traces point at what the best leaves over
         signs = project_traces(best, traces)
         others = {n: s for n, s in candidates.items() if n not in best.names}
         listed = short_list((signs,), others, effort.pairs)
-        partners = [name for name in listed if signs.best(name)[0] > _ENTRANCE]
+        tried = {frozenset(entry.names) for entry in joint}
+        partners = [
+            name
+            for name in listed
+            if signs.best(name)[0] > _ENTRANCE and frozenset((*best.names, name)) not in tried
+        ]
 
         def pair(name: str, base: FittedModel = best, signs: Signatures = signs) -> FittedModel:
             effects = (*base.structure.effects, candidates[name])
@@ -344,7 +403,7 @@ def run_race(
                 lambda: _paired(base, candidates[name], signs, structure),
             )
 
-        made = _each(pair, partners, jobs, watch, 0.75, 0.95, "beside " + "+".join(best.names))
+        made = _each(pair, partners, jobs, watch, 0.85, 0.95, "beside " + "+".join(best.names))
         if not made:
             break
         made.sort(key=lambda e: -e.fit.score)
@@ -376,6 +435,46 @@ def short_list(
     return chosen
 
 
+def promising_pairs(
+    signs: Sequence[Signatures], candidates: Mapping[str, CandidateEffect], count: int
+) -> list[tuple[Signatures, int, int]]:
+    """The most promising pairs by each metric in turn: the metric's traces, and two of their rows.
+
+    ``candidates``: no other effect is taken.
+    """
+    chosen: dict[frozenset[str], tuple[Signatures, int, int]] = {}
+    orders = [[(sign, i, j) for _, i, j in sign.pairs(_ENTRANCE)] for sign in signs]
+    for places in zip_longest(*orders):
+        for place in places:
+            if place is None or len(chosen) >= count:
+                continue
+            names = frozenset(place[0].names[row] for row in place[1:])
+            if names <= candidates.keys():
+                chosen.setdefault(names, place)
+    return list(chosen.values())
+
+
+def _both(
+    refit: Refit,
+    metric: Metric,
+    chosen: Sequence[CandidateEffect],
+    pair: tuple[Signatures, int, int],
+    structure: ModelStructure,
+) -> FittedModel:
+    """Two effects fitted at once, from the refit and from the centre of the priors."""
+    sign, *rows = pair
+    sizes: dict[str, float] = {}
+    for candidate, row in zip(chosen, rows, strict=True):
+        sizes |= _scaled_sizes(candidate, sign, row, 0.3)
+    prior = {p.name: p.prior_mean for p in refit.structure.problem.free}
+    points = []
+    for values in (refit.values, prior):
+        theta = structure.theta({**values, **sizes})
+        points.append((theta, structure.starts(theta, refit.fit.starts)))
+    fitted = structure.fit(metric, points, centres=refit.centres, iterations=12, tolerance=0.5)
+    return fitted.in_own_metric()
+
+
 def _points(
     structure: ModelStructure, candidate: CandidateEffect, refit: Refit, signs: Sequence[Signatures]
 ) -> list[tuple[FloatArray, FloatArray]]:
@@ -396,7 +495,12 @@ def _promising_sizes(
     Of the most promising row those that can make the effect vanish are scaled, by ``least`` to two
     times, within their bounds.
     """
-    _, row = sign.best(candidate.name)
+    return _scaled_sizes(candidate, sign, sign.best(candidate.name)[1], least)
+
+
+def _scaled_sizes(
+    candidate: CandidateEffect, sign: Signatures, row: int, least: float
+) -> dict[str, float]:
     by = float(np.clip(sign.towards[row] / max(sign.left[row], 1e-12), least, 2.0))
     sizes = {}
     for i, (free, size) in enumerate(zip(candidate.free, sign.sizes[row], strict=True)):

@@ -94,7 +94,7 @@ def _drawn(
     discrepancy = metric.discrepancy
     system, trajectory = discrepancy.system, discrepancy.trajectory
     m, c, _, n = system.h.shape
-    sizes = discrepancy.effective(metric.shares)
+    sizes = metric.shares
     spread = sizes * np.sqrt(1 - discrepancy.forgotten**2)
     n_x = n - len(spread)
     x = np.zeros((m, n, draws))
@@ -232,7 +232,7 @@ def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     r = nominal.residuals
     none = log_likelihood(every, r, floor)
     gains, shares = [], []
-    tried = [i for i in range(len(channels)) if channels[i].fixed is None]
+    tried = [i for i in range(len(channels)) if channels[i].kind != "gain"]
     for i in tried:
         moving = np.arange(len(channels)) == i
         first = np.where(moving, begins, floor)

@@ -1,0 +1,133 @@
+"""How sure: from features of the fits to probabilities that mean what they say.
+
+A nat of a likelihood is not a nat of belief: the real discrepancy is not Gaussian, of forty
+candidates one fits best by chance, and what a fit does on data it has not seen tells more than its
+score. Each alternative (no gap, other parameters only, each competitor of the race, none of these)
+has a few features; probabilities are proportional to the exponentials of their weighted sums
+(multinomial logistic regression: McFadden 1974). The weights are fitted to simulated rigs whose
+nuisances are drawn and whose truth is known (``calibration.json``, with the command that makes it).
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """Weights of the features, and what counts as usual."""
+
+    weights: Mapping[str, float]  #: By feature, see :func:`alternatives`
+    #: Error of each equation of a rig without a gap, as a share of what acts there
+    usual_shares: Mapping[str, float] = field(default_factory=dict)
+    command: str = ""  #: That makes the file again
+
+    def usual(self, location: str) -> float:
+        """Error of an equation of a rig without a gap."""
+        return self.usual_shares.get(location, max(self.usual_shares.values(), default=0.03))
+
+
+@cache
+def calibration() -> Calibration:
+    """The package's."""
+    text = (files("trms_cli.gap") / "calibration.json").read_text(encoding="utf-8")
+    return Calibration(**json.loads(text))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """What a diagnosis knows before it believes anything; scores by block add up.
+
+    The error of free runs is the largest of all channels at the longest horizon on the sealed part,
+    in floors.
+    """
+
+    gained: float  #: Score of the refit above the model as it was, nats
+    behind: float  #: Nats that the refit owes to discrepancies beyond the usual
+    names: tuple[tuple[str, ...], ...]  #: Effects of each competitor
+    scores: FloatArray  #: (k,) array; held-out score above the refit's, nats
+    behinds: FloatArray  #: (k,) array; as ``behind``, of each competitor
+    sizes: FloatArray  #: (k,) array; number of sizes that each competitor's effects have
+    #: (k,) array; how unusual each competitor's sizes are, nats; see ``CandidateEffect.surprise``
+    surprises: FloatArray
+    errors: FloatArray  #: (k,) array; of free runs of each competitor; NaN where not measured
+    raw_error: float = np.nan  #: Of free runs of the model as it was
+    refit_error: float = np.nan  #: Of free runs of the refit
+
+
+#: nats. Discrepancy beyond the usual that hardly counts, and gain of a refit that hardly does.
+_REST, _GAIN = 8.5, 6.0
+#: nats. Scores beyond so many count by their logarithm as well.
+_BEND = 10.0
+#: Floors. Free runs worse than this are all alike.
+_WORST = 50.0
+
+
+def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
+    """Features of each alternative by name, of the order of one; what is not named is zero."""
+    gain = float(np.log1p(max(features.gained, 0.0)) - np.log1p(_GAIN))
+    rest = float(_rest(features.behind))
+    rows: dict[tuple[str, ...], dict[str, float]] = {
+        ("no_gap",): {
+            "no_gap.rest": rest,
+            "no_gap.gain": max(gain, 0.0),
+            "no_gap.error": _of_error(features.raw_error),
+        },
+        ("parameters_only",): {
+            "parameters.constant": 1.0,
+            "parameters.rest": rest,
+            "parameters.no_gain": max(-gain, 0.0),
+            "parameters.error": _of_error(features.refit_error),
+        },
+    }
+    left = np.maximum(np.asarray(features.behinds, dtype=float), 0.0)
+    # a cause is not blamed for a hundredth of the gap: no law is exactly that of the rig
+    left_share = np.minimum(left / (max(features.behind, 0.0) + _REST), 1.0)
+    best = 0.0
+    for i, name in enumerate(features.names):
+        score = float(features.scores[i])
+        if not np.isfinite(score):
+            continue
+        best = max(best, score)
+        rows[name] = {
+            **_of_score(score),
+            "effect.rest": float(_rest(left[i]) * left_share[i]),
+            "effect.count": float(len(name)),
+            "effect.shape": float(features.sizes[i] - len(name)),
+            "effect.surprise": float(features.surprises[i]),
+            "effect.error": _of_error(features.errors[i]),
+        }
+    rows["none_of_these",] = {**_of_score(best), "none.constant": 1.0, "none.rest": rest}
+    return rows
+
+
+def _rest(behind: float | FloatArray) -> FloatArray:
+    return np.log1p(np.maximum(behind, 0.0) / _REST)
+
+
+def _of_score(score: float) -> dict[str, float]:
+    return {"score": score, "score.bend": _BEND * float(np.log1p(max(score, 0.0) / _BEND))}
+
+
+def _of_error(ratio: float) -> float:
+    return float(np.log(np.clip(ratio, 1.0, _WORST))) if np.isfinite(ratio) else 0.0
+
+
+def probabilities_of(
+    features: Features, weights: Mapping[str, float]
+) -> dict[tuple[str, ...], float]:
+    """Probability of each competitor, and of ``no_gap``, ``parameters_only``, ``none_of_these``.
+
+    Descending. ``weights``: by feature.
+    """
+    rows = alternatives(features)
+    logits = np.array([sum(weights[k] * v for k, v in row.items()) for row in rows.values()])
+    odds = np.exp(logits - logits.max())
+    found = dict(zip(rows, (odds / odds.sum()).tolist(), strict=True))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
