@@ -1,4 +1,4 @@
-"""Fit the constants of the posterior to development rigs whose truth is known.
+"""Fit the weights of the belief to development rigs whose truth is known.
 
     python -m experiments.gap.calibrate KEY DIAGNOSES
 
@@ -23,22 +23,15 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from trms_cli.core.whole_file import replace_whole
-from trms_cli.gap.posterior import Calibration, Features, calibration, probabilities_of
+from trms_cli.gap.belief import Features, alternatives, calibration, probabilities_of
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Constants that are fitted, by their logarithms, and the width of their priors there.
-FITTED = (
-    "temperature",
-    "rest_weight",
-    "rest_scale",
-    "entrance",
-    "shape",
-    "unnamed",
-    "parameters_slope",
-    "parameters_centre",
-)
-_WIDTH = 1.0
+#: Width of the prior of each weight about where it was.
+_WIDTH = 2.0
+#: A better score never speaks against a competitor, nor a worse free run for one.
+_NEVER_BELOW = ("score", "score.bend")
+_NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error")
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
 #: Effects that the posterior does not weigh: noise and rounding are told from "none of these"
@@ -77,32 +70,53 @@ def features_of(evidence: Mapping[str, Any]) -> Features:
         scores=_array(evidence["scores"]),
         behinds=_array(evidence["behinds"]),
         sizes=_array(evidence["sizes"]),
+        surprises=_array(evidence["surprises"]),
+        errors=_array(evidence["errors"]),
+        raw_error=_number(evidence["raw_error"]),
+        refit_error=_number(evidence["refit_error"]),
     )
 
 
-def loss(constants: Calibration, cases: Sequence[Case]) -> float:
+def loss(weights: Mapping[str, float], cases: Sequence[Case]) -> float:
     """Mean surprise at the truth, nats a case."""
     total = 0.0
     for features, right in cases:
-        believed = probabilities_of(features, constants)
+        believed = probabilities_of(features, weights)
         named = sum(believed.get(answer, 0.0) for answer in right)
         total -= np.log(_LEAST + (1 - _LEAST) * named)
     return total / max(len(cases), 1)
 
 
-def fit_constants(start: Calibration, cases: Sequence[Case]) -> Calibration:
-    """Constants that make the truth least surprising."""
-    centre = np.log([getattr(start, name) for name in FITTED])
+def fit_weights(start: Mapping[str, float], cases: Sequence[Case]) -> dict[str, float]:
+    """Weights that make the truth least surprising."""
+    names = list(start)
+    centre = np.array([start[name] for name in names])
+    tables = []
+    for features, right in cases:
+        rows = alternatives(features)
+        table = np.array([[row.get(name, 0.0) for name in names] for row in rows.values()])
+        tables.append((table, np.array([name in right for name in rows])))
 
-    def at(x: FloatArray) -> Calibration:
-        return replace(start, **dict(zip(FITTED, np.exp(x).tolist(), strict=True)))
+    def cost(w: FloatArray) -> tuple[float, FloatArray]:
+        away = (w - centre) / _WIDTH
+        total, slope = 0.5 * float(away @ away), away / _WIDTH
+        for table, right in tables:
+            logits = table @ w
+            odds = np.exp(logits - logits.max())
+            p = odds / odds.sum()
+            named = float(p[right].sum())
+            believed = _LEAST + (1 - _LEAST) * named
+            total -= float(np.log(believed))
+            of_right = np.where(right, p, 0.0) - named * p
+            slope = slope - (1 - _LEAST) / believed * (of_right @ table)
+        return total, slope
 
-    def cost(x: FloatArray) -> float:
-        away = (x - centre) / _WIDTH
-        return loss(at(x), cases) + 0.5 * float(away @ away) / max(len(cases), 1)
-
-    found = minimize(cost, centre, method="Powell", options={"xtol": 1e-2, "ftol": 1e-4})
-    return at(found.x)
+    bounds = [
+        (0.0, None) if n in _NEVER_BELOW else (None, 0.0) if n in _NEVER_ABOVE else (None, None)
+        for n in names
+    ]
+    found = minimize(cost, centre, jac=True, method="L-BFGS-B", bounds=bounds)
+    return dict(zip(names, found.x.tolist(), strict=True))
 
 
 def usual_shares(nulls: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -132,6 +146,10 @@ def read_cases(key: Path, diagnoses: Path) -> tuple[list[Case], list[Mapping[str
     return cases, nulls
 
 
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
 def _array(values: Sequence[float | None]) -> FloatArray:
     return np.array([np.nan if v is None else v for v in values], dtype=float)
 
@@ -142,13 +160,18 @@ def main(argv: Sequence[str]) -> int:
     cases, nulls = read_cases(key, diagnoses)
     start = calibration()
     after = replace(
-        fit_constants(start, cases), usual_shares={**start.usual_shares, **usual_shares(nulls)}
+        start,
+        weights=fit_weights(start.weights, cases),
+        usual_shares={**start.usual_shares, **usual_shares(nulls)},
     )
     sys.stdout.write(
-        f"{len(cases)} cases: surprise {loss(start, cases):.3f} before, "
-        f"{loss(after, cases):.3f} nats a case after\n"
+        f"{len(cases)} cases: surprise {loss(start.weights, cases):.3f} before, "
+        f"{loss(after.weights, cases):.3f} nats a case after\n"
     )
-    content = {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(after).items()}
+    content = {
+        k: v if isinstance(v, str) else {name: round(w, 4) for name, w in v.items()}
+        for k, v in asdict(after).items()
+    }
     text = json.dumps({"command": content.pop("command"), **content}, indent=2) + "\n"
     with as_file(files("trms_cli.gap") / "calibration.json") as path:
         replace_whole(path, text.encode())

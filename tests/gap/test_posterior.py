@@ -1,20 +1,20 @@
 """From scores to probabilities, and the constants fitted to rigs whose truth is known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.gap.calibrate import features_of, fit_constants, loss, right_answers, usual_shares
+from experiments.gap.calibrate import features_of, fit_weights, loss, right_answers, usual_shares
 from trms_cli.core.findings import json_data
-from trms_cli.gap.posterior import Features, calibration, probabilities_of
+from trms_cli.gap.belief import Features, calibration, probabilities_of
 
 NAMES = (("a",), ("b",), ("a", "b"))
 
 
-def features(gained=0.0, behind=0.0, scores=(0.0, 0.0, 0.0), behinds=(0.0, 0.0, 0.0)) -> Features:
+def features(
+    gained=0.0, behind=0.0, scores=(0.0, 0.0, 0.0), behinds=(0.0, 0.0, 0.0), errors=1.0
+) -> Features:
     return Features(
         gained=gained,
         behind=behind,
@@ -22,6 +22,10 @@ def features(gained=0.0, behind=0.0, scores=(0.0, 0.0, 0.0), behinds=(0.0, 0.0, 
         scores=np.array(scores),
         behinds=np.array(behinds),
         sizes=np.array([1, 2, 3]),
+        surprises=np.zeros(3),
+        errors=np.full(3, errors),
+        refit_error=4.0,
+        raw_error=4.0,
     )
 
 
@@ -31,7 +35,9 @@ nats = st.floats(-100, 5000)
 @settings(max_examples=100, deadline=None)
 @given(st.tuples(nats, nats, nats), st.floats(0, 1e5), st.floats(0, 1e5), nats)
 def test_probabilities_are_probabilities(scores, behind, left, gained):
-    found = probabilities_of(features(gained, behind, scores, (left, left, left)), calibration())
+    found = probabilities_of(
+        features(gained, behind, scores, (left, left, left)), calibration().weights
+    )
     assert sum(found.values()) == pytest.approx(1.0)
     assert all(0 <= p <= 1 for p in found.values())
     assert list(found.values()) == sorted(found.values(), reverse=True)
@@ -46,19 +52,22 @@ def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_
         (closes, "a"),
         (leaves, "none_of_these"),
     ):
-        assert next(iter(probabilities_of(case, calibration()))) == (first,)
+        assert next(iter(probabilities_of(case, calibration().weights))) == (first,)
     # Of two that explain the same the simpler is likelier.
-    found = probabilities_of(features(behind=500.0, scores=(480.0, 480.0, 480.0)), calibration())
+    found = probabilities_of(
+        features(behind=500.0, scores=(480.0, 480.0, 480.0)), calibration().weights
+    )
     assert found["a",] > found["b",] > found["a", "b"]
     # One that could not be simulated is no candidate.
-    found = probabilities_of(features(scores=(np.nan, 5.0, -np.inf)), calibration())
+    found = probabilities_of(features(scores=(np.nan, 5.0, -np.inf)), calibration().weights)
     assert ("a",) not in found
 
 
 def test_the_fit_of_the_constants_finds_honest_ones():
     """Cases are drawn from other constants; those are less surprised after a fit."""
     random = np.random.default_rng(1)
-    truth = replace(calibration(), temperature=0.05, entrance=2.0, unnamed=3.0)
+    own = calibration().weights
+    truth = {**own, "score": 0.05, "effect.count": -2.0, "none.constant": -3.0}
     cases = []
     for _ in range(120):
         drawn = features(
@@ -71,8 +80,8 @@ def test_the_fit_of_the_constants_finds_honest_ones():
         names = list(believed)
         right = names[random.choice(len(names), p=list(believed.values()))]
         cases.append((drawn, frozenset({right})))
-    wrong = replace(truth, temperature=0.3, entrance=0.8, unnamed=8.0)
-    found = fit_constants(wrong, cases)
+    wrong = {**truth, "score": 0.3, "effect.count": -0.8, "none.constant": -8.0}
+    found = fit_weights(wrong, cases)
     assert loss(found, cases) < loss(wrong, cases) - 0.3
     assert loss(found, cases) < loss(truth, cases) + 0.1
 
