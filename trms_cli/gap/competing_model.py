@@ -380,6 +380,32 @@ class Refit(FittedModel):
     raw: CandidateFit  #: With the parameters as they were, in the metric of the refit
 
 
+#: Prior standard deviations beyond which a parameter is bent rather than estimated.
+_BENT = 3.5
+
+
+def about_priors(fitted: Refit) -> FittedModel | None:
+    """The nominal model at its priors' centre, where the refit had to bend two parameters or more.
+
+    In the discrepancy that is most likely for it there; None where the refit is no such proxy.
+    """
+    structure = fitted.structure
+    theta = structure.theta({})
+    moves = [
+        abs(value - p.prior_mean) / p.prior_sd
+        for value, p in zip(fitted.fit.theta, structure.problem.free, strict=True)
+        if p.prior_sd
+    ]
+    if sum(move > _BENT for move in moves) < 2:
+        return None
+    raw = FittedModel(
+        structure, CandidateFit(theta, fitted.raw.starts), fitted.metric, fitted.centres
+    )
+    metric = fitted.metric
+    shares = likely_shares(metric.discrepancy, raw.residuals, metric.shares)
+    return replace(raw, metric=replace(metric, shares=shares))
+
+
 def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
     """Parameters that a refit may move, with their priors.
 

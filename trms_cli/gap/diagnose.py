@@ -18,7 +18,14 @@ from trms_cli.core.findings import json_data
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
 from trms_cli.gap import free_runs
 from trms_cli.gap.belief import calibration
-from trms_cli.gap.competing_model import FittedModel, Metric, Refit, nominal_parameters, refit
+from trms_cli.gap.competing_model import (
+    FittedModel,
+    Metric,
+    Refit,
+    about_priors,
+    nominal_parameters,
+    refit,
+)
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
@@ -105,12 +112,17 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     nominal = refit(problem.model, free, parts.fitted, parts.block, unseen)
     watch.enter("separability")
     traces = _traces(nominal, simulated, problem.jobs, watch)
+    unbent = about_priors(nominal)
+    about = None
+    if unbent is not None:
+        about = (unbent, effect_traces(unbent, list(simulated.values())))
     watch.enter("race")
     race = run_race(
         nominal,
         simulated,
         traces,
         EFFORTS[problem.effort],
+        prior=about,
         checkpoint=watch.checkpoint,
         jobs=problem.jobs,
         watch=watch.tell,

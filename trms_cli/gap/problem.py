@@ -186,6 +186,11 @@ _MULTIPLES = (0.3, 1.0, 3.0)
 _BEYOND = 2.0
 #: A typical range that reaches to zero or to both sides is taken to span this factor.
 _DECADE = 10.0
+#: Where in their typical range, on a logarithmic scale, shapes are tried to which no slope leads.
+_SPREAD_SHAPES = {
+    "width": (0.15, 0.5, 0.85),
+    "frequency": tuple(np.linspace(0.0, 1.0, 16).tolist()),
+}
 #: Width of a size's prior, in the largest typical size.
 _WIDTH = 2.0
 
@@ -294,7 +299,9 @@ def variants(parameters: Sequence[Parameter]) -> FloatArray:
 
     The first size, and every other that is zero by default, can make the effect vanish: each of
     them is tried alone over its typical range, to both sides where both make sense; the others stay
-    as they are, but for an arm that may point either way and a frequency, to which no slope leads.
+    as they are, but for an arm that may point either way, a width, and a frequency: to that of a
+    mode that rings long no slope leads from a tenth beside it. Its trace is in proportion to its
+    amplitude, of which one size will do.
     """
     defaults = np.array([p.value for p in parameters], dtype=float)
     amplitudes = [i for i, p in enumerate(parameters) if i == 0 or _vanishes(p)]
@@ -303,7 +310,10 @@ def variants(parameters: Sequence[Parameter]) -> FloatArray:
     for i in amplitudes:
         base = defaults.copy()
         base[amplitudes] = 0.0
-        for value, shape in itertools.product(_tried(parameters[i]), _shapes(parameters, shapes)):
+        values = _tried(parameters[i])
+        if any(p.name == "frequency" for p in parameters):
+            values = values[len(values) // 2 :][:1]
+        for value, shape in itertools.product(values, _shapes(parameters, shapes)):
             row = base.copy()
             row[i] = value
             row[shapes] = shape
@@ -336,9 +346,9 @@ def _shapes(parameters: Sequence[Parameter], chosen: Sequence[int]) -> list[tupl
         p = parameters[i]
         if p.name == "arm":
             options.append([p.value, -p.value])
-        elif p.name in ("frequency", "width"):
+        elif p.name in _SPREAD_SHAPES:
             low, high = p.typical or (p.value / 2, p.value * 2)
-            options.append([low * (high / low) ** k for k in (0.15, 0.5, 0.85)])
+            options.append((low * (high / low) ** np.array(_SPREAD_SHAPES[p.name])).tolist())
         else:
             options.append([p.value])
     return list(itertools.product(*options))

@@ -304,6 +304,7 @@ def run_race(
     traces: EffectTraces,
     effort: Effort,
     *,
+    prior: tuple[FittedModel, EffectTraces] | None = None,
     checkpoint: Checkpoint | None = None,
     jobs: int = 1,
     watch: Callable[[float, str], bool] = lambda fraction, message: True,
@@ -311,6 +312,8 @@ def run_race(
     """Run the race.
 
     ``candidates``: none that noise drives. ``traces``: of all candidates about the refit.
+    ``prior``: the same about the parameters' priors, where the refit had to bend them: what an effect would
+    explain there, parameters have explained in the refit already.
     ``checkpoint``: of fits that an interrupted race had finished. ``jobs``: threads. ``watch``:
     told the share that is done and what is being done; False stops with what there is.
     """
@@ -319,8 +322,11 @@ def run_race(
     wide_signs = project_traces(refit, traces)
     tight = replace(refit.metric, shares=shares)
     tight_signs = project_traces(replace(refit, metric=tight), traces)
-    listed = short_list((tight_signs, wide_signs), candidates, effort.listed)
-    worth = [n for n in listed if max(s.best(n)[0] for s in (tight_signs, wide_signs)) > _HOPELESS]
+    signs: tuple[Signatures, ...] = (tight_signs, wide_signs)
+    if prior is not None:
+        signs = (*signs, project_traces(*prior))
+    listed = short_list(signs, candidates, effort.listed * len(signs) // 2)
+    worth = [n for n in listed if max(s.best(n)[0] for s in signs) > _HOPELESS]
     listed = worth or listed[:1]
     middle = replace(refit.metric, shares=np.sqrt(shares * refit.metric.shares))
 
@@ -340,7 +346,7 @@ def run_race(
         structure = refit.structure.with_effects(candidate)
 
         def search() -> FittedModel:
-            points = _points(structure, candidate, refit, (tight_signs, wide_signs))
+            points = _points(structure, candidate, refit, signs)
             return structure.fit(
                 middle, points, centres=refit.centres, iterations=12, tolerance=0.5
             )
@@ -367,7 +373,7 @@ def run_race(
     joint: list[FittedModel] = []
     best = finals[0] if finals else None
     if best is not None and effort.deepest > 1:
-        pairs = promising_pairs((tight_signs, wide_signs), candidates, effort.pairs)
+        pairs = promising_pairs(signs, candidates, effort.pairs * len(signs) // 2)
 
         def both(pair: tuple[Signatures, int, int]) -> FittedModel:
             chosen = [candidates[pair[0].names[row]] for row in pair[1:]]
@@ -384,17 +390,17 @@ def run_race(
             best = joint[0]
     while best is not None and len(best.names) < effort.deepest:
         # effects whose traces point at what the best leaves over
-        signs = project_traces(best, traces)
+        beside = project_traces(best, traces)
         others = {n: s for n, s in candidates.items() if n not in best.names}
-        listed = short_list((signs,), others, effort.pairs)
+        listed = short_list((beside,), others, effort.pairs)
         tried = {frozenset(entry.names) for entry in joint}
         partners = [
             name
             for name in listed
-            if signs.best(name)[0] > _ENTRANCE and frozenset((*best.names, name)) not in tried
+            if beside.best(name)[0] > _ENTRANCE and frozenset((*best.names, name)) not in tried
         ]
 
-        def pair(name: str, base: FittedModel = best, signs: Signatures = signs) -> FittedModel:
+        def pair(name: str, base: FittedModel = best, signs: Signatures = beside) -> FittedModel:
             effects = (*base.structure.effects, candidates[name])
             structure = refit.structure.with_effects(*effects)
             return once(
