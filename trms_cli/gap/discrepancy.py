@@ -464,6 +464,20 @@ class Discrepancy:
         system = replace(self.system, start=self.system.start + np.diag(variance))
         return gains(system, q, covariances=covariances)
 
+    def stray(self, shares: FloatArray) -> FloatArray:
+        """How far forces of some size drive a free run off over a window, by output, (n_y,) RMS."""
+        t, n = self.trajectory, self.trajectory.x.shape[-1]
+        m, c = t.x.shape[:2]
+        variance = np.concatenate([np.zeros(n), shares**2])
+        kept = np.concatenate([np.zeros(n), self.forgotten])
+        p = np.broadcast_to(np.diag(variance), (m, n + len(shares), n + len(shares)))
+        total = np.zeros(t.y.shape[-1])
+        for k in range(c):
+            f, h = self.system.f[:, k], self.system.h[:, k]
+            total += np.einsum("myi,mij,myj->y", h, p, h)
+            p = f @ p @ np.swapaxes(f, 1, 2) + np.diag(variance * (1 - kept**2))
+        return np.sqrt(total / (m * c))
+
     def whitened(self, filter_: FilterGains, columns: FloatArray) -> FloatArray:
         """Columns (m, c, n_y, k) as innovations."""
         return whiten(self.system, filter_, columns)

@@ -269,12 +269,15 @@ class SealedRuns:
         return known[1]
 
 
-def farthest_error(errors: Errors, floor: Errors) -> float:
-    """Largest error of all channels at the longest horizon, in floors; NaN where there is none."""
+def farthest_error(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
+    """Largest error of all channels at the longest horizon, in floors; NaN where there is none.
+
+    ``stray``: by channel, by which free runs of any rig stray at that horizon; it widens the floor.
+    """
     ratios = []
     for channel, by_horizon in errors.items():
         longest = max(by_horizon)
-        least = floor[channel][longest].rms
+        least = float(np.hypot(floor[channel][longest].rms, stray[channel]))
         if least > 0:
             ratios.append(by_horizon[longest].rms / least)
     return max(ratios, default=float("nan"))

@@ -20,6 +20,8 @@ from trms_cli.gap.free_runs import SealedRuns, farthest_error
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
+from trms_cli.models.model import Model, names
+from trms_cli.simulation.rollout import Rollout
 
 #: Probability from which a verdict is given.
 _DECIDED = 0.5
@@ -56,7 +58,9 @@ class Posterior:
     outside: str = ""  #: Axis on which a torque from outside acts; empty for none
 
 
-def features_of(race: Race, behinds: Sequence[FloatArray], runs: SealedRuns) -> Features:
+def features_of(
+    race: Race, behinds: Sequence[FloatArray], constants: Calibration, runs: SealedRuns
+) -> Features:
     """Features of all that raced; ``behinds`` as of :func:`excesses`.
 
     Free runs are those of the first :data:`_RUN` competitors; the others lie behind these.
@@ -64,11 +68,19 @@ def features_of(race: Race, behinds: Sequence[FloatArray], runs: SealedRuns) -> 
     refit, plain = race.refit, race.refit.structure.windows.rollout
     own = float(refit.fit.predictive.sum())
     floor = runs.floor(refit.model, plain)
-    errors = np.full(len(race.entries), farthest_error(runs.errors(refit.model, plain), floor))
-    raw = farthest_error(runs.errors(refit.structure.problem.model, plain), floor)
-    refit_error = float(farthest_error(runs.errors(refit.model, plain), floor))
+    discrepancy = refit.metric.discrepancy
+    usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
+    outputs = names(refit.structure.problem.model.outputs)
+    reach = discrepancy.stray(np.minimum(refit.metric.shares, usual))
+    stray = dict(zip(outputs, reach.tolist(), strict=True))
+
+    def error(model: Model, rollout: Rollout) -> float:
+        return farthest_error(runs.errors(model, rollout), floor, stray)
+
+    refit_error = error(refit.model, plain)
+    errors = np.full(len(race.entries), refit_error)
     for i, entry in enumerate(race.entries[:_RUN]):
-        errors[i] = farthest_error(runs.errors(entry.model, entry.structure.windows.rollout), floor)
+        errors[i] = error(entry.model, entry.structure.windows.rollout)
     return Features(
         gained=own - float(refit.raw.predictive.sum()),
         behind=float(behinds[0].sum()),
@@ -80,7 +92,7 @@ def features_of(race: Race, behinds: Sequence[FloatArray], runs: SealedRuns) -> 
             [sum(s.surprise(e.values) for s in e.structure.effects) for e in race.entries]
         ),
         errors=errors,
-        raw_error=raw,
+        raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
     )
 
@@ -136,7 +148,7 @@ def posterior_of(
     force of each equation.
     """
     behinds = excesses(race, constants)
-    features = features_of(race, behinds, runs)
+    features = features_of(race, behinds, constants, runs)
     probabilities = probabilities_of(features, constants.weights)
     probabilities, outside = _from_outside(probabilities, candidates, forces, place, problem.seed)
     probabilities = _with_coarse_sensor(probabilities, problem, candidates)

@@ -312,8 +312,8 @@ def run_race(
     """Run the race.
 
     ``candidates``: none that noise drives. ``traces``: of all candidates about the refit.
-    ``prior``: the same about the parameters' priors, where the refit had to bend them: what an effect would
-    explain there, parameters have explained in the refit already.
+    ``prior``: the same about the centre of the parameters' priors, where the refit had to bend
+    them: what an effect would explain there, parameters have explained in the refit already.
     ``checkpoint``: of fits that an interrupted race had finished. ``jobs``: threads. ``watch``:
     told the share that is done and what is being done; False stops with what there is.
     """
