@@ -17,9 +17,10 @@ from trms_cli.gap.discrepancy import (
     Discrepancy,
     FilterGains,
     TrajectoryLinearisation,
+    equation_channels,
     likely_shares,
-    usual_channels,
 )
+from trms_cli.gap.gain_drift import USUAL_DRIFT, GainDrift, gain_drift
 from trms_cli.gap.problem import CandidateEffect, joint
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.map_fit import Point, minimise
@@ -49,6 +50,8 @@ class Metric:
 
     discrepancy: Discrepancy  #: Linearised along the recording, through the smoothed states
     shares: FloatArray  #: (n_d,); size of the force on each equation over what acts there
+    drift: GainDrift  #: Of the drives' gains
+    drift_sizes: FloatArray  #: (n_u,); standard deviation of each drive's gain
     robust: float | None = 4.0  #: Innovations beyond so many sd count linearly (Huber)
     filter_: FilterGains = field(init=False, repr=False)  #: Ready to run
 
@@ -70,10 +73,31 @@ _STEEPEST = 1e8
 
 @dataclass
 class InnovationObjective(PosteriorObjective):
-    """Maximum a posteriori in a metric of the same windows, whose model may differ."""
+    """Maximum a posteriori in a metric of the same windows, whose model may differ.
+
+    Its parameters are the model's free ones, then the coefficients of the drives' gains.
+    """
 
     metric: Metric
     centres: FloatArray  #: (m, n_x) array; of the starts' priors
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        sd = self.metric.drift.sd(self.metric.drift_sizes)
+        self.scales = np.concatenate([self.scales, sd])
+        self.means = np.concatenate([self.means, np.zeros(len(sd))])
+        self.precisions = np.concatenate([self.precisions, sd**-2])
+
+    def simulated(self, theta: FloatArray, starts: FloatArray, *, slopes: bool) -> Residuals:
+        """The windows' residuals; ``theta``: parameters, then the gains' coefficients."""
+        columns = self.metric.drift.columns
+        n_f = len(theta) - columns.shape[-1]
+        made = super().simulated(theta[:n_f], starts, slopes=slopes)
+        r = made.r + columns @ theta[n_f:]
+        j = made.j
+        if j is not None:
+            j = np.concatenate([j, columns], axis=-1)
+        return made._replace(r=r, j=j)
 
     @np.errstate(all="ignore")
     def by_window(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
@@ -124,7 +148,8 @@ class Evidence:
     """A fit's predictive densities and its parameters' spread."""
 
     predictive: FloatArray  #: (m,) array; log density of each block given the others, nats
-    covariance: FloatArray  #: (n_f, n_f) array; of the free parameters, in their units
+    #: (n, n) array; of the free parameters in their units, and of the gains' coefficients
+    covariance: FloatArray
 
 
 def evidence(
@@ -187,6 +212,7 @@ class CandidateFit:
 
     theta: FloatArray  #: (n_f,) array; nominal parameters, then the effects' sizes
     starts: FloatArray  #: (m, n_x) array
+    gains: FloatArray  #: (k,) array; coefficients of the drives' gains
     evidence: Evidence | None = None  #: Where it was asked for
 
     @property
@@ -204,7 +230,13 @@ class CandidateFit:
     def sd(self) -> FloatArray:
         """Standard deviation of each free parameter, in its unit, (n_f,)."""
         assert self.evidence is not None
-        return np.sqrt(np.maximum(np.diag(self.evidence.covariance), 0.0))
+        variance = np.diag(self.evidence.covariance)[: len(self.theta)]
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def point(self) -> FloatArray:
+        """Parameters and gains, as an objective has them, (n_f + k,)."""
+        return np.concatenate([self.theta, self.gains])
 
 
 @dataclass(frozen=True)
@@ -231,16 +263,24 @@ class FittedModel:
         """The model at the fitted values."""
         return with_values(self.structure.problem.model, self.values)
 
+    @cached_property
+    def objective(self) -> InnovationObjective:
+        """What it was fitted by."""
+        structure = self.structure
+        starts = structure.starts(self.fit.theta, self.centres)
+        return InnovationObjective(structure.windows, self.metric, starts)
+
     @property
     def residuals(self) -> FloatArray:
-        """Measured less predicted, (m, c, n_y)."""
-        p = self.structure.problem.all_values(self.fit.theta)
-        return -self.structure.windows.residuals(p, self.fit.starts).r
+        """Measured less predicted, the drives' gains as they were fitted, (m, c, n_y)."""
+        return -self.objective.simulated(self.fit.point, self.fit.starts, slopes=False).r
 
     def refitted(self, metric: Metric, **search: Any) -> FittedModel:
         """From where it is, in another metric; ``search``: as of :meth:`ModelStructure.fit`."""
         point = (self.fit.theta, self.fit.starts)
-        return self.structure.fit(metric, [point], centres=self.centres, **search)
+        return self.structure.fit(
+            metric, [point], centres=self.centres, gains=self.fit.gains, **search
+        )
 
     def in_own_metric(self) -> FittedModel:
         """Refitted with the discrepancy that is most likely for itself."""
@@ -255,11 +295,20 @@ def _settled(
     for _ in range(rounds):
         before = shares
         shares = likely_shares(discrepancy, fitted.residuals, before)
-        metric = Metric(discrepancy, shares, fitted.metric.robust)
-        fitted = fitted.refitted(metric, **search)
+        fitted = fitted.refitted(_likely_drift(fitted, shares), **search)
         if np.max(np.abs(np.log(shares / before))) < 0.1:
             break
     return fitted
+
+
+def _likely_drift(fitted: FittedModel, shares: FloatArray) -> Metric:
+    """The metric with other shares, and with the drift of the gains that is most likely then."""
+    metric = replace(fitted.metric, shares=shares)
+    drift = metric.drift
+    columns = metric.whitened(drift.columns).reshape(-1, len(drift.drive))
+    precision = columns.T @ columns + np.diag(drift.sd(metric.drift_sizes) ** -2)
+    variance = np.diag(np.linalg.inv(precision))
+    return replace(metric, drift_sizes=drift.likely_sizes(fitted.fit.gains, variance))
 
 
 class ModelStructure:
@@ -330,6 +379,7 @@ class ModelStructure:
         points: Sequence[tuple[FloatArray, FloatArray]],
         *,
         centres: FloatArray,
+        gains: FloatArray | None = None,
         iterations: int = 25,
         tolerance: float = 0.05,
         with_evidence: bool = True,
@@ -337,26 +387,32 @@ class ModelStructure:
         """Search from some points and keep the best.
 
         ``points``, sequence of (theta, starts). ``centres``, (m, n_nominal states) array: of the
-        starts' priors, the same for all who compete.
+        starts' priors, the same for all who compete. ``gains``, (k,) array: coefficients of the
+        drives' gains to begin with; None: zero.
         """
-        bounds = self.problem.bounds
+        wide = np.full(len(metric.drift.drive), np.inf)
+        low, high = self.problem.bounds
+        bounds = (np.concatenate([low, -wide]), np.concatenate([high, wide]))
+        n_f, first = len(low), np.zeros(len(wide)) if gains is None else gains
         searches = []
         for theta, starts in points:
             objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))
             searches.append(
                 minimise(
                     objective,
-                    Point(theta, starts, np.inf),
+                    Point(np.concatenate([theta, first]), starts, np.inf),
                     bounds=bounds,
                     iterations=iterations,
                     tolerance=tolerance,
                 )
             )
         at, worth = min((search.point for search in searches), key=lambda p: p.cost), None
+        theta = at.theta[:n_f]
         if with_evidence and np.isfinite(at.cost):
-            objective = InnovationObjective(self.windows, metric, self.starts(at.theta, centres))
+            objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))
             worth = evidence(objective, at.theta, at.starts, bounds)
-        return FittedModel(self, CandidateFit(at.theta, at.starts, worth), metric, centres)
+        fit = CandidateFit(theta, at.starts, at.theta[n_f:], worth)
+        return FittedModel(self, fit, metric, centres)
 
     def held(self) -> ModelStructure:
         """The same with its parameters as they were."""
@@ -398,10 +454,8 @@ def about_priors(fitted: Refit) -> FittedModel | None:
     ]
     if sum(move > _BENT for move in moves) < 2:
         return None
-    raw = FittedModel(
-        structure, CandidateFit(theta, fitted.raw.starts), fitted.metric, fitted.centres
-    )
-    metric = fitted.metric
+    fit, metric = replace(fitted.raw, theta=theta), fitted.metric
+    raw = FittedModel(structure, fit, metric, fitted.centres)
     shares = likely_shares(metric.discrepancy, raw.residuals, metric.shares)
     return replace(raw, metric=replace(metric, shares=shares))
 
@@ -444,20 +498,27 @@ def refit(
     theta = structure.theta({})
     p = structure.problem.all_values(theta)
     centres = windows.starts(p)
-    channels = usual_channels(model)
+    channels = equation_channels(model)
     first = Discrepancy(windows, linearisation.along(p, centres), channels)
     trajectory = linearisation.through(p, _followed(first))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
     point = (theta, centres)
+    drift = gain_drift(windows, trajectory)
+    usual, count = np.full(drift.drives, USUAL_DRIFT), len(channels)
     for share in _FIRST_SHARES:
-        metric = Metric(fitting, fitting.sizes(share))
+        metric = Metric(fitting, np.full(count, share), drift, usual)
         fitted = structure.fit(metric, [point], centres=centres, tolerance=0.5, with_evidence=False)
         point = (fitted.fit.theta, fitted.fit.starts)
     p = structure.problem.all_values(point[0])
     trajectory = linearisation.along(p, point[1])
     trajectory = linearisation.through(p, _followed(replace(first, trajectory=trajectory)))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
-    fitted = _settled(fitted, fitting, fitting.sizes(_FIRST_SHARES[-1]), rounds=3)
+    metric = replace(
+        fitted.metric, discrepancy=fitting, drift=gain_drift(windows, fitting.trajectory)
+    )
+    fitted = _settled(
+        replace(fitted, metric=metric), fitting, np.full(count, _FIRST_SHARES[-1]), rounds=3
+    )
     points = [(theta, fitted.fit.starts), (theta, centres)]
     # with its parameters as they were, only the windows' starts are fitted
     raw = structure.held().fit(fitted.metric, points, centres=centres).fit
@@ -468,6 +529,6 @@ def _followed(discrepancy: Discrepancy) -> FloatArray:
     """States that follow the data, (m, c, n)."""
     r = discrepancy.windows.target - discrepancy.trajectory.y
     r = np.where(np.isfinite(r), r, 0.0)
-    x, _ = discrepancy.smoothed(discrepancy.sizes(0.5), r)
+    x, _ = discrepancy.smoothed(np.full(len(discrepancy.channels), 0.5), r)
     n = discrepancy.trajectory.x.shape[-1]
     return np.asarray(discrepancy.trajectory.x + x[..., :n])

@@ -20,7 +20,6 @@ from trms_cli.gap import free_runs
 from trms_cli.gap.belief import calibration
 from trms_cli.gap.competing_model import (
     FittedModel,
-    Metric,
     Refit,
     about_priors,
     nominal_parameters,
@@ -42,6 +41,7 @@ from trms_cli.gap.diagnosis import (
     SizeEstimate,
     Traces,
 )
+from trms_cli.gap.discrepancy import input_channels
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.next_experiment import advise
@@ -136,7 +136,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     watch.enter("tests")
     # errors that are smaller than usual are no gap either
     limits = np.array([usual.get(c.location, np.inf) for c in channels])
-    calm = Metric(nominal.metric.discrepancy, np.minimum(nominal.metric.shares, limits))
+    calm = replace(nominal.metric, shares=np.minimum(nominal.metric.shares, limits))
     tests = innovation_tests(replace(nominal, metric=calm), seed=problem.seed)
     watch.enter("how far")
     runs = free_runs.SealedRuns(problem, parts)
@@ -210,7 +210,11 @@ def result_of(stages: StageResults) -> DiagnosisResult:
             words = words or description(stages.forces[location])
     unseen = _not_testable(stages)
     parameters, causes = _parameters(stages), _causes(stages)
-    shares = zip(refit.metric.discrepancy.channels, refit.metric.shares.tolist(), strict=True)
+    metric = refit.metric
+    places = [c.location for c in metric.discrepancy.channels]
+    shares = dict(zip(places, metric.shares.tolist(), strict=True))
+    drives = [c.location for c in input_channels(refit.model)]
+    shares |= dict(zip(drives, metric.drift_sizes.tolist(), strict=True))
     return DiagnosisResult(
         recordings=tuple(
             DiagnosedRecording(
@@ -246,7 +250,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         refit=refit.values,
         evidence={
             **json_data(posterior.features),
-            "shares": {channel.location: s for channel, s in shares},
+            "shares": shares,
             "outside": posterior.outside,
         },
         traces=_report_traces(stages, [w.location for w in where]),

@@ -311,12 +311,8 @@ class TrajectoryLinearisation:
         return Trajectory(*(np.zeros((m, c, *size)) for size in sizes))
 
 
-#: s. Time over which a discrepancy forgets itself, of every channel but a drive's gain.
+#: s. Time over which a discrepancy forgets itself.
 CORRELATION_TIME = 0.5
-#: The gain of a drive wanders on every rig, with the temperature and the supply: over this time in
-#: s, by a share that is estimated; its prior is log-normal about this centre, with this spread.
-DRIFT_TIME = 30.0
-_USUAL_DRIFT, _DRIFT_SPREAD = 0.01, 0.7
 #: Sensors' outputs by name, and where in the block diagram they are.
 SENSORS = {
     "alpha_v": "pitch_sensor",
@@ -331,10 +327,9 @@ class DiscrepancyChannel:
     """A place where a discrepancy acts."""
 
     location: str
-    kind: str  #: ``gain``: in proportion to a command
+    kind: str  #: ``disturbance``, ``input`` or ``output``
     index: int  #: In the model's ``w``, ``u`` or ``y``
     unit: str
-    usual: float | None = None  #: Centre of the prior of its size; None: nothing is known of it
 
 
 def equation_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
@@ -353,15 +348,6 @@ def input_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
         DiscrepancyChannel(f"{rotors.get(s.name, s.name)}_actuator", "input", i, s.unit)
         for i, s in enumerate(model.inputs)
     )
-
-
-def usual_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
-    """What may always err: every equation, and the gain of every drive a little."""
-    gains_ = tuple(
-        DiscrepancyChannel(channel.location, "gain", channel.index, "1", _USUAL_DRIFT)
-        for channel in input_channels(model)
-    )
-    return (*equation_channels(model), *gains_)
 
 
 def sensor_channels(model: Model, measured: BoolArray) -> tuple[DiscrepancyChannel, ...]:
@@ -385,12 +371,8 @@ class Discrepancy:
     @cached_property
     def forgotten(self) -> FloatArray:
         """Factor of each force from one sample to the next, (n_d,)."""
-        times = [DRIFT_TIME if c.kind == "gain" else CORRELATION_TIME for c in self.channels]
-        return np.asarray(np.exp(-self.windows.sample_time / np.array(times)))
-
-    def sizes(self, share: float) -> FloatArray:
-        """One share for every channel, the usual one where one is known, (n_d,)."""
-        return np.array([share if c.usual is None else c.usual for c in self.channels])
+        factor = np.exp(-self.windows.sample_time / CORRELATION_TIME)
+        return np.full(len(self.channels), factor)
 
     @cached_property
     def scales(self) -> FloatArray:
@@ -405,8 +387,6 @@ class Discrepancy:
         n = t.x.shape[-1]
         scales = np.ones(len(self.channels))
         for i, channel in enumerate(self.channels):
-            if channel.kind == "gain":
-                continue
             if channel.kind == "output":
                 scales[i] = np.std(t.y[..., channel.index][inside])
                 continue
@@ -439,9 +419,6 @@ class Discrepancy:
                 f[..., :n, n + i] = t.g[..., channel.index] * self.scales[i]
             elif channel.kind == "input":
                 f[..., :n, n + i] = t.b[..., channel.index] * self.scales[i]
-            elif channel.kind == "gain":
-                u = windows.commands[..., channel.index, None]
-                f[..., :n, n + i] = t.b[..., channel.index] * u
             else:
                 h[..., channel.index, n + i] = self.scales[i]
         start = np.zeros((n + d, n + d))
@@ -522,7 +499,6 @@ def likely_shares(
     shares = np.maximum(np.asarray(shares, dtype=float), least)
     n = discrepancy.trajectory.x.shape[-1]
     chosen = np.ones(len(shares), dtype=bool) if moving is None else moving
-    usual = np.array([np.nan if c.usual is None else c.usual for c in discrepancy.channels])
     later = 1 - discrepancy.forgotten**2
     for _ in range(iterations):
         try:
@@ -534,10 +510,7 @@ def likely_shares(
             shares**2 * (part[0, n:] + later * part[1, n:])
             for part in scores(discrepancy.system, filter_, z)
         ]
-        pull = np.nan_to_num(-np.log(shares / usual) / _DRIFT_SPREAD**2)
-        ratio = (slopes[0] + np.maximum(pull, 0.0)) / np.maximum(
-            slopes[1] + np.maximum(-pull, 0.0), 1e-300
-        )
+        ratio = slopes[0] / np.maximum(slopes[1], 1e-300)
         # the size is the root of the variance; half of the rest of the way is taken at a time
         after = np.clip(shares * np.clip(np.sqrt(ratio), 0.3, 4.0), least, _MOST)
         after = np.where(chosen, after, shares)

@@ -17,6 +17,7 @@ from trms_cli.core.wording import listing
 from trms_cli.gap.competing_model import CandidateFit, FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
+from trms_cli.gap.gain_drift import gain_drift
 from trms_cli.gap.problem import CandidateEffect
 from trms_cli.gap.race import Signatures, effect_traces, project_traces
 from trms_cli.identification.dataset import Dataset
@@ -500,10 +501,16 @@ def predicted_recordings(
             start_share=0.0,
         )
         try:
-            metric = Metric(discrepancy, shares, None)
+            drift = gain_drift(made.windows, discrepancy.trajectory)
+            metric = Metric(discrepancy, shares, drift, refit.metric.drift_sizes, None)
         except FloatingPointError:  # along this motion the equations say too little
             continue
-        yield experiment, FittedModel(made, CandidateFit(theta, starts), metric, starts)
+        yield (
+            experiment,
+            FittedModel(
+                made, CandidateFit(theta, starts, np.zeros(len(drift.drive))), metric, starts
+            ),
+        )
 
 
 def _recorded(

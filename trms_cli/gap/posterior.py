@@ -13,7 +13,7 @@ from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.belief import Calibration, Features, probabilities_of
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
-from trms_cli.gap.discrepancy import log_likelihood
+from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.free_runs import SealedRuns, farthest_error
@@ -71,7 +71,10 @@ def features_of(
     discrepancy = refit.metric.discrepancy
     usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
     outputs = names(refit.structure.problem.model.outputs)
-    reach = discrepancy.stray(np.minimum(refit.metric.shares, usual))
+    metric = refit.metric
+    reach = np.hypot(
+        discrepancy.stray(np.minimum(metric.shares, usual)), metric.drift.stray(metric.drift_sizes)
+    )
     stray = dict(zip(outputs, reach.tolist(), strict=True))
 
     def error(model: Model, rollout: Rollout) -> float:
@@ -121,14 +124,16 @@ def excesses(race: Race, constants: Calibration) -> list[FloatArray]:
     discrepancy = refit.metric.discrepancy
     usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
     found = []
+    m = len(refit.structure.windows)
+    drifts = np.array([constants.usual(c.location) for c in input_channels(refit.model)])
     for fitted in (refit, *race.entries):
-        shares = fitted.metric.shares
-        if np.all(shares <= usual * 1.001):
-            found.append(np.zeros(len(refit.structure.windows)))
-            continue
-        r = fitted.residuals
-        excess = log_likelihood(discrepancy, r, shares)
-        excess -= log_likelihood(discrepancy, r, np.minimum(shares, usual))
+        shares, metric = fitted.metric.shares, fitted.metric
+        drift = metric.drift.excess(fitted.fit.gains, metric.drift_sizes, drifts)
+        excess = np.full(m, drift / m)
+        if np.any(shares > usual * 1.001):
+            r = fitted.residuals
+            excess += log_likelihood(discrepancy, r, shares)
+            excess -= log_likelihood(discrepancy, r, np.minimum(shares, usual))
         found.append(np.nan_to_num(excess, nan=1e6))
     return found
 

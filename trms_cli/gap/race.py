@@ -145,8 +145,9 @@ def effect_traces(
     ``nominal``: without any of the candidates, none of which noise drives. ``watch``: told how
     many candidates are done; False stops.
     """
-    base = -nominal.residuals
-    theta = nominal.values
+    own = nominal.structure
+    p = own.problem.all_values(nominal.fit.theta)
+    base, theta = own.windows.residuals(p, nominal.fit.starts).r, nominal.values
     changes: list[FloatArray] = []
     names: list[str] = []
     sizes: list[FloatArray] = []
@@ -172,17 +173,17 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
 
     ``fitted``: the nominal model, or one with an effect: then its sizes are among the parameters.
     """
-    structure, fit = fitted.structure, fitted.fit
-    windows, problem = structure.windows, structure.problem
-    residuals = windows.residuals(problem.all_values(fit.theta), fit.starts, slopes=True)
+    fit, objective, windows = fitted.fit, fitted.objective, fitted.structure.windows
+    point = fit.point
+    residuals = objective.simulated(point, fit.starts, slopes=True)
     base, slopes = residuals.r, residuals.j
     assert slopes is not None
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-    scales = np.concatenate([windows.spread, problem.scales])
-    n, n_f, count = windows.n_x, len(fit.theta), len(traces.names)
+    scales = np.concatenate([windows.spread, objective.scales])
+    n, n_f, count = windows.n_x, len(point), len(traces.names)
     total = np.zeros((n_f + count + 1, n_f + count + 1))
     raw = np.zeros(count)
-    gaps = (fit.starts - structure.starts(fit.theta, fitted.centres)) / windows.spread
+    gaps = (fit.starts - objective.centres) / windows.spread
     for j in range(0, len(windows), _AT_ONCE):
         rows = slice(j, j + _AT_ONCE)
         changes = np.moveaxis(traces.changes[:, rows], 0, -1)
@@ -196,10 +197,10 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
         inner = gram[:, n:, n:] - np.swapaxes(across, 1, 2) @ np.linalg.solve(own, across)
         total += inner.sum(axis=0)
         raw += np.einsum("mii->i", gram[:, n + n_f : -1, n + n_f : -1])
-    root = problem.prior_precisions * problem.scales
+    root = objective.precisions * objective.scales
     across = total[:n_f, n_f:].copy()
-    across[:, -1] += root * (fit.theta - problem.prior_means)
-    inner = total[:n_f, :n_f] + np.diag(root * problem.scales)
+    across[:, -1] += root * (point - objective.means)
+    inner = total[:n_f, :n_f] + np.diag(root * objective.scales)
     left = total[n_f:, n_f:] - across.T @ np.linalg.solve(inner, across)
     energy = np.maximum(np.diag(left)[:-1], 1e-12)
     length = np.sqrt(energy)
@@ -280,12 +281,12 @@ class Checkpoint:
         self._keep = keep
         self._lock = Lock()
 
-    def point(self, key: str) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Parameters, starts and sizes of the discrepancy under a key; None: not there yet."""
+    def point(self, key: str) -> dict[str, FloatArray] | None:
+        """Parameters, starts, gains, sizes of the discrepancy under a key; None: not there yet."""
         known = self._points.get(key)
         if known is None:
             return None
-        return tuple(np.array(known[name]) for name in ("theta", "starts", "shares"))  # type: ignore[return-value]
+        return {name: np.array(values) for name, values in known.items()}
 
     def add(self, key: str, fitted: FittedModel) -> None:
         """Note where a search ended."""
@@ -293,7 +294,9 @@ class Checkpoint:
             self._points[key] = {
                 "theta": fitted.fit.theta.tolist(),
                 "starts": fitted.fit.starts.tolist(),
+                "gains": fitted.fit.gains.tolist(),
                 "shares": fitted.metric.shares.tolist(),
+                "drift": fitted.metric.drift_sizes.tolist(),
             }
             self._keep(self._points)
 
@@ -337,9 +340,11 @@ def run_race(
             made = search()
             checkpoint.add(key, made)
             return made
-        theta, starts, shares = known
-        metric = replace(refit.metric, shares=shares)
-        return structure.fit(metric, [(theta, starts)], centres=refit.centres, iterations=0)
+        metric = replace(refit.metric, shares=known["shares"], drift_sizes=known["drift"])
+        points = [(known["theta"], known["starts"])]
+        return structure.fit(
+            metric, points, centres=refit.centres, gains=known["gains"], iterations=0
+        )
 
     def single(name: str) -> FittedModel:
         candidate = candidates[name]
@@ -348,7 +353,12 @@ def run_race(
         def search() -> FittedModel:
             points = _points(structure, candidate, refit, signs)
             return structure.fit(
-                middle, points, centres=refit.centres, iterations=12, tolerance=0.5
+                middle,
+                points,
+                centres=refit.centres,
+                gains=refit.fit.gains,
+                iterations=12,
+                tolerance=0.5,
             )
 
         return once(f"single {name}", structure, search)
@@ -477,7 +487,14 @@ def _both(
     for values in (refit.values, prior):
         theta = structure.theta({**values, **sizes})
         points.append((theta, structure.starts(theta, refit.fit.starts)))
-    fitted = structure.fit(metric, points, centres=refit.centres, iterations=12, tolerance=0.5)
+    fitted = structure.fit(
+        metric,
+        points,
+        centres=refit.centres,
+        gains=refit.fit.gains,
+        iterations=12,
+        tolerance=0.5,
+    )
     return fitted.in_own_metric()
 
 
@@ -522,7 +539,12 @@ def _paired(
     theta = structure.theta({**best.values, **sizes})
     starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
     fitted = structure.fit(
-        best.metric, [(theta, starts)], centres=best.centres, iterations=12, tolerance=0.5
+        best.metric,
+        [(theta, starts)],
+        centres=best.centres,
+        gains=best.fit.gains,
+        iterations=12,
+        tolerance=0.5,
     )
     return fitted.in_own_metric()
 

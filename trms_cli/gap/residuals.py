@@ -26,10 +26,10 @@ from trms_cli.gap.competing_model import FittedModel, InnovationObjective, Metri
 from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.discrepancy import (
     Discrepancy,
+    equation_channels,
     likely_shares,
     log_likelihood,
     sensor_channels,
-    usual_channels,
 )
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import quantum_of
@@ -49,9 +49,8 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     ``fitted``: in a metric of the discrepancies that rigs without a gap have. ``draws``: how many.
     """
     structure, fit, metric = fitted.structure, fitted.fit, fitted.metric
-    starts = structure.starts(fit.theta, fitted.centres)
-    objective = InnovationObjective(structure.windows, metric, starts)
-    _, _, residuals = objective.parabola(fit.theta, fit.starts)
+    objective = fitted.objective
+    _, _, residuals = objective.parabola(fit.point, fit.starts)
     columns = objective.columns(residuals)
     measured = structure.windows.measured
     z = np.where(measured, np.clip(columns[..., -1], -6, 6), 0.0)
@@ -109,8 +108,10 @@ def _drawn(
     coarse = np.maximum(quanta, 1e-12)[:, None]
     y = trajectory.y[..., None] + away
     rounded = np.where(quanta[:, None] > 0, coarse * np.round(y / coarse), y)
+    drift = metric.drift.sd(metric.drift_sizes)
     for k in range(draws):
-        yield rounded[..., k] - trajectory.y
+        wandered = metric.drift.columns @ (drift * random.standard_normal(len(drift)))
+        yield rounded[..., k] - trajectory.y + wandered
 
 
 def _statistics(
@@ -223,7 +224,7 @@ def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     ``usual``: share by which each equation errs on rigs without a gap.
     """
     model, windows = nominal.structure.problem.model, nominal.structure.windows
-    channels = (*usual_channels(model), *sensor_channels(model, windows.measured))
+    channels = (*equation_channels(model), *sensor_channels(model, windows.measured))
     every = replace(nominal.metric.discrepancy, channels=channels)
     sensors = np.array([channel.kind == "output" for channel in channels])
     equations = [usual.get(channel.location, 0.03) for channel in channels]
@@ -232,18 +233,16 @@ def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     r = nominal.residuals
     none = log_likelihood(every, r, floor)
     gains, shares = [], []
-    tried = [i for i in range(len(channels)) if channels[i].kind != "gain"]
-    for i in tried:
+    for i in range(len(channels)):
         moving = np.arange(len(channels)) == i
         first = np.where(moving, begins, floor)
         found = likely_shares(every, r, first, moving=moving, iterations=_ITERATIONS, least=floor)
         gains.append(log_likelihood(every, r, found) - none)
         shares.append(found[i])
-    start = floor.copy()
-    start[tried] = np.maximum(floor[tried], 0.7 * np.array(shares))
+    start = np.maximum(floor, 0.7 * np.array(shares))
     both = likely_shares(every, r, start, iterations=_ITERATIONS, least=floor)
     together = log_likelihood(every, r, both) - none
-    return Location(tuple(channels[i].location for i in tried), np.array(gains), together)
+    return Location(tuple(c.location for c in channels), np.array(gains), together)
 
 
 def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRecord]:

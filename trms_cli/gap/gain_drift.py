@@ -1,0 +1,95 @@
+"""How the gain of a drive wanders over a recording, with its temperature and its supply.
+
+It wanders on every rig, slowly: what a block tells of it holds in the next one, too. So the gain is
+a function of time over all blocks, linear between knots; what it does to the outputs is linearised
+along the recording::
+
+    y = ŷ + Σ_k c_k Y_k          c_k ~ N(0, σ²)          σ of each drive estimated
+
+Were each block given a gain of its own, an effect that falls with time would be paid for once and
+credited in every block.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.gap.discrepancy import Trajectory
+from trms_cli.identification.greybox.windows import Windows
+
+#: s between two knots, and most knots of one recording: longer ones get wider spaces.
+_KNOT_SPACING, _MOST_KNOTS = 15.0, 14
+#: Centre of the log-normal prior of the drift's size (standard deviation, a share of the gain), and
+#: how many knots that prior is worth.
+USUAL_DRIFT, _WORTH = 0.01, 4.0
+#: No drive is steadier than this.
+LEAST_DRIFT = 0.001
+
+
+@dataclass(frozen=True)
+class GainDrift:
+    """What wandering gains do to the outputs of some windows."""
+
+    columns: FloatArray  #: (m, c, n_y, k) array; change of the outputs for a gain that is one more
+    drive: IntArray  #: (k,) array; drive that each column belongs to
+
+    @property
+    def drives(self) -> int:
+        """How many drives there are."""
+        return int(self.drive.max(initial=-1)) + 1
+
+    def sd(self, sizes: FloatArray) -> FloatArray:
+        """Standard deviation of each coefficient (k,) for sizes by drive (n_u,)."""
+        return np.asarray(sizes[self.drive])
+
+    def stray(self, sizes: FloatArray) -> FloatArray:
+        """How far such gains drive free runs off over a window, by output, (n_y,) RMS."""
+        squares = np.mean(self.columns**2, axis=(0, 1)) @ self.sd(sizes) ** 2
+        return np.asarray(np.sqrt(squares))
+
+    def likely_sizes(self, gains: FloatArray, variance: FloatArray) -> FloatArray:
+        """Most likely size by drive (n_u,), from coefficients and their variances, each (k,)."""
+        found = []
+        for i in range(self.drives):
+            own = self.drive == i
+            total = np.sum(gains[own] ** 2 + variance[own]) + _WORTH * USUAL_DRIFT**2
+            found.append(np.sqrt(total / (np.count_nonzero(own) + _WORTH)))
+        return np.maximum(found, LEAST_DRIFT)
+
+    def excess(self, gains: FloatArray, sizes: FloatArray, usual: FloatArray) -> float:
+        """Nats that coefficients owe to sizes beyond the usual, by drive (n_u,)."""
+        one, other = self.sd(sizes), self.sd(np.minimum(sizes, usual))
+        return float(np.sum(0.5 * gains**2 * (other**-2 - one**-2) - np.log(one / other)))
+
+
+def gain_drift(windows: Windows, trajectory: Trajectory) -> GainDrift:
+    """Columns along a trajectory, a set of knots for every recording and drive."""
+    m, c, n_y, n = trajectory.h.shape
+    basis = _hats(windows)
+    drives, knots = windows.commands.shape[2], basis.shape[2]
+    x = np.zeros((m, n, drives * knots))
+    columns = np.empty((m, c, n_y, drives * knots))
+    driven = trajectory.b * windows.commands[:, :, None]
+    for t in range(c):
+        columns[:, t] = trajectory.h[:, t] @ x
+        forced = driven[:, t, :, :, None] * basis[:, t, None, None]
+        x = trajectory.a[:, t] @ x + forced.reshape(m, n, drives * knots)
+    columns = np.where(windows.measured[..., None], columns, 0.0)
+    return GainDrift(columns, np.repeat(np.arange(drives), knots))
+
+
+def _hats(windows: Windows) -> FloatArray:
+    """Hat functions over each recording at the samples of all windows, (m, c, k)."""
+    m, c = windows.inside.shape
+    parts, offset = [], 0
+    for dataset in windows.datasets:
+        count = min(max(2, round(dataset.duration / _KNOT_SPACING) + 1), _MOST_KNOTS)
+        last = len(dataset) - 1
+        sample = windows.first[:, None] + np.arange(c) - offset
+        own = (windows.first >= offset) & (windows.first < offset + len(dataset))
+        place = np.clip(sample / max(last, 1), 0.0, 1.0) * (count - 1)
+        hats = np.maximum(1 - np.abs(place[..., None] - np.arange(count)), 0.0)
+        parts.append(np.where(own[:, None, None], hats, 0.0))
+        offset += len(dataset)
+    return np.concatenate(parts, axis=2).reshape(m, c, -1)
