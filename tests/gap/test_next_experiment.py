@@ -47,7 +47,7 @@ FITTED = {
     "tail_dead_zone.width": 0.05,
 }
 FAST, SLOW = "fast switching between two levels", "slow rises and falls through zero"
-SHARES = np.full(6, 0.01)  # four equations, and the gains of two drives
+SHARES = np.full(4, 0.01)  # of the equations
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,65 @@
+"""Gains that wander: their columns against a simulation, their sizes, and what they are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.gap.recorded import recording
+from trms_cli.gap.competing_model import nominal_parameters, refit
+from trms_cli.gap.discrepancy import TrajectoryLinearisation
+from trms_cli.gap.gain_drift import LEAST_DRIFT, GainDrift, gain_drift
+from trms_cli.identification.greybox.windows import Windows
+from trms_cli.identification.problem import FitProblem
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.simulation.rollout import Rollout
+
+
+def test_columns_are_what_a_gain_changes_in_the_outputs():
+    dataset = recording(seconds=20.0)
+    windows = Windows(FitProblem(model=Newtonian(), datasets=(dataset,), window_length=10.0))
+    p = windows.problem.model.parameters.values
+    starts = windows.starts(p)
+    drift = gain_drift(windows, TrajectoryLinearisation(windows).along(p, starts))
+    knots = len(drift.drive) // 2
+    assert drift.drive.tolist() == [0] * knots + [1] * knots
+    small = 1e-4
+    times = np.linspace(0.0, len(dataset) - 1, knots)
+    for k in (0, knots + 1):
+        hat = np.interp(np.arange(len(dataset)), times, np.arange(knots) == k % knots)
+        commands = dataset.commands.copy()
+        commands[:, drift.drive[k]] *= 1 + small * hat
+        rollout = Rollout(windows.problem.model, dataset.sample_time)
+        made = [
+            rollout.outputs(u, windows.first, windows.count, windows.with_memory(p, starts), p).y
+            for u in (commands, dataset.commands)
+        ]
+        change = (made[0] - made[1]) / small
+        columns = drift.columns[windows.inside][..., k]
+        np.testing.assert_allclose(columns, change, atol=0.02 * np.abs(change).max())
+
+
+def test_sizes_are_those_of_the_coefficients_and_never_nothing():
+    drift = GainDrift(np.zeros((1, 1, 1, 40)), np.repeat([0, 1], 20))
+    gains = np.concatenate([np.tile([0.03, -0.03], 10), np.zeros(20)])
+    sizes = drift.likely_sizes(gains, np.zeros(40))
+    assert sizes[0] == pytest.approx(0.03, rel=0.1)
+    assert LEAST_DRIFT < sizes[1] < 0.01
+    # beyond the usual it is owed for, within it not
+    assert drift.excess(gains, sizes, np.array([0.01, 0.01])) > 50
+    assert drift.excess(gains, sizes, np.array([0.05, 0.05])) == pytest.approx(0.0)
+
+
+def test_a_gain_that_wanders_moves_no_parameter():
+    dataset = recording(seconds=60.0)
+    wander = 1 + 0.03 * np.sin(2 * np.pi * dataset.time / 50.0)
+    # what is recorded is the command; the drive made more or less of it
+    measured = replace(dataset, commands=dataset.commands / wander[:, None])
+    fitted = refit(Newtonian(), nominal_parameters(Newtonian()), (measured,), 10.0)
+    assert np.all(fitted.metric.drift_sizes > 0.01)
+    assert np.all(fitted.metric.shares < 0.02)
+    away = [
+        abs(v - f.prior_mean) / f.prior_sd
+        for v, f in zip(fitted.fit.theta, fitted.structure.problem.free, strict=True)
+    ]
+    assert max(away) < 2.0
