@@ -304,6 +304,25 @@ FIGURES = {
         characteristic=memory_of_noise,
         window=(0.0, 120.0),
     ),
+    "residual_force": EffectFigure(
+        scene=Scene(
+            effect="yaw_residual_force",
+            command=_tail(lambda t: 0.5 * _triangle(t, 60.0)),
+            duration=60.0,
+        ),
+        shown="alpha_h",
+        characteristic=against_angle("alpha_h"),
+    ),
+    "residual_reading": EffectFigure(
+        scene=Scene(
+            effect="pitch_residual_reading",
+            command=_main(_steps([0.4, 0.8, 1.2], 15.0)),
+            duration=45.0,
+        ),
+        shown="alpha_v",
+        characteristic=sensor_map("alpha_v"),
+        measured=True,
+    ),
 }
 
 

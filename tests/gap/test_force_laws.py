@@ -110,6 +110,16 @@ def test_scaling_changes_no_share():
     assert explained_shares(scaled) == pytest.approx(explained_shares(record), abs=1e-6)
 
 
+def test_no_law_is_lost_to_the_units_of_another():
+    """A rotor in milliradians a second makes columns a billion times those of the rates."""
+    for name in ("damping", "cable", "exponent"):
+        law, place, force = FORCES[name]
+        record = of(place, force)
+        fast = replace(record, speeds={k: 1e3 * v for k, v in record.speeds.items()})
+        assert explained_shares(fast)[law] == pytest.approx(explained_shares(record)[law], abs=0.02)
+        assert explained_shares(fast)[law] > 0.5
+
+
 def test_hysteresis_stays_within_one_and_forgets_the_start():
     memory = np.array(hysteresis(motion(), motion().angles["yaw"]))
     assert np.abs(memory).max() <= 1 + 1e-12

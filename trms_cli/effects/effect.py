@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import get_type_hints
+from typing import ClassVar, get_type_hints
 
 import casadi as ca
 
@@ -96,6 +96,9 @@ class EffectContext:
 
 class Effect(ABC):
     """Immutable description of an effect with its sizes. Override what the effect changes."""
+
+    #: Whether it is a cause that a diagnosis may name; a residual is none
+    explains: ClassVar[bool] = True
 
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:

@@ -59,12 +59,20 @@ class Features:
     errors: FloatArray  #: (k,) array; of free runs of each competitor; NaN where not measured
     raw_error: float = np.nan  #: Of free runs of the model as it was
     refit_error: float = np.nan  #: Of free runs of the refit
+    #: (k + 1,) arrays by axis; as ``behind`` if a torque from outside acts on it, of the refit and
+    #: of each competitor
+    outside: Mapping[str, FloatArray] = field(default_factory=dict)
+    flexible: float = np.nan  #: Score of the flexible competitor; NaN: it was not fitted
+    foretold: float = np.nan  #: Share of the missing force that it foretells, held out
+    coefficients: float = np.nan  #: Number of its coefficients that the data decide
 
 
 #: nats. Discrepancy beyond the usual that hardly counts, and gain of a refit that hardly does.
 _REST, _GAIN = 8.5, 6.0
 #: nats. Scores beyond so many count by their logarithm as well.
 _BEND = 10.0
+#: What the name of a torque from outside ends in.
+DISTURBANCE = "_disturbance"
 #: Floors. Free runs worse than this are all alike.
 _WORST = 50.0
 
@@ -86,9 +94,6 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             "parameters.error": _of_error(features.refit_error),
         },
     }
-    left = np.maximum(np.asarray(features.behinds, dtype=float), 0.0)
-    # a cause is not blamed for a hundredth of the gap: no law is exactly that of the rig
-    left_share = np.minimum(left / (max(features.behind, 0.0) + _REST), 1.0)
     best = 0.0
     for i, name in enumerate(features.names):
         score = float(features.scores[i])
@@ -97,14 +102,43 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
         best = max(best, score)
         rows[name] = {
             **_of_score(score),
-            "effect.rest": float(_rest(left[i]) * left_share[i]),
+            "effect.rest": _left(features, features.behinds[i]),
             "effect.count": float(len(name)),
             "effect.shape": float(features.sizes[i] - len(name)),
             "effect.surprise": float(features.surprises[i]),
             "effect.error": _of_error(features.errors[i]),
         }
-    rows["none_of_these",] = {**_of_score(best), "none.constant": 1.0, "none.rest": rest}
+    foretold = 0.0 if np.isnan(features.foretold) else float(np.clip(features.foretold, 0.0, 1.0))
+    for axis, behinds in features.outside.items():
+        disturbance = f"{axis}{DISTURBANCE}"
+        rows[disturbance,] = {
+            "effect.rest": _left(features, behinds[0]),
+            "disturbance": 1.0,
+            "disturbance.foretold": foretold,
+        }
+        for name, behind in zip(features.names, behinds[1:], strict=True):
+            if name in rows:
+                joined = tuple(sorted((*name, disturbance)))
+                row = {k: v for k, v in rows[name].items() if k != "effect.error"}
+                rows[joined] = row | {"effect.rest": _left(features, behind), "disturbance": 1.0}
+    was_fitted = not np.isnan(features.flexible)
+    rows["none_of_these",] = {
+        **_of_score(max(best, features.flexible) if was_fitted else best),
+        "none.constant": 1.0,
+        "none.rest": rest,
+        "none.foretold": foretold,
+        "none.flexible": float(was_fitted),
+    }
     return rows
+
+
+def _left(features: Features, behind: float) -> float:
+    """What a competitor leaves to forces without a name.
+
+    It is not blamed for a hundredth of the gap: no law is exactly that of the rig.
+    """
+    left = max(float(behind), 0.0)
+    return float(_rest(left)) * min(left / (max(features.behind, 0.0) + _REST), 1.0)
 
 
 def _rest(behind: float | FloatArray) -> FloatArray:

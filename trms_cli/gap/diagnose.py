@@ -42,6 +42,7 @@ from trms_cli.gap.diagnosis import (
     Traces,
 )
 from trms_cli.gap.discrepancy import input_channels
+from trms_cli.gap.flexible import fit_flexible, node_of, short_law
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.next_experiment import advise
@@ -133,6 +134,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     watch.enter("where")
     place = locate(nominal, usual)
     forces = smoothed_forces(nominal, nominal)
+    watch.tell(0.5, "a force without a name")
+    flexible = fit_flexible(nominal, place, forces)
     watch.enter("tests")
     # errors that are smaller than usual are no gap either
     limits = np.array([usual.get(c.location, np.inf) for c in channels])
@@ -140,7 +143,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     tests = innovation_tests(replace(nominal, metric=calm), seed=problem.seed)
     watch.enter("how far")
     runs = free_runs.SealedRuns(problem, parts)
-    posterior = posterior_of(problem, race, candidates, forces, place, constants, runs)
+    posterior = posterior_of(problem, race, candidates, constants, runs, flexible)
     sealed = free_runs.sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
     result = result_of(
@@ -208,6 +211,8 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         for location in main or sorted(forced, key=lambda k: -forced[k])[:1]:
             region += regions(stages.forces[location])
             words = words or description(stages.forces[location])
+    residual, law = _residual(stages)
+    words = (*law, *words)
     unseen = _not_testable(stages)
     parameters, causes = _parameters(stages), _causes(stages)
     metric = refit.metric
@@ -240,7 +245,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         gap=shrinkage.gap,
         shrink=shrinkage.shrink,
         next_experiment=_advice(stages, unseen),
-        sentence=sentence(posterior, causes, where, shrinkage, parameters),
+        sentence=sentence(posterior, causes, where, shrinkage, parameters, law),
         tests=stages.tests,
         race=_race(stages),
         description=words,
@@ -248,13 +253,22 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         worse=shrinkage.worse,
         effort=problem.effort,
         refit=refit.values,
+        residual=residual,
         evidence={
             **json_data(posterior.features),
             "shares": shares,
-            "outside": posterior.outside,
         },
         traces=_report_traces(stages, [w.location for w in where]),
     )
+
+
+def _residual(stages: StageResults) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+    """What the corrected model has in place of a named cause, and the short law that is closest."""
+    flexible, race = stages.posterior.flexible, stages.race
+    if flexible is None or stages.posterior.corrected is not flexible.fitted:
+        return {}, ()
+    nodes = {name: node_of(effect) for name, effect in flexible.effects.items()}
+    return nodes, short_law(race.refit, flexible, stages.forces)
 
 
 def _where(stages: StageResults) -> tuple[LocationShare, ...]:
@@ -307,14 +321,14 @@ def _shares(
 
 
 def _causes(stages: StageResults) -> tuple[Cause, ...]:
-    entries = {e.names: e for e in stages.race.entries}
+    race, posterior = stages.race, stages.posterior
     causes = [
         Cause(
             effects=effects,
             probability=probability,
-            parameters=_sizes(entries[effects]) if effects in entries else {},
+            parameters=_sizes(fitted) if (fitted := posterior.fitted(race, effects)) else {},
         )
-        for effects, probability in stages.posterior.probabilities.items()
+        for effects, probability in posterior.probabilities.items()
         if probability >= _LEAST_PROBABILITY or effects[0] in NO_EFFECT
     ]
     total = sum(cause.probability for cause in causes)
@@ -374,6 +388,10 @@ def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
     rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=moved)]
     if refit.raw.evidence is not None:
         rows.append(row(("no_gap",), refit.raw.predictive, 0.0))
+    if (flexible := stages.posterior.flexible) is not None:
+        predictive = flexible.fitted.fit.predictive
+        gained = float(np.clip((predictive - own).sum() / most, 0.0, 1.0))
+        rows.append(row(("flexible",), predictive, _moved(race, flexible.fitted), explained=gained))
     for entry in race.entries:
         if entry.fit.evidence is None or not np.isfinite(entry.fit.predictive).all():
             continue
@@ -482,8 +500,9 @@ def sentence(
     where: Sequence[LocationShare],
     shrinkage: free_runs.Shrinkage,
     parameters: Mapping[str, FittedParameter],
+    law: Sequence[str] = (),
 ) -> str:
-    """What a colleague would say."""
+    """What a colleague would say; ``law``: of a residual without a name."""
     top = causes[0]
     place = f"the {readable(where[0].location)}" if where else "no single place"
     if posterior.verdict == "no_gap":
@@ -505,7 +524,7 @@ def sentence(
     if posterior.verdict == "none_of_these":
         return (
             f"Something is missing that is none of the effects known here, with probability "
-            f"{top.probability:.2f}; it acts mostly on {place}."
+            f"{top.probability:.2f}; it acts mostly on {place}." + "".join(f" {w}" for w in law[:1])
         )
     if posterior.verdict == "undecided":
         listed = ", ".join(

@@ -256,6 +256,9 @@ class DiagnosisResult:
     seconds: Mapping[str, float] = field(default_factory=dict)  #: by stage
     #: Parameters of the nominal model refitted without any cause, for ``refit_model.yaml``.
     refit: Mapping[str, float] = field(default_factory=dict)
+    #: Residuals that the corrected model has where no effect explains the gap: class and arguments
+    #: by name, as ``effects`` of a model file has them
+    residual: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     #: What the probabilities were made of, for the calibration.
     evidence: Mapping[str, Any] = field(default_factory=dict)
     traces: Traces | None = None  #: for the report alone: not in the file

@@ -1,7 +1,8 @@
 """What is believed once all have raced: probabilities, the verdict, what is not told apart.
 
-The probabilities are those of ``belief.py``; what no simulation shows (a torque from outside, a
-sensor that rounds coarsely) is divided from them by its own marks.
+The probabilities are those of ``belief.py``. What no simulation shows has marks of its own: a
+torque from outside is a discrepancy of one equation that nothing foretells, a sensor that rounds
+coarsely has coarse steps.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,16 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.gap.belief import Calibration, Features, probabilities_of
+from trms_cli.gap.belief import DISTURBANCE, Calibration, Features, probabilities_of
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.discrepancy import input_channels, log_likelihood
-from trms_cli.gap.force.exogenous import exogenous
-from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.free_runs import SealedRuns, farthest_error
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
-from trms_cli.gap.residuals import Location
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 
@@ -32,15 +31,17 @@ _MENTIONED = 0.05
 _NATS, _ERRORS = 3.0, 1.0
 #: Traces alike to this cosine cannot be told apart by a recording of this kind.
 _ALIKE = 0.99
-#: A force that the rig's own doings predict to less than this share comes from outside.
-_FROM_OUTSIDE = 0.15
-#: How far such a judgement is trusted: laws that nobody knows can be hard to predict, too.
-_OUTSIDE_SURE, _OUTSIDE_UNSURE = 0.6, 0.4
+#: A force of which the flexible competitor foretells this share is the rig's own doing.
+_OWN_DOING = 0.5
 _RESAMPLES = 200
 #: Competitors whose free runs on the sealed part are asked for.
 _RUN = 5
 #: rad. Step of the encoders that the models' rigs have.
 _USUAL_QUANTUM = 2 * np.pi / 4096
+#: What the names of effects end in that no simulation with slopes shows.
+_QUANTISATION = "_quantisation"
+#: Belief that a sensor which rounds coarser than the other has that effect.
+_COARSE = 0.95
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,24 @@ class Posterior:
     features: Features
     #: The probabilities with blocks drawn anew: how much they hang on single blocks
     resampled: tuple[Mapping[tuple[str, ...], float], ...]
-    outside: str = ""  #: Axis on which a torque from outside acts; empty for none
+    flexible: Flexible | None = None  #: The competitor without a name; None: it was not fitted
+
+    def fitted(self, race: Race, effects: tuple[str, ...]) -> FittedModel | None:
+        """What was fitted of a cause: a torque from outside and a coarse sensor are not."""
+        return {e.names: e for e in race.entries}.get(simulated_part(effects))
+
+
+def simulated_part(effects: tuple[str, ...]) -> tuple[str, ...]:
+    """Those effects of a cause that a simulation shows."""
+    return tuple(n for n in effects if not n.endswith((DISTURBANCE, _QUANTISATION)))
 
 
 def features_of(
-    race: Race, behinds: Sequence[FloatArray], constants: Calibration, runs: SealedRuns
+    race: Race,
+    behinds: Sequence[FloatArray],
+    constants: Calibration,
+    runs: SealedRuns,
+    flexible: Flexible | None,
 ) -> Features:
     """Features of all that raced; ``behinds`` as of :func:`excesses`.
 
@@ -97,6 +111,10 @@ def features_of(
         errors=errors,
         raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
+        outside=outside_behinds(race, constants),
+        flexible=np.nan if flexible is None else flexible.score - own,
+        foretold=np.nan if flexible is None else flexible.foretold,
+        coefficients=np.nan if flexible is None else flexible.effective,
     )
 
 
@@ -115,68 +133,99 @@ def resampled_features(
 
 
 def excesses(race: Race, constants: Calibration) -> list[FloatArray]:
-    """What the refit and each competitor owe to discrepancies beyond the usual, nats by block.
+    """What the refit and each competitor owe to discrepancies beyond the usual, nats by block."""
+    return [_excess(race, fitted, constants) for fitted in (race.refit, *race.entries)]
 
-    The log likelihood of what they leave, less what it would be if no equation might err by more
-    than those of rigs without a gap do.
+
+def outside_behinds(race: Race, constants: Calibration) -> dict[str, FloatArray]:
+    """What they still owe if a torque from outside acts on an axis, nats; by axis.
+
+    (k + 1,) arrays: of the refit, then of each competitor; of those beyond :data:`_RUN` it is what
+    they owe without one.
     """
-    refit = race.refit
-    discrepancy = refit.metric.discrepancy
-    usual = np.array([constants.usual(c.location) for c in discrepancy.channels])
-    found = []
-    m = len(refit.structure.windows)
-    drifts = np.array([constants.usual(c.location) for c in input_channels(refit.model)])
-    for fitted in (refit, *race.entries):
-        shares, metric = fitted.metric.shares, fitted.metric
-        drift = metric.drift.excess(fitted.fit.gains, metric.drift_sizes, drifts)
-        excess = np.full(m, drift / m)
-        if np.any(shares > usual * 1.001):
-            r = fitted.residuals
-            excess += log_likelihood(discrepancy, r, shares)
-            excess -= log_likelihood(discrepancy, r, np.minimum(shares, usual))
-        found.append(np.nan_to_num(excess, nan=1e6))
+    places = {c.location for c in race.refit.metric.discrepancy.channels}
+    found = {}
+    for axis in ("pitch", "yaw"):
+        if (place := f"{axis}_moment") in places:
+            found[axis] = np.array(
+                [
+                    _excess(race, fitted, constants, place if i <= _RUN else "").sum()
+                    for i, fitted in enumerate((race.refit, *race.entries))
+                ]
+            )
     return found
+
+
+def _excess(
+    race: Race, fitted: FittedModel, constants: Calibration, but_for: str = ""
+) -> FloatArray:
+    """By block, (m,) nats.
+
+    The log likelihood of what a fit leaves, less what it would be if no equation (``but_for`` one)
+    might err by more than those of rigs without a gap do, and no drive wander further.
+    """
+    discrepancy, m = race.refit.metric.discrepancy, len(race.refit.structure.windows)
+    shares, metric = fitted.metric.shares, fitted.metric
+    drifts = np.array([constants.usual(c.location) for c in input_channels(race.refit.model)])
+    excess = np.full(m, metric.drift.excess(fitted.fit.gains, metric.drift_sizes, drifts) / m)
+    usual = np.array(
+        [
+            np.inf if c.location == but_for else constants.usual(c.location)
+            for c in discrepancy.channels
+        ]
+    )
+    if np.any(shares > usual * 1.001):
+        r = fitted.residuals
+        excess += log_likelihood(discrepancy, r, shares)
+        excess -= log_likelihood(discrepancy, r, np.minimum(shares, usual))
+    return np.nan_to_num(excess, nan=1e6)
 
 
 def posterior_of(
     problem: GapProblem,
     race: Race,
     candidates: Mapping[str, CandidateEffect],
-    forces: Mapping[str, ForceRecord],
-    place: Location,
     constants: Calibration,
     runs: SealedRuns,
+    flexible: Flexible | None = None,
 ) -> Posterior:
     """Weigh all that raced.
 
-    ``candidates``: all of them, those that noise drives among them. ``forces``: smoothed missing
-    force of each equation.
+    ``candidates``: all of them, those that noise drives among them. ``flexible``: the competitor
+    without a name; None: it was not fitted.
     """
     behinds = excesses(race, constants)
-    features = features_of(race, behinds, constants, runs)
-    probabilities = probabilities_of(features, constants.weights)
-    probabilities, outside = _from_outside(probabilities, candidates, forces, place, problem.seed)
-    probabilities = _with_coarse_sensor(probabilities, problem, candidates)
+    features = features_of(race, behinds, constants, runs, flexible)
+    known = tuple(axis for axis in features.outside if f"{axis}{DISTURBANCE}" in candidates)
+    features = replace(features, outside={axis: features.outside[axis] for axis in known})
+    coarse = coarse_sensor(problem, candidates)
+
+    def believed(those: Features) -> dict[tuple[str, ...], float]:
+        return _with_coarse_sensor(probabilities_of(those, constants.weights), coarse)
+
+    probabilities = believed(features)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(race.refit.structure.windows)
     resampled = tuple(
-        probabilities_of(
-            resampled_features(features, race, behinds, random.integers(0, m, m)),
-            constants.weights,
-        )
+        believed(resampled_features(features, race, behinds, random.integers(0, m, m)))
         for _ in range(_RESAMPLES)
     )
     entries = {e.names: e for e in race.entries}
-    named = [n for n in probabilities if n in entries]
-    best = entries[named[0]] if named else None
+    parts = [simulated_part(n) for n in probabilities]
+    best = next((entries[part] for part in parts if part in entries), None)
     confusable: tuple[tuple[str, ...], ...] = ()
-    if best is not None and probabilities[best.names] > _MENTIONED:
-        confusable = _confusable(race, best)
+    if best is not None:
+        together = sum(p for n, p in probabilities.items() if simulated_part(n) == best.names)
+        if together > _MENTIONED:
+            confusable = _confusable(race, best)
     verdict = _verdict(probabilities, confusable)
-    likely = next(iter(probabilities))
-    corrected = best if verdict in ("effect", "undecided") and likely in entries else None
+    corrected = None
+    if verdict in ("effect", "undecided"):
+        corrected = entries.get(parts[0])
+    elif verdict == "none_of_these" and flexible is not None and flexible.foretold > _OWN_DOING:
+        corrected = flexible.fitted
     return Posterior(
-        probabilities, verdict, best, corrected, confusable, features, resampled, outside
+        probabilities, verdict, best, corrected, confusable, features, resampled, flexible
     )
 
 
@@ -219,41 +268,11 @@ def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
     return tuple(pairs)
 
 
-def _from_outside(
-    probabilities: Mapping[tuple[str, ...], float],
-    candidates: Mapping[str, CandidateEffect],
-    forces: Mapping[str, ForceRecord],
-    place: Location,
-    seed: int,
-) -> tuple[dict[tuple[str, ...], float], str]:
-    """Divide "none of these" where the missing torque does not depend on what the rig does."""
-    divided = dict(probabilities)
-    unnamed = divided.get(("none_of_these",), 0.0)
-    shares = place.share()
-    moments = {f"{axis}_moment": axis for axis in ("pitch", "yaw")}
-    known = {m: shares[m] for m in moments if m in shares and m in forces}
-    if unnamed < 0.05 or not known:
-        return divided, ""
-    location = max(known, key=lambda m: known[m])
-    axis = moments[location]
-    candidate = candidates.get(f"{axis}_disturbance")
-    if candidate is None or known[location] < 0.5:
-        return divided, ""
-    dependence = exogenous(forces[location], seed)
-    if dependence.predictable_share > _FROM_OUTSIDE and dependence.p_value < 0.05:
-        return divided, ""
-    share = _OUTSIDE_SURE if dependence.predictable_share < _FROM_OUTSIDE else _OUTSIDE_UNSURE
-    divided["none_of_these",] = unnamed * (1 - share)
-    divided[candidate.name,] = unnamed * share
-    return dict(sorted(divided.items(), key=lambda item: -item[1])), axis
+def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]) -> str:
+    """A sensor that rounds coarser than the other shows in its steps, and in nothing else.
 
-
-def _with_coarse_sensor(
-    probabilities: Mapping[tuple[str, ...], float],
-    problem: GapProblem,
-    candidates: Mapping[str, CandidateEffect],
-) -> dict[tuple[str, ...], float]:
-    """A sensor that rounds coarser than the other shows in its steps, and in nothing else."""
+    The name of its effect; empty where there is none.
+    """
     quanta = {}
     for axis, described in problem.model.axes.items():
         for dataset in problem.datasets[:1]:
@@ -266,13 +285,21 @@ def _with_coarse_sensor(
         if f"{axis}_quantisation" in candidates
         and quantum > 1.5 * max(_USUAL_QUANTUM, min(quanta.values()))
     ]
-    divided = dict(probabilities)
-    if not coarse or len(quanta) < 2:
-        return divided
-    name = (f"{coarse[0]}_quantisation",)
-    nothing = [(n,) for n in ("no_gap", "parameters_only")]
-    moved = 0.95 * sum(divided.get(n, 0.0) for n in nothing)
-    for n in nothing:
-        divided[n] = 0.05 * divided.get(n, 0.0)
-    divided[name] = moved
+    return f"{coarse[0]}{_QUANTISATION}" if coarse and len(quanta) > 1 else ""
+
+
+def _with_coarse_sensor(
+    probabilities: Mapping[tuple[str, ...], float], coarse: str
+) -> dict[tuple[str, ...], float]:
+    """Give the effect of a coarse sensor its share of every answer but that of no name."""
+    if not coarse:
+        return dict(probabilities)
+    divided: dict[tuple[str, ...], float] = {}
+    for names_, probability in probabilities.items():
+        if names_ == ("none_of_these",):
+            divided[names_] = divided.get(names_, 0.0) + probability
+            continue
+        joined = (coarse,) if names_[0] in NO_EFFECT else tuple(sorted((*names_, coarse)))
+        divided[joined] = divided.get(joined, 0.0) + _COARSE * probability
+        divided[names_] = divided.get(names_, 0.0) + (1 - _COARSE) * probability
     return dict(sorted(divided.items(), key=lambda item: -item[1]))

@@ -145,9 +145,9 @@ def effect_traces(
     ``nominal``: without any of the candidates, none of which noise drives. ``watch``: told how
     many candidates are done; False stops.
     """
-    own = nominal.structure
-    p = own.problem.all_values(nominal.fit.theta)
-    base, theta = own.windows.residuals(p, nominal.fit.starts).r, nominal.values
+    p = nominal.structure.problem.all_values(nominal.fit.theta)
+    base = nominal.structure.windows.residuals(p, nominal.fit.starts).r
+    theta = nominal.values
     changes: list[FloatArray] = []
     names: list[str] = []
     sizes: list[FloatArray] = []

@@ -155,6 +155,9 @@ _MOST_CHANCE = 0.4
 #: Relative ridge that keeps columns that say the same from an exact tie.
 _RIDGE = 1e-7
 
+#: A column that varies by less than this share of its size is constant.
+_CONSTANT = 1e-9
+
 #: Parts of a rate's or a speed's spread within which its sign turns.
 _SHARP = (0.03, 0.15)
 #: rad, of travel after a reversal.
@@ -437,11 +440,13 @@ def explained_shares(record: ForceRecord) -> dict[str, float]:
     energy = float(force @ force)
     if energy <= 0 or not columns:
         return dict.fromkeys(LAWS, 0.0)
-    phi = np.column_stack(columns)
-    phi = phi - phi.mean(axis=0)
+    raw = np.column_stack(columns)
+    phi = raw - raw.mean(axis=0)
     size = np.linalg.norm(phi, axis=0)
-    # what is constant up to rounding must not come back as something
-    unit = np.where(size > 1e-6 * size.max(), phi / np.maximum(size, 1e-300), 0.0)
+    # what is constant up to rounding must not come back as something; each column has a unit of
+    # its own, so that only its own size says what rounding is
+    varies = size > _CONSTANT * np.linalg.norm(raw, axis=0)
+    unit = np.where(varies, phi / np.maximum(size, 1e-300), 0.0)
     gram, product = unit.T @ unit, unit.T @ force
     noise = min(float(np.sum(record.sd**2)) / energy, MOST_NOISE)
     memory = record.correlation_time(force, power=2)

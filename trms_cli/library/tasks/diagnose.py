@@ -230,6 +230,8 @@ def candidates_of(
                 where=f"{_GROUP}.{name}",
                 remedy=f"derive it from trms_cli.effects.effect.Effect, or leave it out: !{name}",
             )
+        if not effect.explains and name not in words:
+            continue
         try:
             ExtendedModel(model, name, effect)
         except ModelError as error:
@@ -292,18 +294,21 @@ def write_models(
     request: DiagnosisRequest, origin: ModelOrigin, diagnosis: DiagnosisResult, folder: Path
 ) -> Path:
     """Write the corrected model, whose file is returned, and the refitted one without a cause."""
-    cause = applied_cause(diagnosis)
+    cause, residual = applied_cause(diagnosis), diagnosis.residual
     fitted = {name: p.fitted for name, p in diagnosis.parameters.items()}
     deviations: dict[str, float | None] = {n: p.sd for n, p in diagnosis.parameters.items()}
     if diagnosis.verdict == "no_gap":
         refit, words = {}, "the nominal model: there is no gap, so nothing was refitted"
     else:
-        refit = dict(diagnosis.refit) or ({} if cause is not None else fitted)
+        refit = dict(diagnosis.refit) or ({} if cause is not None or residual else fitted)
         words = "the nominal model with its parameters refitted, and nothing added"
     corrected = folder / CORRECTED_NAME
-    values = refit if cause is None else fitted
-    _write(request, origin, cause, values, deviations, corrected, corrected_words(diagnosis))
-    spread = deviations if cause is None else {}
+    plain = cause is None and not residual
+    values = refit if plain else fitted
+    _write(
+        request, origin, cause, values, deviations, corrected, corrected_words(diagnosis), residual
+    )
+    spread = deviations if plain else {}
     _write(request, origin, None, refit, spread, folder / REFIT_NAME, words)
     return corrected
 
@@ -330,6 +335,9 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
         return f"the nominal model refitted together with {named}{open_}"
     if diagnosis.verdict == "effect" and first is not None:
         return f"{refit}: {' with '.join(first.effects)} was not fitted, so it is not added"
+    if diagnosis.residual:
+        named = " with ".join(diagnosis.residual)
+        return f"{refit}; no effect of the library explains the gap: {named} stands in for a law"
     return {
         "no_gap": "the nominal model as it was: no gap was found",
         "parameters_only": f"{refit}: other parameters explain the gap, and no effect is needed",
@@ -359,6 +367,7 @@ def _write(
     deviations: Mapping[str, float | None],
     path: Path,
     words: str,
+    residual: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
     model, effects = request.problem.model, dict(origin.effects)
     known = [name for name in values if name in model.parameters]
@@ -369,6 +378,11 @@ def _write(
         for name in cause.effects:
             effects[name] = effect_arguments(name, candidates.nodes[name])
         values = dict(values) | {name: size.value for name, size in cause.parameters.items()}
+    for name, node in (residual or {}).items():
+        effect = build(node, f"{_GROUP}.{name}")
+        assert isinstance(effect, Effect)
+        model = extend_model(model, {name: effect})
+        effects[name] = effect_arguments(name, node)
     document = model_document(
         request.problem.datasets[0].name,
         model,

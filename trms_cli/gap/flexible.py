@@ -1,0 +1,523 @@
+"""The flexible competitor: a residual without a name, fitted by simulation like every named cause.
+
+A named cause has to foretell held-out blocks as well as a sum of smooth terms that knows no physics
+(:mod:`trms_cli.effects.residual`). Where none does, something is missing that has no name here; and
+what not even the sum foretells comes from outside.
+
+The sum acts on the equation in which the gap lies by :func:`~trms_cli.gap.residuals.locate`, and
+on the sensor of that axis where that explains more. Its coefficients have normal priors as wide as
+the smoothed missing force is large. A ridge regression on that force says where the search begins,
+with a trend in time beside the terms, which is dropped again: it foretells nothing. Then the common
+search refines the coefficients through simulation. A force from outside does not survive that: the
+motion that it caused predicts it, and explains nothing of it.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.core.errors import TrmsError
+from trms_cli.effects.effect import EffectContext
+from trms_cli.effects.residual import (
+    USUAL_SPANS,
+    Residual,
+    ResidualForce,
+    ResidualReading,
+    Spans,
+    term_names,
+    terms,
+    variables,
+)
+from trms_cli.gap.competing_model import (
+    FittedModel,
+    Metric,
+    ModelStructure,
+    Refit,
+)
+from trms_cli.gap.discrepancy import likely_shares
+from trms_cli.gap.force.exogenous import held_out_errors
+from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.force.short_law import short_law_of
+from trms_cli.gap.problem import CandidateEffect
+from trms_cli.gap.residuals import Location
+from trms_cli.identification.problem import FreeParameter
+from trms_cli.models.model import Model, Signal
+from trms_cli.models.parameters import Parameter
+
+#: Nats that disturbances together must gain: with less there is no gap to be flexible about.
+_LEAST_GAP = 10.0
+#: A force that foretells less of what is missing lets another place be tried too, where a
+#: disturbance closes so much of the gap.
+_ENOUGH, _WORTH = 0.9, 0.2
+#: Hz. A smoothed force has no more; and ridge penalties of the regression.
+_RATE = 6.0
+_PENALTIES = (1e-3, 1e-2, 1e-1)
+#: Powers of time beside the terms.
+_TRENDS = 3
+#: Steps of the search before and after the discrepancy is estimated, and its tolerance, nats.
+_STEPS, _LAST_STEPS, _TOLERANCE = 4, 3, 1.0
+#: How often the widths of the priors are estimated, in how many rounds, and their range in the
+#: first width.
+_TURNS, _ROUNDS, _NARROWEST, _WIDEST = 2, 20, 0.02, 3.0
+#: What the names of terms that share a width differ in.
+_GROUPED = re.compile(r"_bump_\d+$|(?:co)?sine_(?=\d+$)")
+#: A coefficient of a sensor's error has a prior so wide, rad.
+_READING = 0.02
+
+
+class _Free:
+    """A residual with its coefficients as sizes, so that they can be fitted.
+
+    The spans are sizes too, which no fit moves: recordings share the compiled code.
+    """
+
+    names: tuple[str, ...]
+    unit: str
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        spans = []
+        for name, (middle, half) in self.spanned.items():  # type: ignore[attr-defined]
+            spans += [Parameter(f"{name}_middle", middle), Parameter(f"{name}_half", half)]
+        return (*(Parameter(name, 0.0, self.unit) for name in self.names), *spans)
+
+    def coefficients(self, at: EffectContext) -> dict[str, ca.SX]:
+        return {name: at.sizes[name] for name in self.names}
+
+    def ranges(self, at: EffectContext) -> Spans:
+        return {n: (at.sizes[f"{n}_middle"], at.sizes[f"{n}_half"]) for n in USUAL_SPANS}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FreeForce(_Free, ResidualForce):
+    names: tuple[str, ...]
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FreeReading(_Free, ResidualReading):
+    names: tuple[str, ...]
+    unit: str
+
+
+@dataclass(frozen=True)
+class Flexible:
+    """The competitor as it was fitted."""
+
+    fitted: FittedModel  #: In the discrepancy that is most likely for itself
+    location: str  #: Equation whose missing force it was begun with
+    #: Share of that force, squared, that it foretells on blocks that it was not fitted to, 0 to 1
+    foretold: float
+    trend: float  #: Share of that force that a trend in time explains beside the terms
+
+    @property
+    def score(self) -> float:
+        """Summed log predictive density of the blocks, nats."""
+        return self.fitted.fit.score
+
+    @cached_property
+    def effective(self) -> float:
+        """Number of coefficients that the data decide, and not their priors."""
+        sd = self.fitted.fit.sd
+        own = [(i, p) for i, p in enumerate(self.fitted.structure.problem.free) if "." in p.name]
+        return float(sum(1 - (sd[i] / p.prior_sd) ** 2 for i, p in own if p.prior_sd))
+
+    @cached_property
+    def effects(self) -> dict[str, Residual]:
+        """The fitted residuals as effects of a model, by name."""
+        values = self.fitted.values
+        return {
+            candidate.name: _settled(candidate, values)
+            for candidate in self.fitted.structure.effects
+        }
+
+
+def _settled(candidate: CandidateEffect, values: Mapping[str, float]) -> Residual:
+    """A residual with its coefficients as constants."""
+    free = candidate.effect
+    assert isinstance(free, (_FreeForce, _FreeReading))
+    given = tuple((name, values[f"{candidate.name}.{name}"]) for name in free.names)
+    if isinstance(free, _FreeForce):
+        return ResidualForce(equation=free.equation, terms=given, spans=free.spans)
+    return ResidualReading(axis=free.axis, terms=given, spans=free.spans)
+
+
+def node_of(effect: Residual) -> dict[str, Any]:
+    """A residual as an option says it: its class and its arguments."""
+    node: dict[str, Any] = {"_target_": f"{type(effect).__module__}.{type(effect).__name__}"}
+    if isinstance(effect, ResidualForce):
+        node["equation"] = effect.equation
+    elif isinstance(effect, ResidualReading):
+        node["axis"] = effect.axis
+    return {
+        **node,
+        "terms": [list(term) for term in effect.terms],
+        "spans": [list(span) for span in effect.spans],
+        "share": effect.share,
+    }
+
+
+def name_of(place: str) -> str:
+    """Name of the option that puts a residual at a place."""
+    side, kind = place.split("_")
+    return f"{side}_residual_reading" if kind == "sensor" else f"{side}_residual_force"
+
+
+def fit_flexible(
+    refit: Refit, place: Location, forces: Mapping[str, ForceRecord]
+) -> Flexible | None:
+    """Fit the competitor where the gap lies; None where there is none, or no equation has a name.
+
+    ``place``: what disturbances close of the gap. ``forces``: smoothed missing force of each
+    equation.
+    """
+    shares = place.share()
+    known = sorted((k for k in shares if k in forces), key=lambda k: -shares[k])
+    if not known or place.together.sum() < _LEAST_GAP:
+        return None
+    motion = _Motion(refit)
+    first = known[0]
+    try:
+        best = _fitted(motion, first, forces[first])
+        if best.foretold < _ENOUGH:
+            for other in _others(refit.structure.problem.model, first, known[1:], shares):
+                tried = _fitted(motion, first, forces[first], other, best)
+                best = max(best, tried, key=lambda flexible: flexible.score)
+    except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
+        return None  # what cannot be simulated is no competitor
+    return best if np.isfinite(best.score) else None
+
+
+def _others(model: Model, first: str, known: list[str], shares: Mapping[str, float]) -> list[str]:
+    """Where a residual might explain what a force on the first equation leaves."""
+    side = first.split("_")[0]
+    angle = model.axes[side].angle if side in model.axes else ""
+    sensor = [f"{side}_sensor"] if angle in {s.name for s in model.outputs} else []
+    return [at for at in (*sensor, *known[:1]) if shares.get(at, 0.0) > _WORTH][:1]
+
+
+def _fitted(
+    motion: _Motion,
+    location: str,
+    record: ForceRecord,
+    other: str = "",
+    before: Flexible | None = None,
+) -> Flexible:
+    """Fit a residual on an equation; with ``other`` on a further one too, or on a sensor instead.
+
+    ``before``: the fit to the first equation alone.
+    """
+    refit = motion.refit
+    size = float(np.sqrt(np.mean(record.force**2)))
+    values, shares = dict(refit.values), refit.metric.shares.copy()
+    trend = 0.0
+    if other.endswith("sensor"):
+        chosen = [motion.candidate(other, _READING)]
+    else:
+        chosen = [motion.candidate(location, size)]
+        started, foretold, trend = motion.regressed(location, record)
+        values |= started
+        at = [c.location for c in refit.metric.discrepancy.channels].index(location)
+        shares[at] *= np.sqrt(np.clip(1 - foretold, 0.05, 1.0))
+        if other and before is not None:
+            unit_size = motion.scale(other)
+            chosen.append(motion.candidate(other, unit_size))
+            values |= before.fitted.values
+            shares = before.fitted.metric.shares
+    structure = refit.structure.with_effects(*chosen)
+    theta = structure.theta(values)
+    metric = replace(refit.metric, shares=shares)
+    fitted = structure.fit(
+        metric,
+        [(theta, structure.starts(theta, refit.fit.starts))],
+        centres=refit.centres,
+        gains=refit.fit.gains,
+        iterations=_STEPS,
+        tolerance=_TOLERANCE,
+        with_evidence=False,
+    )
+    shares = likely_shares(metric.discrepancy, fitted.residuals, metric.shares)
+    metric = replace(metric, shares=shares)
+    for turn in range(_TURNS):
+        sd, theta = _relevant(fitted, metric)
+        fitted = _with_priors(structure, sd).fit(
+            metric,
+            [(theta, fitted.fit.starts)],
+            centres=refit.centres,
+            gains=fitted.fit.gains,
+            iterations=_LAST_STEPS,
+            tolerance=_TOLERANCE,
+            with_evidence=turn + 1 == _TURNS,
+        )
+    return Flexible(fitted, location, foretold_share(refit, fitted, location), trend)
+
+
+def _relevant(fitted: FittedModel, metric: Metric) -> tuple[dict[str, float], FloatArray]:
+    """Standard deviation of the prior of each coefficient by name, and the parameters with them.
+
+    Those that make the recordings most likely, for the cost's parabola (MacKay 1992, Neural
+    Computation 4): a term that nothing speaks for is held near zero, the sine and cosine of a
+    harmonic alike, the bumps over a range alike.
+    """
+    fit, objective = fitted.fit, replace(fitted, metric=metric).objective
+    parabola = _parabola(fitted, metric)
+    curvature, pull = parabola.curvature, parabola.pull
+    names = [p.name for p in fitted.structure.problem.free]
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        if "." in name:
+            groups.setdefault(_GROUPED.sub("", name), []).append(i)
+    precision = np.asarray(parabola.prior_root**2, dtype=np.float64)
+    centre = (objective.means - fit.point) / objective.scales
+    for _ in range(_ROUNDS):
+        covariance = np.linalg.inv(curvature + np.diag(precision))
+        move = np.asarray(covariance @ (precision * centre - pull))
+        for rows in groups.values():
+            size = move[rows] - centre[rows]  # of the coefficients themselves
+            decided = np.sum(1 - precision[rows] * np.diag(covariance)[rows])
+            wanted = max(float(decided), 1e-3) / max(float(size @ size), 1e-12)
+            precision[rows] = np.clip(wanted, 1 / _WIDEST**2, 1 / _NARROWEST**2)
+    move = np.asarray(np.linalg.solve(curvature + np.diag(precision), precision * centre - pull))
+    scales = objective.scales
+    sd = {names[i]: scales[i] / np.sqrt(precision[i]) for r in groups.values() for i in r}
+    return sd, fit.theta + (move * scales)[: len(names)]
+
+
+def _with_priors(structure: ModelStructure, sd: Mapping[str, float]) -> ModelStructure:
+    """The same with other widths of some priors."""
+    free = tuple(
+        replace(p, prior_sd=sd[p.name]) if p.name in sd else p for p in structure.problem.free
+    )
+    made = copy.copy(structure)
+    made.problem = replace(structure.problem, free=free)
+    made.windows = copy.copy(structure.windows)
+    made.windows.problem = made.problem
+    return made
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """The motion that the data show, along which terms are evaluated."""
+
+    refit: Refit
+    _kept: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def model(self) -> Model:
+        return self.refit.structure.problem.model
+
+    @property
+    def block(self) -> IntArray:
+        """Block of each sample, (k,)."""
+        inside = self.refit.structure.windows.inside
+        return np.broadcast_to(np.arange(len(inside))[:, None], inside.shape)[inside]
+
+    def along(self, build: Callable[[EffectContext], Mapping[str, ca.SX]]) -> dict[str, FloatArray]:
+        """Expressions by name, (k,) each."""
+        model, windows = self.model, self.refit.structure.windows
+        x, u, p, w = model.symbols()
+        made = build(EffectContext(model, x, u, p, w, ca.SX.zeros(0), {}))
+        inside = windows.inside
+        states = self.refit.metric.discrepancy.trajectory.x[..., : model.n_x][inside]
+        n = len(states)
+        function = ca.Function("along", [x, u, p, w], [ca.densify(ca.vertcat(*made.values()))])
+        given = np.repeat(self.refit.model.parameters.values[:, None], n, axis=1)
+        no_force = np.zeros((model.n_w, n))
+        rows = function.map(n)(states.T, windows.commands[inside].T, given, no_force)
+        return dict(zip(made, np.array(ca.DM(rows).full()), strict=True))
+
+    @cached_property
+    def spans(self) -> tuple[tuple[str, float, float], ...]:
+        """Middle and half of the range of each variable."""
+        found = []
+        for name, values in self.along(variables).items():
+            low, high = np.quantile(values, (0.005, 0.995))
+            half = max(float(high - low) / 2, 0.02 * USUAL_SPANS[name][1])
+            found.append((name, float(high + low) / 2, half))
+        return tuple(found)
+
+    def terms(self, place: str) -> dict[str, FloatArray]:
+        """The terms at a place by name, (k,) each."""
+        spans = {**USUAL_SPANS, **{name: (m, h) for name, m, h in self.spans}}
+        given = {name: (ca.SX(m), ca.SX(h)) for name, (m, h) in spans.items()}
+        return self.along(lambda at: dict(terms(at, place, given)))
+
+    def scale(self, location: str) -> float:
+        """Size of the force that an equation lacks by the refit's discrepancy, in its unit."""
+        discrepancy = self.refit.metric.discrepancy
+        at = [c.location for c in discrepancy.channels].index(location)
+        return float(discrepancy.scales[at] * self.refit.metric.shares[at])
+
+    def candidate(self, place: str, size: float) -> CandidateEffect:
+        """A residual with its coefficients free; ``size``: sd of the prior of each."""
+        name, names = name_of(place), term_names(self.model, place)
+        signals: dict[str, Signal] = {s.name: s for s in self.model.disturbances}
+        effect: _FreeForce | _FreeReading
+        if place in signals:
+            effect = _FreeForce(
+                equation=place,  # type: ignore[arg-type]
+                names=names,
+                unit=signals[place].unit,
+                spans=self.spans,
+            )
+        else:
+            axis: Any = place.split("_")[0]
+            effect = _FreeReading(axis=axis, names=names, unit="rad", spans=self.spans)
+        free = tuple(
+            FreeParameter(
+                name=f"{name}.{term}",
+                unit=effect.unit,
+                start=0.0,
+                prior_mean=0.0,
+                prior_sd=size,
+                lower=-np.inf,
+                upper=np.inf,
+            )
+            for term in names
+        )
+        return CandidateEffect(name, effect, (place,), free, np.zeros((0, len(names))), False)
+
+    def regressed(
+        self, location: str, record: ForceRecord
+    ) -> tuple[dict[str, float], float, float]:
+        """Coefficients that fit the smoothed force, by name.
+
+        With them the share of it that they foretell on held-out blocks, and the share that a trend
+        in time explains beside them.
+        """
+        columns = self.terms(location)
+        stride = max(1, round(1.0 / (_RATE * record.sample_time)))
+        phi = np.array(list(columns.values())).T[::stride]
+        force, block = record.force[::stride], self.block[::stride]
+        trends = _trends(record)[::stride]
+        energy = max(float(force @ force), 1e-300)
+        errors = [
+            float(held_out_errors(phi, force[:, None], block, penalties=(p,)).sum())
+            for p in _PENALTIES
+        ]
+        penalty = _PENALTIES[int(np.argmin(errors))]
+        both = np.hstack([phi, trends])
+        gram = both.T @ both + penalty * len(force) * np.eye(both.shape[1])
+        weights = np.linalg.solve(gram, both.T @ force)
+        own = weights[: phi.shape[1]]
+        drift = trends @ weights[phi.shape[1] :]
+        name = name_of(location)
+        found = {f"{name}.{term}": float(w) for term, w in zip(columns, own, strict=True)}
+        return found, 1 - min(errors) / energy, float(drift @ drift) / energy
+
+
+def _trends(record: ForceRecord) -> FloatArray:
+    """Powers of time in each recording, (k, recordings × powers), within ±1."""
+    columns = []
+    for number in np.unique(record.recording):
+        here = record.recording == number
+        time = record.time[here]
+        scaled = 2 * (time - time[0]) / max(float(np.ptp(time)), 1e-9) - 1
+        for power in range(1, _TRENDS + 1):
+            column = np.zeros(len(here))
+            column[here] = scaled**power
+            columns.append(column)
+    return np.array(columns).T
+
+
+def foretold_share(refit: Refit, fitted: FittedModel, location: str) -> float:
+    """Share of an equation's missing force, squared, that a fit foretells on held-out blocks.
+
+    A block that is foretold worse than by nothing counts as not foretold: what was seen nowhere
+    else is extrapolated, at times far out.
+    """
+    discrepancy, shares = refit.metric.discrepancy, refit.metric.shares
+    at = discrepancy.trajectory.x.shape[-1]
+    at += [channel.location for channel in discrepancy.channels].index(location)
+    inside = refit.structure.windows.inside
+    before, after = (
+        np.sum(discrepancy.smoothed(shares, r)[0][..., at] ** 2, axis=1, where=inside)
+        for r in (refit.residuals, held_out_residuals(fitted))
+    )
+    after = np.where(np.isfinite(after), np.minimum(after, before), before)
+    return 1 - float(after.sum()) / max(float(before.sum()), 1e-300)
+
+
+@dataclass(frozen=True)
+class _Parabola:
+    """The cost about a fit as a parabola in scaled changes, its starts eliminated."""
+
+    whole: FloatArray  #: (m, k, n + n_f + 1) array; triangles of each window with its start's prior
+    n: int  #: Number of states that a window begins with
+    prior_root: FloatArray  #: (n_f,) array; root of the precision of each parameter's prior
+    slopes: FloatArray  #: (m, c, n_y, n + n_f) array; of predicted less measured, scaled
+    residuals: FloatArray  #: (m, c, n_y) array; predicted less measured
+
+    @property
+    def rows(self) -> tuple[FloatArray, FloatArray]:
+        """Slopes (m, k, n_f) and residuals (m, k) of each window."""
+        return self.whole[:, self.n :, self.n : -1], self.whole[:, self.n :, -1]
+
+    @property
+    def curvature(self) -> FloatArray:
+        """Of the data in the parameters, (n_f, n_f)."""
+        r = self.rows[0].reshape(-1, self.whole.shape[-1] - self.n - 1)
+        return np.asarray(r.T @ r)
+
+    @property
+    def pull(self) -> FloatArray:
+        """Slope of the data's part of the cost, (n_f,)."""
+        r, c = self.rows
+        return np.asarray(np.einsum("mkf,mk->f", r, c))
+
+
+def _parabola(fitted: FittedModel, metric: Metric) -> _Parabola:
+    structure, fit = fitted.structure, fitted.fit
+    objective = replace(fitted, metric=metric).objective
+    _, quadratic, residuals = objective.parabola(fit.point, fit.starts)
+    assert residuals.j is not None
+    n, m = quadratic.n, len(fit.starts)
+    own = np.zeros((m, n, quadratic.triangles.shape[-1]))
+    own[:, :, :n] = np.eye(n)
+    own[:, :, -1] = quadratic.start_gap
+    rows = np.concatenate([quadratic.triangles, own], axis=1)
+    whole = np.asarray(np.linalg.qr(rows, mode="r"))
+    if not np.isfinite(whole).all():
+        raise FloatingPointError("the slopes of a simulation run away")
+    scales = np.concatenate([structure.windows.spread, objective.scales])
+    return _Parabola(whole, n, quadratic.prior_root, residuals.j * scales, residuals.r)
+
+
+def held_out_residuals(fitted: FittedModel) -> FloatArray:
+    """Measured less predicted of each block by a fit to all others, (m, c, n_y).
+
+    Exact for the cost's parabola, as the evidence is.
+    """
+    parabola = _parabola(fitted, fitted.metric)
+    (r, c), n, whole = parabola.rows, parabola.n, parabola.whole
+    total = parabola.curvature + np.diag(parabola.prior_root**2)
+    left = -parabola.residuals
+    for j in range(len(left)):
+        shift = np.linalg.solve(total - r[j].T @ r[j], r[j].T @ c[j])
+        wanted = whole[j, :n, n:-1] @ shift + whole[j, :n, -1]
+        back = -np.linalg.solve(whole[j, :n, :n], wanted)
+        left[j] -= parabola.slopes[j] @ np.concatenate([back, shift])
+    return left
+
+
+def short_law(
+    refit: Refit, flexible: Flexible, forces: Mapping[str, ForceRecord]
+) -> tuple[str, ...]:
+    """The shortest formula near what a residual does, in a sentence; empty where none is near."""
+    record = forces[flexible.location]
+    for effect in flexible.effects.values():
+        if isinstance(effect, ResidualReading):
+            columns = _Motion(refit).terms(effect.place)
+            error = np.sum([size * columns[name] for name, size in effect.terms], axis=0)
+            record = replace(
+                record, location=effect.place, unit="rad", force=error - error.mean(), sd=0 * error
+            )
+    return short_law_of(record)
