@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run test slow package docs docs-links notebook fuzz lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-severity docs-figures lock clean
+	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -141,6 +141,15 @@ blind-full: $(READY) ## proof, whole: 300 sealed rigs, with baselines; hours, an
 
 blind-severity: $(READY) ## how large effects have to be for gaps of 1.3, 2 and 4 times the floor (ten minutes)
 	@$(BIN)/python -m experiments.gap.blind.severity
+
+blind-imperfect: $(READY) ## proof on 120 rigs whose laws are others than the model's; hours, and called again it goes on
+	@test -f $(BLIND)/imperfect/commitment.json || $(BIN)/trms blind make set=imperfect seed=$(SEED) out=$(BLIND)/imperfect
+	@$(BIN)/trms blind run in=$(BLIND)/imperfect out=$(BLIND)/imperfect.found $(ARGS)
+	@$(BIN)/trms blind score in=$(BLIND)/imperfect diagnoses=$(BLIND)/imperfect.found
+
+calibration: $(READY) ## features of 1000 simulated rigs, and how far probabilities can be trusted; hours, and called again it goes on
+	@$(BIN)/python -m experiments.gap.simulate $(BLIND)/calibration --seed $(SEED) $(ARGS)
+	@$(BIN)/python -m experiments.gap.calibrate $(BLIND)/calibration
 
 aero-fit: $(READY) ## study: the normal state of a real Quanser Aero (RECORDS=folder with nominal_a.csv)
 	@$(BIN)/python -m experiments.aero '$(RECORDS)' $(ARGS)

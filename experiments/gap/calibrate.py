@@ -1,29 +1,38 @@
-"""Fit the weights of the belief to development rigs whose truth is known.
+"""Fit the weights of the belief to simulated rigs whose truth is known.
 
-    python -m experiments.gap.calibrate KEY DIAGNOSES
+    python -m experiments.gap.calibrate [SOURCE …] [--blind KEY DIAGNOSES] [--folds 5] [--write]
 
-reads the key of a blind set and the ``diagnosis.json`` of its recordings, maximises the probability
-that the posterior gives to the truth (the logarithmic score, which nothing but honest probabilities
-maximises), and writes ``trms_cli/gap/calibration.json``. A weak prior holds each constant near
-where it was, so that a few dozen rigs cannot drive one to infinity.
+reads what :mod:`.simulate` kept (folders, or ``features.jsonl.gz``) and diagnoses of blind sets
+with their keys, maximises the probability that the posterior gives to the truth (the logarithmic
+score, which nothing but honest probabilities maximises), and prints how far beliefs can be trusted:
+those of the diagnoses as they were, those of the package's weights, and those of weights fitted
+to the other folds. With ``--write`` the fit to all goes into ``trms_cli/gap/calibration.json``. A
+weak prior holds each weight near where it was, so that a few dozen rigs cannot drive one to
+infinity.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import convert
 from scipy.optimize import minimize
 
+from experiments.gap.blind.cases import Case as Rig
+from experiments.gap.blind.judgement import right_causes
+from experiments.gap.cross_validation import cross_validated, folds_of, tables
+from experiments.gap.features_file import FeaturesFile, Line, line_of
 from trms_cli.core.whole_file import replace_whole
-from trms_cli.gap.belief import Features, alternatives, calibration, probabilities_of
+from trms_cli.gap.belief import Calibration, Features, alternatives, calibration, probabilities_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -49,32 +58,26 @@ Case = tuple[Features, frozenset[tuple[str, ...]]]
 
 def right_answers(truth: Mapping[str, Any]) -> frozenset[tuple[str, ...]]:
     """Entries of the posterior that are right for a case of a blind set's key."""
-    kind = truth["kind"]
-    if kind == "null":
-        return frozenset({("no_gap",)})
-    if kind == "offset":
-        return frozenset({("parameters_only",)})
-    if kind == "unexcited":
-        return frozenset({("no_gap",), ("parameters_only",)})
-    if kind == "outside":
-        return frozenset({("none_of_these",)})
-    return frozenset({tuple(sorted(truth["effects"]))})
+    return frozenset(right_causes(convert(dict(truth), Rig)))
 
 
 def features_of(evidence: Mapping[str, Any]) -> Features:
-    """As a diagnosis keeps them."""
+    """As a diagnosis keeps them: each field of :class:`Features` that the evidence has."""
+    wanted = get_type_hints(Features)
     return Features(
-        gained=evidence["gained"],
-        behind=evidence["behind"],
-        names=tuple(tuple(sorted(n)) for n in evidence["names"]),
-        scores=_array(evidence["scores"]),
-        behinds=_array(evidence["behinds"]),
-        sizes=_array(evidence["sizes"]),
-        surprises=_array(evidence["surprises"]),
-        errors=_array(evidence["errors"]),
-        raw_error=_number(evidence["raw_error"]),
-        refit_error=_number(evidence["refit_error"]),
+        **{name: _value(evidence[name], of) for name, of in wanted.items() if name in evidence}
     )
+
+
+def _value(kept: Any, wanted: Any) -> Any:
+    """Lists of lists as tuples of sorted names, lists of numbers as arrays, not finite as NaN."""
+    if kept is None and wanted is float:
+        return np.nan
+    if not isinstance(kept, (list, tuple)):
+        return kept
+    if any(isinstance(item, (list, tuple, str)) for item in kept):
+        return tuple(item if isinstance(item, str) else tuple(sorted(item)) for item in kept)
+    return np.array([np.nan if v is None else v for v in kept], dtype=float)
 
 
 def loss(weights: Mapping[str, float], cases: Sequence[Case]) -> float:
@@ -129,54 +132,109 @@ def usual_shares(nulls: Sequence[Mapping[str, float]]) -> dict[str, float]:
     }
 
 
-def read_cases(key: Path, diagnoses: Path) -> tuple[list[Case], list[Mapping[str, float]]]:
-    """Cases of a set that have been diagnosed, and the errors of those without an effect."""
+def blind_lines(key: Path, diagnoses: Path) -> list[Line]:
+    """Rigs of a blind set that have been diagnosed."""
     truths = json.loads(key.read_text(encoding="utf-8"))["key"]["cases"]
-    cases: list[Case] = []
-    nulls: list[Mapping[str, float]] = []
+    found = []
     for name, truth in sorted(truths.items()):
         file = diagnoses / name / "diagnosis.json"
-        if not file.exists():
-            continue
-        evidence = json.loads(file.read_text(encoding="utf-8"))["evidence"]
-        if not any(name.endswith(_APART) for name in truth["effects"]):
-            cases.append((features_of(evidence), right_answers(truth)))
-        if truth["kind"] in ("null", "offset"):
-            nulls.append(evidence["shares"])
-    return cases, nulls
+        if file.exists():
+            document = json.loads(file.read_text(encoding="utf-8"))
+            found.append(line_of(name, convert(truth, Rig), document))
+    return found
 
 
-def _number(value: float | None) -> float:
-    return np.nan if value is None else value
+def calibrating(lines: Sequence[Line]) -> list[Line]:
+    """Those whose truth the posterior weighs."""
+    return [
+        line
+        for line in lines
+        if not line.failed and not any(e.endswith(_APART) for e in line.case.effects)
+    ]
 
 
-def _array(values: Sequence[float | None]) -> FloatArray:
-    return np.array([np.nan if v is None else v for v in values], dtype=float)
+def told_belief(line: Line) -> dict[tuple[str, ...], float]:
+    """What the diagnosis said, whatever was done to its probabilities after the fit."""
+    return {
+        tuple(sorted(cause["effects"])): float(cause["probability"])
+        for cause in line.document["causes"]
+    }
 
 
-def main(argv: Sequence[str]) -> int:
-    """Fit and write."""
-    key, diagnoses = map(Path, argv)
-    cases, nulls = read_cases(key, diagnoses)
+def study(lines: Sequence[Line], folds: int, seed: int) -> tuple[Calibration, str]:
+    """Weights fitted to all, and tables of beliefs that nothing was fitted to."""
+    weighed = calibrating(lines)
+    known = [features_of(line.evidence) for line in weighed]
+    rights = [frozenset(right_causes(line.case)) for line in weighed]
+    rigs = [line.case for line in weighed]
     start = calibration()
-    after = replace(
-        start,
-        weights=fit_weights(start.weights, cases),
-        usual_shares={**start.usual_shares, **usual_shares(nulls)},
+    weights = start.weights
+    beliefs = cross_validated(
+        known,
+        rights,
+        folds_of(rigs, folds, seed),
+        lambda cases: fit_weights(weights, cases),
+        probabilities_of,
     )
-    sys.stdout.write(
-        f"{len(cases)} cases: surprise {loss(start.weights, cases):.3f} before, "
-        f"{loss(after.weights, cases):.3f} nats a case after\n"
+    text = tables(
+        rigs,
+        rights,
+        {
+            "told": [told_belief(line) for line in weighed],
+            "package": [probabilities_of(features, weights) for features in known],
+            f"{folds} folds": beliefs,
+        },
     )
+    nulls = [
+        line.evidence["shares"]
+        for line in lines
+        if not line.failed and line.case.kind in ("null", "offset")
+    ]
+    found = fit_weights(weights, list(zip(known, rights, strict=True)))
+    usual = {**start.usual_shares, **usual_shares(nulls)}
+    return replace(start, weights=found, usual_shares=usual), text
+
+
+def write_constants(constants: Calibration) -> None:
+    """Make them the package's."""
     content = {
         k: v if isinstance(v, str) else {name: round(w, 4) for name, w in v.items()}
-        for k, v in asdict(after).items()
+        for k, v in asdict(constants).items()
     }
     text = json.dumps({"command": content.pop("command"), **content}, indent=2) + "\n"
     with as_file(files("trms_cli.gap") / "calibration.json") as path:
         replace_whole(path, text.encode())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fit, tell, and write on request."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.gap.calibrate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("sources", nargs="*", type=Path)
+    parser.add_argument(
+        "--blind", nargs=2, type=Path, action="append", default=[], metavar=("KEY", "DIAGNOSES")
+    )
+    parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", action="store_true", help="make the fit the package's")
+    given = parser.parse_args(argv)
+    lines = [line for source in given.sources for line in FeaturesFile(source).lines()]
+    lines += [line for key, found in given.blind for line in blind_lines(key, found)]
+    weighed = calibrating(lines)
+    if len(weighed) < given.folds:
+        parser.error(f"{len(weighed)} diagnosed rigs are too few for {given.folds} folds")
+    found, text = study(lines, given.folds, given.seed)
+    failed = sum(bool(line.failed) for line in lines)
+    sys.stdout.write(
+        f"{len(lines)} rigs, {failed} could not be diagnosed, {len(weighed)} are weighed\n\n{text}"
+    )
+    if given.write:
+        write_constants(found)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

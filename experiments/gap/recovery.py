@@ -81,10 +81,9 @@ def write_recordings(cases: Mapping[str, Case], folder: Path, seed: int) -> None
     missing = {name: c for name, c in cases.items() if not (folder / f"{name}.csv").is_file()}
     if not missing:
         return
-    driven, run = record(list(missing.values()), Timing(), seed)
-    for i, (name, case) in enumerate(zip(missing, driven, strict=True)):
-        text = csv_of(case, run.time, run.commands[i], run.measured[i])
-        (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    driven, recordings = record(list(missing.values()), Timing(), seed)
+    for name, case, recording in zip(missing, driven, recordings, strict=True):
+        (folder / f"{name}.csv").write_text(csv_of(case, recording), encoding="utf-8")
 
 
 def recovery_of(name: str, case: Case, document: Mapping[str, Any]) -> Recovery:

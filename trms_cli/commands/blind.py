@@ -29,6 +29,8 @@ sets
   small         24 rigs, some minutes
   development   200 rigs to tune on
   final         300 rigs that lie elsewhere and have effects that development lacks
+  imperfect     120 rigs whose laws are others than the model's, with a cause on top
+  calibration   1000 rigs that probabilities are fitted to
 
 examples
   trms blind make set=small seed=7 out=sets/small

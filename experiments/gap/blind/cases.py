@@ -2,31 +2,32 @@
 
 Everything is drawn from one seed. Development and final sets differ in where the rigs lie, how they
 are driven, and in what they have: some effects outside the library and other forms of those inside
-occur in the final set alone.
+occur in the final set alone. The nuisances of each rig are drawn, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import cycle, islice
+from itertools import islice
 from typing import Literal
 
 import numpy as np
 
 from experiments.gap.blind import severity
 from experiments.gap.blind.nominal import relative_sds
+from experiments.gap.blind.nuisances import draw_duration, draw_nuisances, imperfect_laws
+from experiments.gap.blind.sets import SETS, Kind, SetPlan
 from experiments.gap.blind.truths import (
     GROUPS,
     LIBRARY,
-    OUTSIDE,
+    SUDDEN,
     TRUTHS,
     UNSEEN,
     group_of,
     same_equation,
 )
 
-Kind = Literal["null", "offset", "single", "pair", "outside", "unexcited", "matched"]
 Drive = Literal["rich", "poor", "closed_loop"]
 Channels = Literal["four", "angles"]
 Random = np.random.Generator
@@ -37,7 +38,7 @@ class Case:
     """One rig and its recording: a line of the key."""
 
     kind: Kind
-    #: Sizes of each effect that the rig has, in the rig's units
+    #: Sizes of each effect that is to be named, in the rig's units
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     severity: Mapping[str, str] = field(default_factory=dict)  #: Level of each effect
     drive: Drive = "rich"
@@ -51,82 +52,50 @@ class Case:
     twin: int = 0  #: Number of the matched pair that this rig is half of, from 1; 0 for others
     centre: float = 1.25  #: V and 1, of the excitation
     amplitude: float = 0.8  #: see :mod:`experiments.gap.blind.drivers`
-    jitter: float = 2e-4  #: s, of the sampling
+    duration: float = 120.0  #: s
+    #: By the names of :class:`experiments.gap.blind.rig.Nuisances`; the usual where not named
+    nuisances: Mapping[str, float] = field(default_factory=dict)
+    imperfect: bool = False  #: Whether its laws are others than the nominal model's
+    #: s, from when an effect is there; always, where it is not named
+    onset: Mapping[str, float] = field(default_factory=dict)
+    references: int = 0  #: Number of recordings of the same rig in a known state
+    #: Sizes of effects that the rig has in the known state as well
+    standing: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    #: What ``parameters`` are further off than in the known state, in the same unit
+    moved: Mapping[str, float] = field(default_factory=dict)
     excitation: int = 0  #: Seed of the commands
 
 
-@dataclass(frozen=True, kw_only=True)
-class SetPlan:
-    """What a set is made of."""
-
-    cases: int  #: Unless another number is asked for
-    final: bool  #: Whether forms and effects occur that development sets do not have
-    outside: tuple[str, ...]  #: Effects outside the library
-    centre: tuple[float, float]  #: (low, high); ranges of the excitation's
-    amplitude: tuple[float, float]  #: (low, high); ranges of the excitation's
-    #: (low, high); factor by which sizes scatter about those of their severity
-    stretch: tuple[float, float]
-    #: By how many prior standard deviations the rigs with effects lie beside the nominal on
-    #: average, in a direction that the seed decides; 0: about it
-    shift: float
-    shares: Mapping[Kind, float]  #: Of the kinds
-
-
-_SHARES: Mapping[Kind, float] = {
-    "null": 0.12,
-    "offset": 0.12,
-    "single": 0.40,
-    "pair": 0.12,
-    "outside": 0.12,
-    "unexcited": 0.05,
-    "matched": 0.07,
-}
-_KNOWN_OUTSIDE = ("pitch_encoder_eccentricity", "main_thrust_loss_with_pitch", "pitch_cogging")
-_DEVELOPMENT = SetPlan(
-    cases=200,
-    final=False,
-    outside=_KNOWN_OUTSIDE,
-    centre=(1.22, 1.28),
-    amplitude=(0.74, 0.82),
-    stretch=(0.9, 1.1),
-    shift=0.0,
-    shares=_SHARES,
-)
-
-SETS: Mapping[str, SetPlan] = {
-    "small": replace(_DEVELOPMENT, cases=24),
-    "development": _DEVELOPMENT,
-    "final": replace(
-        _DEVELOPMENT,
-        cases=300,
-        final=True,
-        outside=tuple(OUTSIDE),
-        centre=(1.12, 1.22),
-        amplitude=(0.66, 0.8),
-        stretch=(0.85, 1.25),
-        shift=0.3,
-    ),
-}
-
-#: Shares of rigs with one effect that a controller drives, and that record angles only.
+#: Shares of rigs that a controller drives, and that record angles only.
 _CLOSED, _ANGLES = 0.12, 0.12
 #: Prior standard deviations by which rigs with an effect scatter, and the share that does.
 _SCATTER, _SCATTERING = 1 / 3, 0.7
 _FARTHEST = 2.5  # prior standard deviations of an offset
-#: Share of the final set's single effects that take another form, and that jitter more.
-_OTHER_FORM, _JITTERY, _JITTER = 0.5, 0.15, 8e-4
+#: Share of the final set's single effects that take another form.
+_OTHER_FORM = 0.5
 #: Strong and medium cases are what the measures are about.
 _LEVELS = ("medium", "strong", "medium", "strong", "weak")
 #: Levels of twins, the first that both reach.
 _MATCHED = ("medium", "weak")
 #: Without the speed of its rotor nothing tells a lag of its tacho.
 _NEEDS_SPEED = ("main_tacho_lag", "tail_tacho_lag")
+#: Shares of a recording between which an effect begins.
+_BEGINS = (0.3, 0.7)
+#: Of rigs with recordings of a known state: how much of the imperfect laws they have, their
+#: parameters' standard deviation in those of the priors, sizes of a standing effect in those of a
+#: weak one.
+_STANDING_LAWS, _STANDING_OFFSET, _STANDING = 0.5, 0.7, (0.4, 1.0)
+#: Parameters that change, and by how many prior standard deviations.
+_CHANGING = ("m_cb", "l_cb", "k_fvp", "k_fhp", "k_fhn", "k_uv", "k_uh", "k_oh", "k_ov", "k_chp")
+_CHANGE = (2.5, 4.0)
+#: s. Durations of recordings that have others to be compared with.
+_COMPARED = (60.0, 120.0)
 
 
 def plan(name: str, seed: int, cases: int | None = None) -> list[Case]:
     """The cases of a set, in an order that tells nothing.
 
-    ``name``: of :data:`SETS`. ``cases``: instead of the set's own number.
+    ``name``: of :data:`.sets.SETS`. ``cases``: instead of the set's own number.
     """
     made_of = SETS[name]
     number = made_of.cases if cases is None else cases
@@ -152,9 +121,10 @@ def _counts(shares: Mapping[Kind, float], number: int) -> dict[Kind, int]:
     rest = sorted(exact, key=lambda kind: counts[kind] - exact[kind])
     for kind in rest[: number - sum(counts.values())]:
         counts[kind] += 1
-    odd = counts["matched"] % 2  # twins come in pairs
-    counts["matched"] -= odd
-    counts["single"] += odd
+    odd = counts.get("matched", 0) % 2  # twins come in pairs
+    if odd:
+        counts["matched"] -= odd
+        counts["single"] += odd
     return counts
 
 
@@ -173,13 +143,14 @@ class _Draw:
             "outside": self._outsides,
             "unexcited": self._unexcited,
             "matched": self._matched,
+            "triple": self._triples,
+            "onset": self._onsets,
+            "against": self._against,
         }
 
     def _nulls(self) -> Iterator[Case]:
-        for i in cycle(range(8)):  # one in eight in closed loop, one with angles alone
-            drive: Drive = "closed_loop" if i == 3 else "rich"
-            channels: Channels = "angles" if i == 5 else "four"
-            yield self._driven(Case(kind="null", drive=drive, channels=channels))
+        while True:
+            yield self._driven(Case(kind="null"))
 
     def _offsets(self) -> Iterator[Case]:
         while True:
@@ -188,23 +159,67 @@ class _Draw:
 
     def _singles(self) -> Iterator[Case]:
         for effect, level in self._effects(tuple(LIBRARY)):
-            drive: Drive = "rich"
-            channels: Channels = "four"
-            lot = self._random.uniform()
-            if lot < _CLOSED:
-                drive = "closed_loop"
-            elif lot < _CLOSED + _ANGLES and effect not in _NEEDS_SPEED:
-                channels = "angles"
-            case = self._with("single", {effect: level}, group=group_of(effect))
-            yield replace(case, drive=drive, channels=channels)
+            yield self._with("single", {effect: level}, group=group_of(effect))
 
     def _pairs(self) -> Iterator[Case]:
+        return self._together("pair", 2)
+
+    def _triples(self) -> Iterator[Case]:
+        return self._together("triple", 3)
+
+    def _together(self, kind: Kind, number: int) -> Iterator[Case]:
         effects = self._effects(tuple(LIBRARY), weak=False)
         while True:
-            (first, level), (second, other) = next(effects), next(effects)
-            while not _apart(first, second):
-                second, other = next(effects)
-            yield self._with("pair", {first: level, second: other}, group=(first, second))
+            levels: dict[str, str] = {}
+            while len(levels) < number:
+                effect, level = next(effects)
+                if all(_apart(effect, other) for other in levels):
+                    levels[effect] = level
+            yield self._with(kind, levels, group=tuple(levels))
+
+    def _onsets(self) -> Iterator[Case]:
+        for effect, level in self._effects(SUDDEN, weak=False):
+            case = self._with("onset", {effect: level}, group=group_of(effect))
+            duration = max(case.duration, self._compared())
+            begins = duration * self._random.uniform(*_BEGINS)
+            yield replace(case, duration=duration, onset={effect: round(begins, 2)})
+
+    def _against(self) -> Iterator[Case]:
+        effects = self._effects(tuple(LIBRARY), weak=False)
+        standing = self._effects(tuple(LIBRARY))
+        while True:
+            for what in self._random.permutation(["effect", "effect", "effect", "parameter", "no"]):
+                effect, level = next(effects)
+                other, _ = next(standing)
+                while not _apart(effect, other) or "weak" not in severity.levels_reached(other):
+                    other, _ = next(standing)
+                levels = {effect: level} if what == "effect" else {}
+                group = group_of(effect) if levels else ()
+                yield self._known_before(self._with("against", levels, group), other, what)
+
+    def _known_before(self, case: Case, standing: str, what: str) -> Case:
+        random = self._random
+        away = _STANDING_OFFSET * random.standard_normal(len(self._priors))
+        moved = {}
+        if what == "parameter":
+            change = random.uniform(*_CHANGE) * random.choice([-1.0, 1.0])
+            moved = {str(random.choice(_CHANGING)): round(float(change), 4)}
+        kept = self._sized(standing, "weak", random.uniform(*_STANDING))
+        laws = case.nuisances
+        if not case.imperfect:
+            laws = {**laws, **imperfect_laws(random, _STANDING_LAWS)}
+        return replace(
+            case,
+            parameters=self._named(away.clip(-2, 2)),
+            duration=self._compared(),
+            nuisances=laws,
+            references=int(random.integers(1, 4)),
+            standing={standing: kept},
+            moved=moved,
+        )
+
+    def _compared(self) -> float:
+        return round(self._random.uniform(*_COMPARED))
 
     def _outsides(self) -> Iterator[Case]:
         for effect, level in self._effects(self._set.outside, weak=False):
@@ -213,7 +228,7 @@ class _Draw:
     def _unexcited(self) -> Iterator[Case]:
         for effect, level in self._effects(UNSEEN, weak=False):
             case = self._with("unexcited", {effect: level}, group=group_of(effect))
-            yield replace(case, drive="poor")
+            yield replace(case, drive="poor", channels="four")
 
     def _matched(self) -> Iterator[Case]:
         twin = 0
@@ -235,7 +250,8 @@ class _Draw:
                         parameters=rig.parameters,
                         centre=rig.centre,
                         amplitude=rig.amplitude,
-                        jitter=rig.jitter,
+                        duration=rig.duration,
+                        nuisances=rig.nuisances,
                     )
 
     def _effects(self, names: tuple[str, ...], *, weak: bool = True) -> Iterator[tuple[str, str]]:
@@ -258,7 +274,6 @@ class _Draw:
         away = np.zeros(len(self._priors))
         if random.uniform() < _SCATTERING:
             away = self._shift + _SCATTER * random.standard_normal(len(self._priors))
-        jittery = self._set.final and random.uniform() < _JITTERY
         case = Case(
             kind=kind,
             effects=effects,
@@ -266,13 +281,12 @@ class _Draw:
             parameters=self._named(away) if away.any() else {},
             locations=tuple(dict.fromkeys(at for e in levels for at in TRUTHS[e].locations)),
             group=group,
-            jitter=_JITTER if jittery else Case.jitter,
         )
         return self._driven(case)
 
-    def _sized(self, effect: str, level: str) -> dict[str, float]:
+    def _sized(self, effect: str, level: str, share: float = 1.0) -> dict[str, float]:
         truth, random = TRUTHS[effect], self._random
-        factor = severity.factor_of(effect, level) * random.uniform(*self._set.stretch)
+        factor = share * severity.factor_of(effect, level) * random.uniform(*self._set.stretch)
         if truth.either_sign:
             factor *= random.choice([-1.0, 1.0])
         others: Mapping[str, float] = {}
@@ -284,9 +298,35 @@ class _Draw:
         return dict(zip(self._priors, away.round(4).tolist(), strict=True))
 
     def _driven(self, case: Case) -> Case:
-        centre = float(self._random.uniform(*self._set.centre))
-        amplitude = float(self._random.uniform(*self._set.amplitude))
-        return replace(case, centre=round(centre, 4), amplitude=round(amplitude, 4))
+        random = self._random
+        nuisances = draw_nuisances(random)
+        if any(effect.endswith("_quantisation") for effect in case.effects):
+            for axis in ("pitch", "yaw"):  # of which the other axis has nothing
+                nuisances[f"{axis}_quantum"] = min(nuisances[f"{axis}_quantum"], 1.0)
+        if self._set.imperfect:
+            nuisances |= imperfect_laws(random)
+        drive, channels = self._watched(case)
+        return replace(
+            case,
+            centre=round(float(random.uniform(*self._set.centre)), 4),
+            amplitude=round(float(random.uniform(*self._set.amplitude)), 4),
+            duration=draw_duration(random),
+            nuisances=nuisances,
+            imperfect=self._set.imperfect,
+            drive=drive,
+            channels=channels,
+        )
+
+    def _watched(self, case: Case) -> tuple[Drive, Channels]:
+        """In open loop with four outputs, but for some."""
+        lot = self._random.uniform()
+        if case.kind == "matched":
+            return "rich", "four"
+        if lot < _CLOSED:
+            return "closed_loop", "four"
+        if lot < _CLOSED + _ANGLES and not set(case.effects) & set(_NEEDS_SPEED):
+            return "rich", "angles"
+        return "rich", "four"
 
 
 def _apart(first: str, second: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,10 @@ class Answer:
     floors: Mapping[str, float] = field(default_factory=dict)
     not_testable: tuple[str, ...] = ()
     seconds: float | None = None  #: That it took
+    onset: float | None = None  #: s, from when the first cause is there; None: always
+    #: Probability of each effect to be part of the answer; empty where that is not told
+    inclusion: Mapping[str, float] = field(default_factory=dict)
+    moved: tuple[str, ...] = ()  #: Parameters that may be what differs, the likeliest first
 
     @property
     def first(self) -> tuple[tuple[str, ...], float]:
@@ -114,6 +118,23 @@ class JudgedCase:
         return bool(self.case.effects) and self.answer.effects >= frozenset(self.case.effects)
 
     @property
+    def two_right(self) -> bool:
+        """Whether two of the rig's effects at least are among those of the likeliest cause."""
+        return len(self.answer.effects & frozenset(self.case.effects)) >= 2
+
+    @property
+    def onset_error(self) -> float | None:
+        """s, between the onset that is told and the rig's; None where none is told."""
+        if not self.case.onset or self.answer.onset is None:
+            return None
+        return abs(self.answer.onset - next(iter(self.case.onset.values())))
+
+    @property
+    def truth(self) -> frozenset[frozenset[str]]:
+        """Causes that are right, whatever kind of cause that is."""
+        return frozenset(frozenset(cause) for cause in right_causes(self.case))
+
+    @property
     def any_right(self) -> bool:
         """Whether one of the rig's effects at least is among those of the likeliest cause."""
         return bool(self.answer.effects & frozenset(self.case.effects))
@@ -121,14 +142,7 @@ class JudgedCase:
     @property
     def right(self) -> bool:
         """Whether the likeliest cause is the truth, whatever kind of cause that is."""
-        first = frozenset(self.answer.first[0])
-        if self.case.kind == "null":
-            return first == {"no_gap"}
-        if self.case.kind == "offset":
-            return first == {"parameters_only"}
-        if self.case.kind == "outside":
-            return first == {"none_of_these"}
-        return first == frozenset(self.case.effects)
+        return frozenset(self.answer.first[0]) in self.truth
 
     @property
     def size_errors(self) -> dict[str, float]:
@@ -145,12 +159,35 @@ class JudgedCase:
     @property
     def label(self) -> str:
         """The truth in a word, for a table of confusions."""
-        return "+".join(sorted(self.case.effects)) or self.case.kind
+        effects = "+".join(sorted(self.case.effects))
+        if self.case.kind == "against":
+            changed = effects or "+".join(sorted(self.case.moved)) or "nothing"
+            return f"changed: {changed}"
+        return f"{effects} from some moment" if self.case.onset else effects or self.case.kind
 
     @property
     def said(self) -> str:
         """The answer in a word: the effects that it names, else the verdict."""
         return "+".join(sorted(self.answer.named)) or self.answer.verdict
+
+
+def right_causes(case: Case) -> tuple[tuple[str, ...], ...]:
+    """Causes that are right for a case, each sorted; several where nobody could tell them apart.
+
+    With recordings of a known state the cause is what changed. What a rig without a cause is whose
+    laws are others than the model's, is a matter of words: all that names no effect is right.
+    """
+    if case.effects and case.kind not in ("outside", "unexcited"):
+        return (tuple(sorted(case.effects)),)
+    if case.kind == "against":
+        return (("parameters_only",),) if case.moved else (("no_change",),)
+    if case.kind == "outside":
+        return (("none_of_these",),)
+    if case.kind == "unexcited":
+        return ("no_gap",), ("parameters_only",), tuple(sorted(case.effects))
+    if case.imperfect:
+        return ("no_gap",), ("parameters_only",), ("none_of_these",)
+    return (("no_gap",),) if case.kind == "null" else (("parameters_only",),)
 
 
 def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answer:
@@ -185,9 +222,18 @@ def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answ
             },
             not_testable=tuple(entry["effect"] for entry in document.get("not_testable", [])),
             seconds=(sum(took.values()) or None) if seconds is None else seconds,
+            onset=_onset(document["causes"]),
+            inclusion={n: float(p) for n, p in (document.get("inclusion") or {}).items()},
+            moved=tuple(entry["parameter"] for entry in document.get("moved") or []),
         )
     except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from error
+
+
+def _onset(causes: Sequence[Mapping[str, Any]]) -> float | None:
+    """Of the likeliest cause, s."""
+    told = max(causes, key=lambda cause: cause["probability"], default={}).get("onset")
+    return None if told is None else float(told["time_s"])
 
 
 #: Files of a diagnosis: the nominal model refitted, and with the cause.

@@ -26,8 +26,9 @@ class MakeOptions:
     out: str  #: folder of the recordings
     seed: Annotated[int, Meta(ge=0)] = 0
     cases: Annotated[int, Meta(ge=1)] | None = None  #: None: as many as the set has
-    #: ``duration``, ``sample_time``, ``fresh``: s; ``fresh`` is the length of the second recordings
-    duration: Annotated[float, Meta(ge=1, le=3600)] = 120.0
+    #: ``duration``, ``sample_time``, ``fresh``: s; without ``duration`` each recording has its own,
+    #: ``fresh`` is that of the second recordings
+    duration: Annotated[float, Meta(ge=1, le=3600)] | None = None
     sample_time: Annotated[float, Meta(ge=0.002, le=0.1)] = 0.02
     fresh: Annotated[float, Meta(ge=0, le=3600)] = 60.0
     jobs: Annotated[int, Meta(ge=1)] = 2
@@ -36,9 +37,9 @@ class MakeOptions:
 
 def perform(composition: Composition) -> int:
     """Make the set that a configuration asks for."""
-    from experiments.gap.blind.cases import SETS
     from experiments.gap.blind.recording import Timing
     from experiments.gap.blind.sealing import KEY, SetRequest, make
+    from experiments.gap.blind.sets import SETS
     from trms_cli.runs.run_folder import new_folder
 
     begin = perf_counter()
@@ -73,7 +74,7 @@ def perform(composition: Composition) -> int:
         jobs=options.jobs,
     )
     number = SETS[options.set].cases if options.cases is None else options.cases
-    sys.stderr.write(f"{number} rigs move for {options.duration:g} s all at once; some minutes\n")
+    sys.stderr.write(f"{number} rigs move, many at once; some minutes\n")
     make(asked, folder, key_folder, lambda digest: print(f"key  sha256 {digest}", flush=True))
     print(f"{number} recordings in {folder}, the key in {key_folder / KEY}")
     print(f"{perf_counter() - begin:.0f} s")

@@ -7,14 +7,31 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Literal
 
+import numpy as np
+
 from experiments.gap.blind.judgement import JudgedCase
 from experiments.gap.blind.severity import LEVELS
-from experiments.gap.blind.statistics import Estimate, Reliability, quantile, reliability, share
+from experiments.gap.blind.statistics import (
+    Estimate,
+    Reliability,
+    bootstrapped,
+    calibration_error,
+    quantile,
+    reliability,
+    share,
+)
 
 #: A wrong name is serious when it is told with more than this probability.
 SURE = 0.7
+#: What is said with this probability and more should be right nearly always.
+VERY_SURE = 0.9
+#: s. An onset is found where it is told as near; shorter recordings than the other are not rich.
+NEAR, SHORT = 1.0, 60.0
 #: A shrink relative to the oracle's is told where the oracle's is at least this.
 _LEAST_SHRINK = 0.2
+
+#: Kinds whose shrink is compared with the oracle's.
+_SHRINKING = ("single", "pair", "triple", "matched")
 
 Judge = Callable[[JudgedCase], bool]
 
@@ -40,7 +57,7 @@ class Row:
 
     measure: str  #: In words
     estimate: Estimate
-    unit: Literal["%", "1"] = "%"  #: Shares are shown in per cent
+    unit: Literal["%", "1", "s"] = "%"  #: Shares are shown in per cent
     target: Target | None = None
 
     @property
@@ -86,8 +103,9 @@ def table(
 
 
 def _full(j: JudgedCase) -> bool:
-    """Four outputs, open loop, rich excitation."""
-    return j.case.drive == "rich" and j.case.channels == "four"
+    """Four outputs, open loop, rich excitation for a minute at least."""
+    rich = j.case.drive == "rich" and j.case.duration >= SHORT
+    return rich and j.case.channels == "four"
 
 
 def _plain(j: JudgedCase) -> bool:
@@ -119,6 +137,34 @@ def _wrong_name(j: JudgedCase) -> bool:
     return bool(j.answer.named - frozenset(j.case.effects))
 
 
+def _changed(what: str) -> Judge:
+    """Rigs with recordings of a known state in which an effect, a parameter or nothing changed."""
+
+    def among(j: JudgedCase) -> bool:
+        changed = "effect" if j.case.effects else "parameter" if j.case.moved else "nothing"
+        return j.case.kind == "against" and changed == what
+
+    return among
+
+
+def _something_named(j: JudgedCase) -> bool:
+    return j.answer.verdict in ("effect", "parameters_only")
+
+
+def _without_cause(j: JudgedCase) -> bool:
+    """Nothing that could be named: exact nulls, parameter offsets, nothing changed."""
+    return j.case.kind in ("null", "offset") or _changed("nothing")(j)
+
+
+def _very_sure(j: JudgedCase) -> bool:
+    return j.answer.first[1] >= VERY_SURE
+
+
+def _parameter_named(j: JudgedCase) -> bool:
+    first = j.answer.first[0] == ("parameters_only",)
+    return first and j.answer.moved[:1] == tuple(j.case.moved)
+
+
 def _none_or_undecided(j: JudgedCase) -> bool:
     return j.answer.verdict in ("none_of_these", "undecided")
 
@@ -131,15 +177,17 @@ def _at_most(high: float) -> Target:
     return Target(kind="at most", high=high)
 
 
-_SHARES: tuple[tuple[str, Judge, Judge, Target | None], ...] = (
-    ("single, medium and strong: exact", _plain, lambda j: j.exact, _at_least(0.90)),
+_Shares = tuple[tuple[str, Judge, Judge, Target | None], ...]
+
+_OF_SINGLES: _Shares = (
+    ("single, medium and strong: exact", _plain, lambda j: j.exact, _at_least(0.92)),
     (
         "single, medium and strong: up to the declared confusion group",
         _plain,
         lambda j: j.in_group,
-        _at_least(0.96),
+        _at_least(0.97),
     ),
-    ("single, medium and strong: place named", _plain, lambda j: j.located, _at_least(0.95)),
+    ("single, medium and strong: place named", _plain, lambda j: j.located, _at_least(0.96)),
     ("single, medium and strong: equation named", _plain, lambda j: j.equation, None),
     ("single, medium and strong: sure of a wrong name", _plain, _sure_and_wrong, None),
     ("single, weak: exact", _weak, lambda j: j.exact, None),
@@ -156,8 +204,33 @@ _SHARES: tuple[tuple[str, Judge, Judge, Target | None], ...] = (
         lambda j: j.exact,
         None,
     ),
-    ("effect named on an exact null", _kind("null"), _effect_named, _at_most(0.02)),
-    ("effect named on a parameter offset", _kind("offset"), _effect_named, _at_most(0.02)),
+    (
+        "single, shorter than a minute: exact",
+        lambda j: j.case.kind == "single" and j.case.duration < SHORT,
+        lambda j: j.exact,
+        None,
+    ),
+    ("single, all: exact", _kind("single"), lambda j: j.exact, None),
+    ("single, all: sure of a wrong name", _kind("single"), _sure_and_wrong, None),
+)
+_OF_NOTHING: _Shares = (
+    ("effect named on an exact null", _kind("null"), _effect_named, _at_most(0.01)),
+    ("effect named on a parameter offset", _kind("offset"), _effect_named, _at_most(0.01)),
+    (
+        "no change: an effect or a parameter named",
+        _changed("nothing"),
+        _something_named,
+        _at_most(0.01),
+    ),
+    ("null, offset, no change: effect named", _without_cause, _effect_named, _at_most(0.01)),
+    (
+        f"null, offset, no change: wrong with probability over {VERY_SURE}",
+        _without_cause,
+        lambda j: _very_sure(j) and not j.right,
+        None,
+    ),
+)
+_OF_OUTSIDE: _Shares = (
     (
         f"outside the library: wrong name, probability over {SURE}",
         _kind("outside"),
@@ -170,8 +243,55 @@ _SHARES: tuple[tuple[str, Judge, Judge, Target | None], ...] = (
         _none_or_undecided,
         _at_least(0.90),
     ),
-    ("two effects: both", _kind("pair"), lambda j: j.both, _at_least(0.75)),
+)
+_OF_SEVERAL: _Shares = (
+    ("two effects: both", _kind("pair"), lambda j: j.both, _at_least(0.85)),
     ("two effects: at least one", _kind("pair"), lambda j: j.any_right, _at_least(0.95)),
+    ("three effects: two of them", _kind("triple"), lambda j: j.two_right, _at_least(0.85)),
+    ("three effects: all", _kind("triple"), lambda j: j.both, None),
+    ("three effects: at least one", _kind("triple"), lambda j: j.any_right, None),
+    (
+        "two or three effects: a wrong one with them",
+        _kind("pair", "triple"),
+        lambda j: bool(j.answer.effects - frozenset(j.case.effects)),
+        None,
+    ),
+)
+_OF_MOMENTS: _Shares = (
+    ("begins within: exact", _kind("onset"), lambda j: j.exact, None),
+    (
+        f"begins within: moment told to {NEAR:g} s",
+        _kind("onset"),
+        lambda j: _near(j),
+        _at_least(0.90),
+    ),
+    (
+        f"begins within, effect named: moment told to {NEAR:g} s",
+        lambda j: j.case.kind == "onset" and j.exact,
+        lambda j: _near(j),
+        None,
+    ),
+    (
+        "there all the time: a moment told nevertheless",
+        lambda j: j.case.kind in ("single", "pair", "triple") and j.exact,
+        lambda j: j.answer.onset is not None,
+        None,
+    ),
+)
+_OF_CHANGES: _Shares = (
+    ("what changed, an effect: exact", _changed("effect"), lambda j: j.exact, None),
+    (
+        "what changed, an effect: up to the declared confusion group",
+        _changed("effect"),
+        lambda j: j.in_group,
+        None,
+    ),
+    ("what changed, an effect: place named", _changed("effect"), lambda j: j.located, None),
+    ("what changed, a parameter: parameters only", _changed("parameter"), lambda j: j.right, None),
+    ("what changed, a parameter: which", _changed("parameter"), _parameter_named, None),
+    ("no change: said so", _changed("nothing"), lambda j: j.right, None),
+)
+_OF_LIMITS: _Shares = (
     ("matched pairs: exact", _kind("matched"), lambda j: j.exact, None),
     (
         "matched pairs: up to the declared confusion group",
@@ -186,7 +306,21 @@ _SHARES: tuple[tuple[str, Judge, Judge, Target | None], ...] = (
         lambda j: j.exact or frozenset(j.case.effects) <= frozenset(j.answer.not_testable),
         None,
     ),
+    (f"said with {VERY_SURE} and more: right", _very_sure, lambda j: j.right, _at_least(0.93)),
 )
+_SHARES: _Shares = (
+    *_OF_SINGLES,
+    *_OF_NOTHING,
+    *_OF_OUTSIDE,
+    *_OF_SEVERAL,
+    *_OF_MOMENTS,
+    *_OF_CHANGES,
+    *_OF_LIMITS,
+)
+
+
+def _near(j: JudgedCase) -> bool:
+    return j.onset_error is not None and j.onset_error <= NEAR
 
 
 def _shares(judged: Sequence[JudgedCase]) -> list[Row]:
@@ -202,12 +336,35 @@ def _amounts(
     ratios = [r for j in judged if (r := _relative_shrink(j, oracle.get(j.name))) is not None]
     errors = [e for j in judged if j.case.kind == "single" for e in j.size_errors.values()]
     seen = [j for j in judged if j.fresh is not None]
+    took = [j.answer.seconds for j in judged if j.answer.seconds is not None]
+    first = np.array([j.answer.first[1] for j in judged])
+    right = np.array([j.right for j in judged], dtype=bool)
+    parts = [
+        (p, effect in j.case.effects) for j in judged for effect, p in j.answer.inclusion.items()
+    ]
+    of_parts = np.array([p for p, _ in parts])
+    there = np.array([t for _, t in parts], dtype=bool)
     return [
+        Row(
+            measure="expected calibration error",
+            estimate=bootstrapped(
+                lambda some: calibration_error(first[some], right[some]), len(judged), draws, seed
+            ),
+            unit="1",
+            target=_at_most(0.04),
+        ),
+        Row(
+            measure="expected calibration error of each effect's part",
+            estimate=bootstrapped(
+                lambda some: calibration_error(of_parts[some], there[some]), len(parts), 100, seed
+            ),
+            unit="1",
+        ),
         Row(
             measure="shrink relative to the oracle: median",
             estimate=quantile(ratios, 0.5, draws, seed),
             unit="1",
-            target=_at_least(0.95),
+            target=_at_least(0.97),
         ),
         Row(
             measure="shrink relative to the oracle: 10th percentile",
@@ -230,12 +387,18 @@ def _amounts(
             estimate=share([bool(j.fresh and j.fresh.worse) for j in seen]),
             target=_at_most(0.005),
         ),
+        Row(
+            measure="time of a diagnosis: median",
+            estimate=quantile(took, 0.5, draws, seed),
+            unit="s",
+            target=_at_most(30.0),
+        ),
     ]
 
 
 def _relative_shrink(j: JudgedCase, told: JudgedCase | None) -> float | None:
     """Of rigs with library effects; on second recordings where both have one."""
-    if told is None or j.case.kind not in ("single", "pair", "matched"):
+    if told is None or j.case.kind not in _SHRINKING:
         return None
     if "weak" in j.case.severity.values():
         return None

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-#: rad. Bristles slide once they are bent this far: a seventh of an encoder's step.
-_BENT = 2e-4
 #: Where the springs of a cable begin to slip, as shares of the width.
 _SLIPS = (0.4, 0.8, 1.2, 1.6)
 
@@ -48,13 +46,16 @@ class DelayLine:
 class Bristles:
     """LuGre friction: F = σ₀ z + σ₁ ż,  ż = Ω − σ₀|Ω| z/g(Ω),  g = F_c (1 + e exp(−(Ω/v_s)²))."""
 
-    def __init__(
-        self, torque: FloatArray, excess: FloatArray, velocity: FloatArray, inertia: FloatArray
-    ) -> None:
+    def __init__(self, inertia: FloatArray, bend: float | FloatArray) -> None:
+        self._inertia, self._bent = inertia, bend  # rad at which they slide
+        self._bend = np.zeros_like(inertia)
+        self.shape(self._bend, self._bend, np.ones_like(inertia))
+
+    def shape(self, torque: FloatArray, excess: FloatArray, velocity: FloatArray) -> None:
+        """Set F_c, e and v_s, (n,) each; the bristles stay as bent as they are."""
         self._torque, self._excess, self._velocity = torque, excess, velocity
-        self._stiffness = torque / _BENT
-        self._damping = np.sqrt(self._stiffness * inertia)
-        self._bend = np.zeros_like(torque)
+        self._stiffness = torque / self._bent
+        self._damping = np.sqrt(self._stiffness * self._inertia)
 
     def torque(self, rate: FloatArray, step: float) -> FloatArray:
         """The friction torque against the rate, N m, after the bristles have bent for a step."""
@@ -73,14 +74,22 @@ class Bristles:
 class Slips:
     """Springs in parallel, each of which slips at its own torque."""
 
-    def __init__(self, torque: FloatArray, width: FloatArray) -> None:
-        self._yield = torque / len(_SLIPS)
-        self._stiffness = [self._yield / np.maximum(s * width, 1e-3) for s in _SLIPS]
-        self._held = np.zeros((len(_SLIPS), len(torque)))
+    def __init__(self, spread: float | FloatArray = 1.0) -> None:
+        self._spread = spread
+        self._held: FloatArray | None = None
         self._angle: FloatArray | None = None
+
+    def shape(self, torque: FloatArray, width: FloatArray) -> None:
+        """Set the torque at which all slip and the width of the loop, (n,) each."""
+        self._yield = torque / len(_SLIPS)
+        where = [s * width * self._spread for s in _SLIPS]
+        self._stiffness = [self._yield / np.maximum(at, 1e-3) for at in where]
+        if self._held is None:
+            self._held = np.zeros((len(_SLIPS), len(torque)))
 
     def torque(self, angle: FloatArray) -> FloatArray:
         """The torque against the travel, N m."""
+        assert self._held is not None
         moved = 0.0 if self._angle is None else angle - self._angle
         self._angle = angle
         for i, stiffness in enumerate(self._stiffness):
@@ -109,3 +118,16 @@ class Oscillator:
         restoring = -2 * self._damping * w * self._speed - w**2 * self._deflection
         self._speed = self._speed + step * (restoring - acceleration)
         self._deflection = self._deflection + step * self._speed
+
+
+class Play:
+    """What follows a value loosely: it moves once the play of ± a width is used up."""
+
+    def __init__(self) -> None:
+        self._at: FloatArray | None = None
+
+    def follow(self, value: FloatArray, width: FloatArray) -> FloatArray:
+        """Where it is after the value has come here, (n,); without width at the value."""
+        before = value if self._at is None else self._at
+        self._at = np.clip(before, value - width, value + width)
+        return self._at

@@ -1,9 +1,11 @@
-"""Cases made to move: all rigs of a set at once, and what their sensors say as CSV."""
+"""Cases made to move: rigs of a set many at once, and what their sensors say as CSV."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, fields, replace
+from multiprocessing import get_context
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +20,8 @@ from experiments.gap.blind.drivers import (
     square_references,
 )
 from experiments.gap.blind.nominal import nominal, relative_sds
-from experiments.gap.blind.rig import PITCH_STOP, YAW_STOP, Driver, Nuisances, RigRecordings, Rigs
+from experiments.gap.blind.rig import PITCH_STOP, YAW_STOP, Driver, Nuisances, Rigs
+from experiments.gap.blind.truths import TRUTHS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,19 +30,35 @@ _FORMAT = ("%.3f", "%.5f", "%.5f", "%.6f", "%.6f", "%.4f", "%.4f")
 #: A rig that comes so near a stop (rad) is driven again, with so much less.
 _NEAR_STOP, _LESS, _TRIES = 0.02, 0.6, 4
 _SETTLING = 10.0  # s
+#: s. Recordings that end between two of these are made together, as long as the longest of them.
+_TOGETHER = (45.0, 130.0, 200.0, np.inf)
+_OTHER = 7919  # between the seeds of one rig's commands
 
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
     """How long and how often."""
 
-    duration: float = 120.0  #: s
+    duration: float | None = None  #: s; None: each case its own
     sample_time: float = 0.02  #: s
+
+    def of(self, case: Case) -> float:
+        """How long a case is recorded, s."""
+        return case.duration if self.duration is None else self.duration
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a rig did."""
+
+    time: FloatArray  #: (k,) array; s
+    commands: FloatArray  #: (k, 2) array; V
+    measured: FloatArray  #: (k, 4) array; rad, rad/s
 
 
 def record(
-    cases: Sequence[Case], timing: Timing, seed: int, *, fresh: bool = False
-) -> tuple[list[Case], RigRecordings]:
+    cases: Sequence[Case], timing: Timing, seed: int, *, fresh: bool = False, jobs: int = 1
+) -> tuple[list[Case], list[Recording]]:
     """Run all cases.
 
     Parameters
@@ -49,108 +68,182 @@ def record(
     seed : int
         Of noise, jitter and drift.
     fresh : bool
-        Other commands of the same kind, for a second recording of the same rigs.
+        Other commands of the same kind, for a second recording of the same rigs; what begins
+        within the first is there all the time.
+    jobs : int
+        Processes.
 
     Returns
     -------
     cases : list of Case
-        With the amplitudes that kept the rigs off their stops.
-    recorded : RigRecordings
-        All six columns of every case.
+        As driven: with the amplitudes that kept the rigs off their stops.
+    recordings : list of Recording
     """
+    timed = [_timed(case, timing.of(case), fresh) for case in cases]
+    of_length = np.searchsorted(_TOGETHER, [case.duration for case in timed])
+    groups = [np.flatnonzero(of_length == length) for length in np.unique(of_length)]
+    tasks = [
+        ([timed[i] for i in group], timing.sample_time, [seed, int(of_length[group[0]])], fresh)
+        for group in groups
+    ]
+    if jobs == 1 or len(tasks) == 1:
+        done = [_kept_off_stops(*task) for task in tasks]
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            done = list(pool.map(_kept_off_stops, *zip(*tasks, strict=True)))
+    found: list[Recording | None] = [None] * len(timed)
+    for group, (driven, recordings) in zip(groups, done, strict=True):
+        for i, case, recording in zip(group, driven, recordings, strict=True):
+            timed[i], found[i] = case, recording
+    if fresh:  # the key keeps the case of the first recording
+        timed = list(cases)
+    return timed, [recording for recording in found if recording is not None]
+
+
+def references_of(case: Case) -> list[Case]:
+    """The same rig in its known state, driven otherwise, once for each of its references."""
+    return [
+        replace(
+            case,
+            effects={},
+            moved={},
+            onset={},
+            references=0,
+            excitation=(case.excitation + _OTHER * number) % 2**31,
+        )
+        for number in range(1, case.references + 1)
+    ]
+
+
+def _timed(case: Case, duration: float, fresh: bool) -> Case:
+    """A case that is recorded as long; what begins within it does so at the same share of it."""
+    share = duration / case.duration
+    onset = {} if fresh else {e: round(t * share, 4) for e, t in case.onset.items()}
+    return replace(case, duration=duration, onset=onset)
+
+
+def _kept_off_stops(
+    cases: list[Case], sample_time: float, seed: list[int], fresh: bool
+) -> tuple[list[Case], list[Recording]]:
     tried = list(cases)
-    run = _run(tried, timing, [seed, 0], fresh)
+    found = _run(tried, sample_time, [*seed, 0, fresh], fresh)
     for turn in range(1, _TRIES):
-        hit = np.flatnonzero(_at_stops(run))
-        if not len(hit):
+        hit = [i for i, recording in enumerate(found) if _at_stops(recording)]
+        if not hit:
             break
         for i in hit:
             tried[i] = replace(tried[i], amplitude=round(_LESS * tried[i].amplitude, 4))
-        again = _run([tried[i] for i in hit], timing, [seed, turn], fresh)
-        run.commands[hit], run.measured[hit] = again.commands, again.measured
-    return tried, run
+        again = _run([tried[i] for i in hit], sample_time, [*seed, turn, fresh], fresh)
+        for i, recording in zip(hit, again, strict=True):
+            found[i] = recording
+    return tried, found
 
 
-def _run(cases: Sequence[Case], timing: Timing, seed: list[int], fresh: bool) -> RigRecordings:
+def _run(cases: list[Case], sample_time: float, seed: list[int], fresh: bool) -> list[Recording]:
     rigs = Rigs(
         _constants(cases),
         _sizes(cases),
-        Nuisances(jitter=np.array([case.jitter for case in cases])),
-        int(np.random.SeedSequence([*seed, fresh]).generate_state(1)[0]),
+        _nuisances(cases),
+        int(np.random.SeedSequence(seed).generate_state(1)[0]),
+        _onsets(cases),
     )
-    driver = _driver(cases, timing, fresh)
-    return rigs.run(driver, timing.duration, timing.sample_time, _SETTLING)
+    longest = max(case.duration for case in cases)
+    driver = _driver(cases, longest, sample_time, fresh)
+    run = rigs.run(driver, longest, sample_time, _SETTLING)
+    found = []
+    for i, case in enumerate(cases):
+        k = round(case.duration / sample_time)
+        found.append(Recording(run.time[:k], run.commands[i, :k], run.measured[i, :k]))
+    return found
+
+
+def _nuisances(cases: Sequence[Case]) -> Nuisances:
+    """Those of all rigs; what is the same in all stays a number."""
+    found: dict[str, FloatArray] = {}
+    for entry in fields(Nuisances):
+        values = [case.nuisances.get(entry.name, entry.default) for case in cases]
+        if any(value != entry.default for value in values):
+            found[entry.name] = np.array(values, dtype=float)
+    return Nuisances(**found)
+
+
+def _onsets(cases: Sequence[Case]) -> dict[str, FloatArray]:
+    """By the sizes that make an effect grow: its others are forms, which wait."""
+    found: dict[str, FloatArray] = {}
+    for i, case in enumerate(cases):
+        for effect, time in case.onset.items():
+            for size in TRUTHS[effect].grows:
+                found.setdefault(f"{effect}.{size}", np.zeros(len(cases)))[i] = time
+    return found
 
 
 def _constants(cases: Sequence[Case]) -> dict[str, FloatArray]:
     sds = relative_sds()
     return {
-        name: np.array(
-            [value * (1 + sds.get(name, 0.0) * case.parameters.get(name, 0.0)) for case in cases]
-        )
+        name: np.array([value * (1 + sds.get(name, 0.0) * _away(case, name)) for case in cases])
         for name, value in nominal().items()
     }
+
+
+def _away(case: Case, parameter: str) -> float:
+    """By how many prior standard deviations a parameter is off."""
+    return case.parameters.get(parameter, 0.0) + case.moved.get(parameter, 0.0)
 
 
 def _sizes(cases: Sequence[Case]) -> dict[str, FloatArray]:
     found: dict[str, FloatArray] = {}
     for i, case in enumerate(cases):
-        for effect, sizes in case.effects.items():
+        for effect, sizes in (*case.standing.items(), *case.effects.items()):
             for name, value in sizes.items():
                 found.setdefault(f"{effect}.{name}", np.zeros(len(cases)))[i] = value
     return found
 
 
-def _driver(cases: Sequence[Case], timing: Timing, fresh: bool) -> Driver:
-    samples, step = round(timing.duration / timing.sample_time), timing.sample_time
+def _driver(cases: Sequence[Case], longest: float, sample_time: float, fresh: bool) -> Driver:
+    """All drivers; a table that ends early stays at its last command."""
     tables: list[FloatArray] = []
     table_of, references, following = [], [], []
     for i, case in enumerate(cases):
+        samples = round(case.duration / sample_time)
+        last = ((0, round(longest / sample_time) - samples), (0, 0))
         seed = [case.excitation + 2**31 * fresh]
         if case.drive == "closed_loop":
             following.append(i)
-            middle = case.amplitude * square_references(seed, samples, step)[0]
-            references.append(middle)
+            wanted = case.amplitude * square_references(seed, samples, sample_time)[0]
+            references.append(np.pad(wanted, last, mode="edge"))
             continue
         table_of.append(i)
-        tables.append(
-            poor_excitation(seed, samples, step, centre=case.centre)[0]
-            if case.drive == "poor"
-            else rich_excitation(seed, samples, step, centre=case.centre, amplitude=case.amplitude)[
+        centre, amplitude = case.centre, case.amplitude
+        if case.drive == "poor":
+            table = poor_excitation(seed, samples, sample_time, centre=centre)[0]
+        else:
+            table = rich_excitation(seed, samples, sample_time, centre=centre, amplitude=amplitude)[
                 0
             ]
-        )
+        tables.append(np.pad(table, last, mode="edge"))
     parts: list[tuple[npt.NDArray[np.int64], Driver]] = []
     if tables:
         parts.append((np.array(table_of), OpenLoop(np.array(tables))))
     if following:
-        parts.append((np.array(following), CascadedPid(np.array(references), step)))
+        parts.append((np.array(following), CascadedPid(np.array(references), sample_time)))
     return MixedDrivers(parts)
 
 
-def _at_stops(run: RigRecordings) -> npt.NDArray[np.bool_]:
-    """Which rigs came near a stop: there is none in the model, and none in the key."""
-    reach = np.abs(run.measured[..., :2]).max(axis=1)
-    near: npt.NDArray[np.bool_] = (
-        reach > np.array([PITCH_STOP - _NEAR_STOP, YAW_STOP - _NEAR_STOP])
-    ).any(axis=1)
-    return near
+def _at_stops(recording: Recording) -> bool:
+    """Whether a rig came near a stop: there is none in the model, and none in the key."""
+    reach = np.abs(recording.measured[:, :2]).max(axis=0)
+    return bool((reach > np.array([PITCH_STOP - _NEAR_STOP, YAW_STOP - _NEAR_STOP])).any())
 
 
-def csv_of(case: Case, time: FloatArray, commands: FloatArray, measured: FloatArray) -> str:
-    """A recording as any lab would write it.
-
-    Parameters
-    ----------
-    time : (k,) array
-    commands : (k, 2) array
-    measured : (k, 4) array
-    """
+def csv_of(case: Case, recording: Recording) -> str:
+    """A recording as any lab would write it."""
     angles = case.channels == "angles"
     columns = COLUMNS[:4] if angles else COLUMNS
     loop = "closed" if case.drive == "closed_loop" else "open"
     lines = ["# rig: bench rig", f"# loop: {loop}", ",".join(("t[s]", *columns))]
-    rows = np.column_stack([time, commands, measured[:, : 2 if angles else 4]])
+    rows = np.column_stack(
+        [recording.time, recording.commands, recording.measured[:, : 2 if angles else 4]]
+    )
     form = ",".join(_FORMAT[: rows.shape[1]])
     lines += [form % tuple(row) for row in rows]
     return "\n".join(lines) + "\n"

@@ -11,20 +11,22 @@ momenta; with ``r`` the yaw rate, ``q`` the pitch rate, θ the pitch angle and J
 Integrated by Heun's method in steps of 1 ms, with friction by bristles that bend before they slide
 (LuGre: Canudas de Wit et al. 1995, IEEE Trans. Autom. Control 40), cable hysteresis by elastic
 slips in parallel (Iwan 1966, J. Appl. Mech. 33), and nuisances that are always on: sampling
-jitter, a drive gain that drifts by up to a few percent, a slight flexibility before the encoders.
-Only the parameter values are the models': they are data.
+jitter, a drive gain that drifts by up to a few percent, a slight flexibility before the encoders,
+sensors of another noise and step, laws of a slightly other form. Only the parameter values are the
+models': they are data. An effect may begin within a run; what no library has is in
+:mod:`.outside_laws`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from experiments.gap.blind.outside_laws import OutsideLaws
 from experiments.gap.blind.parts import Bristles, DelayLine, Oscillator, Slips
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,15 +56,38 @@ class Driver(Protocol):
         """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Nuisances:
-    """What every rig has and nobody asks for."""
+    """What every rig has and nobody asks for: a float for all rigs, or an (n,) array."""
 
-    #: float or (n,) array; s, standard deviation of the sampling instants
-    jitter: float | FloatArray = 2e-4
+    jitter: float | FloatArray = 2e-4  #: s, standard deviation of the sampling instants
     #: Share by which a drive's gain wanders over a recording, standard deviation
-    drift: float = 0.01
-    flexibility: float = 0.3  #: Share of the deflection of a stiff mode that the encoders see
+    drift: float | FloatArray = 0.01
+    #: s, correlation time of that wandering (Ornstein-Uhlenbeck); 0: a sine of 40 to 200 s
+    drift_time: float | FloatArray = 0.0
+    #: Share of the deflection of a stiff mode that the encoders see
+    flexibility: float | FloatArray = 0.3
+    speed_noise: float | FloatArray = 1.0  #: Of the tachos, in units of :data:`SPEED_NOISE`
+    speed_quantum: float | FloatArray = 1.0  #: Their step, in units of :data:`SPEED_QUANTUM`
+    angle_noise: float | FloatArray = 0.0  #: rad, standard deviation of white noise on the angles
+    pitch_quantum: float | FloatArray = 1.0  #: Step of an encoder, in units of 2π/4096
+    yaw_quantum: float | FloatArray = 1.0  #: Step of an encoder, in units of 2π/4096
+    # Laws of effects, of slightly other form than the library's: they change the effect alone.
+    bend: float | FloatArray = 2e-4  #: rad, at which bristles slide
+    #: Share by which friction at rest exceeds that in motion, beside what an effect has
+    stick: float | FloatArray = 0.0
+    slip_spread: float | FloatArray = 1.0  #: Factor on where a cable's springs slip
+    damping_exponent: float | FloatArray = 2.0  #: Of quadratic damping, equal at 1 rad/s
+    #: rad/s, of a rotor at which its friction has reached three quarters
+    rub_speed: float | FloatArray = 0.5
+    # Laws of the nominal model: they leave a standing error.
+    viscous_exponent: float | FloatArray = 1.0  #: Of the axes' own friction, equal at 0.3 rad/s
+    #: Added to that of the thrust laws, which stay equal at 200 (main) and 300 rad/s (tail)
+    thrust_exponent: float | FloatArray = 0.0
+    #: rad⁻², by which the cable's own stiffness grows with the square of the angle
+    cable_hardening: float | FloatArray = 0.0
+    pitch_inertia: float | FloatArray = 1.0  #: Factor on the moment of inertia alone
+    yaw_inertia: float | FloatArray = 1.0  #: Factor on the moment of inertia alone
 
 
 @dataclass(frozen=True)
@@ -84,17 +109,12 @@ class Rigs:
     sizes: Mapping[str, FloatArray] = field(default_factory=dict)
     nuisances: Nuisances = field(default_factory=Nuisances)
     seed: int = 0
+    #: dict of str to (n,) array; s, from when a size of that name is there; 0: always. Not for
+    #: delays and modes.
+    onsets: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.constants["g"])
-
-    def size(self, effect: str, name: str) -> FloatArray:
-        """A size of an effect for every rig, (n,)."""
-        return self.sizes.get(f"{effect}.{name}", self._none)
-
-    @cached_property
-    def _none(self) -> FloatArray:
-        return np.zeros(len(self))
 
     def run(
         self, driver: Driver, duration: float, sample_time: float, settling: float = 20.0
@@ -123,8 +143,11 @@ class _Run:
     """The state of all rigs during a run."""
 
     def __init__(self, rigs: Rigs, sample_time: float) -> None:
-        self.rigs, self.c, size = rigs, rigs.constants, rigs.size
+        self.rigs, self.c, self.own, size = rigs, rigs.constants, rigs.nuisances, self.size
         n = len(rigs)
+        self.none = np.zeros(n)
+        self.waiting = sorted({t for at in rigs.onsets.values() for t in at.tolist() if t > 0})
+        self.sizes = self._begun(0.0)
         self.random = np.random.default_rng(rigs.seed)
         self.steps = round(sample_time / STEP)
         self.time = 0.0
@@ -138,22 +161,17 @@ class _Run:
         self.drift = np.ones((2, n))
         self.drift_phase = self.random.uniform(0, 2 * np.pi, (2, n))
         self.drift_period = self.random.uniform(40.0, 200.0, (2, n))
+        self.wandering = bool(np.any(self.own.drift_time))
+        self.wander = self.random.standard_normal((2, n)) if self.wandering else np.zeros((2, n))
         rotors, axes = ("main", "tail"), ("pitch", "yaw")
         self.delays = [DelayLine(size(f"{r}_input_delay", "delay"), 0.2, STEP) for r in rotors]
         self.friction = [
-            Bristles(
-                size(f"{a}_coulomb_friction", "torque") + size(f"{a}_stribeck_friction", "torque"),
-                size(f"{a}_stribeck_friction", "excess"),
-                np.maximum(size(f"{a}_stribeck_friction", "velocity"), 1e-3),
-                inertia,
-            )
-            for a, inertia in zip(axes, (self.J_v, self.D + self.F), strict=True)
+            Bristles(inertia, self.own.bend) for inertia in (self.J_v, self.D + self.F)
         ]
-        self.cable = Slips(
-            size("yaw_cable_hysteresis", "torque"), size("yaw_cable_hysteresis", "width")
-        )
+        self.cable = Slips(self.own.slip_spread)
+        self._shape()
         self.push = np.zeros((2, n))
-        share = np.full(n, rigs.nuisances.flexibility)
+        share = self.none + self.own.flexibility
         self.modes = [Oscillator(share, np.full(n, 21.0), np.full(n, 0.03)) for _ in axes]
         self.flexible = [
             Oscillator(*(size(f"{a}_flexible_mode", s) for s in ("share", "frequency", "damping")))
@@ -161,6 +179,33 @@ class _Run:
         ]
         self.late = [DelayLine(size(f"{a}_sensor_delay", "delay"), 0.2, STEP) for a in axes]
         self.tacho = np.zeros((2, n))
+        self.outside = OutsideLaws(size, n, STEP)
+
+    def size(self, effect: str, name: str) -> FloatArray:
+        """A size of an effect for every rig, (n,); zero where it has not begun."""
+        return self.sizes.get(f"{effect}.{name}", self.none)
+
+    def _begun(self, time: float) -> dict[str, FloatArray]:
+        """The sizes that are there at a time, s."""
+        onsets = self.rigs.onsets
+        return {
+            name: np.where(onsets[name] <= time, value, 0.0) if name in onsets else value
+            for name, value in self.rigs.sizes.items()
+        }
+
+    def _shape(self) -> None:
+        """Tell their sizes to parts that keep some."""
+        size = self.size
+        for part, axis in zip(self.friction, ("pitch", "yaw"), strict=True):
+            stribeck = f"{axis}_stribeck_friction"
+            part.shape(
+                size(f"{axis}_coulomb_friction", "torque") + size(stribeck, "torque"),
+                size(stribeck, "excess") + self.own.stick,
+                np.where(size(stribeck, "velocity") > 0, size(stribeck, "velocity"), 0.03),
+            )
+        self.cable.shape(
+            size("yaw_cable_hysteresis", "torque"), size("yaw_cable_hysteresis", "width")
+        )
 
     def _geometry(self) -> None:
         c = self.c
@@ -179,7 +224,7 @@ class _Run:
             + c["m_cb"] * c["l_cb"] ** 2
         )
         shields = c["m_ms"] * c["r_ms"] ** 2 / 2 + c["m_ts"] * c["r_ts"] ** 2 / 2
-        self.J_v = self.D + self.E + shields
+        self.J_v = (self.D + self.E + shields) * self.own.pitch_inertia
 
     def settle(self, driver: Driver, duration: float) -> None:
         """Come to rest at the first command."""
@@ -196,27 +241,43 @@ class _Run:
         self.time = 0.0
 
     def advance(self, command: FloatArray) -> None:
+        """One sample on."""
+        if self.wandering:
+            kept = np.exp(-self.steps * STEP / np.maximum(self.own.drift_time, 1e-3))
+            noise = self.random.standard_normal(self.wander.shape)
+            self.wander = kept * self.wander + np.sqrt(1 - kept**2) * noise
         for _ in range(self.steps):
+            if self.waiting and self.time >= self.waiting[0]:
+                self.waiting.pop(0)
+                self.sizes = self._begun(self.time)
+                self._shape()
             self._step(command)
 
     def measure(self) -> FloatArray:
         """The sensors, a little early or late."""
-        size, n = self.rigs.size, len(self.rigs)
-        ago = np.clip(np.abs(self.random.normal(0, self.rigs.nuisances.jitter, n)) / STEP, 0, 1)
+        size, own, n = self.size, self.own, len(self.rigs)
+        ago = np.clip(np.abs(self.random.normal(0, own.jitter, n)) / STEP, 0, 1)
         x = self.x + ago * (self.x_before - self.x)
         y = np.empty((n, 4))
+        quanta = (PITCH_QUANTUM * own.pitch_quantum, YAW_QUANTUM * own.yaw_quantum)
+        noisy = bool(np.any(own.angle_noise))
         for i, axis in enumerate(("pitch", "yaw")):
             angle = self.late[i].read(x[4 + i])
             angle = angle + self.modes[i].seen + self.flexible[i].seen
             angle = angle + size(f"{axis}_sensor_bias", "bias")
             angle = angle + size(f"{axis}_encoder_eccentricity", "amplitude") * np.sin(3 * angle)
-            coarse = np.maximum(size(f"{axis}_quantisation", "quantum"), PITCH_QUANTUM)
+            angle = self.outside.seen(axis, angle, x, self.time)
+            if noisy:
+                angle = angle + self.random.normal(0, 1, n) * own.angle_noise
+            coarse = np.maximum(size(f"{axis}_quantisation", "quantum"), quanta[i])
             y[:, i] = coarse * np.round(angle / coarse)
+        y[:, :2] = self.outside.held(y[:, :2], self.steps * STEP, self.random)
+        step = SPEED_QUANTUM * own.speed_quantum
         for i, rotor in enumerate(("main", "tail")):
             lag = size(f"{rotor}_tacho_lag", "time_constant")
             speed = np.where(lag > 0, self.tacho[i], x[i])
-            speed = speed + self.random.normal(0, SPEED_NOISE, n)
-            y[:, 2 + i] = SPEED_QUANTUM * np.round(speed / SPEED_QUANTUM)
+            speed = speed + self.random.normal(0, SPEED_NOISE, n) * own.speed_noise
+            y[:, 2 + i] = step * np.round(speed / step)
         return y
 
     def _step(self, command: FloatArray) -> None:
@@ -233,16 +294,17 @@ class _Run:
             x[row - 2] = np.where(beyond, 0.0, x[row - 2])
         acceleration = (x[2:4] - self.x[2:4]) / STEP
         self.x = x
+        self.outside.advance(x)
         for i in range(2):
             self.modes[i].advance(acceleration[i], STEP)
             self.flexible[i].advance(acceleration[i], STEP)
             self.late[i].push(x[4 + i])
-            lag = self.rigs.size(("main_tacho_lag", "tail_tacho_lag")[i], "time_constant")
+            lag = self.size(("main_tacho_lag", "tail_tacho_lag")[i], "time_constant")
             self.tacho[i] += (x[i] - self.tacho[i]) * (1 - np.exp(-STEP / np.maximum(lag, 1e-6)))
 
     def _drive(self, command: FloatArray) -> None:
         """From the command to the voltage that the motors get."""
-        size = self.rigs.size
+        size = self.size
         for i, rotor in enumerate(("main", "tail")):
             u = command[:, i]
             self.delays[i].push(u)
@@ -250,6 +312,7 @@ class _Run:
             lag = size(f"{rotor}_actuator_lag", "time_constant")
             self.lagged[i] += (u - self.lagged[i]) * (1 - np.exp(-STEP / np.maximum(lag, 1e-6)))
             u = np.where(lag > 0, self.lagged[i], u)
+            u = self.outside.driven(rotor, u)
             width = size(f"{rotor}_dead_zone", "width")
             u = u - np.clip(u, -width, width)
             load = (u / COMMAND_LIMIT) ** 2
@@ -258,15 +321,19 @@ class _Run:
             self.warmth[i] += (load - self.warmth[i]) * share
             u = u * (1 - size(f"{rotor}_supply_derating", "depth") * self.warmth[i])
             wander = np.sin(2 * np.pi * self.time / self.drift_period[i] + self.drift_phase[i])
-            self.v[i] = u * (1 + np.sqrt(2) * self.rigs.nuisances.drift * wander)
+            wander = np.where(
+                np.greater(self.own.drift_time, 0), self.wander[i], np.sqrt(2) * wander
+            )
+            self.v[i] = u * (1 + self.own.drift * wander)
         load = (command[:, 0] / COMMAND_LIMIT) ** 2  # of the main drive on a supply for both
         self.v[1] *= 1 - size("shared_supply_sag", "depth") * load
 
     def _held_torques(self) -> FloatArray:
         """Torques on pitch and yaw that are constant over an integration step."""
-        size, x = self.rigs.size, self.x
+        size, x = self.size, self.x
         torque = np.stack([-self.friction[i].torque(x[2 + i], STEP) for i in range(2)])
         torque[1] -= self.cable.torque(x[5])
+        torque += self.outside.torques(x, self.time)
         for i, axis in enumerate(("pitch", "yaw")):
             sd, time = (size(f"{axis}_disturbance", s) for s in ("torque", "time"))
             if sd.any():
@@ -276,13 +343,13 @@ class _Run:
         return torque + self.push
 
     def _slopes(self, x: FloatArray, held: FloatArray) -> FloatArray:
-        c, size = self.c, self.rigs.size
+        c, size, own = self.c, self.size, self.own
         w_m, w_t, q, r, theta, psi = x
         cos, sin = np.cos(theta), np.sin(theta)
         drag_m = np.where(w_m >= 0, c["k_tvp"], c["k_tvn"]) * w_m * np.abs(w_m)
         drag_t = np.where(w_t >= 0, c["k_thp"], c["k_thn"]) * w_t * np.abs(w_t)
-        rub_m = size("main_rotor_friction", "torque") * np.tanh(w_m / 0.5)
-        rub_t = size("tail_rotor_friction", "torque") * np.tanh(w_t / 0.5)
+        rub_m = size("main_rotor_friction", "torque") * np.tanh(w_m / own.rub_speed)
+        rub_t = size("tail_rotor_friction", "torque") * np.tanh(w_t / own.rub_speed)
         motor_m = c["kphi"] * (c["k_uv"] * self.v[0] - c["kphi"] * w_m) / c["R"]
         motor_t = c["kphi"] * (c["k_uh"] * self.v[1] - c["kphi"] * w_t) / c["R"]
         dw_m = (motor_m - c["B_mr"] * w_m - drag_m - rub_m) / c["J_mr"]
@@ -294,23 +361,28 @@ class _Run:
         near = gain * np.exp(-height / np.maximum(scale, 1e-3))
         thrust_m = thrust_m * np.where(thrust_m > 0, 1 + near, 1.0)
         thrust_m = thrust_m * (1 - size("main_thrust_loss_with_pitch", "share") * sin**2)
+        thrust_m, thrust_t = self.outside.thrusts(thrust_m, thrust_t, w_t)
 
-        inertia = self.D * cos**2 + self.E * sin**2 + self.F
-        inertia_slope = 2 * (self.E - self.D) * sin * cos
-        cable = np.where(psi >= 0, c["k_chp"], c["k_chn"]) * psi
+        inertia = (self.D * cos**2 + self.E * sin**2 + self.F) * own.yaw_inertia
+        inertia_slope = 2 * (self.E - self.D) * sin * cos * own.yaw_inertia
+        cable = (
+            np.where(psi >= 0, c["k_chp"], c["k_chn"]) * psi * (1 + own.cable_hardening * psi**2)
+        )
         away = psi - size("yaw_cable_stiffness", "neutral")
         cable = cable + size("yaw_cable_stiffness", "stiffness") * away
         cable = cable + size("yaw_cable_stiffness", "cubic") * away**3
         caught = np.abs(psi) - size("yaw_cable_catch", "angle")
         cable = cable + size("yaw_cable_catch", "stiffness") * np.sign(psi) * np.maximum(caught, 0)
-        yaw = c["l_t"] * thrust_t * cos - c["k_oh"] * r - cable + held[1]
-        yaw = yaw - size("yaw_quadratic_damping", "coefficient") * r * np.abs(r)
+        yaw = c["l_t"] * thrust_t * cos - c["k_oh"] * _viscous(r, own) - cable + held[1]
+        yaw = yaw - size("yaw_quadratic_damping", "coefficient") * _power(r, own.damping_exponent)
         drag, spin = (size("main_reaction_on_yaw", s) for s in ("drag", "inertia"))
         yaw = yaw + (drag * w_m * np.abs(w_m) + spin * dw_m) * cos
-        pitch = c["l_m"] * thrust_m + c["k_g"] * thrust_m * r * cos - c["k_ov"] * q + held[0]
+        pitch = c["l_m"] * thrust_m + c["k_g"] * thrust_m * r * cos + held[0]
+        pitch = pitch - c["k_ov"] * _viscous(q, own)
         pitch = pitch + c["g"] * ((self.A - self.B) * cos - self.C * sin)
         pitch = pitch - self.H * r**2 * sin * cos
-        pitch = pitch - size("pitch_quadratic_damping", "coefficient") * q * np.abs(q)
+        damping = size("pitch_quadratic_damping", "coefficient")
+        pitch = pitch - damping * _power(q, own.damping_exponent)
         drag, spin = (size("tail_reaction_on_pitch", s) for s in ("drag", "inertia"))
         pitch = pitch + drag * w_t * np.abs(w_t) + spin * dw_t
         lean = np.sin(theta + size("gyroscopic_coupling", "lean"))
@@ -336,8 +408,11 @@ class _Run:
     def _thrust(
         self, rotor: str, w: FloatArray, ahead: FloatArray, back: FloatArray, axial: FloatArray
     ) -> FloatArray:
-        size = self.rigs.size
+        size = self.size
         thrust = np.where(w >= 0, ahead, back) * w * np.abs(w)
+        if np.any(self.own.thrust_exponent):
+            usual = {"main": 200.0, "tail": 300.0}[rotor]
+            thrust = thrust * np.maximum(np.abs(w) / usual, 1e-6) ** self.own.thrust_exponent
         exponent = size(f"{rotor}_thrust_curve", "exponent")
         if exponent.any():
             reference = np.maximum(size(f"{rotor}_thrust_curve", "reference"), 1.0)
@@ -347,3 +422,16 @@ class _Run:
         if inflow.any():
             thrust = thrust - inflow * axial * thrust * w / np.maximum(w**2, 1e-6)
         return thrust
+
+
+def _viscous(rate: FloatArray, own: Nuisances) -> FloatArray:
+    """A rate, rad/s, or what stands for it where friction does not grow with its first power."""
+    if np.all(np.equal(own.viscous_exponent, 1.0)):
+        return rate
+    return 0.3 * _power(rate / 0.3, own.viscous_exponent)
+
+
+def _power(x: FloatArray, exponent: float | FloatArray) -> FloatArray:
+    """``sgn(x) |x|^exponent``."""
+    found: FloatArray = np.sign(x) * np.abs(x) ** exponent
+    return found

@@ -1,7 +1,8 @@
 """``trms blind run``: every recording of a sealed set diagnosed, in processes of their own.
 
-A recording is diagnosed as ``trms diagnose`` would from a shell, in one thread. Its folder appears
-once the diagnosis is whole; what has one is not done again. The key is nowhere opened here.
+A recording is diagnosed as ``trms diagnose`` would from a shell, in one thread, against those of a
+known state where the set has some of the same rig. Its folder appears once the diagnosis is whole;
+what has one is not done again. The key is nowhere opened here.
 """
 
 from __future__ import annotations
@@ -134,12 +135,17 @@ def _diagnose(recording: Path, out: Path, words: list[str]) -> str:
     import shutil
     from contextlib import redirect_stderr, redirect_stdout
 
+    from experiments.gap.blind.sealing import references_beside
     from trms_cli.commands import diagnose
     from trms_cli.composition.composer import compose
+    from trms_cli.composition.overrides import quote_value
 
     draft = out / f".{recording.stem}"
     shutil.rmtree(draft, ignore_errors=True)
     given = [f"real={recording.resolve()}", "jobs=1", "page=false", *words]
+    known = references_beside(recording.resolve())
+    if known:
+        given.append(f"against=[{','.join(quote_value(str(path)) for path in known)}]")
     composition = compose([*given, f"out={draft.resolve()}"], diagnose.COMPOSES)
     begin, computed = perf_counter(), process_time()
     printed = out / f".{recording.stem}.txt"

@@ -11,17 +11,15 @@ import hashlib
 import json
 import re
 import secrets
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from msgspec import convert
 
 from experiments.gap.blind.cases import Case, plan
-from experiments.gap.blind.recording import Timing, csv_of, record
+from experiments.gap.blind.recording import Timing, csv_of, record, references_of
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.whole_file import replace_whole
@@ -31,6 +29,8 @@ RECORDINGS, COMMITMENT = "recordings", "commitment.json"
 #: Of a recording, which is a file of this name.
 _NAME = re.compile(r"[\w-][\w.-]{0,99}")
 KEY, FRESH = "key.json", "fresh"
+#: Folder of recordings of a known state, beside those that are diagnosed.
+REFERENCES = "references"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class SetRequest:
     cases: int | None = None  #: Instead of the set's own number
     timing: Timing = field(default_factory=Timing)  #: Of the recordings
     fresh: float = 60.0  #: s of a second recording of each rig, kept with the key; 0: none
-    jobs: int = 2  #: The two kinds of recording are made side by side with 2
+    jobs: int = 2  #: Processes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,34 +72,36 @@ def make(asked: SetRequest, folder: Path, key_folder: Path, tell: Callable[[str]
     str
         The commitment.
     """
-    cases, recorded, fresh = _recorded(asked)
-    digests = {name: _sha256(text) for name, text in recorded.items()}
+    made = _recorded(asked)
+    digests = _digests(made.recordings)
     content = {
         "set": asked.name,
         "seed": asked.seed,
         "sample_time_s": asked.timing.sample_time,
         "duration_s": asked.timing.duration,
         "fresh_s": asked.fresh,
-        "cases": {name: asdict(case) for name, case in zip(recorded, cases, strict=True)},
+        "cases": {name: asdict(case) for name, case in made.cases.items()},
         "files": digests,
-        "fresh_files": {name: _sha256(text) for name, text in fresh.items()},
+        "reference_files": _digests(made.references),
+        "fresh_files": _digests(made.fresh),
     }
     salt = secrets.token_hex(32)
     commitment = _commitment(salt, content)
     tell(commitment)
     document = {"schema": KEY_SCHEMA, "salt": salt, "key": content}
     _write(key_folder / KEY, _canonical(document) + "\n")
-    for name, text in fresh.items():
+    for name, text in made.fresh.items():
         _write(key_folder / FRESH / f"{name}.csv", text)
     told = {
         "schema": COMMITMENT_SCHEMA,
         "what": "SHA-256 of the salt followed by the key, as compact JSON with sorted keys",
         "sha256": commitment,
-        "recordings": len(recorded),
+        "recordings": len(made.recordings),
     }
     _write(folder / COMMITMENT, json.dumps(told, indent=2) + "\n")
-    for name, text in recorded.items():
-        _write(folder / RECORDINGS / f"{name}.csv", text)
+    for place, texts in ((RECORDINGS, made.recordings), (REFERENCES, made.references)):
+        for name, text in texts.items():
+            _write(folder / place / f"{name}.csv", text)
     return commitment
 
 
@@ -130,7 +132,9 @@ def _opened(
     document: Mapping[str, Any], told: Mapping[str, Any], file: Path, folder: Path
 ) -> OpenedKey:
     content = document["key"]
-    if any(not _NAME.fullmatch(name) for name in (*content["files"], *content["cases"])):
+    references = content.get("reference_files", {})
+    names = (*content["files"], *references, *content["cases"])
+    if any(not _NAME.fullmatch(name) for name in names):
         raise ValueError("a recording's name leads elsewhere")
     commitment = _commitment(document["salt"], content)
     if commitment != told["sha256"]:
@@ -139,8 +143,10 @@ def _opened(
             where=str(file),
             remedy="give the key that was made with this set; it must not have been changed",
         )
-    for name, digest in content["files"].items():
-        recording = folder / RECORDINGS / f"{name}.csv"
+    sealed = [(RECORDINGS, *entry) for entry in content["files"].items()]
+    sealed += [(REFERENCES, *entry) for entry in references.items()]
+    for place, name, digest in sealed:
+        recording = folder / place / f"{name}.csv"
         if not recording.is_file() or _sha256(recording.read_text(encoding="utf-8")) != digest:
             raise RecordingError(
                 "this recording is not the one that was sealed",
@@ -158,37 +164,73 @@ def _opened(
     )
 
 
-def _recorded(asked: SetRequest) -> tuple[list[Case], dict[str, str], dict[str, str]]:
-    """The cases as driven, and the texts of both recordings by name."""
+@dataclass(frozen=True, kw_only=True)
+class _Made:
+    """Cases as driven, and texts by name."""
+
+    cases: Mapping[str, Case]
+    recordings: Mapping[str, str]
+    references: Mapping[str, str]  #: Each as :func:`reference_name` calls it
+    fresh: Mapping[str, str]
+
+
+def reference_name(name: str, number: int) -> str:
+    """The name of a recording's reference, from 1."""
+    return f"{name}-{number}"
+
+
+def references_beside(recording: Path) -> list[Path]:
+    """The recordings of a known state that belong to one of a set."""
+    folder = recording.parent.with_name(REFERENCES)
+    return sorted(folder.glob(f"{recording.stem}-*{recording.suffix}"))
+
+
+def _recorded(asked: SetRequest) -> _Made:
+    """All recordings of a set."""
     cases = plan(asked.name, asked.seed, asked.cases)
     digits = max(3, len(str(len(cases))))
     names = [f"c{i:0{digits}d}" for i in range(1, len(cases) + 1)]
-    second = Timing(duration=asked.fresh, sample_time=asked.timing.sample_time)
-    if asked.fresh and asked.jobs > 1:
-        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-            both = (
-                pool.submit(_texts, cases, asked.timing, asked.seed, False),
-                pool.submit(_texts, cases, second, asked.seed, True),
-            )
-            (driven, texts), (_, others) = (future.result() for future in both)
-    else:
-        driven, texts = _texts(cases, asked.timing, asked.seed, False)
-        others = _texts(cases, second, asked.seed, True)[1] if asked.fresh else []
+    driven, recordings, references = texts_of(
+        dict(zip(names, cases, strict=True)), asked.timing, asked.seed, asked.jobs
+    )
+    fresh: dict[str, str] = {}
+    if asked.fresh:
+        second = Timing(duration=asked.fresh, sample_time=asked.timing.sample_time)
+        again, others = record(cases, second, asked.seed, fresh=True)
+        texts = [csv_of(case, other) for case, other in zip(again, others, strict=True)]
+        fresh = dict(zip(names, texts, strict=True))
+    return _Made(cases=driven, recordings=recordings, references=references, fresh=fresh)
+
+
+def texts_of(
+    cases: Mapping[str, Case], timing: Timing, seed: int, jobs: int
+) -> tuple[dict[str, Case], dict[str, str], dict[str, str]]:
+    """Record cases and their references, by name.
+
+    Returns
+    -------
+    cases : dict of str to Case
+        As driven.
+    recordings, references : dict of str to str
+        CSV.
+    """
+    before = {
+        reference_name(name, number): known
+        for name, case in cases.items()
+        for number, known in enumerate(references_of(case), start=1)
+    }
+    driven, recordings = record([*cases.values(), *before.values()], timing, seed, jobs=jobs)
+    texts = [csv_of(c, recording) for c, recording in zip(driven, recordings, strict=True)]
+    count = len(cases)
     return (
-        driven,
-        dict(zip(names, texts, strict=True)),
-        dict(zip(names, others, strict=True)) if others else {},
+        dict(zip(cases, driven, strict=False)),
+        dict(zip(cases, texts, strict=False)),
+        dict(zip(before, texts[count:], strict=True)),
     )
 
 
-def _texts(
-    cases: Sequence[Case], timing: Timing, seed: int, fresh: bool
-) -> tuple[list[Case], list[str]]:
-    driven, run = record(cases, timing, seed, fresh=fresh)
-    texts = [
-        csv_of(case, run.time, run.commands[i], run.measured[i]) for i, case in enumerate(driven)
-    ]
-    return driven, texts
+def _digests(texts: Mapping[str, str]) -> dict[str, str]:
+    return {name: _sha256(text) for name, text in texts.items()}
 
 
 def _case(entry: Mapping[str, Any]) -> Case:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 _Z95 = 1.959963984540054
 
@@ -47,6 +48,24 @@ def quantile(values: Sequence[float], q: float, draws: int, seed: int) -> Estima
     drawn = np.quantile(data[picked], q, axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
     return Estimate(found, float(low), float(high), n)
+
+
+def bootstrapped(
+    statistic: Callable[[IntArray], float], count: int, draws: int, seed: int
+) -> Estimate:
+    """A statistic of all cases, with the interval of the bootstrap's percentiles over cases.
+
+    ``statistic``: of the indices of some cases, which may come more than once.
+    """
+    if not count:
+        return Estimate(None, None, None, 0)
+    found = float(statistic(np.arange(count)))
+    if count < 3:
+        return Estimate(found, None, None, count)
+    random = np.random.default_rng(seed)
+    drawn = [statistic(random.integers(count, size=count)) for _ in range(draws)]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return Estimate(found, float(low), float(high), count)
 
 
 @dataclass(frozen=True)
@@ -88,3 +107,13 @@ def reliability(predicted: Sequence[float], right: Sequence[bool], bins: int = 1
             }
         )
     return Reliability(told, float(error), float(np.mean((p - hit) ** 2)))
+
+
+def calibration_error(predicted: FloatArray, right: npt.NDArray[np.bool_], bins: int = 10) -> float:
+    """Expected calibration error: of :func:`reliability`, quickly.
+
+    ``predicted``, ``right``: (n,) arrays of probabilities and of what came true.
+    """
+    of_bin = np.minimum((predicted * bins).astype(int), bins - 1)
+    apart = np.bincount(of_bin, weights=predicted - right, minlength=bins)
+    return float(np.abs(apart).sum() / len(predicted))

@@ -163,32 +163,78 @@ LIBRARY: Mapping[str, Truth] = {
     ),
 }
 
+
+def _unknown(location: str, **sizes: float) -> Truth:
+    """An effect outside the library; its first size grows."""
+    return Truth(sizes=sizes, grows=tuple(sizes)[:1], locations=(location,), outside=True)
+
+
 OUTSIDE: Mapping[str, Truth] = {
-    "pitch_encoder_eccentricity": Truth(
-        sizes={"amplitude": 0.02}, grows=("amplitude",), locations=("pitch_sensor",), outside=True
-    ),
-    "yaw_encoder_eccentricity": Truth(
-        sizes={"amplitude": 0.02}, grows=("amplitude",), locations=("yaw_sensor",), outside=True
-    ),
-    "main_thrust_loss_with_pitch": Truth(
-        sizes={"share": 0.3}, grows=("share",), locations=("main_thrust",), outside=True
-    ),
-    "pitch_cogging": Truth(
-        sizes={"torque": 0.01}, grows=("torque",), locations=("pitch_moment",), outside=True
-    ),
-    "yaw_cogging": Truth(
-        sizes={"torque": 0.004}, grows=("torque",), locations=("yaw_moment",), outside=True
-    ),
-    "yaw_cable_catch": Truth(
-        sizes={"stiffness": 0.03, "angle": 0.3},
-        grows=("stiffness",),
-        locations=("yaw_moment",),
-        outside=True,
-    ),
-    "shared_supply_sag": Truth(
-        sizes={"depth": 0.3}, grows=("depth",), locations=("tail_actuator",), outside=True
-    ),
+    "pitch_encoder_eccentricity": _unknown("pitch_sensor", amplitude=0.02),
+    "yaw_encoder_eccentricity": _unknown("yaw_sensor", amplitude=0.02),
+    "main_thrust_loss_with_pitch": _unknown("main_thrust", share=0.3),
+    "pitch_cogging": _unknown("pitch_moment", torque=0.01),
+    "yaw_cogging": _unknown("yaw_moment", torque=0.004),
+    "yaw_cable_catch": _unknown("yaw_moment", stiffness=0.03, angle=0.3),
+    "shared_supply_sag": _unknown("tail_actuator", depth=0.3),
+    "yaw_one_sided_friction": _unknown("yaw_moment", torque=0.002),
+    "pitch_one_way_damping": _unknown("pitch_moment", coefficient=0.025),
+    "yaw_one_way_damping": _unknown("yaw_moment", coefficient=0.004),
+    "pitch_soft_stop": _unknown("pitch_moment", stiffness=0.1),
+    "pitch_detent": _unknown("pitch_moment", torque=0.01),
+    "tilted_base": _unknown("pitch_moment", torque=0.01),
+    "yaw_downwash_damping": _unknown("yaw_moment", coefficient=6e-5),
+    "yaw_ageing_stiffness": _unknown("yaw_moment", stiffness=0.003),
+    "main_thrust_hysteresis": _unknown("main_thrust", share=0.06),
+    "tail_thrust_hysteresis": _unknown("tail_thrust", share=0.1),
+    "tail_wake_on_main": _unknown("main_thrust", share=0.1),
+    "main_drive_backlash": _unknown("main_actuator", width=0.03),
+    "tail_drive_backlash": _unknown("tail_actuator", width=0.06),
+    "main_early_limit": _unknown("main_actuator", cut=0.7),
+    "tail_early_limit": _unknown("tail_actuator", cut=2.0),
+    "pitch_encoder_backlash": _unknown("pitch_sensor", width=0.01),
+    "yaw_encoder_backlash": _unknown("yaw_sensor", width=0.01),
+    "pitch_encoder_hangs": _unknown("pitch_sensor", time=0.2),
+    "pitch_sensor_drift": _unknown("pitch_sensor", bias=0.03),
+    "pitch_reads_yaw": _unknown("pitch_sensor", share=0.05),
+    "yaw_reads_pitch": _unknown("yaw_sensor", share=0.03),
+    "pitch_beam_bending": _unknown("pitch_sensor", compliance=0.06),
 }
+#: Those that no set but the final one has.
+KEPT_FOR_FINAL = (
+    "yaw_encoder_eccentricity",
+    "yaw_cogging",
+    "yaw_cable_catch",
+    "shared_supply_sag",
+    "pitch_detent",
+    "yaw_one_way_damping",
+    "main_thrust_hysteresis",
+    "tail_early_limit",
+    "yaw_encoder_backlash",
+    "pitch_reads_yaw",
+    "pitch_encoder_hangs",
+    "main_drive_backlash",
+)
+
+#: Effects that can begin while a rig is watched: something is hung on, rubs, catches, warms, slips.
+SUDDEN = (
+    "pitch_mass_imbalance",
+    "pitch_coulomb_friction",
+    "yaw_coulomb_friction",
+    "pitch_stribeck_friction",
+    "yaw_stribeck_friction",
+    "yaw_cable_stiffness",
+    "yaw_cable_hysteresis",
+    "pitch_sensor_bias",
+    "yaw_sensor_bias",
+    "main_supply_derating",
+    "tail_supply_derating",
+    "yaw_quadratic_damping",
+    "tail_rotor_friction",
+    "main_thrust_curve",
+    "tail_thrust_curve",
+    "main_reaction_on_yaw",
+)
 
 TRUTHS: Mapping[str, Truth] = {**LIBRARY, **OUTSIDE}
 

@@ -125,9 +125,10 @@ def markdown(document: Mapping[str, Any]) -> str:
         "–" if m["mean_seconds"] is None else f"{m['mean_seconds']:.1f} s" for m in methods.values()
     ]
     lines.append(_line("mean time", "", *times))
-    for label, field in (("expected calibration error", "calibration_error"), ("Brier", "brier")):
-        values = [m["reliability"][field] for m in methods.values()]
-        lines.append(_line(label, "", *("–" if v is None else f"{v:.3f}" for v in values)))
+    values = [m["reliability"]["brier"] for m in methods.values()]
+    lines.append(_line("Brier", "", *("–" if v is None else f"{v:.3f}" for v in values)))
+    missing = [document["cases"] - m["diagnosed"] for m in methods.values()]
+    lines.append(_line("recordings without a diagnosis", "", *map(str, missing)))
     for name, method in methods.items():
         lines += ["", f"### {name}: exact, by effect", "", *_by_effect(method["by_effect"])]
         lines += ["", f"### {name}: what was said", "", *_confusions(method["confusions"])]
@@ -139,7 +140,9 @@ def figure_text(value: float | None, unit: str) -> str:
     """A figure of the table."""
     if value is None:
         return "–"
-    return f"{100 * value:.1f} %" if unit == "%" else f"{value:.2f}"
+    if unit == "s":
+        return f"{value:.1f} s"
+    return f"{100 * value:.1f} %" if unit == "%" else f"{value:.3g}"
 
 
 def reach(target: Target | None, unit: str) -> str:
@@ -153,6 +156,8 @@ def reach(target: Target | None, unit: str) -> str:
 
 
 def _bound(value: float, unit: str) -> str:
+    if unit == "s":
+        return f"{value:g} s"
     return f"{100 * value:g} %" if unit == "%" else f"{value:g}"
 
 
@@ -184,6 +189,9 @@ def _facts(j: JudgedCase) -> dict[str, Any]:
         "kind": j.case.kind,
         "truth": sorted(j.case.effects),
         "severity": dict(j.case.severity),
+        "duration_s": j.case.duration,
+        "moved": dict(j.case.moved),
+        "onset_error_s": j.onset_error,
         "verdict": j.answer.verdict,
         "first": list(j.answer.first[0]),
         "probability": j.answer.first[1],
@@ -204,7 +212,8 @@ def _cell(row: Mapping[str, Any]) -> str:
     text = figure_text(row["value"], row["unit"])
     if row["low"] is not None:
         low, high = figure_text(row["low"], row["unit"]), figure_text(row["high"], row["unit"])
-        text += f" [{low.removesuffix(' %')}, {high.removesuffix(' %')}]"
+        low, high = (t.removesuffix(" %").removesuffix(" s") for t in (low, high))
+        text += f" [{low}, {high}]"
     mark = {True: " ✓", False: " ✗", None: ""}[row["reached"]]
     return f"{text} ({row['count']}){mark}"
 

@@ -71,6 +71,7 @@ def recorded() -> tuple[np.ndarray, dict[str | None, np.ndarray]]:
         patch.setattr(rig, "SPEED_NOISE", 0.0)
         patch.setattr(rig, "SPEED_QUANTUM", 1e-9)
         patch.setattr(rig, "PITCH_QUANTUM", 1e-12)
+        patch.setattr(rig, "YAW_QUANTUM", 1e-12)
         rigs = Rigs(nominals(len(names)), sizes, QUIET)
         run = rigs.run(OpenLoop(commands), SAMPLES * SAMPLE, SAMPLE, settling=0.0)
     return commands[0], dict(zip(names, run.measured, strict=True))

@@ -11,8 +11,8 @@ from experiments.gap.blind.cases import Case
 from experiments.gap.blind.drivers import rich_excitation
 from experiments.gap.blind.judgement import Answer, FreshResult, JudgedCase, answer_of, on_fresh
 from experiments.gap.blind.measures import Table, Target, table
-from experiments.gap.blind.recording import csv_of
-from experiments.gap.blind.statistics import quantile, reliability, share
+from experiments.gap.blind.recording import Recording, csv_of
+from experiments.gap.blind.statistics import calibration_error, quantile, reliability, share
 from tests.gap.diagnosis_case import CHANNELS, diagnosis
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.coulomb_friction import CoulombFriction
@@ -221,7 +221,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     start = rollout.initial(model.rest(), commands[0])
     y = rollout.outputs(commands, [0], [n], start[None]).y
     file = tmp_path_factory.mktemp("fresh") / "c001.csv"
-    file.write_text(csv_of(Case(kind="single"), step * np.arange(n, dtype=float), commands, y))
+    time = step * np.arange(n, dtype=float)
+    file.write_text(csv_of(Case(kind="single"), Recording(time, commands, y)))
     return file
 
 
@@ -242,3 +243,69 @@ def test_models_run_on_a_recording_that_nobody_saw(recording, tmp_path, better, 
     nothing = answer("no_gap", verdict="no_gap")
     assert on_fresh(nothing, tmp_path, recording) == FreshResult(shrink=None, worse=())
     assert on_fresh(answer(FRICTION), tmp_path / "none", recording) is None
+
+
+def test_what_begins_within_what_changed_and_three_at_once_have_rows_of_their_own() -> None:
+    begins = case("onset", FRICTION, onset={FRICTION: 40.0})
+    changed: dict[str, Any] = {"references": 2}
+    stiff = "yaw_cable_stiffness"
+    triple = case("triple", DELAY, FRICTION, stiff)
+    parameters: dict[str, Any] = {"verdict": "parameters_only"}
+    found = table(
+        [
+            judged(begins, answer(FRICTION, onset=40.9)),
+            judged(begins, answer(FRICTION, onset=42.0)),
+            judged(begins, answer(FRICTION)),
+            judged(begins, answer(LAG, onset=40.0)),
+            judged(case("single", FRICTION), answer(FRICTION, onset=3.0)),
+            judged(triple, answer(DELAY, stiff)),
+            judged(triple, answer(DELAY, LAG)),
+            judged(case("against", **changed), answer("no_change", verdict="no_change")),
+            judged(case("against", **changed), answer("parameters_only", **parameters)),
+            judged(case("against", FRICTION, **changed), answer(FRICTION)),
+            judged(
+                case("against", moved={"m_cb": 3.0}, **changed),
+                answer("parameters_only", moved=("m_cb", "h"), **parameters),
+            ),
+            judged(
+                case("against", moved={"m_cb": 3.0}, **changed),
+                answer("parameters_only", moved=("h",), **parameters),
+            ),
+            judged(case("null"), answer("none_of_these", verdict="none_of_these")),
+        ],
+        draws=100,
+    )
+    figures = {row.measure: (row.estimate.value, row.estimate.count) for row in found.rows}
+    assert figures["begins within: exact"] == (0.75, 4)
+    assert figures["begins within: moment told to 1 s"] == (0.5, 4)
+    assert figures["begins within, effect named: moment told to 1 s"] == (pytest.approx(1 / 3), 3)
+    assert figures["there all the time: a moment told nevertheless"] == (1.0, 1)
+    assert figures["three effects: two of them"] == (0.5, 2)
+    assert figures["three effects: at least one"] == (1.0, 2)
+    assert figures["no change: an effect or a parameter named"] == (0.5, 2)
+    assert figures["no change: said so"] == (0.5, 2)
+    assert figures["what changed, an effect: exact"] == (1.0, 1)
+    assert figures["what changed, a parameter: parameters only"] == (1.0, 2)
+    assert figures["what changed, a parameter: which"] == (0.5, 2)
+    wrong = "null, offset, no change: wrong with probability over 0.9"
+    assert figures[wrong] == (pytest.approx(2 / 3), 3)
+    assert figures["null, offset, no change: effect named"] == (0.0, 3)
+
+
+def test_calibration_is_a_row_with_an_interval() -> None:
+    rows = [
+        judged(
+            case("single", FRICTION),
+            answer(FRICTION if i < 19 else LAG, probability=0.95, inclusion={FRICTION: 0.9}),
+        )
+        for i in range(20)
+    ]
+    found = table(rows, draws=200)
+    error = figure(found, "expected calibration error").estimate
+    assert error.value == pytest.approx(0.0, abs=1e-9) and error.low <= error.value <= error.high
+    assert figure(found, "said with 0.9 and more: right").estimate.value == 0.95
+    assert figure(found, "expected calibration error of each").estimate.value == pytest.approx(0.1)
+    p = np.random.default_rng(0).uniform(size=50)
+    hit = p > 0.4
+    whole = reliability(p.tolist(), hit.tolist()).calibration_error
+    assert calibration_error(p, hit) == pytest.approx(whole)

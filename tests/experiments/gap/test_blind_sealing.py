@@ -2,12 +2,13 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from experiments.gap.blind.recording import Timing
-from experiments.gap.blind.sealing import SetRequest, make, open_key
+from experiments.gap.blind.sealing import SetRequest, make, open_key, references_beside
 from experiments.gap.blind.truths import TRUTHS
 from trms_cli.core.errors import RecordingError
 
@@ -89,3 +90,21 @@ def test_what_is_no_key_is_said_to_be_none(made: tuple, tmp_path: Path, content:
     (tmp_path / "key.json").write_text(content)
     with pytest.raises(RecordingError):
         open_key(tmp_path / "key.json", made[0])
+
+
+def test_recordings_of_a_known_state_are_sealed_with_the_set(tmp_path: Path) -> None:
+    asked = replace(ASKED, cases=24, timing=Timing(duration=0.1), fresh=0.0)
+    folder, key = tmp_path / "set", tmp_path / "key"
+    make(asked, folder, key, lambda digest: None)
+    opened = open_key(key, folder)
+    compared = {name: case for name, case in opened.cases.items() if case.references}
+    assert compared
+    for name, case in opened.cases.items():
+        beside = references_beside(folder / "recordings" / f"{name}.csv")
+        assert len(beside) == case.references
+        own = (folder / "recordings" / f"{name}.csv").read_text()
+        assert all(path.read_text() != own for path in beside)
+    known = next((folder / "references").iterdir())
+    known.write_text(known.read_text().replace("0.020,", "0.021,", 1))
+    with pytest.raises(RecordingError, match="not the one that was sealed"):
+        open_key(key, folder)
