@@ -13,11 +13,11 @@ from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.model_file import load_model
 from trms_cli.effects.residual import term_names
+from trms_cli.gap.belief import Features, calibration, probabilities_of
 from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.flexible import fit_flexible, node_of, short_law
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.force.short_law import short_law_of
-from trms_cli.gap.posterior import Features, calibration, probabilities_of
 from trms_cli.gap.problem import divide
 from trms_cli.gap.residuals import locate, smoothed_forces
 from trms_cli.identification.model_writer import ModelOrigin, model_document
@@ -123,7 +123,7 @@ def test_no_gap_needs_no_residual():
     assert fitted({})[2] is None
 
 
-def features(score: float, flexible: float | None, left: float = 0.0) -> Features:
+def features(score: float, flexible: float = np.nan, left: float = 0.0) -> Features:
     return Features(
         gained=500.0,
         behind=1000.0,
@@ -131,15 +131,17 @@ def features(score: float, flexible: float | None, left: float = 0.0) -> Feature
         scores=np.array([score]),
         behinds=np.array([left]),
         sizes=np.array([1]),
+        surprises=np.zeros(1),
+        errors=np.ones(1),
         flexible=flexible,
     )
 
 
 def test_a_name_has_to_reach_the_residual_without_one():
-    constants = calibration()
-    alone = probabilities_of(features(500.0, None), constants)
+    constants = calibration().weights
+    alone = probabilities_of(features(500.0), constants)
     assert alone["a",] > 0.9
-    assert probabilities_of(features(500.0, 450.0), constants) == alone
+    assert probabilities_of(features(500.0, 450.0), constants)["a",] > 0.9
     beaten = probabilities_of(features(500.0, 700.0), constants)
     assert beaten["none_of_these",] > 0.99
     # One that fails itself is no reason to believe a name that leaves nearly everything.
