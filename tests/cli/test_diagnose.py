@@ -50,7 +50,9 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def pipeline(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., DiagnosisResult]], None]:
-    """Put a function in the place of the pipeline."""
+    """Put a function in the place of the pipeline; the loops after it take a second."""
+    monkeypatch.setattr("trms_cli.gap.worth.DURATION", 1.0)
+    monkeypatch.setattr("trms_cli.gap.worth._RISING", 0.0)
 
     def put(diagnose: Callable[..., DiagnosisResult]) -> None:
         module = types.ModuleType("trms_cli.gap.diagnose")
@@ -116,6 +118,9 @@ class TestDiagnosis:
         document = read(lab / "d" / "diagnosis.json")
         assert document["verdict"] == "effect" and document["versions"]["trms"]
         assert diagnosis().sentence in " ".join(done.stdout.split())
+        # what drives with the corrected model stands in the file as it is typed
+        assert "model=d/corrected_model.yaml" in document["worth"]["command"]
+        assert set(document["worth"]["after"]) == {"alpha_v", "alpha_h"}
         for name in ("diagnosis.json", "corrected_model.yaml", "report.html"):
             assert (lab / "d" / name).is_file() and f"d/{name}" in done.stdout
         assert "refit" in (lab / "d" / "log.txt").read_text(encoding="utf-8")
@@ -453,4 +458,5 @@ class TestWhole:
         whole, parted = (read(lab / f / "diagnosis.json") for f in ("whole", "parted"))
         for document in (whole, parted):
             del document["seconds"]
+            del document["worth"]["command"]  # its model is the one beside the document
         assert parted == whole

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import QUANTUM, TACHO_NOISE
-from trms_cli.gap.competing_model import nominal_parameters, refit
+from trms_cli.gap.competing_model import FittedModel, Metric, nominal_parameters, refit
 from trms_cli.gap.diagnose import diagnose
+from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.problem import GapProblem, applicable_candidates, divide, quantum_of, with_noise
 from trms_cli.gap.race import EFFORTS, Checkpoint, Race, effect_traces, run_race
+from trms_cli.gap.residuals import innovation_tests
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
 
@@ -26,6 +28,13 @@ def raced(dataset, checkpoint: Checkpoint | None = None) -> Race:
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
     seen = effect_traces(nominal, list(found.values()))
     return run_race(nominal, found, seen, EFFORTS["quick"], checkpoint=checkpoint)
+
+
+def judged(fitted: FittedModel) -> tuple[GapTest, ...]:
+    """Against errors as small as those of rigs without a gap."""
+    metric = fitted.metric
+    calm = Metric(metric.discrepancy, np.minimum(metric.shares, 0.015))
+    return innovation_tests(replace(fitted, metric=calm), draws=20)
 
 
 def rubbing() -> Dataset:
@@ -50,6 +59,16 @@ def test_friction_is_told_with_its_size(friction):
     assert friction.entries[0].metric.shares[yaw] < 0.015
 
 
+def test_what_is_larger_than_usual_is_seen_until_the_cause_is_in_the_model(friction):
+    before, after = judged(friction.refit), judged(friction.entries[0])
+    assert "alpha_h" in {test.channel for test in before if test.rejected}
+    assert not any(test.rejected for test in after)
+    # Each says what still counts as usual.
+    assert {test.name: test.margin for test in after} == {
+        "variance": 1.25, "bands": 1.25, "whiteness": 0.05, "squares": 0.05, "inputs": 0.05
+    }  # fmt: skip
+
+
 def test_the_trace_of_the_cause_points_at_the_residual(friction):
     gains = {name: friction.tight.best(name)[0] for name in NAMES}
     assert max(gains, key=gains.__getitem__) == "yaw_coulomb_friction"
@@ -64,6 +83,7 @@ def test_the_trace_of_the_cause_points_at_the_residual(friction):
 def test_a_rig_without_a_gap_gives_no_candidate_a_lead():
     race = raced(recording(seconds=50.0, seed=3))
     own = race.refit.fit.score
+    assert not any(test.rejected for test in judged(race.refit))
     assert all(e.fit.score < own + 6.0 for e in race.entries)
     assert np.all(race.refit.metric.shares[:4] < 0.015)
 
@@ -136,3 +156,6 @@ def test_a_cause_with_a_state_of_its_own_is_told_whole():
     assert found.traces is not None and "yaw_moment" in found.traces.explained
     assert sum(cause.probability for cause in found.causes) == pytest.approx(1.0)
     assert found.where[0].location == "yaw_moment"
+    assert found.inclusion["yaw_cable_hysteresis"] == pytest.approx(found.causes[0].probability)
+    assert [row.effect for row in found.rejected] == ["pitch_quadratic_damping"]
+    assert "yaw_cable_hysteresis" not in {row.effect for row in found.not_testable}

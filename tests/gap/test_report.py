@@ -5,6 +5,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +22,7 @@ from trms_cli.gap.diagnosis import (
     Gap,
     LocationShare,
     NotTestable,
+    Onset,
     RaceEntry,
     Shrink,
     document_of,
@@ -87,9 +89,87 @@ def test_says_what_was_found_in_one_file(tmp_path) -> None:
     # Only the advice says what an experiment tells.
     assert not any("experiment" in sentence for sentence in told.lead)
     (text,) = section(told, "Is there a gap at all?").text
-    assert "1 of 2 tests" in text and "in yaw" in text
+    assert "1 of 3 tests" in text and "in yaw" in text
     assert "reach" not in section(told, "Where the gap lies").text[0]
     assert rows(told, "of its energy")[0][-1] == "22 % where |rate of yaw| < 0.05 rad/s"
+
+
+def test_the_answer_and_what_to_type_come_before_what_limits_and_proves_it() -> None:
+    onset = Onset(time_s=31.24, ci95=(30.9, 31.8))
+    case = diagnosis(excitation=("The rig was held at one point.",), **PLAIN)
+    case = replace(case, causes=(replace(case.causes[0], onset=onset), *case.causes[1:]))
+    assert case.worth is not None
+    said = words_of(page_html(findings(case, folder=Path("found")), interactive=False))
+    order = [
+        "The rig was held at one point.", case.sentence, "yaw Coulomb friction, 88 %",
+        "31.2 s into the recording (30.9 to 31.8 s)", case.worth.words, case.worth.command,
+        case.next_experiment.command, case.warnings[0], "4.12 ± 0.18 mN m",
+        "not told apart from yaw Coulomb friction", "86 % of the gap lies",
+        "u_h never crosses zero",
+    ]  # fmt: skip
+    # the links to the sections say nothing yet
+    places = [said.find(text) for text in order]
+    assert -1 not in places and places == sorted(places)
+    shown = {m.label: m.value for m in findings(case).measures}
+    assert shown["since"] == "31.2" and shown["in the loop"] == "79 % less"
+
+
+class TestSuspects:
+    def test_those_that_were_fitted_come_first_and_others_are_folded_away(self) -> None:
+        told = findings(diagnosis(**PLAIN))
+        near, rest = section(told, "Why not the others"), section(told, "Why not the rest")
+        assert rest.folded and not near.folded
+        shown = [[plain(cell) for cell in row] for row in near.blocks[0].rows]
+        assert shown[0] == [
+            "yaw Stribeck friction",
+            "not told apart from yaw Coulomb friction: explains 30 nats less",
+            5090, "3.8 ± 0.18 mN m", "4.1 mN m",
+        ]  # fmt: skip
+        assert shown[1][2:] == [-40, "", "2.1 ms"]
+        assert [plain(c) for c in rest.blocks[0].rows[0]] == [
+            "ground effect", "the beam never came near the table", "–"
+        ]  # fmt: skip
+
+    def test_without_any_there_is_no_section(self) -> None:
+        told = findings(diagnosis(rejected=(), moved=(), **PLAIN))
+        heads = {section.heading for section in told.sections}
+        assert not heads & {"Why not the others", "Why not the rest", "Which of the parameters"}
+
+
+def test_parameters_that_moved_are_told_with_their_probability() -> None:
+    told = findings(diagnosis(verdict="parameters_only", **PLAIN))
+    assert any("from 20.9 to 10.3 mrad (noise alone: 1.1)" in text for text in told.lead)
+    assert rows(told, "that it moved") == [
+        ["viscous friction of yaw +59 % (0.0095 → 0.0151 N m s)", "97 %", "k_oh"]
+    ]
+
+
+def test_an_effect_that_several_answers_hold_has_a_probability_of_its_own() -> None:
+    pair = ("yaw_coulomb_friction", "main_input_delay")
+    causes = (Cause(effects=pair, probability=0.7), *diagnosis().causes[1:])
+    told = findings(diagnosis(causes=causes, inclusion={pair[0]: 0.78, pair[1]: 0.7}, **PLAIN))
+    assert rows(told, "part of the answer") == [
+        ["yaw Coulomb friction", "78 %"], ["main input delay", "70 %"]
+    ]  # fmt: skip
+    assert not any("part of the answer" in t.columns for t in findings(diagnosis(**PLAIN)).tables)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "rejected", "words"),
+    [
+        ("effect", True, "1 of 3 tests find"),
+        ("effect", False, "a weak gap"),
+        ("no_gap", True, "The verdict names no effect all the same"),
+        ("no_gap", False, "larger than usual."),
+    ],
+)
+def test_what_the_tests_say_goes_with_the_verdict(verdict, rejected, words) -> None:
+    tests = [replace(test, rejected=test.rejected and rejected) for test in diagnosis().tests]
+    told = findings(diagnosis(verdict=verdict, tests=tuple(tests), **PLAIN))
+    part = section(told, "Is there a gap at all?")
+    assert words in part.text[0]
+    assert ("weak gap" in part.text[0]) == (words == "a weak gap")
+    assert "25 % stronger than usual, and correlations of 0.05," in part.blocks[0].caption
 
 
 def test_the_gap_is_told_in_numbers_of_the_document() -> None:
@@ -107,7 +187,7 @@ def test_the_gap_is_told_in_numbers_of_the_document() -> None:
     "changes",
     [
         {"verdict": "no_gap", "causes": (Cause(effects=("no_gap",), probability=0.97),), "race": (),
-         "confusable": (), "traces": None, "region": (), "next_experiment": None},
+         "confusable": (), "traces": None, "region": (), "next_experiment": None, "worth": None},
         {"verdict": "parameters_only", **PLAIN, "where": (), "gap": {}, "shrink": {}},
         {"verdict": "none_of_these", **PLAIN, "description": ("acts on yaw", "below 1 Hz"),
          "tests": ()},
@@ -356,7 +436,7 @@ def said_of(verdict: str, gap: Gap, shrink: Shrink | None = None) -> str:
         [cause],
         [],
         Shrinkage({"alpha_h": {"2.0": gap}}, {"all": {"2.0": shrink}} if shrink else {}, ()),
-        {},
+        diagnosis().moved,
     )
 
 
@@ -377,6 +457,7 @@ def test_without_a_cause_it_is_told_how_far_free_runs_lie_above_the_floor(
     gap = Gap(raw=refit, refit=refit, corrected=refit, floor=0.0015, unit="rad")
     said = said_of(verdict, gap)
     assert said.startswith(beginning[verdict])
+    assert (diagnosis().moved[0].words in said) == (verdict == "parameters_only")
     assert words in said and (absent is None or absent not in said)
     assert verdict != "no_gap" or ("Over 2 s" in said) == (absent is None)
 

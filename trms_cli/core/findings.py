@@ -143,6 +143,7 @@ class Findings:
     facts: Mapping[str, str] = field(default_factory=dict)  #: Circumstances, by name: model, date
     files: Mapping[str, Path] = field(default_factory=dict)  #: What was written, by what it is
     next: Sequence[NextCommand] = ()  #: What to type next
+    next_first: bool = False  #: Whether a page tells that before all that limits and proves it
 
     @property
     def charts(self) -> tuple[Chart, ...]:

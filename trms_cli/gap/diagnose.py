@@ -34,6 +34,7 @@ from trms_cli.gap.diagnosis import (
     FittedParameter,
     GapTest,
     LocationShare,
+    MovedParameter,
     NextExperiment,
     NotTestable,
     RaceEntry,
@@ -42,13 +43,25 @@ from trms_cli.gap.diagnosis import (
     Traces,
 )
 from trms_cli.gap.discrepancy import input_channels
+from trms_cli.gap.findings import sizes
 from trms_cli.gap.flexible import fit_flexible, node_of, short_law
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.moved_parameters import moved_parameters
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior, posterior_of
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
-from trms_cli.gap.race import EFFORTS, Checkpoint, EffectTraces, Race, effect_traces, run_race
+from trms_cli.gap.race import (
+    EFFORTS,
+    Checkpoint,
+    EffectTraces,
+    Race,
+    Signatures,
+    effect_traces,
+    project_traces,
+    run_race,
+)
+from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, innovation_tests, locate, smoothed_forces
 from trms_cli.identification.free_runs import simulated_windows
 from trms_cli.identification.problem import Progress, SilentProgress
@@ -146,11 +159,9 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     posterior = posterior_of(problem, race, candidates, constants, runs, flexible)
     sealed = free_runs.sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
-    result = result_of(
-        StageResults(
-            problem, parts, candidates, left_out, race, place, forces, tests, posterior, sealed
-        )
-    )
+    beside = project_traces(posterior.corrected or nominal, traces)
+    found = (race, place, forces, tests, posterior, sealed, beside)
+    result = result_of(StageResults(problem, parts, candidates, left_out, *found))
     watch.leave()
     seconds = {name: round(value, 3) for name, value in watch.seconds.items()}
     return replace(result, seconds=seconds)
@@ -195,6 +206,7 @@ class StageResults:
     tests: tuple[GapTest, ...]
     posterior: Posterior
     sealed: free_runs.SealedComparison
+    beside: Signatures  #: Traces about the corrected model, or the refit where nothing is added
 
 
 def result_of(stages: StageResults) -> DiagnosisResult:
@@ -214,7 +226,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
     residual, law = _residual(stages)
     words = (*law, *words)
     unseen = _not_testable(stages)
-    parameters, causes = _parameters(stages), _causes(stages)
+    parameters, causes, moved = _parameters(stages), _causes(stages), _moved_parameters(stages)
     metric = refit.metric
     places = [c.location for c in metric.discrepancy.channels]
     shares = dict(zip(places, metric.shares.tolist(), strict=True))
@@ -245,7 +257,10 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         gap=shrinkage.gap,
         shrink=shrinkage.shrink,
         next_experiment=_advice(stages, unseen),
-        sentence=sentence(posterior, causes, where, shrinkage, parameters, law),
+        inclusion=inclusion(posterior.probabilities),
+        moved=moved,
+        rejected=rejected_effects(stages.race, posterior, stages.candidates, stages.beside, unseen),
+        sentence=sentence(posterior, causes, where, shrinkage, moved, law),
         tests=stages.tests,
         race=_race(stages),
         description=words,
@@ -366,6 +381,26 @@ def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
     }
 
 
+#: Probability of other parameters from which it is told which.
+_WORTH_TELLING = 0.05
+
+
+def _moved_parameters(stages: StageResults) -> tuple[MovedParameter, ...]:
+    """Which parameters moved, where they may be what differs."""
+    problem, posterior = stages.problem, stages.posterior
+    likely = posterior.probabilities.get(("parameters_only",), 0.0)
+    if posterior.verdict != "parameters_only" and likely < _WORTH_TELLING:
+        return ()
+    pitch = [
+        float(np.nanmean(d.measurements[:, i]))
+        for d in problem.datasets
+        for i, signal in enumerate(d.outputs)
+        if signal.name == "alpha_v"
+    ]
+    about = float(np.mean(pitch)) if pitch else 0.0
+    return moved_parameters(stages.race.refit, problem.model, about, problem.seed)
+
+
 def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
     """Everyone, and those without an effect to compare with."""
     race, features = stages.race, stages.posterior.features
@@ -436,8 +471,10 @@ def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
     race = stages.race
     rows = [NotTestable(effect=name, reason=why) for name, why in stages.left_out.items()]
     known = set(race.signatures.names)
+    believed = inclusion(stages.posterior.probabilities)
     for name, candidate in stages.candidates.items():
-        if not candidate.simulated:
+        # what the race was decided by was tested, whatever was foreseen of it
+        if not candidate.simulated or believed.get(name, 0.0) >= _LEAST_ALIKE:
             continue
         if name not in known:
             rows.append(NotTestable(effect=name, reason="no simulation with it stays finite"))
@@ -449,12 +486,14 @@ def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
 def _remarks(stages: StageResults) -> tuple[str, ...]:
     parts, race = stages.parts, stages.race
     remarks = list(dict.fromkeys(r for d in (*parts.whole, *parts.fitted) for r in d.remarks))
-    proxies = [
-        f"{name} had to move {move:.1f} standard deviations of its prior in the refit: "
-        "rather a proxy of what is missing than an explanation"
-        for name, move in _moves(race, race.refit).items()
-        if move > 3.0
-    ]
+    far = {name: move for name, move in _moves(race, race.refit).items() if move > 3.0}
+    proxies = []
+    if far:
+        moves = listing([f"{name} by {move:.1f}" for name, move in far.items()])
+        proxies.append(
+            f"the refit had to move {moves} standard deviations of what was known: rather "
+            "proxies of what is missing than an explanation"
+        )
     return (*remarks, *proxies)
 
 
@@ -486,6 +525,8 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
 
 #: Probability from which a cause that is not told apart is worth its name.
 _LEAST_ALIKE = 0.01
+#: Parameters that a sentence names.
+_MOVED_TOLD = 3
 #: s. The horizon that a sentence tells.
 _TOLD_AT = "2.0"
 #: Times the floor from which on a refitted model is said to leave something unexplained.
@@ -499,7 +540,7 @@ def sentence(
     causes: Sequence[Cause],
     where: Sequence[LocationShare],
     shrinkage: free_runs.Shrinkage,
-    parameters: Mapping[str, FittedParameter],
+    moved: Sequence[MovedParameter] = (),
     law: Sequence[str] = (),
 ) -> str:
     """What a colleague would say; ``law``: of a residual without a name."""
@@ -508,23 +549,22 @@ def sentence(
     if posterior.verdict == "no_gap":
         return (
             "No gap was found, with probability "
-            f"{top.probability:.2f}: the model as it is needs neither an effect nor other "
+            f"{_sure(top.probability)}: the model as it is needs neither an effect nor other "
             "parameters to explain these recordings." + _above_floor(shrinkage)
         )
     if posterior.verdict == "parameters_only":
-        moved = sorted(
-            (name for name, p in parameters.items() if p.moved is not None),
-            key=lambda name: -abs(parameters[name].moved or 0.0),
-        )
+        which = listing([item.words for item in moved[:_MOVED_TOLD]])
         return (
             "No effect is missing: other values of the parameters explain these recordings, with "
-            f"probability {top.probability:.2f}; {', '.join(moved[:3])} moved most."
+            f"probability {_sure(top.probability)}"
+            + (f"; what moved is likeliest the {which}." if which else ".")
             + _left_over(shrinkage)
         )
     if posterior.verdict == "none_of_these":
         return (
             f"Something is missing that is none of the effects known here, with probability "
-            f"{top.probability:.2f}; it acts mostly on {place}." + "".join(f" {w}" for w in law[:1])
+            f"{_sure(top.probability)}; it acts mostly on {place}."
+            + "".join(f" {w}" for w in law[:1])
         )
     if posterior.verdict == "undecided":
         listed = ", ".join(
@@ -533,13 +573,11 @@ def sentence(
             if c.probability > 0.05
         )
         return f"These recordings do not decide what causes the gap: {listed}."
-    sizes = ", ".join(
-        f"{key.split('.', 1)[1]} {size.value:.3g} ± {size.sd:.1g} {size.unit.replace('*', ' ')}"
-        for key, size in list(top.parameters.items())[:3]
-    )
+    told = sizes(dict(list(top.parameters.items())[:3]))
+    causes_it = "causes it" if len(top.effects) == 1 else "cause it"
     text = (
-        f"The gap lies in {place}, and {_effects(top.effects)} causes it, with probability "
-        f"{top.probability:.2f}" + (f" ({sizes})" if sizes else "")
+        f"The gap lies in {place}, and {_effects(top.effects)} {causes_it}, with probability "
+        f"{_sure(top.probability)}" + (f" ({told})" if told else "")
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
@@ -547,15 +585,20 @@ def sentence(
     if shrink is not None and shrink.fraction is not None:
         if shrink.fraction > 0:
             closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
-            text += f"; adding it closes {closed}"
+            text += f"; on data kept aside, adding it closes {closed}"
         else:
-            text += "; adding it closes nothing of the gap at 2 s"
+            text += "; on data kept aside, adding it closes nothing of the gap at 2 s"
     likely = {n for cause in causes if cause.probability >= _LEAST_ALIKE for n in cause.effects}
     alike = {name for group in posterior.confusable for name in group}
     others = sorted((alike & likely) - set(top.effects))
     if others:
         text += f". These recordings do not tell it from {_effects(others, 'or')}"
     return text + "."
+
+
+def _sure(probability: float) -> str:
+    """A probability that never reads as certain."""
+    return "over 0.99" if probability >= 0.995 else f"{probability:.2f}"
 
 
 def _left_over(shrinkage: free_runs.Shrinkage) -> str:

@@ -93,7 +93,7 @@ class MovedParameter:
     """A nominal parameter that may be what differs, alone."""
 
     parameter: str  #: its name
-    probability: float  #: 0 to 1; of the parameters that moved, that this one did
+    probability: float  #: 0 to 1; that it moved, if no effect but other parameters are the answer
     change: float  #: in its unit, from the model's value
     sd: float  #: of the posterior
     unit: str  #: SI
@@ -109,6 +109,7 @@ class Rejected:
     size: SizeEstimate | None  #: of its first size, where it was fitted
     upper_bound: float | None  #: the first size lies below it with 95 %, in its unit
     reason: str  #: in words
+    unit: str = ""  #: of the first size, SI
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +179,7 @@ class NextExperiment:
 
 @dataclass(frozen=True, kw_only=True)
 class GapTest:
-    """A test of the refitted model's innovations: is there a gap?"""
+    """A test of the refitted model's innovations: are they larger than usual, by a margin?"""
 
     name: str  #: variance, whiteness, squares, inputs, bands
     channel: str  #: of the innovations
@@ -186,6 +187,8 @@ class GapTest:
     p_value: float  #: by parametric bootstrap
     p_corrected: float  #: corrected for the number of tests
     rejected: bool  #: at five percent, corrected
+    #: what still counts as usual: a factor on the power (variance, bands), or a correlation
+    margin: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +199,9 @@ class RaceEntry:
     effects: tuple[str, ...]
     score: float  #: held-out log predictive density, nats above the refitted model
     se: float  #: its standard error over blocks
-    explained: float  #: Share of the gap beyond the noise floor that it closes, 0 to 1
+    #: 0 to 1; its score, over the nats that the refit owes to discrepancies or the best gains: a
+    #: share of the gap in one-step errors, not of that in free runs
+    explained: float
     moved: float  #: Largest move of a nominal parameter, in prior standard deviations
     #: Fitted sizes.
     parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)

@@ -18,9 +18,11 @@ from trms_cli.gap.diagnosis import (
     Gap,
     GapTest,
     RaceEntry,
+    Rejected,
     Shrink,
     SizeEstimate,
     Traces,
+    Worth,
 )
 from trms_cli.identification.findings import near
 
@@ -39,7 +41,7 @@ _LEVEL = 3.0
 #: Prior standard deviations from which a parameter has moved far.
 _FAR = 2.5
 #: Rows of tables and bars of the race; the JSON has all.
-_MOST_CAUSES, _MOST_PARAMETERS, _MOST_BARS = 8, 12, 14
+_MOST_CAUSES, _MOST_PARAMETERS, _MOST_BARS, _MOST_MOVED = 8, 12, 14, 6
 #: Probabilities below which digits mean nothing.
 _SMALLEST = 1e-6
 #: s of the part of a force that is enlarged.
@@ -69,13 +71,15 @@ def findings(
     """
     sections = (
         _causes(diagnosis),
+        _moved(diagnosis),
+        *_rejected(diagnosis),
         _where(diagnosis),
         _race(diagnosis),
         _force(diagnosis),
         _before_and_after(diagnosis),
         _tests(diagnosis),
-        _parameters(diagnosis),
         _not_told(diagnosis),
+        _parameters(diagnosis),
         _recordings(diagnosis, remarks),
     )
     warnings = [text for text in diagnosis.warnings if text not in remarks]
@@ -84,23 +88,43 @@ def findings(
         warnings.insert(0, f"the correction made {worse} worse, by over 2 % at 2 s")
     return report.Findings(
         title=f"Diagnosis: {headline(diagnosis)}",
-        lead=[text for text in (diagnosis.sentence, _confidence(diagnosis)) if text],
+        lead=[text for text in _lead(diagnosis) if text],
         sections=[section for section in sections if section is not None],
         warnings=warnings,
         measures=list(_measures(diagnosis)),
         facts=_facts(diagnosis),
         next=_next(diagnosis, folder),
+        next_first=True,
     )
+
+
+def _lead(diagnosis: DiagnosisResult) -> list[str]:
+    """The answer in its order: what, how sure, since when, and what it gains.
+
+    Poor excitation comes before all: it limits whatever follows.
+    """
+    worth = diagnosis.worth
+    return [
+        *diagnosis.excitation,
+        diagnosis.sentence,
+        _confidence(diagnosis),
+        _since(diagnosis),
+        _of_the_refit(diagnosis),
+        "" if worth is None else worth.words,
+    ]
 
 
 def headline(diagnosis: DiagnosisResult) -> str:
     """The verdict in a few words."""
     first = likeliest(diagnosis)
     if diagnosis.verdict == "effect" and first is not None:
-        return f"{cause_name(first.effects)} is what the model lacks"
+        together = first.probability + sum(c.probability for c in _alike(first, diagnosis))
+        verb = "is" if together >= _SURE else "is likely" if together >= _LIKELY else "may be"
+        return f"{cause_name(first.effects)} {verb} what the model lacks"
     return {
         "parameters_only": "other parameters, and no effect, explain the gap",
         "no_gap": "no gap",
+        "no_change": "nothing changed since the known state",
         "none_of_these": "something that is not in the library",
     }.get(diagnosis.verdict, "the cause stays undecided")
 
@@ -116,6 +140,7 @@ def cause_name(effects: Sequence[str]) -> str:
         (): "parameters only",
         ("flexible",): "a force without a name",
         ("no_gap",): "no gap",
+        ("no_change",): "nothing changed",
         ("none_of_these",): "none of these",
         _OTHERS: "others, together",
     }
@@ -124,13 +149,24 @@ def cause_name(effects: Sequence[str]) -> str:
 
 def sizes(parameters: Mapping[str, SizeEstimate]) -> str:
     """Sizes of a cause with their deviations; one without any was held where it is."""
-    words = []
-    for name, size in parameters.items():
-        unit, scale = _SIZES.get(size.unit) or wording.small_unit(size.unit)
-        spread = f" ± {wording.number(scale * size.sd, 2)}" if size.sd > 0 else ""
-        text = f"{name.split('.', 1)[-1]} {wording.number(scale * size.value)}{spread}"
-        words.append(f"{text} {wording.unit(unit)}".rstrip())
-    return ", ".join(words)
+    return ", ".join(
+        f"{name.split('.', 1)[-1].replace('_', ' ')} {_size(size)}"
+        for name, size in parameters.items()
+    )
+
+
+def _size(size: SizeEstimate) -> str:
+    """One size: ``4.12 ± 0.18 mN m``."""
+    unit, scale = _unit_of_size(size.unit, size.value)
+    spread = f" ± {wording.number(scale * size.sd, 2)}" if size.sd > 0 else ""
+    return f"{wording.number(scale * size.value)}{spread} {wording.unit(unit)}".rstrip()
+
+
+def _unit_of_size(unit: str, value: float) -> tuple[str, float]:
+    """A unit in which a size has few digits, and the factor to it."""
+    if abs(value) >= 1:
+        return unit, 1.0
+    return _SIZES.get(unit) or wording.small_unit(unit)
 
 
 def place_name(location: str) -> str:
@@ -143,6 +179,37 @@ def shown_horizon(rows: Mapping[str, object]) -> str | None:
     known = sorted(rows, key=float)
     below = [horizon for horizon in known if float(horizon) <= HORIZON]
     return (below or known[:1])[-1] if known else None
+
+
+def _of_the_refit(diagnosis: DiagnosisResult) -> str:
+    """How much other parameters alone close, where they are the answer."""
+    horizon = shown_horizon({h: None for gaps in diagnosis.gap.values() for h in gaps})
+    shown = horizon or ""
+    rows = {c: gaps[shown] for c, gaps in diagnosis.gap.items() if shown in gaps}
+    rows = {c: row for c, row in rows.items() if row.floor > 0 and np.isfinite(row.raw)}
+    if diagnosis.verdict != "parameters_only" or not rows:
+        return ""
+    channel = max(rows, key=lambda name: rows[name].raw / rows[name].floor)
+    row = rows[channel]
+    unit, scale = wording.small_unit(row.unit)
+    raw, refit, floor = (scale * value for value in (row.raw, row.refit, row.floor))
+    return (
+        f"On data kept aside the error of {wording.signal(channel)} over {float(horizon or 0):g} s "
+        f"goes from {wording.number(raw)} to {wording.quantity(refit, unit)} "
+        f"(noise alone: {wording.number(floor)})."
+    )
+
+
+def _since(diagnosis: DiagnosisResult) -> str:
+    """Since when the likeliest cause acts, where it does not from the beginning."""
+    first = likeliest(diagnosis)
+    if first is None or first.onset is None:
+        return ""
+    onset = first.onset
+    return (
+        f"It begins {onset.time_s:.1f} s into the recording "
+        f"({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f} s): before, the model holds without it."
+    )
 
 
 def _confidence(diagnosis: DiagnosisResult) -> str:
@@ -171,7 +238,10 @@ def _alike(cause: Cause, diagnosis: DiagnosisResult) -> list[Cause]:
     return [
         other
         for other in diagnosis.causes
-        if other is not cause and other.probability >= LEAST and set(other.effects) <= names
+        if other is not cause
+        and other.probability >= LEAST
+        and set(other.effects) <= names
+        and not set(other.effects) <= set(cause.effects)
     ]
 
 
@@ -183,8 +253,12 @@ def _measures(diagnosis: DiagnosisResult) -> Iterator[report.Measure]:
         )
     if diagnosis.where and diagnosis.where[0].share >= 0.05:
         place = diagnosis.where[0]
-        note = wording.gap_share(place.share, place.ci95, "of the gap")
+        note = wording.gap_share(place.share, place.ci95, "of the gap in one-step errors")
         yield report.Measure("lies in", place_name(place.location), note=note)
+    if first is not None and first.onset is not None:
+        onset = first.onset
+        note = f"s ({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f}) into the recording"
+        yield report.Measure("since", f"{onset.time_s:.1f}", note=note)
     rows = diagnosis.shrink.get("all", {})
     horizon = shown_horizon(rows)
     shrink = rows.get(horizon or "")
@@ -192,9 +266,27 @@ def _measures(diagnosis: DiagnosisResult) -> Iterator[report.Measure]:
         share = wording.gap_share(shrink.fraction)
         ends = share if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
         judgement: report.Judgement = "good" if shrink.fraction > 0.5 else ""
-        note = f"of what the refit left over {float(horizon or 0):g} s"
-        note += f" ({ends})" if ends != share else ""
+        note = f"({ends}) " if ends != share else ""
+        note += f"of the errors over {float(horizon or 0):g} s on data kept aside"
         yield report.Measure("gap closed", share, judgement=judgement, note=note)
+    if diagnosis.worth is not None:
+        axis, gain = _largest_gain(diagnosis.worth)
+        if axis:
+            value = f"{wording.percent(abs(gain))} {'less' if gain > 0 else 'more'}"
+            note = f"tracking error of {wording.signal(axis)}, simulated"
+            mark: report.Judgement = "good" if gain > 0.1 else ""
+            yield report.Measure("in the loop", value, judgement=mark, note=note)
+
+
+def _largest_gain(worth: Worth) -> tuple[str, float]:
+    """The angle whose tracking error changes most, in rad, and the share that it loses."""
+    apart = {
+        axis: old - worth.after[axis]
+        for axis, old in worth.before.items()
+        if old > 0 and np.isfinite(old) and np.isfinite(worth.after.get(axis, np.nan))
+    }
+    axis = max(apart, key=lambda name: abs(apart[name]), default="")
+    return axis, apart[axis] / worth.before[axis] if axis else 0.0
 
 
 def is_corrected(diagnosis: DiagnosisResult) -> bool:
@@ -221,22 +313,31 @@ def _facts(diagnosis: DiagnosisResult) -> dict[str, str]:
 
 def _next(diagnosis: DiagnosisResult, folder: Path | None) -> list[report.NextCommand]:
     commands = []
+    model = "" if folder is None else shlex.quote(str(folder / "corrected_model.yaml"))
+    if diagnosis.worth is not None:
+        commands.append(
+            report.NextCommand(
+                diagnosis.worth.command, "drive with the corrected model: the loop that is told"
+            )
+        )
+    elif model and diagnosis.verdict not in ("no_gap", "no_change"):
+        commands.append(
+            report.NextCommand(
+                f"{program()} run model={model} controller=newton_mpc",
+                "control with the corrected model; `model=` takes it anywhere",
+            )
+        )
     if diagnosis.next_experiment is not None:
         commands.append(
             report.NextCommand(diagnosis.next_experiment.command, diagnosis.next_experiment.why)
         )
-    if folder is not None:
-        model = shlex.quote(str(folder / "corrected_model.yaml"))
-        commands += [
+    if model:
+        commands.append(
             report.NextCommand(
                 f"{program()} validate model={model} real=FILE",
                 "the corrected model on a recording that it has not seen",
-            ),
-            report.NextCommand(
-                f"{program()} run model={model} controller=newton_mpc",
-                "control with the corrected model; `model=` takes it anywhere",
-            ),
-        ]
+            )
+        )
     return commands
 
 
@@ -244,7 +345,7 @@ def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
     kept = [cause for cause in diagnosis.causes if cause.probability >= LEAST][:_MOST_CAUSES]
     if not kept:
         return None
-    sure = diagnosis.verdict != "undecided"
+    sure = diagnosis.verdict != "undecided" and kept[0].probability >= _LIKELY
 
     def probability(cause: Cause) -> report.Datum:
         judgement: report.Judgement = "good" if cause is kept[0] and sure else ""
@@ -270,8 +371,89 @@ def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
             "Probabilities of all answers; they sum to one. How the race turns into probabilities "
             "is set by rigs whose truth is known, built by other code than the models."
         ],
-        [report.table(rows, columns)],
+        [report.table(rows, columns), *_parts(diagnosis)],
     )
+
+
+def _parts(diagnosis: DiagnosisResult) -> list[report.Block]:
+    """Probability of each effect to be part of the answer, where some answers have several."""
+    if not any(len(c.effects) > 1 and c.probability >= LEAST for c in diagnosis.causes):
+        return []
+    listed = [item for item in diagnosis.inclusion.items() if item[1] >= LEAST]
+    columns = [
+        report.Column("effect", lambda item: wording.readable(item[0])),
+        report.Column(
+            "part of the answer",
+            lambda item: report.Datum(wording.percent(min(item[1], 1.0)), bar=min(item[1], 1.0)),
+        ),
+    ]
+    caption = (
+        "Of all answers that hold the effect, alone or with others: these need not sum to one."
+    )
+    return [report.table(listed, columns, caption)]
+
+
+def _moved(diagnosis: DiagnosisResult) -> report.Section | None:
+    """Which parameters moved, where other parameters may be the answer."""
+    if not diagnosis.moved:
+        return None
+    columns = [
+        report.Column("what", "words"),
+        report.Column(
+            "that it moved",
+            lambda moved: report.Datum(wording.percent(moved.probability), bar=moved.probability),
+        ),
+        report.Column("parameter", "parameter"),
+    ]
+    text = (
+        "A refit moves every parameter a little. Here each either keeps to what was known of it or "
+        "has moved: the probability that it has, and by how much."
+    )
+    shown = diagnosis.verdict in ("parameters_only", "undecided")
+    return report.Section(
+        "Which of the parameters",
+        [text],
+        [report.table(diagnosis.moved[:_MOST_MOVED], columns, on_screen=shown)],
+    )
+
+
+def _rejected(diagnosis: DiagnosisResult) -> list[report.Section]:
+    """Why not the others: the nearest, and folded away those that were not even fitted."""
+
+    def score(item: Rejected) -> report.Cell:
+        return report.Datum(None if item.score is None else round(item.score))
+
+    def bound(item: Rejected) -> str:
+        if item.upper_bound is None:
+            return wording.MISSING
+        unit, scale = _unit_of_size(item.unit, item.upper_bound)
+        return wording.quantity(scale * item.upper_bound, unit, 2)
+
+    columns = [
+        report.Column("suspect", lambda item: wording.readable(item.effect)),
+        report.Column("why not", "reason"),
+        report.Column("nats", score),
+        report.Column("size if alone", lambda item: "" if item.size is None else _size(item.size)),
+        report.Column("at most", bound),
+    ]
+    caption = (
+        "Nats: held-out log density above the refitted model, of those that were fitted. At most: "
+        "its first size lies below that with 95 %, beside the answer (of what is not told apart "
+        "from it: alone)."
+    )
+    near = [item for item in diagnosis.rejected if item.score is not None][:_MOST_CAUSES]
+    rest = [item for item in diagnosis.rejected if item not in near]
+    sections = []
+    if near:
+        text = "The nearest of the other suspects, each fitted together with the parameters."
+        rows = report.table(near, columns, caption, on_screen=False)
+        sections.append(report.Section("Why not the others", [text], [rows]))
+    if rest:
+        text = "Every suspect that was not worth a fit, the nearest first, by the trace it leaves."
+        kept = [column for column in columns if column.head in ("suspect", "why not", "at most")]
+        rows = report.table(rest, kept, "" if near else caption, on_screen=False)
+        sections.append(report.Section("Why not the rest", [text], [rows], folded=True))
+    return sections
 
 
 def _where(diagnosis: DiagnosisResult) -> report.Section | None:
@@ -319,7 +501,9 @@ def _where_words(diagnosis: DiagnosisResult) -> str:
         return "No place stands out: a free force at any of them closes next to nothing."
     text = (
         f"**{wording.gap_share(first.share)}** of the gap lies in the "
-        f"{place_name(first.location)} (95 % interval: {wording.gap_interval(first.ci95)})."
+        f"{place_name(first.location)} (95 % interval: {wording.gap_interval(first.ci95)}). Shares "
+        "are of what forces at all places together explain of the refitted model's one-step "
+        "errors, not of the errors of free runs."
     )
     rivals = [
         place_name(place.location)
@@ -659,24 +843,51 @@ def _tests(diagnosis: DiagnosisResult) -> report.Section | None:
         for name in dict.fromkeys(test.name for test in diagnosis.tests)
     ]
     seen = [test for test in diagnosis.tests if test.rejected]
-    text = "None of the tests on the refitted model's one-step errors sees anything in them."
-    if seen:
-        where = dict.fromkeys(wording.signal(test.channel) for test in seen)
-        text = (
-            f"{len(seen)} of {wording.count(len(diagnosis.tests), 'test')} on the refitted model's "
-            "one-step errors see something that noise does not explain, in "
-            f"{wording.listing(list(where))}."
-        )
     caption = (
-        "Probability that noise alone does that, corrected for the number of tests; red: a gap."
-    )
+        "Probability that noise and errors of usual size make that, corrected for the number of "
+        f"tests; red: larger. {_margins(diagnosis)}"
+    ).rstrip()
     heads = ["test", *(wording.signal(channel) for channel in channels)]
     return report.Section(
         "Is there a gap at all?",
-        [text],
+        [_tests_words(diagnosis, seen)],
         [report.Table(heads, rows, caption, on_screen=False)],
         folded=True,
     )
+
+
+def _margins(diagnosis: DiagnosisResult) -> str:
+    """What still counts as usual."""
+    power = max((t.margin for t in diagnosis.tests if t.margin > 1), default=None)
+    correlation = max((t.margin for t in diagnosis.tests if 0 < t.margin < 1), default=None)
+    if power is None or correlation is None:
+        return ""
+    return (
+        f"The margin: errors {wording.percent(power - 1)} stronger than usual, and correlations "
+        f"of {correlation:g}, still count as usual."
+    )
+
+
+def _tests_words(diagnosis: DiagnosisResult, seen: Sequence[GapTest]) -> str:
+    """What the tests say, and how that goes with the verdict."""
+    of = "the refitted model's one-step errors"
+    nothing = diagnosis.verdict in ("no_gap", "no_change", "parameters_only")
+    if not seen:
+        text = f"None of the tests finds {of} larger than usual."
+        if not nothing:
+            text += " What the race tells lies within the margin of each test: a weak gap."
+        return text
+    where = dict.fromkeys(wording.signal(test.channel) for test in seen)
+    text = (
+        f"{len(seen)} of {wording.count(len(diagnosis.tests), 'test')} find {of} larger than "
+        f"usual, in {wording.listing(list(where))}."
+    )
+    if nothing:
+        text += (
+            " The verdict names no effect all the same: none foretells held-out blocks better. "
+            "Something may be left that no candidate explains."
+        )
+    return text
 
 
 def _probability(test: GapTest) -> report.Datum:
@@ -791,4 +1002,7 @@ def _recordings(diagnosis: DiagnosisResult, remarks: Sequence[str]) -> report.Se
     ]
     blocks: list[report.Block] = [report.Remarks(remarks, on_screen=False)] if remarks else []
     blocks.append(report.table(diagnosis.recordings, columns, on_screen=False))
+    if diagnosis.against:
+        caption = "Of a known state, with which the others are compared."
+        blocks.append(report.table(diagnosis.against, columns, caption, on_screen=False))
     return report.Section("Recordings", (), blocks, folded=True)

@@ -348,7 +348,10 @@ def _pooled(parts: Sequence[tuple[FloatArray, IntArray]], seed: int) -> Shrink:
         with np.errstate(all="ignore"):
             means = (weights @ sums) / (counts @ weights)[:, None]
             refit, corrected = np.sqrt(np.mean(means, axis=0))
-            return float(1 - (corrected - 1) / (refit - 1)) if refit > _LEAST_GAP else np.nan
+            if not refit > _LEAST_GAP:
+                return np.nan
+            # below the floor by chance is no more than all of the gap
+            return float(min(1 - (corrected - 1) / (refit - 1), 1.0))
 
     whole = fraction(np.ones(len(blocks)))
     if not np.isfinite(whole):

@@ -6,7 +6,13 @@ nothing of the inputs. Sensors round, and fitting takes something out, so that t
 wrong in both directions: every statistic is compared with its distribution over recordings that are
 drawn (a parametric bootstrap): the linearised model moves about the recording with noise on its
 equations, its sensors round as the real ones do, and what a fit would have taken is taken out.
-p-values are corrected by Holm (1979).
+
+No model is exact, and with enough samples any error is significant. So the question is not whether
+there is one, but whether it is larger than errors of usual size by a margin (a test of
+non-inferiority; Wellek, Testing Statistical Hypotheses of Equivalence and Noninferiority, 2010):
+innovations :data:`POWER` times as strong, and correlations of :data:`CORRELATION` in the mean over
+the lags, count as usual. A statistic is rejected that is too large even for those. p-values are
+corrected by Holm (1979).
 
 One generalised disturbance at a time on every equation and sensor says where. Each place in turn
 may err as much as is most likely, all others only as much as those of rigs without a gap; the share
@@ -41,6 +47,9 @@ from trms_cli.models.model import Model, names
 _LONGEST_LAG, _FEWEST_LAGS, _MOST_LAGS = 0.5, 4, 25
 _LEVEL = 0.05
 _BANDS = 4
+#: Margins: the power of innovations over that of usual ones, and their correlations.
+POWER, CORRELATION = 1.25, 0.05
+_OF_POWER = ("variance", "bands")
 
 
 def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> tuple[GapTest, ...]:
@@ -71,7 +80,24 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
             drawn[key].append(value)
     outputs = names(structure.problem.model.outputs)
     keys = list(observed)
-    p = np.array([_tail(observed[key], np.array(drawn[key])) for key in keys])
+    counts = measured.sum(axis=(0, 1))
+    lags = _lags(z.shape[1], structure.windows.sample_time)
+    allowed = {
+        "whiteness": lags,
+        "squares": lags,
+        "inputs": (lags + 1) * commands.shape[2],
+    }
+    p = np.array(
+        [
+            _tail(
+                observed[name, i],
+                np.array(drawn[name, i]),
+                times=POWER if name in _OF_POWER else 1.0,
+                beyond=CORRELATION**2 * counts[i] * allowed.get(name, 0),
+            )
+            for name, i in keys
+        ]
+    )
     corrected = holm(p)
     return tuple(
         GapTest(
@@ -81,6 +107,7 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
             p_value=float(p[k]),
             p_corrected=float(corrected[k]),
             rejected=bool(corrected[k] < _LEVEL),
+            margin=POWER if name in _OF_POWER else CORRELATION,
         )
         for k, (name, i) in enumerate(keys)
     )
@@ -118,8 +145,7 @@ def _statistics(
     z: FloatArray, measured: BoolArray, commands: FloatArray, sample_time: float
 ) -> dict[tuple[str, int], float]:
     """All statistics by name and output; large ones speak against the model."""
-    lags = int(np.clip(round(_LONGEST_LAG / sample_time), _FEWEST_LAGS, _MOST_LAGS))
-    lags = min(lags, z.shape[1] // 3)
+    lags = _lags(z.shape[1], sample_time)
     size = 2 ** int(np.ceil(np.log2(z.shape[1] + lags + 1)))
     u = commands - commands.mean(axis=1, keepdims=True)
     spectrum_u = np.fft.rfft(u, size, axis=1)
@@ -146,6 +172,12 @@ def _statistics(
         bands = np.array([b.mean() for b in np.array_split(density, _BANDS)])
         found["bands", i] = float(np.max(bands) / np.mean(density))
     return found
+
+
+def _lags(samples: int, sample_time: float) -> int:
+    """How many lags are looked at in blocks of so many samples."""
+    lags = int(np.clip(round(_LONGEST_LAG / sample_time), _FEWEST_LAGS, _MOST_LAGS))
+    return min(lags, samples // 3)
 
 
 def _portmanteau(
@@ -188,11 +220,18 @@ def _taken_by_fits(
     return left
 
 
-def _tail(value: float, drawn: FloatArray) -> float:
-    """Probability of a statistic so large, by a gamma law with the mean and spread of the draws."""
+def _tail(value: float, drawn: FloatArray, times: float, beyond: float) -> float:
+    """Probability of a statistic so large, by a gamma law with the mean and spread of the draws.
+
+    ``times``, ``beyond``: the margin, by which a statistic is larger than the draws and still of
+    usual size: a factor, and what is added to a sum of squares (its spread grows as that of a
+    noncentral chi-squared variable).
+    """
     from scipy.stats import gamma
 
     mean, variance = float(drawn.mean()), max(float(drawn.var(ddof=1)), 1e-12)
+    variance = times**2 * variance + 2 * beyond * variance / max(mean, 1e-12)
+    mean = times * mean + beyond
     return float(gamma.sf(value, mean**2 / variance, scale=variance / mean))
 
 

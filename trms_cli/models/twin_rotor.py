@@ -6,7 +6,7 @@ How the beam moves under the thrusts is what they differ in (:mod:`trms_cli.mode
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import casadi as ca
@@ -20,6 +20,48 @@ from trms_cli.models.static_curve import InterfaceCircuit, interface_of
 Freedom = Literal["both", "vertical", "horizontal"]
 Currents = Literal["quasi_static", "dynamic"]
 
+#: What the parameters of a TRMS are; a set says it where it means something else.
+MEANINGS: Mapping[str, str] = {
+    "m_t": "mass of the tail part of the beam",
+    "m_tr": "mass of the tail motor with its rotor",
+    "m_ts": "mass of the tail shield",
+    "m_m": "mass of the main part of the beam",
+    "m_mr": "mass of the main motor with its rotor",
+    "m_ms": "mass of the main shield",
+    "m_b": "mass of the counterweight's beam",
+    "m_cb": "mass of the counterweight",
+    "l_t": "length of the tail part of the beam",
+    "l_m": "length of the main part of the beam",
+    "l_b": "length of the counterweight's beam",
+    "l_cb": "distance of the counterweight from the joint",
+    "r_ms": "radius of the main shield",
+    "r_ts": "radius of the tail shield",
+    "R": "resistance of the armatures",
+    "L": "inductance of the armatures",
+    "kphi": "torque constant of the motors",
+    "k_uh": "gain of the tail motor's interface",
+    "k_uv": "gain of the main motor's interface",
+    "J_tr": "inertia of the tail rotor",
+    "B_tr": "viscous friction of the tail rotor",
+    "k_thp": "drag of the tail rotor, turning forward",
+    "k_thn": "drag of the tail rotor, turning backward",
+    "J_mr": "inertia of the main rotor",
+    "B_mr": "viscous friction of the main rotor",
+    "k_tvp": "drag of the main rotor, turning forward",
+    "k_tvn": "drag of the main rotor, turning backward",
+    "k_fvp": "thrust of the main rotor, turning forward",
+    "k_fvn": "thrust of the main rotor, turning backward",
+    "k_fhp": "thrust of the tail rotor, turning forward",
+    "k_fhn": "thrust of the tail rotor, turning backward",
+    "k_g": "gyroscopic moment by the main rotor's thrust and the yaw rate",
+    "k_m": "momentum that the main rotor hands to yaw",
+    "k_t": "momentum that the tail rotor hands to pitch",
+    "k_oh": "viscous friction of yaw",
+    "k_ov": "viscous friction of pitch",
+    "k_chp": "stiffness of the cable, yaw positive",
+    "k_chn": "stiffness of the cable, yaw negative",
+    "g": "gravity",
+}
 _MOVING = {"both": ("pitch", "yaw"), "vertical": ("pitch",), "horizontal": ("yaw",)}
 
 
@@ -170,4 +212,8 @@ def _used(
     content.require(["kphi", "m_cb"], "bench, rahideh or tastemirov")
     known = content.parameter_set()
     given = {f"k_u{axis}" for axis, circuit in circuits.items() if not circuit.parameter_names}
-    return ParameterSet((p for p in known if p.name not in {*unused, *given}), known.name)
+    used = (p for p in known if p.name not in {*unused, *given})
+    return ParameterSet(
+        (replace(p, description=p.description or MEANINGS.get(p.name, "")) for p in used),
+        known.name,
+    )

@@ -148,7 +148,8 @@ def page_html(
         limits = Remarks([Datum(warning, "doubtful") for warning in findings.warnings])
         sections.insert(0, Section("What limits this", blocks=[limits]))
     if findings.next:
-        sections.append(Section("Next", blocks=findings.next))
+        last = 0 if findings.next_first else len(sections)
+        sections.insert(last, Section("Next", blocks=findings.next))
     shown = [_section(section, pictures, interactive) for section in sections]
     for number, section in enumerate(shown):
         taken = [other["anchor"] for other in shown[:number]]

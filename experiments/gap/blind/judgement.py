@@ -274,7 +274,7 @@ def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | Non
         float(np.sqrt(np.mean((np.array([e[c] for c in told]) / floors) ** 2)))
         for e in (refit, corrected)
     )
-    shrink = 1 - (after - 1) / (before - 1) if before > _LEAST_GAP else None
+    shrink = min(1 - (after - 1) / (before - 1), 1.0) if before > _LEAST_GAP else None
     return FreshResult(shrink=shrink, worse=worse)
 
 

@@ -17,13 +17,20 @@ from trms_cli.composition.catalogue import config_folder, read_groups, read_yaml
 from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import model_of_choice
 from trms_cli.core import wording
-from trms_cli.core.errors import EXIT_TERMINATED, ConfigurationError, ModelError, RecordingError
+from trms_cli.core.errors import (
+    EXIT_TERMINATED,
+    ConfigurationError,
+    ModelError,
+    RecordingError,
+    TrmsError,
+)
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.plugins import TARGET, build, construct, nearest
+from trms_cli.core.trust import allowed_for_now
 from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
-from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult
+from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult, Worth
 from trms_cli.gap.findings import likeliest
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.admission import Admission, admit
@@ -340,6 +347,7 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
         return f"{refit}; no effect of the library explains the gap: {named} stands in for a law"
     return {
         "no_gap": "the nominal model as it was: no gap was found",
+        "no_change": "the nominal model with its parameters refitted: nothing changed",
         "parameters_only": f"{refit}: other parameters explain the gap, and no effect is needed",
         "none_of_these": f"{refit}: no effect of the library explains what is left of the gap",
     }.get(diagnosis.verdict, f"{refit}; undecided, so no effect was added")
@@ -438,8 +446,9 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     warnings = dict.fromkeys((*request.problem.warnings, *diagnosis.warnings))
     diagnosis = replace(diagnosis, versions=versions(), warnings=tuple(warnings))
     files = {"figures": folder / DOCUMENT_NAME}
-    write_document(document_of(diagnosis), files["figures"])
     files["model"] = write_models(request, origin, diagnosis, folder)
+    diagnosis = replace(diagnosis, worth=_worth(composition, request, diagnosis, files["model"]))
+    write_document(document_of(diagnosis), files["figures"])
     result = findings(diagnosis, request.remarks, folder)
     if request.options.page:
         from trms_cli.reporting.page import write_page
@@ -452,6 +461,41 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     progress.finish(f"verdict {diagnosis.verdict}: {diagnosis.sentence}")
     spent = {"time": wording.seconds(perf_counter() - begin)}
     return Done(folder, replace(result, measures=(), facts=spent, files=files))
+
+
+#: What closes the loop in which a correction shows its worth.
+_CONTROLLER = "newton_mpc"
+
+
+def _worth(
+    composition: Composition, request: DiagnosisRequest, diagnosis: DiagnosisResult, file: Path
+) -> Worth | None:
+    """What the corrected model gains in the loop; None where none is corrected, or it cannot be."""
+    from trms_cli.composition.composer import compose
+    from trms_cli.gap.worth import DURATION, FREQUENCY, LARGEST, sine_within, worth_of
+    from trms_cli.library.tasks.experiment import experiment_of
+
+    if applied_cause(diagnosis) is None and diagnosis.verdict != "parameters_only":
+        return None
+    model = request.problem.model
+    reference = sine_within(request.problem.datasets, model.controlled)
+    if set(reference) != set(model.controlled):
+        return None
+    words = [f"controller={_CONTROLLER}", "ref=sine", f"sim.duration={DURATION:g}"]
+    for axis, (amplitude, offset) in reference.items():
+        values = {"frequency": FREQUENCY, "amplitude": amplitude, "offset": offset}
+        usual = {"amplitude": LARGEST[axis], "offset": 0.0}
+        words += [f"ref.{axis}.{k}={v:g}" for k, v in values.items() if v != usual.get(k)]
+    # options of one's own, and their classes, are named again
+    mine = [f"--config-dir={folder}" for folder in composition.config_dirs]
+    mine += [f"--allow={package}" for package in sorted(allowed_for_now()) if mine]
+    command = shlex.join([*program().split(), "run", f"model={file}", *words, *mine])
+    try:
+        given = [f"model={file}", *words]
+        config = compose(given, config_dirs=composition.config_dirs).config
+        return worth_of(experiment_of(config), model, controller=_CONTROLLER, command=command)
+    except TrmsError:
+        return None  # a rig that the loop does not suit is diagnosed all the same
 
 
 def _words(composition: Composition, request: DiagnosisRequest) -> str:
