@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import QUANTUM, TACHO_NOISE
-from trms_cli.gap.competing_model import FittedModel, Metric, nominal_parameters, refit
+from trms_cli.gap.competing_model import FittedModel, nominal_parameters, refit
 from trms_cli.gap.diagnose import diagnose
 from trms_cli.gap.diagnosis import GapTest
 from trms_cli.gap.problem import GapProblem, applicable_candidates, divide, quantum_of, with_noise
@@ -32,8 +32,7 @@ def raced(dataset, checkpoint: Checkpoint | None = None) -> Race:
 
 def judged(fitted: FittedModel) -> tuple[GapTest, ...]:
     """Against errors as small as those of rigs without a gap."""
-    metric = fitted.metric
-    calm = Metric(metric.discrepancy, np.minimum(metric.shares, 0.015))
+    calm = replace(fitted.metric, shares=np.minimum(fitted.metric.shares, 0.015))
     return innovation_tests(replace(fitted, metric=calm), draws=20)
 
 

@@ -123,7 +123,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
                 rows[joined] = row | {"effect.rest": _left(features, behind), "disturbance": 1.0}
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
-        **_of_score(max(best, features.flexible) if was_fitted else best),
+        **_of_score(max(features.flexible, 0.0) if was_fitted else best),
         "none.constant": 1.0,
         "none.rest": rest,
         "none.foretold": foretold,

@@ -60,7 +60,8 @@ def moved_parameters(
         return ()
     scales = np.array([p.scale for p in free])
     known = np.array([p.prior_sd is not None for p in free])
-    covariance = fit.evidence.covariance / np.outer(scales, scales)
+    n = len(free)  # behind them stand the drives' gains
+    covariance = fit.evidence.covariance[:n, :n] / np.outer(scales, scales)
     # one that lies on a bound has no spread, and takes no part
     inside = np.flatnonzero(np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0))
     if not len(inside):
