@@ -43,9 +43,9 @@ _NEVER_BELOW = ("score", "score.bend")
 _NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error")
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
-#: Effects that the posterior does not weigh: noise and rounding are told from "none of these"
+#: Effects that the belief does not weigh: rounding is told by other marks.
 #: and from "no gap" by other marks.
-_APART = ("disturbance", "quantisation")
+_APART = ("quantisation",)
 #: Quantile of the errors of equations, over rigs without an effect, that counts as usual.
 _USUAL = 0.9
 
@@ -73,6 +73,8 @@ def _value(kept: Any, wanted: Any) -> Any:
     """Lists of lists as tuples of sorted names, lists of numbers as arrays, not finite as NaN."""
     if kept is None and wanted is float:
         return np.nan
+    if isinstance(kept, Mapping):
+        return {name: _value(value, None) for name, value in kept.items()}
     if not isinstance(kept, (list, tuple)):
         return kept
     if any(isinstance(item, (list, tuple, str)) for item in kept):

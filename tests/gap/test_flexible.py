@@ -1,5 +1,6 @@
 """A residual without a name: found, told from a draught, put into a formula and into a model."""
 
+import re
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -176,7 +177,10 @@ def test_short_laws_are_told_with_their_sizes():
     assert "sin(6 α_h" in turned and " 0.004 N m" in turned and "% of the missing yaw" in turned
     lost = law_of(record, -2e-7 * speed * np.abs(speed) * np.sin(yaw) ** 2)
     assert "−2.0e−07 N m/(rad²/s²) · ω_h|ω_h| sin² α_h" in lost
-    assert "−7.0e−04 N m/V³ · u_h u_v²" in law_of(record, -7e-4 * load, "tail_motor")
+    # the size itself to a few percent
+    assert re.search(
+        "−(6.[89]|7.[01])e−04 N m/V³ · u_h u_v²", law_of(record, -7e-4 * load, "tail_motor")
+    )
     caught = law_of(record, -0.01 * np.sign(yaw) * np.maximum(np.abs(yaw) - 0.5, 0))
     assert "beyond |α_h|" in caught
     assert law_of(record, coloured(np.random.default_rng(7), 5000, 0.5)) == ""

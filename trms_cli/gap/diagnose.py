@@ -222,7 +222,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         forced = {k: v for k, v in stages.place.share().items() if k in stages.forces}
         for location in main or sorted(forced, key=lambda k: -forced[k])[:1]:
             region += regions(stages.forces[location])
-            words = words or description(stages.forces[location])
+            words = words or description(stages.forces[location], _foretold(posterior, location))
     residual, law = _residual(stages)
     words = (*law, *words)
     unseen = _not_testable(stages)
@@ -275,6 +275,14 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         },
         traces=_report_traces(stages, [w.location for w in where]),
     )
+
+
+def _foretold(posterior: Posterior, location: str) -> float | None:
+    """Share of an equation's missing force that the residual without a name foretells."""
+    flexible = posterior.flexible
+    if flexible is None or flexible.location != location:
+        return None
+    return flexible.foretold
 
 
 def _residual(stages: StageResults) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:

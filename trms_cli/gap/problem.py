@@ -85,9 +85,10 @@ def divide(
     compared, for no model of free motion follows there. Raises ConfigurationError if hardly
     anything would be left.
     """
-    whole = tuple(thin_dataset(with_noise(dataset)) for dataset in datasets)
+    whole = tuple(thin_dataset(dataset) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)
     if len(whole) >= _SEVERAL:
+        whole = tuple(with_noise(dataset) for dataset in whole)
         count = max(1, round(share * len(whole)))
         kept = len(whole) - count
         fitted = whole[:kept]
@@ -97,9 +98,14 @@ def divide(
         for i, dataset in enumerate(whole):
             length = max(share * dataset.duration, min(_LEAST_SEALED, dataset.duration / 3))
             cut = round((dataset.duration - length) / dataset.sample_time)
-            parts.append(dataset.part(0, cut))
+            parts.append(with_noise(dataset.part(0, cut)))
             spans.append((i, cut, len(dataset)))
         fitted, sealed = tuple(parts), tuple(spans)
+        # what is sealed has no say in the noise either
+        whole = tuple(
+            replace(dataset, noise_sd=part.noise_sd)
+            for dataset, part in zip(whole, fitted, strict=True)
+        )
     left = sum(dataset.duration for dataset in fitted)
     block = min(block, left / _FEWEST_BLOCKS)
     if block < 2.0:

@@ -160,7 +160,7 @@ def bench_problem(recording: Path) -> GapProblem:
 
 
 def bench_effects() -> dict[str, Effect]:
-    """Every effect that the package brings, at its typical size."""
+    """Every effect that the package brings as a cause, at its typical size."""
     import yaml
 
     candidates = {}
@@ -168,7 +168,8 @@ def bench_effects() -> dict[str, Effect]:
         for name, node in yaml.safe_load(file.read_text(encoding="utf-8")).items():
             effect = build(node, f"effect.{name}")
             assert isinstance(effect, Effect)
-            candidates[name] = effect
+            if effect.explains:
+                candidates[name] = effect
     return candidates
 
 

@@ -42,8 +42,9 @@ OTHER_LAW = {
     "tail_inflow": 0.2,
 }
 SAME_LAW = 0.03
-#: What a random draw or the encoder decides cannot be compared sample by sample.
-NOT_COMPARED = ("disturbance", "quantisation")
+#: What a random draw or the encoder decides cannot be compared sample by sample; a residual is no
+#: effect of a rig.
+NOT_COMPARED = ("disturbance", "quantisation", "residual_force", "residual_reading")
 
 
 def nominals(n: int) -> dict[str, np.ndarray]:

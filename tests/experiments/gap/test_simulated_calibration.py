@@ -30,7 +30,7 @@ EVIDENCE = {
     "raw_error": None,
     "refit_error": 1.5,
     "shares": {"yaw_moment": 0.02},
-    "outside": "",
+    "outside": {"yaw": [9.0, 1.0, 2.0]},
     "something_new": [1, 2, 3],
 }
 

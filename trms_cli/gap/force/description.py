@@ -262,8 +262,12 @@ _CLOSE = 0.5
 _RATE = 25.0
 
 
-def description(record: ForceRecord) -> tuple[str, ...]:
-    """What the force looks like: a single sentence where it does not stand out of its noise."""
+def description(record: ForceRecord, foretold: float | None = None) -> tuple[str, ...]:
+    """What the force looks like: a single sentence where it does not stand out of its noise.
+
+    ``foretold``: share of it that a residual without a name foretells on held-out blocks, where one
+    was fitted; None: a regression on the record judges whether it comes from outside.
+    """
     rms = float(np.sqrt(np.mean(record.force**2)))
     noise = float(np.sqrt(np.mean(record.sd**2)))
     place, unit = record.location, record.unit
@@ -285,7 +289,7 @@ def description(record: ForceRecord) -> tuple[str, ...]:
             for region in regions(record)
             if " t = " not in region.condition
         ),
-        _origin(record),
+        _origin(record) if foretold is None else _foretold(foretold),
         _closest_form(record),
     ]
     return tuple(sentence for sentence in parts if sentence)
@@ -385,6 +389,15 @@ def _origin(record: ForceRecord) -> str:
     return (
         f"It comes from outside, or from what is not measured: what the rig does predicts {share}."
     )
+
+
+def _foretold(share: float) -> str:
+    """Where it comes from, by what smooth terms of the motion foretell through simulation."""
+    terms = "smooth terms of angles, rates, speeds and commands foretell "
+    told = f"{terms}{share:.0%} of it on held-out blocks"
+    if share >= _OWN:
+        return f"It is the rig's own doing: {told}."
+    return f"{told.capitalize()}: it comes from outside, or from what they do not remember."
 
 
 def _closest_form(record: ForceRecord) -> str:
