@@ -17,7 +17,7 @@ from benchmarks.options import Options
 #: In the order of running; a module each under benchmarks.subjects.
 SUBJECTS = (
     *("newton_time", "exported", "peers", "objective", "tracking"),
-    *("parts", "identification", "program", "growth", "run_overhead", "sweeps"),
+    *("parts", "identification", "program", "growth", "run_overhead", "sweeps", "diagnosis"),
 )
 
 

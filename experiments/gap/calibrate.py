@@ -44,7 +44,6 @@ _NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
 #: Effects that the belief does not weigh: rounding is told by other marks.
-#: and from "no gap" by other marks.
 _APART = ("quantisation",)
 #: Quantile of the errors of equations, over rigs without an effect, that counts as usual.
 _USUAL = 0.9
