@@ -285,10 +285,18 @@ def _foretold(posterior: Posterior, location: str) -> float | None:
     return flexible.foretold
 
 
+def _residual_places(posterior: Posterior) -> tuple[str, ...]:
+    """Where the residual without a name acts, if the corrected model has it."""
+    flexible = posterior.flexible
+    if flexible is None or posterior.corrected is not flexible.fitted:
+        return ()
+    return flexible.places
+
+
 def _residual(stages: StageResults) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
     """What the corrected model has in place of a named cause, and the short law that is closest."""
     flexible, race = stages.posterior.flexible, stages.race
-    if flexible is None or stages.posterior.corrected is not flexible.fitted:
+    if flexible is None or not _residual_places(stages.posterior):
         return {}, ()
     nodes = {name: node_of(effect) for name, effect in flexible.effects.items()}
     return nodes, short_law(race.refit, flexible, stages.forces)
@@ -300,9 +308,10 @@ def _where(stages: StageResults) -> tuple[LocationShare, ...]:
     seed = stages.race.refit.structure.problem.seed
     random = np.random.default_rng(np.random.SeedSequence([seed, 1]))
     m = place.together.size
-    whole = _shares(posterior.probabilities, place.share(), candidates)
+    residual = _residual_places(posterior)
+    whole = _shares(posterior.probabilities, place.share(), candidates, residual)
     drawn = [
-        _shares(p, place.share(random.integers(0, m, m)), candidates)
+        _shares(p, place.share(random.integers(0, m, m)), candidates, residual)
         for p in posterior.resampled[:100]
     ]
     listed = []
@@ -325,13 +334,16 @@ def _shares(
     probabilities: Mapping[tuple[str, ...], float],
     by_disturbance: Mapping[str, float],
     candidates: Mapping[str, CandidateEffect],
+    residual: Sequence[str],
 ) -> dict[str, float]:
-    total = sum(by_disturbance.values())
+    """``residual``: where what has no name acts; empty where that is not known."""
+    unnamed = {k: v for k, v in by_disturbance.items() if not residual or k in residual}
+    total = sum(unnamed.values())
     shares: dict[str, float] = {}
     for effects, probability in probabilities.items():
         if effects[0] in NO_EFFECT:
             if effects[0] == "none_of_these" and total > 0:
-                for location, share in by_disturbance.items():
+                for location, share in unnamed.items():
                     shares[location] = shares.get(location, 0.0) + probability * share / total
             continue
         for name in effects:

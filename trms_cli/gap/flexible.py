@@ -123,6 +123,11 @@ class Flexible:
         """Summed log predictive density of the blocks, nats."""
         return self.fitted.fit.score
 
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where in the block diagram it acts."""
+        return tuple(at for c in self.fitted.structure.effects for at in c.locations)
+
     @cached_property
     def effective(self) -> float:
         """Number of coefficients that the data decide, and not their priors."""
