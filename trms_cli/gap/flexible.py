@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import casadi as ca
 import numpy as np
@@ -29,6 +29,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.effects.effect import EffectContext
 from trms_cli.effects.residual import (
     USUAL_SPANS,
+    Equation,
     Residual,
     ResidualForce,
     ResidualReading,
@@ -58,6 +59,8 @@ _LEAST_GAP = 10.0
 #: A force that foretells less of what is missing lets another place be tried too, where a
 #: disturbance closes so much of the gap.
 _ENOUGH, _WORTH = 0.9, 0.2
+#: Share below which it foretells nothing.
+_NOTHING = 0.3
 #: Hz. A smoothed force has no more; and ridge penalties of the regression.
 _RATE = 6.0
 _PENALTIES = (1e-3, 1e-2, 1e-1)
@@ -185,16 +188,17 @@ def fit_flexible(
     equation.
     """
     shares = place.share()
-    known = sorted((k for k in shares if k in forces), key=lambda k: -shares[k])
+    named = [k for k in shares if k in forces and k in get_args(Equation)]
+    known = sorted(named, key=lambda k: -shares[k])
     if not known or place.together.sum() < _LEAST_GAP:
         return None
     motion = _Motion(refit)
     first = known[0]
     try:
-        best = _fitted(motion, first, forces[first])
+        best = _fitted(motion, first, forces)
         if best.foretold < _ENOUGH:
             for other in _others(refit.structure.problem.model, first, known[1:], shares):
-                tried = _fitted(motion, first, forces[first], other, best)
+                tried = _fitted(motion, first, forces, other, best)
                 best = max(best, tried, key=lambda flexible: flexible.score)
     except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
         return None  # what cannot be simulated is no competitor
@@ -212,31 +216,33 @@ def _others(model: Model, first: str, known: list[str], shares: Mapping[str, flo
 def _fitted(
     motion: _Motion,
     location: str,
-    record: ForceRecord,
+    forces: Mapping[str, ForceRecord],
     other: str = "",
     before: Flexible | None = None,
 ) -> Flexible:
-    """Fit a residual on an equation; with ``other`` on a further one too, or on a sensor instead.
+    """Fit a residual on an equation; with ``other`` on a sensor instead, or on another equation.
 
+    That has a residual of its own beside the first one's, or alone where that foretells nothing.
     ``before``: the fit to the first equation alone.
     """
     refit = motion.refit
-    size = float(np.sqrt(np.mean(record.force**2)))
+    if other in forces and before is not None and before.foretold < _NOTHING:
+        location, other, before = other, "", None
     values, shares = dict(refit.values), refit.metric.shares.copy()
     trend = 0.0
     if other.endswith("sensor"):
         chosen = [motion.candidate(other, _READING)]
     else:
-        chosen = [motion.candidate(location, size)]
-        started, foretold, trend = motion.regressed(location, record)
-        values |= started
-        at = [c.location for c in refit.metric.discrepancy.channels].index(location)
-        shares[at] *= np.sqrt(np.clip(1 - foretold, 0.05, 1.0))
-        if other and before is not None:
-            unit_size = motion.scale(other)
-            chosen.append(motion.candidate(other, unit_size))
+        places = [location, *([other] if other else [])]
+        chosen = [motion.candidate(place, _size(forces[place])) for place in places]
+        for place in places:
+            started, foretold, drift = motion.regressed(place, forces[place])
+            values |= started
+            at = [c.location for c in refit.metric.discrepancy.channels].index(place)
+            shares[at] *= np.sqrt(np.clip(1 - foretold, 0.05, 1.0))
+            trend = drift if place == location else trend
+        if before is not None:
             values |= before.fitted.values
-            shares = before.fitted.metric.shares
     structure = refit.structure.with_effects(*chosen)
     theta = structure.theta(values)
     metric = replace(refit.metric, shares=shares)
@@ -308,6 +314,11 @@ def _with_priors(structure: ModelStructure, sd: Mapping[str, float]) -> ModelStr
     return made
 
 
+def _size(record: ForceRecord) -> float:
+    """Root mean square, in the force's unit."""
+    return float(np.sqrt(np.mean(record.force**2)))
+
+
 @dataclass(frozen=True)
 class _Motion:
     """The motion that the data show, along which terms are evaluated."""
@@ -354,12 +365,6 @@ class _Motion:
         spans = {**USUAL_SPANS, **{name: (m, h) for name, m, h in self.spans}}
         given = {name: (ca.SX(m), ca.SX(h)) for name, (m, h) in spans.items()}
         return self.along(lambda at: dict(terms(at, place, given)))
-
-    def scale(self, location: str) -> float:
-        """Size of the force that an equation lacks by the refit's discrepancy, in its unit."""
-        discrepancy = self.refit.metric.discrepancy
-        at = [c.location for c in discrepancy.channels].index(location)
-        return float(discrepancy.scales[at] * self.refit.metric.shares[at])
 
     def candidate(self, place: str, size: float) -> CandidateEffect:
         """A residual with its coefficients free; ``size``: sd of the prior of each."""

@@ -19,6 +19,7 @@ from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.free_runs import SealedRuns, farthest_error
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
+from trms_cli.gap.residuals import Location
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 
@@ -185,6 +186,7 @@ def posterior_of(
     problem: GapProblem,
     race: Race,
     candidates: Mapping[str, CandidateEffect],
+    place: Location,
     constants: Calibration,
     runs: SealedRuns,
     flexible: Flexible | None = None,
@@ -192,11 +194,18 @@ def posterior_of(
     """Weigh all that raced.
 
     ``candidates``: all of them, those that noise drives among them. ``flexible``: the competitor
-    without a name; None: it was not fitted.
+    without a name; None: it was not fitted. A torque from outside is an answer where it explains
+    more than its axis' sensor would.
     """
     behinds = excesses(race, constants)
     features = features_of(race, behinds, constants, runs, flexible)
-    known = tuple(axis for axis in features.outside if f"{axis}{DISTURBANCE}" in candidates)
+    shares = place.share()
+    known = [
+        axis
+        for axis in features.outside
+        if f"{axis}{DISTURBANCE}" in candidates
+        and shares.get(f"{axis}_moment", 0.0) >= shares.get(f"{axis}_sensor", 0.0)
+    ]
     features = replace(features, outside={axis: features.outside[axis] for axis in known})
     coarse = coarse_sensor(problem, candidates)
 
