@@ -63,7 +63,8 @@ class Features:
     #: of each competitor
     outside: Mapping[str, FloatArray] = field(default_factory=dict)
     flexible: float = np.nan  #: Score of the flexible competitor; NaN: it was not fitted
-    foretold: float = np.nan  #: Share of the missing force that it foretells, held out
+    #: Share of the missing force that it, or a regression on it, foretells on held-out blocks
+    foretold: float = np.nan
     coefficients: float = np.nan  #: Number of its coefficients that the data decide
 
 

@@ -156,7 +156,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     tests = innovation_tests(replace(nominal, metric=calm), seed=problem.seed)
     watch.enter("how far")
     runs = free_runs.SealedRuns(problem, parts)
-    posterior = posterior_of(problem, race, candidates, place, constants, runs, flexible)
+    posterior = posterior_of(problem, race, candidates, forces, place, constants, runs, flexible)
     sealed = free_runs.sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
     beside = project_traces(posterior.corrected or nominal, traces)

@@ -16,6 +16,8 @@ from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
+from trms_cli.gap.force.exogenous import exogenous
+from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.free_runs import SealedRuns, farthest_error
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
@@ -34,6 +36,8 @@ _NATS, _ERRORS = 3.0, 1.0
 _ALIKE = 0.99
 #: A force of which the flexible competitor foretells this share is the rig's own doing.
 _OWN_DOING = 0.5
+#: p-value from which a regression on a missing force is believed.
+_CERTAIN = 0.05
 _RESAMPLES = 200
 #: Competitors whose free runs on the sealed part are asked for.
 _RUN = 5
@@ -186,6 +190,7 @@ def posterior_of(
     problem: GapProblem,
     race: Race,
     candidates: Mapping[str, CandidateEffect],
+    forces: Mapping[str, ForceRecord],
     place: Location,
     constants: Calibration,
     runs: SealedRuns,
@@ -193,9 +198,9 @@ def posterior_of(
 ) -> Posterior:
     """Weigh all that raced.
 
-    ``candidates``: all of them, those that noise drives among them. ``flexible``: the competitor
-    without a name; None: it was not fitted. A torque from outside is an answer where it explains
-    more than its axis' sensor would.
+    ``candidates``: all of them, those that noise drives among them. ``forces``: smoothed missing
+    force of each equation. ``flexible``: the competitor without a name; None: it was not fitted. A
+    torque from outside is an answer where it explains more than its axis' sensor would.
     """
     behinds = excesses(race, constants)
     features = features_of(race, behinds, constants, runs, flexible)
@@ -207,6 +212,12 @@ def posterior_of(
         and shares.get(f"{axis}_moment", 0.0) >= shares.get(f"{axis}_sensor", 0.0)
     ]
     features = replace(features, outside={axis: features.outside[axis] for axis in known})
+    if known and features.behind > 0:
+        axis = max(known, key=lambda axis: shares[f"{axis}_moment"])
+        # the regression knows paths and the last moments, which the terms of the flexible do not
+        dependence = exogenous(forces[f"{axis}_moment"], problem.seed)
+        remembered = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
+        features = replace(features, foretold=float(np.fmax(features.foretold, remembered)))
     coarse = coarse_sensor(problem, candidates)
 
     def believed(those: Features) -> dict[tuple[str, ...], float]:
