@@ -58,7 +58,7 @@ from trms_cli.models.parameters import Parameter
 _LEAST_GAP = 10.0
 #: A force that foretells less of what is missing lets another place be tried too, where a
 #: disturbance closes so much of the gap.
-_ENOUGH, _WORTH = 0.9, 0.2
+_ENOUGH, _WORTH = 0.95, 0.2
 #: Share below which it foretells nothing.
 _NOTHING = 0.3
 #: Hz. A smoothed force has no more; and ridge penalties of the regression.
