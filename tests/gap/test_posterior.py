@@ -1,5 +1,7 @@
 """From scores to probabilities, and the constants fitted to rigs whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -103,3 +105,21 @@ def test_features_survive_the_file():
     again = features_of(json_data(made))
     np.testing.assert_array_equal(again.scores, made.scores)
     assert again.names == NAMES
+
+
+def test_a_torque_from_outside_is_what_nothing_foretells():
+    """Alone, and beside a cause that explains the rest."""
+    weights = calibration().weights
+    gap = replace(
+        features(behind=9000.0, scores=(1.0, 2.0, 0.0), behinds=(8900.0,) * 3, errors=20.0),
+        outside={"yaw": np.array([0.0, 0.0, 0.0, 0.0])},
+        flexible=5.0,
+        foretold=0.02,
+    )
+    assert next(iter(probabilities_of(gap, weights))) == ("yaw_disturbance",)
+    law = replace(gap, flexible=600.0, foretold=0.9)
+    assert next(iter(probabilities_of(law, weights))) == ("none_of_these",)
+    beside = replace(
+        gap, scores=np.array([300.0, 2.0, 0.0]), outside={"yaw": np.array([4e3, 0.0, 4e3, 4e3])}
+    )
+    assert next(iter(probabilities_of(beside, weights))) == ("a", "yaw_disturbance")
