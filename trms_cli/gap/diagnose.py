@@ -49,6 +49,7 @@ from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.moved_parameters import moved_parameters
 from trms_cli.gap.next_experiment import advise
+from trms_cli.gap.onset import begun
 from trms_cli.gap.posterior import Posterior, posterior_of
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
 from trms_cli.gap.race import (
@@ -69,7 +70,8 @@ from trms_cli.models.model import names
 
 #: Where on the way each stage begins, as a share of the whole.
 _BEGINS = {
-    "refit": 0.0,
+    "onset": 0.0,
+    "refit": 0.02,
     "separability": 0.08,
     "race": 0.3,
     "where": 0.85,
@@ -97,6 +99,12 @@ class _Watch:
         if self._stage:
             self.seconds[self._stage] = time.perf_counter() - self._begun
 
+    def tell_whole(self, share: float, message: str) -> bool:
+        """Note how far the diagnosis is, where it has stages of its own."""
+        if not self._progress.update(share, float("nan"), message):
+            raise KeyboardInterrupt
+        return True
+
     def tell(self, share: float, message: str) -> bool:
         """Note how far the stage is; an answer of no ends the diagnosis as Ctrl-C does."""
         names = list(_BEGINS)
@@ -112,10 +120,22 @@ class _Watch:
 def diagnose(problem: GapProblem, progress: Progress | None = None) -> DiagnosisResult:
     """Say where the gap lies, which effect causes it, and how far it shrinks.
 
+    With recordings of a known state to compare with: what changed since.
+
     Raises ConfigurationError for recordings that are too short, and KeyboardInterrupt if the
     progress asks to stop; what is finished has been saved with it.
     """
     watch = _Watch(progress or SilentProgress())
+    if problem.against:
+        from trms_cli.gap.change import compare
+        from trms_cli.gap.change_result import change_result
+
+        watch.enter("refit")
+        return change_result(problem, compare(problem, watch.tell_whole))
+    watch.enter("onset")
+    began = begun(problem, watch.tell)
+    if began is not None:
+        return began
     watch.enter("refit")
     parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
     free = nominal_parameters(problem.model)

@@ -120,7 +120,8 @@ def headline(diagnosis: DiagnosisResult) -> str:
     if diagnosis.verdict == "effect" and first is not None:
         together = first.probability + sum(c.probability for c in _alike(first, diagnosis))
         verb = "is" if together >= _SURE else "is likely" if together >= _LIKELY else "may be"
-        return f"{cause_name(first.effects)} {verb} what the model lacks"
+        lacks = "what changed" if diagnosis.against else "what the model lacks"
+        return f"{cause_name(first.effects)} {verb} {lacks}"
     return {
         "parameters_only": "other parameters, and no effect, explain the gap",
         "no_gap": "no gap",

@@ -38,6 +38,8 @@ class GapProblem:
     #: Whole recordings with one sample time; they measure some or all of the model's outputs
     datasets: tuple[Dataset, ...]
     candidates: Mapping[str, Effect]  #: Effects that may be the cause, at their typical sizes
+    #: Recordings of the rig in a known state, with which the others are compared
+    against: tuple[Dataset, ...] = ()
     block: Annotated[float, Meta(gt=0)] = 10.0  #: s, of the blocks that are fitted and compared
     #: Share of the recordings that nothing is chosen on and the shrink is measured on
     sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25
@@ -310,7 +312,7 @@ def variants(parameters: Sequence[Parameter]) -> FloatArray:
     amplitude, of which one size will do.
     """
     defaults = np.array([p.value for p in parameters], dtype=float)
-    amplitudes = [i for i, p in enumerate(parameters) if i == 0 or _vanishes(p)]
+    amplitudes = [i for i in range(len(parameters)) if is_amplitude(parameters, i)]
     shapes = [i for i in range(len(parameters)) if i not in amplitudes]
     rows = []
     for i in amplitudes:
@@ -325,6 +327,11 @@ def variants(parameters: Sequence[Parameter]) -> FloatArray:
             row[shapes] = shape
             rows.append(row)
     return np.array(rows)
+
+
+def is_amplitude(parameters: Sequence[Parameter], index: int) -> bool:
+    """Whether an effect vanishes with one of its sizes."""
+    return index == 0 or _vanishes(parameters[index])
 
 
 def _vanishes(parameter: Parameter) -> bool:

@@ -41,7 +41,7 @@ from trms_cli.identification.problem import free_parameters
 from trms_cli.library.tasks.files import effect_arguments, names_of_files, origin_of, write_config
 from trms_cli.library.tasks.subject import model_of, several
 from trms_cli.library.tasks.task import Done, Interrupted, Listener
-from trms_cli.models.model import Model
+from trms_cli.models.model import Model, names
 
 #: Keys of the configuration that are plugins of their own.
 _GROUPS = ("model", "effect", "data")
@@ -60,6 +60,7 @@ class DiagnoseOptions:
     """The keys of ``configs/diagnose.yaml`` that are no group."""
 
     real: str | tuple[str, ...]
+    against: str | tuple[str, ...] | None = None  #: of the same rig in a known state
     candidates: str | tuple[str, ...] = ("all",)
     effort: Literal["quick", "normal", "thorough"] = "normal"
     block: Annotated[float, Meta(gt=0)] | None = None  #: s
@@ -90,7 +91,7 @@ class DiagnosisRequest:
             repr((problem.block, problem.sealed_share, problem.effort, problem.seed)),
         ]
         digest = sha256("\n".join(parts).encode())
-        for dataset in problem.datasets:
+        for dataset in (*problem.datasets, *problem.against):
             for values in (dataset.time, dataset.commands, dataset.measurements, dataset.noise_sd):
                 digest.update(values.tobytes())
         return digest.hexdigest()
@@ -114,13 +115,16 @@ def request_of(composition: Composition) -> DiagnosisRequest:
     with_prior = sum(p.prior_sd is not None for p in model.parameters)
     admission = admit(datasets, model, with_prior)
     _require(admission, model_of_choice(composition))
-    _require_one_rate(datasets)
-    _require_blocks(datasets, options)
+    against = _against(options, datasets, model, data, model_of_choice(composition))
+    _require_one_rate((*datasets, *against))
+    if not against:
+        _require_blocks(datasets, options)
     problem = GapProblem(
         model=model,
         model_name=model_of_choice(composition),
         datasets=datasets,
         candidates=candidates.effects,
+        against=against,
         block=_block(datasets, options),
         sealed_share=options.sealed_share,
         effort=options.effort,
@@ -128,8 +132,57 @@ def request_of(composition: Composition) -> DiagnosisRequest:
         jobs=options.jobs,
         warnings=tuple(str(issue) for issue in admission.warnings),
     )
-    remarks = dict.fromkeys(remark for dataset in datasets for remark in dataset.remarks)
+    everything = (*datasets, *against)
+    remarks = dict.fromkeys(remark for dataset in everything for remark in dataset.remarks)
     return DiagnosisRequest(options, problem, candidates, tuple(remarks))
+
+
+#: s. Recordings of a known state, together, and those in question must be as long.
+_SHORTEST_COMPARED = 10.0
+
+
+def _against(
+    options: DiagnoseOptions,
+    datasets: Sequence[Dataset],
+    model: Model,
+    data: DataOptions,
+    name: str,
+) -> tuple[Dataset, ...]:
+    """Recordings of the known state, none where none are given.
+
+    Raises ConfigurationError for those that do not compare with the ones in question.
+    """
+    if options.against is None:
+        return ()
+    found = tuple(load_datasets(several(options.against, "against"), model, data))
+    _require(admit(found, model, sum(p.prior_sd is not None for p in model.parameters)), name)
+    both = {d.sha256: d for d in datasets}
+    for dataset in found:
+        if dataset.sha256 in both:
+            raise ConfigurationError(
+                f"{dataset.source} is among the recordings in question, too",
+                where="against",
+                remedy="real= takes what is in question, against= what is known to be in order",
+            )
+        for other in datasets:
+            one, two = (names(d.outputs) for d in (dataset, other))
+            if set(one) != set(two):
+                raise ConfigurationError(
+                    f"{dataset.source} measures {', '.join(one)}, and {other.source} "
+                    f"{', '.join(two)}",
+                    where="against",
+                    remedy="compare what both measure: "
+                    f"data.channels=[{','.join(n for n in one if n in two)}]",
+                )
+    for where, given in (("against", found), ("real", datasets)):
+        length = sum(d.duration for d in given)
+        if length < _SHORTEST_COMPARED:
+            raise ConfigurationError(
+                f"{length:.3g} s recorded are too short to compare",
+                where=where,
+                remedy=f"give at least {_SHORTEST_COMPARED:g} s, better 60 s",
+            )
+    return found
 
 
 def _require(admission: Admission, model: str) -> None:
@@ -329,6 +382,8 @@ def applied_cause(diagnosis: DiagnosisResult) -> Cause | None:
     first = likeliest(diagnosis)
     if first is None or not first.parameters or set(first.effects) & set(NO_EFFECT):
         return None
+    if any(name.endswith("_disturbance") for name in first.effects):
+        return None
     return first if diagnosis.verdict in ("effect", "undecided") else None
 
 
@@ -347,7 +402,7 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
         return f"{refit}; no effect of the library explains the gap: {named} stands in for a law"
     return {
         "no_gap": "the nominal model as it was: no gap was found",
-        "no_change": "the nominal model with its parameters refitted: nothing changed",
+        "no_change": "the model fitted to the recordings of the known state: nothing changed",
         "parameters_only": f"{refit}: other parameters explain the gap, and no effect is needed",
         "none_of_these": f"{refit}: no effect of the library explains what is left of the gap",
     }.get(diagnosis.verdict, f"{refit}; undecided, so no effect was added")
@@ -514,5 +569,7 @@ def _facts(request: DiagnosisRequest) -> Iterator[tuple[str, str]]:
         for dataset in request.problem.datasets
     ]
     yield "on", "\n".join(lines)
+    if request.problem.against:
+        yield "against", ", ".join(d.source for d in request.problem.against)
     if request.remarks:
         yield "note", "\n".join(request.remarks)

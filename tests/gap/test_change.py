@@ -1,0 +1,134 @@
+"""What changed since a known state, and since when, on rigs whose change is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trms_cli.gap.change import Comparison, compare_with
+from trms_cli.gap.change_result import change_result
+from trms_cli.gap.competing_model import nominal_parameters
+from trms_cli.gap.differences import Questioned
+from trms_cli.gap.evidence import Evidence
+from trms_cli.gap.known_state import KnownState, known_state
+from trms_cli.gap.problem import GapProblem, applicable_candidates
+from trms_cli.gap.short_runs import ShortRuns
+from trms_cli.gap.standing import Series, StandingError
+from trms_cli.models.newtonian import Newtonian
+
+from .changed import begins
+from .recorded import effect
+
+MODEL = Newtonian()
+#: A rig that is not quite as its parameters say.
+VALUES = {"k_fvp": 1.66e-5, "k_oh": 0.011}
+FREE = tuple(p for p in nominal_parameters(MODEL) if p.name in ("k_fvp", "k_oh", "k_ov", "l_cb"))
+CANDIDATES, _ = applicable_candidates(
+    MODEL, {n: effect(n) for n in ("yaw_coulomb_friction", "yaw_quadratic_damping")}
+)
+
+
+@pytest.fixture(scope="module")
+def known() -> KnownState:
+    recorded = [begins({}, 0.0, values=VALUES, seconds=20.0, seed=seed) for seed in (11, 12)]
+    return known_state(MODEL, FREE, recorded)
+
+
+def compared(known: KnownState, dataset) -> Comparison:
+    return compare_with(known, [dataset], CANDIDATES, {})
+
+
+def of(known: KnownState, dataset):
+    problem = GapProblem(
+        model=MODEL,
+        model_name="newtonian",
+        datasets=(dataset,),
+        candidates={n: c.effect for n, c in CANDIDATES.items()},
+        against=known.runs.windows.datasets,
+    )
+    return change_result(problem, compared(known, dataset))
+
+
+def test_parameters_of_the_known_state_are_fitted(known):
+    values = dict(zip([f.name for f in known.free], known.model.parameters.values, strict=False))
+    fitted = {f.name: known.model.parameters[f.name].value for f in known.free}
+    assert set(values) == set(fitted)
+    assert fitted["k_fvp"] == pytest.approx(1.66e-5, rel=0.03)
+    assert fitted["k_oh"] == pytest.approx(0.011, rel=0.1)
+
+
+def test_another_recording_of_the_same_state_is_no_change(known):
+    found = of(known, begins({}, 0.0, values=VALUES, seconds=20.0, seed=13))
+    assert found.verdict == "no_change"
+    assert found.causes[0].effects == ("no_change",)
+    assert sum(cause.probability for cause in found.causes) == pytest.approx(1.0)
+    assert not found.where
+    assert len(found.against) == 2
+
+
+def test_friction_that_was_there_from_the_beginning_has_no_onset(known):
+    rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
+    found = of(known, begins(rubbing, 0.0, values=VALUES, seconds=20.0, seed=14))
+    assert found.verdict == "effect"
+    assert found.causes[0].effects == ("yaw_coulomb_friction",)
+    size = found.causes[0].parameters["yaw_coulomb_friction.torque"]
+    assert size.value == pytest.approx(0.004, rel=0.1)
+    assert found.causes[0].onset is None
+    assert found.where[0].location == "yaw_moment"
+
+
+def test_friction_that_begins_is_told_with_its_onset(known):
+    rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
+    found = of(known, begins(rubbing, 15.3, values=VALUES, seconds=30.0, seed=15))
+    assert found.causes[0].effects == ("yaw_coulomb_friction",)
+    onset = found.causes[0].onset
+    assert onset is not None
+    assert onset.time_s == pytest.approx(15.3, abs=1.0)
+    assert onset.ci95[0] <= onset.time_s <= onset.ci95[1]
+
+
+def test_the_missing_force_of_a_run_is_the_torque_that_acts():
+    rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
+    right, wrong = (begins(e, 0.0, seconds=20.0, seed=16) for e in ({}, rubbing))
+    runs = [ShortRuns(MODEL, [dataset]) for dataset in (right, wrong)]
+    yaw = [e.location for e in runs[0].equations].index("yaw_moment")
+    force = [r.forces(MODEL.parameters.values).force[:, yaw] for r in runs]
+    assert np.std(force[0]) < 5e-4
+    assert np.std(force[1]) > 3 * np.std(force[0])
+
+
+def test_a_gate_opens_at_its_onset():
+    runs = ShortRuns(MODEL, [begins({}, 0.0, seconds=20.0, seed=16)])
+    gate = runs.gate(np.array([-5.0, 7.5, 100.0]))
+    np.testing.assert_allclose(gate[0], 1.0)
+    np.testing.assert_allclose(gate[2], 0.0)
+    assert np.all(gate[1][runs.begin + runs.length < 7.5] == 0.0)
+    assert np.all((gate[1][7] > 0.0) & (gate[1][7] < 1.0))
+    np.testing.assert_allclose(gate[1][8:], 1.0)
+
+
+def test_recordings_that_differ_more_among_themselves_foretell_less():
+    random = np.random.default_rng(0)
+    count, each = 4, 20
+    recording = np.repeat(np.arange(count), each)
+    time = np.tile(np.arange(each, dtype=float), count)
+    noise = 0.1 * random.standard_normal(count * each)
+    offsets = np.array([1.0, -1.2, 0.8, -0.7])
+
+    def series(force: np.ndarray) -> Series:
+        seen = np.ones(len(force), dtype=bool)
+        return Series(force, seen, np.zeros((len(force), 0)), recording, time)
+
+    alike = StandingError.learnt(series(noise), 1.0)
+    apart = StandingError.learnt(series(noise + offsets[recording]), 1.0)
+    assert apart.sizes.offset > 5 * alike.sizes.offset
+    assert apart.sizes.white == pytest.approx(0.1, rel=0.3)
+
+
+def test_nothing_that_is_seen_leaves_evidence_as_it_is(known):
+    questioned = Questioned.recorded(known, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)])
+    evidence = Evidence(questioned)
+    none = np.zeros((1, *questioned.forces.force.shape))
+    found, _, _ = evidence.of(none, none)
+    assert found[0] == pytest.approx(evidence.unchanged)
+    assert replace(questioned).forces is questioned.forces

@@ -1,0 +1,175 @@
+"""What changed since the rig was in a known state: a diagnosis against other recordings of it.
+
+    fit to the known state → learn the standing error → one difference at a time → how probable
+
+Parameters are those of the known state, and so is what the model lacks there: neither has to be
+explained. A constant torque on an axis, a parameter, an effect of the library is tried, from the
+beginning of the recordings in question on or from some time on. That nothing changed is an answer,
+and it is held against how much recordings of the known state differ among themselves: what would
+be seen between these, one in turn questioned against the others, is no change.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from trms_cli.core.arrays import FloatArray
+from trms_cli.gap.competing_model import nominal_parameters
+from trms_cli.gap.differences import Questioned, differences
+from trms_cli.gap.evidence import Evidence, Judged, judge
+from trms_cli.gap.known_state import KnownState, known_state
+from trms_cli.gap.problem import (
+    CandidateEffect,
+    GapProblem,
+    applicable_candidates,
+    thin_dataset,
+    with_noise,
+)
+from trms_cli.identification.dataset import Dataset
+
+#: What is believed before the recordings are seen: that nothing changed; of what may have, that it
+#: is none of these, and by kind of difference, to be shared among its members.
+_UNCHANGED, _UNNAMED = 0.6, 0.1
+_KINDS: Mapping[str, float] = {"effect": 0.6, "torque": 0.2, "parameter": 0.1}
+#: Belief per nat among differences: windows are less independent than the standing error says.
+_TEMPERATURE = 0.35
+#: Gains between recordings of one state are exponential, with a rate of which as much is believed
+#: as so many recordings that gained so many nats tell. Those of a change are log-uniform, up to
+#: _LARGEST.
+_BELIEVED, _USUAL_GAIN, _LARGEST = 2, 5.0, 1000.0
+#: Nats of belief behind the best within which a difference is judged finely, and how many at most.
+_NEAR, _FINALISTS = 9.0, 8
+#: Effects that are tried between the recordings of the known state, besides all else.
+_TRIED = 6
+#: Differences that add the same to the missing forces, by the cosine, cannot be told apart.
+_ALIKE = 0.97
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What was found out about a change."""
+
+    questioned: Questioned
+    judged: tuple[Judged, ...]  #: Descending
+    gains: FloatArray  #: (k,) array; nats of each above that nothing changed
+    usual: tuple[float, ...]  #: nats that the best gains where each reference is questioned
+    probabilities: FloatArray  #: (k,) array; of each
+    unchanged: float  #: Probability that nothing changed
+    unnamed: float  #: Probability of something else
+    by_equation: FloatArray  #: (e,) array; nats that a free force gains on each equation alone
+    alike: tuple[int, ...]  #: Those that are not told from the first
+    left_out: Mapping[str, str]  #: Why other effects cannot be the cause here
+
+
+def compare(
+    problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
+) -> Comparison:
+    """Weigh everything that may have changed against the recordings of the known state.
+
+    ``watch``: told the share that is done and what is being done.
+    """
+    against, recorded = (
+        [thin_dataset(with_noise(dataset)) for dataset in datasets]
+        for datasets in (problem.against, problem.datasets)
+    )
+    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
+    watch(0.0, "the known state")
+    known = known_state(problem.model, nominal_parameters(problem.model), against)
+    return compare_with(known, recorded, candidates, left_out, problem.jobs, watch)
+
+
+def compare_with(
+    known: KnownState,
+    recorded: Sequence[Dataset],
+    candidates: Mapping[str, CandidateEffect],
+    left_out: Mapping[str, str],
+    jobs: int = 1,
+    watch: Callable[[float, str], bool] = lambda share, message: True,
+) -> Comparison:
+    """The same with the known state at hand."""
+    questioned = Questioned.recorded(known, recorded)
+    evidence = Evidence(questioned)
+    count = len(known.free) + len(candidates) + 2
+    found = []
+    for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):
+        found.append(judge(evidence, difference))
+        watch(0.2 + 0.5 * k / count, difference.name)
+    found = sorted(found, key=lambda j: -_worth(j, found))
+    best = _worth(found[0], found)
+    near = [j for j in found if _worth(j, found) > best - _NEAR][:_FINALISTS]
+    watch(0.75, "when")
+    finely = [judge(evidence, j.difference, finely=True) for j in near]
+    judged = sorted([*finely, *found[len(near) :]], key=lambda j: -_worth(j, found))
+    free = evidence.free_force() - evidence.unchanged
+    watch(0.85, "between recordings of the known state")
+    gains = np.array([j.evidence for j in judged]) - evidence.unchanged
+    unnamed = float(logsumexp(free) - np.log(len(free)))
+    usual = _usual_gains(known, candidates, judged)
+    unchanged = _unchanged(max(float(gains.max()), unnamed), usual)
+    priors = np.array([_log_prior(j, judged) for j in judged])
+    log = np.append(_TEMPERATURE * gains + priors, _TEMPERATURE * unnamed + np.log(_UNNAMED))
+    shares = (1 - unchanged) * np.exp(log - logsumexp(log))
+    alike = tuple(
+        k
+        for k, j in enumerate(judged)
+        if k and abs(evidence.alike(judged[0], j)) > _ALIKE and log[k] > log[0] - _NEAR
+    )
+    return Comparison(
+        questioned,
+        tuple(judged),
+        gains,
+        usual,
+        shares[:-1],
+        unchanged,
+        float(shares[-1]),
+        free,
+        alike,
+        left_out,
+    )
+
+
+def _log_prior(one: Judged, everyone: Sequence[Judged]) -> float:
+    kind = one.difference.kind
+    return float(np.log(_KINDS[kind] / sum(j.difference.kind == kind for j in everyone)))
+
+
+def _worth(one: Judged, everyone: Sequence[Judged]) -> float:
+    return _TEMPERATURE * one.evidence + _log_prior(one, everyone)
+
+
+def _usual_gains(
+    known: KnownState, candidates: Mapping[str, CandidateEffect], judged: Sequence[Judged]
+) -> tuple[float, ...]:
+    """Nats that the best difference gains where each recording of the known state is questioned."""
+    found = []
+    effects = [j.difference.name for j in judged if j.difference.kind == "effect"]
+    others = [j.difference.name for j in judged if j.difference.kind != "effect"]
+    wanted = {*effects[:_TRIED], *others}
+    for k, dataset in enumerate(known.runs.windows.datasets):
+        rest = tuple(
+            replace(e, reference=e.reference.only(e.reference.recording != k)) for e in known.errors
+        )
+        evidence = Evidence(Questioned.recorded(replace(known, errors=rest), [dataset]))
+        tried = [
+            judge(evidence, difference).evidence
+            for difference in differences(evidence.questioned, candidates, only=wanted)
+        ]
+        found.append(max(0.0, max(tried, default=0.0) - evidence.unchanged))
+    return tuple(found)
+
+
+def _unchanged(gain: float, usual: Sequence[float]) -> float:
+    """Probability that nothing changed, by what recordings of one state gain.
+
+    Exponential gains of an unknown rate, given those of k references, are Lomax distributed.
+    """
+    shape, scale = _BELIEVED + len(usual), _BELIEVED * _USUAL_GAIN + sum(usual)
+    size = max(gain, 0.0)
+    none = np.log(shape / scale) - (shape + 1) * np.log1p(size / scale)
+    some = -np.log((1 + size) * np.log(_LARGEST))
+    if gain <= 0:
+        some -= 3.0
+    odds = np.log(_UNCHANGED / (1 - _UNCHANGED)) + none - some
+    return float(1 / (1 + np.exp(-odds)))

@@ -1,0 +1,380 @@
+"""A comparison with a known state as a diagnosis: verdict, causes, places, onset, the sentence."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from trms_cli.core.wording import listing, number, readable, small_unit
+from trms_cli.gap.change import Comparison
+from trms_cli.gap.diagnosis import (
+    Cause,
+    DiagnosedRecording,
+    DiagnosisResult,
+    FittedParameter,
+    LocationShare,
+    MovedParameter,
+    RaceEntry,
+    Rejected,
+    SizeEstimate,
+    Traces,
+    Verdict,
+)
+from trms_cli.gap.differences import Questioned
+from trms_cli.gap.evidence import Judged
+from trms_cli.gap.problem import GapProblem
+from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import names
+
+#: Probability from which a verdict is given, and below which a cause is not told.
+_DECIDED, _LEAST = 0.5, 0.002
+
+
+def change_result(problem: GapProblem, found: Comparison) -> DiagnosisResult:
+    """The comparison as a diagnosis."""
+    verdict = _verdict(found)
+    causes = _causes(found)
+    questioned, known = found.questioned, found.questioned.known
+    best = found.judged[0]
+    changed = verdict in ("effect", "parameters_only", "undecided")
+    values = {
+        f.name: f.prior_mean + d * f.scale for f, d in zip(known.free, known.moved, strict=True)
+    }
+    if verdict == "parameters_only" and best.began is None:
+        values[best.difference.name] += float(best.value[0])
+    return DiagnosisResult(
+        recordings=tuple(_recording(d) for d in problem.datasets),
+        against=tuple(_recording(d) for d in problem.against),
+        model=problem.model_name,
+        seed=problem.seed,
+        versions={},
+        verdict=verdict,
+        where=_where(found) if verdict != "no_change" else (),
+        region=(),
+        causes=causes,
+        confusable=_confusable(found) if changed else (),
+        not_testable=(),
+        detectable={},
+        parameters={
+            f.name: FittedParameter(
+                prior=float(problem.model.parameters[f.name].value),
+                fitted=values[f.name],
+                sd=float(sd * f.scale),
+                unit=f.unit,
+                moved=float(moved),
+            )
+            for f, moved, sd in zip(known.free, known.moved, known.sd, strict=True)
+        },
+        gap={},
+        shrink={},
+        next_experiment=None,
+        inclusion=_inclusion(found),
+        moved=_moved(found),
+        rejected=_rejected(found),
+        excitation=excitation(questioned),
+        sentence=change_sentence(found, verdict, causes),
+        race=_race(found),
+        warnings=problem.warnings,
+        effort=problem.effort,
+        refit=values,
+        evidence={
+            "usual_gains": list(found.usual),
+            "free_force": {
+                e.location: float(g)
+                for e, g in zip(questioned.runs.equations, found.by_equation, strict=True)
+            },
+            "standing": {
+                e.location: error.sizes._asdict()
+                for e, error in zip(questioned.runs.equations, known.errors, strict=True)
+            },
+        },
+        traces=_traces(found, verdict),
+    )
+
+
+def _recording(dataset: Dataset) -> DiagnosedRecording:
+    return DiagnosedRecording(
+        file=dataset.source,
+        sha256=dataset.sha256,
+        duration_s=dataset.duration,
+        sample_time_s=dataset.sample_time,
+        channels=(*names(dataset.inputs), *names(dataset.outputs)),
+    )
+
+
+def _group(found: Comparison) -> list[int]:
+    return [0, *found.alike]
+
+
+def _verdict(found: Comparison) -> Verdict:
+    if found.unchanged >= _DECIDED:
+        return "no_change"
+    if found.unnamed >= _DECIDED:
+        return "none_of_these"
+    group = _group(found)
+    if found.probabilities[group].sum() < _DECIDED:
+        return "undecided"
+    by_kind = [found.judged[k].difference.kind == "parameter" for k in group]
+    of_parameters = float(found.probabilities[group][by_kind].sum())
+    return "parameters_only" if of_parameters > found.probabilities[group].sum() / 2 else "effect"
+
+
+def _causes(found: Comparison) -> tuple[Cause, ...]:
+    rows = [
+        Cause(effects=("no_change",), probability=found.unchanged),
+        Cause(effects=("none_of_these",), probability=found.unnamed),
+    ]
+    of_parameters, first = 0.0, None
+    for j, probability in zip(found.judged, found.probabilities.tolist(), strict=True):
+        if j.difference.kind == "parameter":
+            of_parameters, first = of_parameters + probability, first or j
+        elif probability >= _LEAST:
+            rows.append(
+                Cause(
+                    effects=(j.difference.name,),
+                    probability=probability,
+                    parameters=_sizes(j),
+                    onset=j.began,
+                )
+            )
+    rows.append(
+        Cause(
+            effects=("parameters_only",),
+            probability=of_parameters,
+            onset=first.began if first is not None and of_parameters > _LEAST else None,
+        )
+    )
+    total = sum(row.probability for row in rows)
+    rows = [replace(row, probability=row.probability / total) for row in rows]
+    return tuple(sorted(rows, key=lambda row: -row.probability))
+
+
+def _sizes(j: Judged) -> dict[str, SizeEstimate]:
+    d = j.difference
+    return {
+        f"{d.name}.{label}": SizeEstimate(value=float(value), sd=float(sd), unit=unit)
+        for label, unit, value, sd in zip(d.labels, d.units, j.value, j.sd, strict=True)
+    }
+
+
+def _where(found: Comparison) -> tuple[LocationShare, ...]:
+    """By the probabilities of the differences, each at its places; else by free forces."""
+    shares: dict[str, float] = {}
+    for j, probability in zip(found.judged, found.probabilities.tolist(), strict=True):
+        for place in j.difference.locations:
+            part = probability / len(j.difference.locations)
+            shares[place] = shares.get(place, 0.0) + part
+    free = np.exp(found.by_equation - logsumexp(found.by_equation)) * found.unnamed
+    for equation, share in zip(found.questioned.runs.equations, free.tolist(), strict=True):
+        shares[equation.location] = shares.get(equation.location, 0.0) + share
+    total = sum(shares.values())
+    listed = sorted(
+        ((place, share / total) for place, share in shares.items()), key=lambda r: -r[1]
+    )
+    return tuple(
+        LocationShare(
+            location=place, share=share, ci95=(max(0.0, share - 0.1), min(1.0, share + 0.1))
+        )
+        for place, share in listed
+        if share >= 0.02
+    )
+
+
+def _confusable(found: Comparison) -> tuple[tuple[str, ...], ...]:
+    group = [
+        "parameters_only"
+        if found.judged[k].difference.kind == "parameter"
+        else found.judged[k].difference.name
+        for k in _group(found)
+    ]
+    unique = tuple(dict.fromkeys(group))
+    return (unique,) if len(unique) > 1 else ()
+
+
+def _inclusion(found: Comparison) -> dict[str, float]:
+    return {
+        j.difference.name: float(p)
+        for j, p in sorted(
+            zip(found.judged, found.probabilities, strict=True), key=lambda row: -row[1]
+        )
+        if j.difference.kind != "parameter" and p >= _LEAST
+    }
+
+
+def _moved(found: Comparison) -> tuple[MovedParameter, ...]:
+    rows = [
+        (j, float(p))
+        for j, p in zip(found.judged, found.probabilities, strict=True)
+        if j.difference.kind == "parameter"
+    ]
+    total = sum(p for _, p in rows)
+    if total < _LEAST:
+        return ()
+    model = found.questioned.known.model
+    made = []
+    for j, p in rows:
+        if p / total < 0.02:
+            continue
+        name, change = j.difference.name, float(j.value[0])
+        value = model.parameters[name].value
+        what = model.parameters[name].description or name
+        by = f"{100 * change / value:+.0f} %" if value else f"{change:+.3g} {j.difference.units[0]}"
+        made.append(
+            MovedParameter(
+                parameter=name,
+                probability=p / total,
+                change=change,
+                sd=float(j.sd[0]),
+                unit=j.difference.units[0],
+                words=f"{what}: {by}",
+            )
+        )
+    return tuple(sorted(made, key=lambda m: -m.probability))
+
+
+def _rejected(found: Comparison) -> tuple[Rejected, ...]:
+    group = set(_group(found))
+    rows = []
+    for k, (j, gain) in enumerate(zip(found.judged, found.gains.tolist(), strict=True)):
+        if k in group or j.difference.kind == "parameter":
+            continue
+        size = next(iter(_sizes(j).values()))
+        behind = found.gains[0] - gain
+        reason = (
+            f"it explains the difference worse by {number(behind)} nats"
+            if gain > 0
+            else "nothing in these recordings calls for it"
+        )
+        rows.append(
+            Rejected(
+                effect=j.difference.name, score=gain, size=size, upper_bound=None, reason=reason
+            )
+        )
+    rows += [
+        Rejected(effect=name, score=None, size=None, upper_bound=None, reason=why)
+        for name, why in found.left_out.items()
+    ]
+    return tuple(rows)
+
+
+def _race(found: Comparison) -> tuple[RaceEntry, ...]:
+    best = max(float(found.gains.max()), 1e-9)
+    rows = [RaceEntry(effects=("no_change",), score=0.0, se=0.0, explained=0.0, moved=0.0)]
+    rows += [
+        RaceEntry(
+            effects=(j.difference.name,),
+            score=gain,
+            se=0.0,
+            explained=float(np.clip(gain / best, 0.0, 1.0)),
+            moved=0.0,
+            parameters=_sizes(j),
+        )
+        for j, gain in zip(found.judged, found.gains.tolist(), strict=True)
+        if j.difference.kind != "parameter"
+    ]
+    return tuple(sorted(rows, key=lambda row: -row.score))
+
+
+def _traces(found: Comparison, verdict: Verdict) -> Traces:
+    runs = found.questioned.runs
+    first = runs.recording == 0
+    best = found.judged[0]
+    known = found.questioned.known
+    force, explained = {}, {}
+    for e, equation in enumerate(runs.equations):
+        values = found.questioned.forces.force[first, e]
+        force[equation.location] = np.nan_to_num(values)
+        sizes = known.errors[e].sizes
+        sd = float(np.hypot(sizes.white, np.hypot(sizes.slow, sizes.offset)))
+        force[f"{equation.location}.sd"] = np.full(len(values), sd)
+        if verdict in ("effect", "parameters_only", "undecided"):
+            explained[equation.location] = -best.change[first, e]
+    return Traces(
+        force_time=runs.begin[first] + runs.length / 2,
+        force=force,
+        force_unit={e.location: e.unit for e in runs.equations},
+        explained=explained,
+        run_time=np.zeros(0),
+        runs={},
+    )
+
+
+#: rad. An axis that stays within so much for most of the time is held at one point.
+_ONE_POINT, _MOST_OF_THE_TIME = 0.1, 0.7
+
+
+def excitation(questioned: Questioned) -> tuple[str, ...]:
+    """What the recordings in question cannot tell, by how little the axes move."""
+    told = []
+    model, windows = questioned.known.model, questioned.runs.windows
+    for axis, described in model.axes.items():
+        column = names(model.outputs).index(described.angle)
+        angle = windows.target[..., column]
+        middle = np.nanmedian(angle[:, -1]) if np.isfinite(angle).any() else np.nan
+        near = float(np.mean(np.abs(angle[np.isfinite(angle)] - middle) < _ONE_POINT / 2))
+        if near > _MOST_OF_THE_TIME:
+            told.append(
+                f"{axis} is held at one point, {number(float(middle), 2)} rad, for "
+                f"{100 * near:.0f} % of the time: a torque on it shows with its place, sign and "
+                "size, and whether the axis sticks or slides; what makes the torque (a weight, a "
+                "pull, a parameter) does not"
+            )
+    return tuple(told)
+
+
+def change_sentence(found: Comparison, verdict: Verdict, causes: Sequence[Cause]) -> str:
+    """What a colleague would say."""
+    count = len(found.questioned.known.runs.windows.datasets)
+    known = f"the known state ({count} recording{'s' if count > 1 else ''})"
+    best = found.judged[0]
+    place = listing([readable(p) for p in best.difference.locations], "and")
+    if verdict == "no_change":
+        return (
+            f"Nothing changed against {known}, with probability {found.unchanged:.2f}: what these "
+            "recordings lack is what those lack, within what they differ among themselves."
+        )
+    if verdict == "none_of_these":
+        e = int(np.argmax(found.by_equation))
+        where = readable(found.questioned.runs.equations[e].location)
+        return (
+            f"Something changed against {known} that is none of the differences tried, with "
+            f"probability {found.unnamed:.2f}; it acts mostly on the {where}."
+        )
+    since = ""
+    if best.began is not None:
+        low, high = best.began.ci95
+        since = f", since {best.began.time_s:.1f} s ({low:.1f} to {high:.1f} s)"
+    group = _group(found)
+    together = float(found.probabilities[group].sum())
+    others = [_name(found.judged[k]) for k in group[1:]]
+    text = f"Against {known} the {place} differs{since}: {_name(best)}"
+    sizes = _told_sizes(best)
+    text += f" ({sizes})" if sizes else ""
+    if others:
+        text += f", or what these recordings do not tell from it, {listing(others, 'or')}"
+    text += f", with probability {together:.2f}"
+    if verdict == "undecided":
+        return (
+            f"These recordings do not decide what changed. Likeliest: {text[0].lower()}{text[1:]}."
+        )
+    return f"{text}."
+
+
+def _name(j: Judged) -> str:
+    kind = j.difference.kind
+    if kind == "parameter":
+        return f"another {j.difference.name}"
+    if kind == "torque":
+        return f"a constant torque on {j.difference.name.split('_')[0]}"
+    return readable(j.difference.name)
+
+
+def _told_sizes(j: Judged) -> str:
+    first = next(iter(_sizes(j).items()), None)
+    if first is None:
+        return ""
+    label, size = first
+    unit, scale = small_unit(size.unit)
+    spread = f" ± {number(scale * size.sd, 2)}" if size.sd > 0 else ""
+    return f"{label.split('.', 1)[1]} {number(scale * size.value)}{spread} {unit}".strip()

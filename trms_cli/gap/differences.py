@@ -1,0 +1,220 @@
+"""What may have changed, one thing at a time, simulated along the recordings in question."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import casadi as ca
+import numpy as np
+from msgspec import Meta
+from scipy.special import logsumexp
+
+from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.effects.extended_model import ExtendedModel
+from trms_cli.gap.known_state import KnownState
+from trms_cli.gap.problem import CandidateEffect, is_amplitude, variants
+from trms_cli.gap.short_runs import Forces, ShortRuns
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.problem import FreeParameter
+from trms_cli.models.parameters import Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstantTorque(Effect):
+    """A torque on an axis that does not change: a weight, a pull, whatever it is."""
+
+    axis: Literal["pitch", "yaw"]
+    torque: Annotated[float, Meta(ge=-1e3, le=1e3)] = 0.01  #: N m
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (self.size("torque", "N*m", (-0.02, 0.02), "constant torque"),)
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        return at.on(at.axis(self.axis).moment, at.sizes["torque"])
+
+
+@dataclass(frozen=True)
+class Questioned:
+    """Recordings in question, with nothing changed."""
+
+    known: KnownState
+    runs: ShortRuns
+    starts: FloatArray  #: (m, n) array; of the runs
+    forces: Forces  #: That are missing
+
+    @classmethod
+    def recorded(cls, known: KnownState, datasets: Sequence[Dataset]) -> "Questioned":
+        """From recordings."""
+        runs = ShortRuns(known.model, datasets)
+        p = known.model.parameters.values
+        starts = runs.starts(p)
+        return cls(known, runs, starts, runs.forces(p, starts))
+
+
+@dataclass(frozen=True)
+class Family:
+    """A difference in one shape, by stretches of its amplitude between values that are simulated.
+
+    Within a stretch what it adds to the missing forces is ``change + part · slope``, part 0 to 1:
+    exact for a torque, and for a friction too small or large enough to hold.
+    """
+
+    low: FloatArray  #: (k, n_s) array; all sizes where a stretch begins
+    high: FloatArray  #: (k, n_s) array; and where it ends
+    prior: FloatArray  #: (k,) array; log prior
+    change: FloatArray  #: (k, m, e) array
+    slope: FloatArray  #: (k, m, e) array
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One thing that may have changed."""
+
+    name: str  #: Of the effect, of the parameter, or ``{axis}_disturbance``
+    kind: Literal["effect", "parameter", "torque"]
+    labels: tuple[str, ...]  #: Of its sizes
+    units: tuple[str, ...]
+    locations: tuple[str, ...]
+    families: tuple[Family, ...]
+
+
+def differences(
+    questioned: Questioned,
+    candidates: Mapping[str, CandidateEffect],
+    *,
+    only: Collection[str] | None = None,
+    jobs: int = 1,
+) -> Iterator[Difference]:
+    """Everything that may have changed, simulated along the recordings in question.
+
+    ``only``: names of those that are wanted; None: all.
+    """
+    known, runs = questioned.known, questioned.runs
+    for axis, described in known.model.axes.items():
+        name = f"{axis}_disturbance"
+        seen = any(e.location == described.moment for e in runs.equations)
+        if seen and (only is None or name in only):
+            effect = ConstantTorque(axis=axis)  # type: ignore[arg-type]
+            yield _of_effect(questioned, name, effect, (described.moment,), "torque")
+    for f in known.free:
+        if only is None or f.name in only:
+            yield _of_parameter(questioned, f)
+    simulated = [c for c in candidates.values() if c.simulated and (only is None or c.name in only)]
+
+    def made(c: CandidateEffect) -> Difference:
+        return _of_effect(questioned, c.name, c.effect, c.locations, "effect")
+
+    with ThreadPoolExecutor(max(1, jobs)) as pool:
+        yield from pool.map(made, simulated)
+
+
+def _of_parameter(questioned: Questioned, f: FreeParameter) -> Difference:
+    runs, model = questioned.runs, questioned.known.model
+    p = model.parameters.values
+    at = model.parameters.names.index(f.name)
+    steps = np.array([-x for x in reversed(_CHANGES)] + list(_CHANGES)) * f.scale
+    steps = steps[(p[at] + steps > f.lower) & (p[at] + steps < f.upper)]
+    starts: FloatArray | None = None
+    made: list[Forces] = []
+    for step in steps:
+        own = p.copy()
+        own[at] += step
+        if not made:
+            first = runs.starts(own)
+            if np.max(np.abs(first - questioned.starts)) < _SAME_START:
+                starts = questioned.starts
+        made.append(runs.forces(own, starts))
+    between = (steps[1:] + steps[:-1]) / 2
+    log_prior = np.log(np.diff(steps)) - 0.5 * (between / (_WIDTH * f.scale)) ** 2
+    family = _family(steps[:, None], 0, log_prior, made, questioned.forces)
+    moments = np.abs(family.change).sum(axis=(0, 1))
+    location = runs.equations[int(np.argmax(np.nan_to_num(moments)))].location
+    return Difference(f.name, "parameter", ("change",), (f.unit,), (location,), (family,))
+
+
+#: Changes of a parameter that are tried, in deviations of its prior, and the deviation of what is
+#: believed of a change: a fault is no draw from what is believed of a rig in order.
+_CHANGES, _WIDTH = (0.5, 1.2, 3.0, 7.0, 16.0), 5.0
+#: A parameter that moves no start by more than this moves none.
+_SAME_START = 1e-6
+
+
+def _of_effect(
+    questioned: Questioned,
+    name: str,
+    effect: Effect,
+    locations: tuple[str, ...],
+    kind: Literal["effect", "torque"],
+) -> Difference:
+    model = ExtendedModel(questioned.known.model, name, effect)
+    runs = ShortRuns(model, questioned.runs.windows.datasets, like=questioned.runs)
+    own = effect.parameters()
+    p = model.parameters.values
+    # without states or memory of its own, it begins where the model beneath does
+    same = runs.windows.rollout.n_x == questioned.runs.windows.rollout.n_x
+    starts = questioned.starts if same else None
+    families = []
+    for shape, at in _shapes(own):
+        grid = _grid(own[at])
+        rows = np.tile(shape, (len(grid), 1))
+        rows[:, at] = grid
+        made = []
+        for row in rows:
+            p[-len(own) :] = row
+            made.append(runs.forces(p, starts))
+        equal = np.zeros(len(grid) - 1)
+        families.append(_family(rows, at, equal, made, questioned.forces))
+    labels, units = tuple(q.name for q in own), tuple(q.unit for q in own)
+    return Difference(name, kind, labels, units, locations, _normalised(families))
+
+
+def _shapes(parameters: Sequence[Parameter]) -> list[tuple[FloatArray, int]]:
+    """Sizes that give an effect its shape, with the position of the one that is its amplitude."""
+    found: dict[tuple[float, ...], tuple[FloatArray, int]] = {}
+    for row in variants(parameters):
+        at = next((i for i in range(len(row)) if row[i] and is_amplitude(parameters, i)), 0)
+        shape = row.copy()
+        shape[at] = 0.0
+        found.setdefault((at, *shape), (shape, at))
+    return list(found.values())
+
+
+def _grid(parameter: Parameter) -> FloatArray:
+    """Amplitudes to simulate, to both sides where both make sense."""
+    low, high = parameter.typical or (parameter.value / 3, parameter.value * 3)
+    most = max(abs(low), abs(high))
+    least = low if low > 0 else most / 10
+    one = np.geomspace(least / 5, most * 2.5, _AMPLITUDES)
+    both = low < 0 or parameter.lower < 0
+    grid = np.concatenate([-one[::-1], one]) if both else one
+    return np.asarray(grid[(grid >= parameter.lower) & (grid <= parameter.upper)])
+
+
+#: Amplitudes of an effect that are simulated, to one side.
+_AMPLITUDES = 7
+
+
+def _family(
+    values: FloatArray,
+    amplitude: int,
+    log_prior: FloatArray,
+    made: Sequence[Forces],
+    base: Forces,
+) -> Family:
+    """From forces at ascending amplitudes; ``log_prior``: of each stretch between two of them."""
+    change = np.array([f.force for f in made]) - base.force
+    fine: BoolArray = np.array([np.isfinite(c[np.isfinite(base.force)]).all() for c in change])
+    change = np.nan_to_num(change)
+    size = values[:, amplitude]
+    # what is too small to matter lies between the signs
+    kept = fine[1:] & fine[:-1] & (size[1:] * size[:-1] > 0)
+    prior = log_prior[kept] - logsumexp(log_prior[kept]) if kept.any() else log_prior[:0]
+    slope = np.diff(change, axis=0)[kept]
+    return Family(values[:-1][kept], values[1:][kept], prior, change[:-1][kept], slope)
+
+
+def _normalised(families: Sequence[Family]) -> tuple[Family, ...]:
+    kept = [f for f in families if len(f.prior)]
+    return tuple(replace(f, prior=f.prior - np.log(len(kept))) for f in kept)

@@ -1,0 +1,126 @@
+"""A rig in a known state: the model fitted to its recordings, and what it lacks on them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray
+from trms_cli.gap.short_runs import Forces, ShortRuns
+from trms_cli.gap.standing import Series, StandingError, covariance
+from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.problem import FreeParameter, with_values
+from trms_cli.models.model import Model
+
+
+@dataclass(frozen=True)
+class KnownState:
+    """A model fitted to recordings of a rig in a known state, with what it lacks on them."""
+
+    model: Model  #: At the fitted values
+    free: tuple[FreeParameter, ...]  #: That were fitted, and that may be what changes
+    moved: FloatArray  #: (n_f,) array; from their priors' centres, in their deviations
+    sd: FloatArray  #: (n_f,) array; what the recordings leave of it
+    errors: tuple[StandingError, ...]  #: By equation
+    runs: ShortRuns  #: Over the recordings of the known state
+
+    def series(self, runs: ShortRuns, forces: Forces) -> tuple[Series, ...]:
+        """Missing forces over any recordings by equation, linear about the fitted values."""
+        slopes = _slopes(runs, self.model, self.free, forces)
+        return _series(runs, forces, slopes, self.moved)
+
+
+def known_state(
+    model: Model, free: Sequence[FreeParameter], references: Sequence[Dataset]
+) -> KnownState:
+    """Fit the parameters to recordings of the known state, and learn the standing error."""
+    free = tuple(f for f in free if f.prior_sd)
+    if len(references) == 1:  # how much its halves differ stands for how much recordings do
+        whole = references[0]
+        half = len(whole) // 2
+        references = (whole.part(0, half), whole.part(half, len(whole)))
+    runs = ShortRuns(model, references)
+    moved, sd = np.zeros(len(free)), np.ones(len(free))
+    for _ in range(_ROUNDS):
+        fitted = with_values(model, _values(free, moved))
+        forces = runs.forces(fitted.parameters.values)
+        slopes = _slopes(runs, fitted, free, forces)
+        series = _series(runs, forces, slopes, moved)
+        errors = tuple(
+            StandingError.learnt(s, _scale(slopes[:, e], moved, free)) for e, s in enumerate(series)
+        )
+        total, right = np.eye(len(free)), np.zeros(len(free))
+        for error in errors:
+            seen = error.reference
+            own = covariance(seen, error.sizes) - seen.slopes @ seen.slopes.T
+            weighed = np.linalg.solve(own, np.column_stack([seen.slopes, seen.force]))
+            total += seen.slopes.T @ weighed[:, :-1]
+            right -= seen.slopes.T @ weighed[:, -1]
+        sd = np.sqrt(np.diag(np.linalg.inv(total)))
+        step = np.linalg.solve(total, right) - moved
+        moved = _bounded(free, moved + step * min(1.0, _LONGEST / max(np.abs(step).max(), 1e-12)))
+    fitted = with_values(model, _values(free, moved))
+    forces = runs.forces(fitted.parameters.values)
+    slopes = _slopes(runs, fitted, free, forces)
+    errors = tuple(
+        StandingError.learnt(s, _scale(slopes[:, e], moved, free))
+        for e, s in enumerate(_series(runs, forces, slopes, moved))
+    )
+    return KnownState(fitted, free, moved, sd, errors, runs)
+
+
+#: Rounds of the fit, the longest step of one in prior deviations, and the step of the slopes.
+_ROUNDS, _LONGEST, _STEP = 3, 2.0, 0.2
+
+
+def _values(free: Sequence[FreeParameter], moved: FloatArray) -> dict[str, float]:
+    return {f.name: f.prior_mean + d * f.scale for f, d in zip(free, moved, strict=True)}
+
+
+def _bounded(free: Sequence[FreeParameter], moved: FloatArray) -> FloatArray:
+    low = np.array([(f.lower - f.prior_mean) / f.scale for f in free])
+    high = np.array([(f.upper - f.prior_mean) / f.scale for f in free])
+    return np.clip(moved, low + 0.05, high - 0.05)
+
+
+def _slopes(
+    runs: ShortRuns, model: Model, free: Sequence[FreeParameter], forces: Forces
+) -> FloatArray:
+    """Of the missing forces per prior deviation of each parameter, (m, e, n_f)."""
+    found = np.zeros((*forces.force.shape, len(free)))
+    for i, f in enumerate(free):
+        p = model.parameters.values
+        at = model.parameters.names.index(f.name)
+        step = _STEP if p[at] + _STEP * f.scale < f.upper else -_STEP
+        p[at] += step * f.scale
+        found[..., i] = (runs.forces(p).force - forces.force) / step
+    return np.nan_to_num(found)
+
+
+def _series(
+    runs: ShortRuns, forces: Forces, slopes: FloatArray, moved: FloatArray
+) -> tuple[Series, ...]:
+    seen = np.isfinite(forces.force)
+    made = []
+    for e in range(forces.force.shape[1]):
+        force = np.nan_to_num(forces.force[:, e])
+        moves = seen[:, e] & ~forces.held[:, e]
+        # where the model holds the axis and the rig does, too, nothing is seen of the force
+        usual = np.median(np.abs(force[moves])) if moves.any() else 0.0
+        quiet = forces.held[:, e] & (np.abs(force) < _QUIET * usual)
+        centred = force - slopes[:, e] @ moved
+        made.append(Series(centred, seen[:, e] & ~quiet, slopes[:, e], runs.recording, runs.begin))
+    return tuple(made)
+
+
+#: Times the usual missing force up to which an axis that the model holds is held on the rig.
+_QUIET = 4.0
+
+
+def _scale(slopes: FloatArray, moved: FloatArray, free: Sequence[FreeParameter]) -> float:
+    """What acts in an equation: the largest contribution of a parameter, its root mean square."""
+    values = np.array(
+        [(f.prior_mean + d * f.scale) / f.scale for f, d in zip(free, moved, strict=True)]
+    )
+    parts = np.abs(slopes * values).max(axis=1, initial=0.0)
+    return float(max(np.sqrt(np.mean(parts**2)), 1e-9))

@@ -1,0 +1,73 @@
+"""Whether something began within the recordings: their first part is the known state then.
+
+Most rigs that change do so while they run: a mass is hung on, a cable is caught, a supply sags. The
+first quarter of each recording, with all that its model lacks there, is taken for what the rig was
+like, and the rest is questioned against it. What acts from the beginning to the end is in both, and
+is no change. A first look tries parameters and constant torques alone, which any cause resembles to
+some degree; only where it sees something are the effects tried.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from trms_cli.core.errors import TrmsError
+from trms_cli.gap.change import Comparison, compare_with
+from trms_cli.gap.change_result import change_result
+from trms_cli.gap.competing_model import nominal_parameters
+from trms_cli.gap.diagnosis import DiagnosisResult, Onset
+from trms_cli.gap.known_state import known_state
+from trms_cli.gap.problem import (
+    GapProblem,
+    applicable_candidates,
+    thin_dataset,
+    with_noise,
+)
+
+#: Share of each recording that is taken for the known state, and its least length in s.
+_FIRST, _LEAST = 0.25, 10.0
+#: Probability up to which something must seem unchanged to be looked at, and to be told.
+_LOOKED_AT, _TOLD = 0.5, 0.05
+
+
+def begun(
+    problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
+) -> DiagnosisResult | None:
+    """A diagnosis of what began within the recordings; None where nothing clearly did."""
+    recorded = [thin_dataset(with_noise(dataset)) for dataset in problem.datasets]
+    cuts = [max(round(_FIRST * len(d)), round(_LEAST / d.sample_time)) for d in recorded]
+    if any(2 * cut > len(d) for cut, d in zip(cuts, recorded, strict=True)):
+        return None
+    first = [d.part(0, cut) for d, cut in zip(recorded, cuts, strict=True)]
+    rest = [d.part(cut, len(d)) for d, cut in zip(recorded, cuts, strict=True)]
+    try:
+        known = known_state(problem.model, nominal_parameters(problem.model), first)
+        look = compare_with(known, rest, {}, {})
+        watch(0.02, "since when")
+        if look.unchanged > _LOOKED_AT:
+            return None
+        candidates, left_out = applicable_candidates(problem.model, problem.candidates)
+        found = compare_with(known, rest, candidates, left_out, problem.jobs)
+    except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
+        return None  # a look that fails is no reason to lose a diagnosis
+    if found.unchanged > _TOLD or found.judged[0].began is None:
+        return None
+    times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
+    result = change_result(problem, _later(found, times))
+    told = ", ".join(f"{t:.3g}" for t in times)
+    warning = f"what began is told by comparison with the first {told} s, taken for the known state"
+    return replace(result, warnings=(*result.warnings, warning))
+
+
+def _later(found: Comparison, times: list[float]) -> Comparison:
+    """With onsets counted from the beginning of the recordings and not of their rests."""
+    judged = []
+    for j in found.judged:
+        onset = j.onset
+        if onset is not None:
+            by = times[j.recording]
+            low, high = onset.ci95
+            onset = Onset(time_s=onset.time_s + by, ci95=(low + by, high + by))
+        judged.append(replace(j, onset=onset))
+    return replace(found, judged=tuple(judged))

@@ -1,0 +1,175 @@
+"""A model's standing error: what it always lacks, and by how much that differs between recordings.
+
+No model is exact. The forces that an equation lacks on recordings of a rig in a known state have a
+part that is common (other values of the parameters), a part that belongs to a recording (the same
+rig on another day), one that wanders slowly, and one that is new every second:
+
+    f = J δ + J β_r + b_r + s(t) + e        cov e = σ_w² + ρ_w² Σ (J_i σ_i)²
+
+with δ ~ N(0, Λ) the parameters' deviations from their priors and J what they do to the force;
+β_r ~ N(0, ρ_b² Λ) and b_r ~ N(0, σ_b²) of each recording; s(t) an Ornstein–Uhlenbeck process. How
+large they are is learnt from the recordings of the known state. A further recording has sizes of
+its own about these (three recordings say little of how much a fourth may differ), over which
+predictions are averaged.
+A further recording is then foretold, with all of its covariance, before it is looked at.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize
+
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+
+#: s. Time over which the slow part forgets itself.
+SLOW = 15.0
+#: What is believed of the parts' sizes before any recording is seen: centre, as a share of what
+#: acts there (σ) or of the parameters' priors (ρ), and standard deviation of the logarithm.
+_WHITE, _SLOW, _OFFSET = (0.02, 1.5), (0.015, 1.0), (0.03, 0.7)
+_OF_PRIORS, _OF_PRIORS_BETWEEN = (0.1, 1.0), (0.3, 0.7)
+#: Factors about the most likely sizes that those of a further recording may have, and the standard
+#: deviation of their logarithm: recordings of one state differ by more than a few of them show.
+_FACTORS, _VARIES = (1.0, 2.0, 4.0), 0.6
+#: Degrees of freedom of the innovations' density: a push of the hand is over within seconds.
+_FREEDOM = 6.0
+
+
+class Sizes(NamedTuple):
+    """Sizes of the parts of one equation's standing error."""
+
+    white: float  #: σ_w, in the force's unit
+    slow: float
+    offset: float  #: σ_b
+    of_priors: float  #: ρ_w
+    between: float  #: ρ_b
+
+
+@dataclass(frozen=True)
+class Series:
+    """Missing forces of one equation over windows of some recordings, linear in the parameters."""
+
+    force: FloatArray  #: (m,) array; with the parameters at the centres of their priors
+    seen: BoolArray  #: (m,) array
+    slopes: FloatArray  #: (m, n_f) array; per prior standard deviation of each parameter
+    recording: IntArray  #: (m,) array
+    time: FloatArray  #: (m,) array; s
+
+    def joined(self, other: "Series") -> "Series":
+        """With the windows of other recordings after these."""
+        later = other.recording + (self.recording.max() + 1 if len(self.recording) else 0)
+        return Series(
+            np.concatenate([self.force, other.force]),
+            np.concatenate([self.seen, other.seen]),
+            np.vstack([self.slopes, other.slopes]),
+            np.concatenate([self.recording, later]),
+            np.concatenate([self.time, other.time]),
+        )
+
+    def only(self, rows: BoolArray) -> "Series":
+        """Some of the windows."""
+        return Series(*(getattr(self, n)[rows] for n in self.__dataclass_fields__))
+
+
+def covariance(series: Series, sizes: Sizes) -> FloatArray:
+    """Of the forces, (m, m)."""
+    together = series.recording[:, None] == series.recording
+    apart = np.abs(series.time[:, None] - series.time)
+    common = series.slopes @ series.slopes.T
+    own = sizes.offset**2 + sizes.slow**2 * np.exp(-apart / SLOW) + sizes.between**2 * common
+    white = sizes.white**2 + sizes.of_priors**2 * np.sum(series.slopes**2, axis=1)
+    return np.asarray(common + np.where(together, own, 0.0) + np.diag(white))
+
+
+def _log_density(series: Series, sizes: Sizes) -> float:
+    if not len(series.force):
+        return 0.0
+    factor = np.linalg.cholesky(covariance(series, sizes))
+    z = solve_triangular(factor, series.force, lower=True)
+    return float(-robust(z).sum() - np.log(np.diag(factor)).sum())
+
+
+def robust(z: FloatArray) -> FloatArray:
+    """Costs of innovations, nats: those of Student's t, so that no single second decides."""
+    return np.asarray(0.5 * (_FREEDOM + 1) * np.log1p(z**2 / _FREEDOM))
+
+
+def robust_weight(z: FloatArray) -> FloatArray:
+    """What an innovation counts for in least squares that end at the smallest cost."""
+    return np.asarray((_FREEDOM + 1) / (_FREEDOM + z**2))
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What one choice of sizes foretells of an equation's forces on further recordings."""
+
+    log_weight: float  #: Belief in the sizes, nats
+    mean: FloatArray  #: (m,) array
+    factor: FloatArray  #: (m, m) array; lower Cholesky factor of the covariance
+
+
+@dataclass(frozen=True)
+class StandingError:
+    """The standing error of one equation, learnt."""
+
+    reference: Series  #: Seen windows of the recordings of the known state
+    scale: float  #: What acts in the equation, in the force's unit
+    sizes: Sizes  #: Most likely
+
+    @classmethod
+    def learnt(cls, reference: Series, scale: float) -> "StandingError":
+        """The most likely sizes, given recordings of the known state.
+
+        ``scale``: What acts in the equation, in the force's unit.
+        """
+        seen = reference.only(reference.seen)
+        centres, spreads = _beliefs(scale)
+
+        def cost(v: FloatArray) -> float:
+            with np.errstate(all="ignore"):
+                value = -_log_density(seen, Sizes(*np.exp(v)))
+            return value + 0.5 * float(np.sum(((v - centres) / spreads) ** 2))
+
+        found = minimize(
+            cost,
+            centres,
+            method="L-BFGS-B",
+            bounds=[(c - 6, c + 6) for c in centres],
+            options={"maxiter": 40},
+        )
+        return cls(seen, scale, Sizes(*np.exp(found.x)))
+
+    def predictions(self, series: Series, more: FloatArray | float = 0.0) -> Iterator[Prediction]:
+        """Of further recordings, for several sizes of what differs between recordings and slowly.
+
+        The windows of ``series`` that are not seen are foretold as well. ``more``: covariance of a
+        further force on them.
+        """
+        own = series.slopes @ self.reference.slopes.T
+        known = cho_factor(covariance(self.reference, self.sizes), lower=True)
+        mean = own @ cho_solve(known, self.reference.force)
+        taken = own @ cho_solve(known, own.T)
+        count = len(np.unique(self.reference.recording))
+        spread = _VARIES * np.sqrt(1 + 2 / max(count, 1))
+        for offset, slow in product(_FACTORS, _FACTORS):
+            sizes = Sizes(
+                self.sizes.white,
+                self.sizes.slow * slow,
+                self.sizes.offset * offset,
+                self.sizes.of_priors * offset,
+                self.sizes.between * offset,
+            )
+            weight = -0.5 * float(np.sum((np.log([offset, slow]) / spread) ** 2))
+            left = covariance(series, sizes) - taken
+            factor = np.linalg.cholesky((left + left.T) / 2 + more)
+            yield Prediction(weight, mean, np.asarray(factor))
+
+
+def _beliefs(scale: float) -> tuple[FloatArray, FloatArray]:
+    """Centres and deviations of the logarithms of :class:`Sizes`."""
+    rows = [(c * scale, s) for c, s in (_WHITE, _SLOW, _OFFSET)]
+    rows += [_OF_PRIORS, _OF_PRIORS_BETWEEN]
+    return np.log([c for c, _ in rows]), np.array([s for _, s in rows])
