@@ -1,10 +1,11 @@
 """Whether something began within the recordings: their first part is the known state then.
 
 Most rigs that change do so while they run: a mass is hung on, a cable is caught, a supply sags. The
-first quarter of each recording, with all that its model lacks there, is taken for what the rig was
-like, and the rest is questioned against it. What acts from the beginning to the end is in both, and
-is no change. A first look tries parameters and constant torques alone, which any cause resembles to
-some degree; only where it sees something are the effects tried.
+first quarter of each recording (where that leaves it open, the first half), with all that its model
+lacks there, is taken for what the rig was like, and the rest is questioned against it. What acts
+from the beginning to the end is in both, and is no change. A first look tries parameters and
+constant torques alone, which any cause resembles to some degree; only where it sees something are
+the effects tried.
 """
 
 from collections.abc import Callable
@@ -24,11 +25,14 @@ from trms_cli.gap.problem import (
     thin_dataset,
     with_noise,
 )
+from trms_cli.identification.dataset import Dataset
 
-#: Share of each recording that is taken for the known state, and its least length in s.
-_FIRST, _LEAST = 0.25, 10.0
-#: Probability up to which something must seem unchanged to be looked at, and to be told.
-_LOOKED_AT, _TOLD = 0.5, 0.05
+#: Shares of each recording that are taken for the known state, one after the other while the look
+#: leaves it open, and their least length in s.
+_FIRST, _LEAST = (0.25, 0.5), 10.0
+#: Probability that nothing changed: from which the look ends, up to which effects are tried, and up
+#: to which something is told.
+_CALM, _LOOKED_AT, _TOLD = 0.75, 0.5, 0.05
 
 
 def begun(
@@ -36,28 +40,41 @@ def begun(
 ) -> DiagnosisResult | None:
     """A diagnosis of what began within the recordings; None where nothing clearly did."""
     recorded = [thin_dataset(with_noise(dataset)) for dataset in problem.datasets]
-    cuts = [max(round(_FIRST * len(d)), round(_LEAST / d.sample_time)) for d in recorded]
-    if any(2 * cut > len(d) for cut, d in zip(cuts, recorded, strict=True)):
-        return None
+    for share in _FIRST:
+        cuts = [max(round(share * len(d)), round(_LEAST / d.sample_time)) for d in recorded]
+        if any(2 * cut > len(d) for cut, d in zip(cuts, recorded, strict=True)):
+            return None
+        try:
+            look, found = _compared(problem, recorded, cuts, watch)
+        except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
+            return None  # a look that fails is no reason to lose a diagnosis
+        if found is not None and found.unchanged < _TOLD and found.judged[0].began is not None:
+            times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
+            result = change_result(problem, _later(found, times))
+            told = ", ".join(f"{t:.3g}" for t in times)
+            warning = f"what began is told against the first {told} s, taken for the known state"
+            return replace(result, warnings=(*result.warnings, warning))
+        if look.unchanged > _CALM:
+            return None
+    return None
+
+
+def _compared(
+    problem: GapProblem,
+    recorded: list[Dataset],
+    cuts: list[int],
+    watch: Callable[[float, str], bool],
+) -> tuple[Comparison, Comparison | None]:
+    """The rests of recordings against their beginnings: a look, and all if it sees something."""
     first = [d.part(0, cut) for d, cut in zip(recorded, cuts, strict=True)]
     rest = [d.part(cut, len(d)) for d, cut in zip(recorded, cuts, strict=True)]
-    try:
-        known = known_state(problem.model, nominal_parameters(problem.model), first)
-        look = compare_with(known, rest, {}, {})
-        watch(0.02, "since when")
-        if look.unchanged > _LOOKED_AT:
-            return None
-        candidates, left_out = applicable_candidates(problem.model, problem.candidates)
-        found = compare_with(known, rest, candidates, left_out, problem.jobs)
-    except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
-        return None  # a look that fails is no reason to lose a diagnosis
-    if found.unchanged > _TOLD or found.judged[0].began is None:
-        return None
-    times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
-    result = change_result(problem, _later(found, times))
-    told = ", ".join(f"{t:.3g}" for t in times)
-    warning = f"what began is told by comparison with the first {told} s, taken for the known state"
-    return replace(result, warnings=(*result.warnings, warning))
+    known = known_state(problem.model, nominal_parameters(problem.model), first)
+    look = compare_with(known, rest, {}, {})
+    watch(0.5, "since when")
+    if look.unchanged > _LOOKED_AT:
+        return look, None
+    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
+    return look, compare_with(known, rest, candidates, left_out, problem.jobs)
 
 
 def _later(found: Comparison, times: list[float]) -> Comparison:
