@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trms_cli.gap.change import Comparison, compare_with
+from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
-from trms_cli.gap.differences import Questioned
-from trms_cli.gap.evidence import Evidence
+from trms_cli.gap.differences import NewRecordings
+from trms_cli.gap.evidence import ChangeEvidence
 from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.short_runs import ShortRuns
-from trms_cli.gap.standing import Series, StandingError
+from trms_cli.gap.standing import ForceSeries, StandingError
 from trms_cli.models.newtonian import Newtonian
 
 from .changed import begins
@@ -34,7 +34,7 @@ def known() -> KnownState:
     return known_state(MODEL, FREE, recorded)
 
 
-def compared(known: KnownState, dataset) -> Comparison:
+def compared(known: KnownState, dataset) -> StateComparison:
     return compare_with(known, [dataset], CANDIDATES, {})
 
 
@@ -115,19 +115,19 @@ def test_recordings_that_differ_more_among_themselves_foretell_less():
     noise = 0.1 * random.standard_normal(count * each)
     offsets = np.array([1.0, -1.2, 0.8, -0.7])
 
-    def series(force: np.ndarray) -> Series:
+    def series(force: np.ndarray) -> ForceSeries:
         seen = np.ones(len(force), dtype=bool)
-        return Series(force, seen, np.zeros((len(force), 0)), recording, time)
+        return ForceSeries(force, seen, np.zeros((len(force), 0)), recording, time)
 
-    alike = StandingError.learnt(series(noise), 1.0)
-    apart = StandingError.learnt(series(noise + offsets[recording]), 1.0)
+    alike = StandingError.fit(series(noise), 1.0)
+    apart = StandingError.fit(series(noise + offsets[recording]), 1.0)
     assert apart.sizes.offset > 5 * alike.sizes.offset
     assert apart.sizes.white == pytest.approx(0.1, rel=0.3)
 
 
 def test_nothing_that_is_seen_leaves_evidence_as_it_is(known):
-    questioned = Questioned.recorded(known, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)])
-    evidence = Evidence(questioned)
+    questioned = NewRecordings.of(known, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)])
+    evidence = ChangeEvidence(questioned)
     none = np.zeros((1, *questioned.forces.force.shape))
     found, _, _ = evidence.of(none, none)
     assert found[0] == pytest.approx(evidence.unchanged)

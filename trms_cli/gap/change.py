@@ -17,8 +17,8 @@ from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.competing_model import nominal_parameters
-from trms_cli.gap.differences import Questioned, differences
-from trms_cli.gap.evidence import Evidence, Judged, judge
+from trms_cli.gap.differences import NewRecordings, differences
+from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
 from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.problem import (
     CandidateEffect,
@@ -48,11 +48,11 @@ _ALIKE = 0.97
 
 
 @dataclass(frozen=True)
-class Comparison:
+class StateComparison:
     """What was found out about a change."""
 
-    questioned: Questioned
-    judged: tuple[Judged, ...]  #: Descending
+    questioned: NewRecordings
+    judged: tuple[DifferenceScore, ...]  #: Descending
     gains: FloatArray  #: (k,) array; nats of each above that nothing changed
     usual: tuple[float, ...]  #: nats that the best gains where each reference is questioned
     probabilities: FloatArray  #: (k,) array; of each
@@ -65,7 +65,7 @@ class Comparison:
 
 def compare(
     problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
-) -> Comparison:
+) -> StateComparison:
     """Weigh everything that may have changed against the recordings of the known state.
 
     ``watch``: told the share that is done and what is being done.
@@ -87,10 +87,10 @@ def compare_with(
     left_out: Mapping[str, str],
     jobs: int = 1,
     watch: Callable[[float, str], bool] = lambda share, message: True,
-) -> Comparison:
+) -> StateComparison:
     """The same with the known state at hand."""
-    questioned = Questioned.recorded(known, recorded)
-    evidence = Evidence(questioned)
+    questioned = NewRecordings.of(known, recorded)
+    evidence = ChangeEvidence(questioned)
     count = len(known.free) + len(candidates) + 2
     found = []
     for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):
@@ -116,7 +116,7 @@ def compare_with(
         for k, j in enumerate(judged)
         if k and abs(evidence.alike(judged[0], j)) > _ALIKE and log[k] > log[0] - _NEAR
     )
-    return Comparison(
+    return StateComparison(
         questioned,
         tuple(judged),
         gains,
@@ -130,17 +130,17 @@ def compare_with(
     )
 
 
-def _log_prior(one: Judged, everyone: Sequence[Judged]) -> float:
+def _log_prior(one: DifferenceScore, everyone: Sequence[DifferenceScore]) -> float:
     kind = one.difference.kind
     return float(np.log(_KINDS[kind] / sum(j.difference.kind == kind for j in everyone)))
 
 
-def _worth(one: Judged, everyone: Sequence[Judged]) -> float:
+def _worth(one: DifferenceScore, everyone: Sequence[DifferenceScore]) -> float:
     return _TEMPERATURE * one.evidence + _log_prior(one, everyone)
 
 
 def _usual_gains(
-    known: KnownState, candidates: Mapping[str, CandidateEffect], judged: Sequence[Judged]
+    known: KnownState, candidates: Mapping[str, CandidateEffect], judged: Sequence[DifferenceScore]
 ) -> tuple[float, ...]:
     """Nats that the best difference gains where each recording of the known state is questioned."""
     found = []
@@ -151,7 +151,7 @@ def _usual_gains(
         rest = tuple(
             replace(e, reference=e.reference.only(e.reference.recording != k)) for e in known.errors
         )
-        evidence = Evidence(Questioned.recorded(replace(known, errors=rest), [dataset]))
+        evidence = ChangeEvidence(NewRecordings.of(replace(known, errors=rest), [dataset]))
         tried = [
             judge(evidence, difference).evidence
             for difference in differences(evidence.questioned, candidates, only=wanted)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.wording import listing, number, readable, small_unit
-from trms_cli.gap.change import Comparison
+from trms_cli.gap.change import StateComparison
 from trms_cli.gap.diagnosis import (
     Cause,
     DiagnosedRecording,
@@ -21,8 +21,8 @@ from trms_cli.gap.diagnosis import (
     Traces,
     Verdict,
 )
-from trms_cli.gap.differences import Questioned
-from trms_cli.gap.evidence import Judged
+from trms_cli.gap.differences import NewRecordings
+from trms_cli.gap.evidence import DifferenceScore
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import names
@@ -31,7 +31,7 @@ from trms_cli.models.model import names
 _DECIDED, _LEAST = 0.5, 0.002
 
 
-def change_result(problem: GapProblem, found: Comparison) -> DiagnosisResult:
+def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResult:
     """The comparison as a diagnosis."""
     verdict = _verdict(found)
     causes = _causes(found)
@@ -103,11 +103,11 @@ def _recording(dataset: Dataset) -> DiagnosedRecording:
     )
 
 
-def _group(found: Comparison) -> list[int]:
+def _group(found: StateComparison) -> list[int]:
     return [0, *found.alike]
 
 
-def _verdict(found: Comparison) -> Verdict:
+def _verdict(found: StateComparison) -> Verdict:
     if found.unchanged >= _DECIDED:
         return "no_change"
     if found.unnamed >= _DECIDED:
@@ -120,7 +120,7 @@ def _verdict(found: Comparison) -> Verdict:
     return "parameters_only" if of_parameters > found.probabilities[group].sum() / 2 else "effect"
 
 
-def _causes(found: Comparison) -> tuple[Cause, ...]:
+def _causes(found: StateComparison) -> tuple[Cause, ...]:
     rows = [
         Cause(effects=("no_change",), probability=found.unchanged),
         Cause(effects=("none_of_these",), probability=found.unnamed),
@@ -150,7 +150,7 @@ def _causes(found: Comparison) -> tuple[Cause, ...]:
     return tuple(sorted(rows, key=lambda row: -row.probability))
 
 
-def _sizes(j: Judged) -> dict[str, SizeEstimate]:
+def _sizes(j: DifferenceScore) -> dict[str, SizeEstimate]:
     d = j.difference
     return {
         f"{d.name}.{label}": SizeEstimate(value=float(value), sd=float(sd), unit=unit)
@@ -158,7 +158,7 @@ def _sizes(j: Judged) -> dict[str, SizeEstimate]:
     }
 
 
-def _where(found: Comparison) -> tuple[LocationShare, ...]:
+def _where(found: StateComparison) -> tuple[LocationShare, ...]:
     """By the probabilities of the differences, each at its places; else by free forces."""
     shares: dict[str, float] = {}
     for j, probability in zip(found.judged, found.probabilities.tolist(), strict=True):
@@ -181,7 +181,7 @@ def _where(found: Comparison) -> tuple[LocationShare, ...]:
     )
 
 
-def _confusable(found: Comparison) -> tuple[tuple[str, ...], ...]:
+def _confusable(found: StateComparison) -> tuple[tuple[str, ...], ...]:
     group = [
         "parameters_only"
         if found.judged[k].difference.kind == "parameter"
@@ -192,7 +192,7 @@ def _confusable(found: Comparison) -> tuple[tuple[str, ...], ...]:
     return (unique,) if len(unique) > 1 else ()
 
 
-def _inclusion(found: Comparison) -> dict[str, float]:
+def _inclusion(found: StateComparison) -> dict[str, float]:
     return {
         j.difference.name: float(p)
         for j, p in sorted(
@@ -202,7 +202,7 @@ def _inclusion(found: Comparison) -> dict[str, float]:
     }
 
 
-def _moved(found: Comparison) -> tuple[MovedParameter, ...]:
+def _moved(found: StateComparison) -> tuple[MovedParameter, ...]:
     rows = [
         (j, float(p))
         for j, p in zip(found.judged, found.probabilities, strict=True)
@@ -233,7 +233,7 @@ def _moved(found: Comparison) -> tuple[MovedParameter, ...]:
     return tuple(sorted(made, key=lambda m: -m.probability))
 
 
-def _rejected(found: Comparison) -> tuple[Rejected, ...]:
+def _rejected(found: StateComparison) -> tuple[Rejected, ...]:
     group = set(_group(found))
     rows = []
     for k, (j, gain) in enumerate(zip(found.judged, found.gains.tolist(), strict=True)):
@@ -258,7 +258,7 @@ def _rejected(found: Comparison) -> tuple[Rejected, ...]:
     return tuple(rows)
 
 
-def _race(found: Comparison) -> tuple[RaceEntry, ...]:
+def _race(found: StateComparison) -> tuple[RaceEntry, ...]:
     best = max(float(found.gains.max()), 1e-9)
     rows = [RaceEntry(effects=("no_change",), score=0.0, se=0.0, explained=0.0, moved=0.0)]
     rows += [
@@ -276,7 +276,7 @@ def _race(found: Comparison) -> tuple[RaceEntry, ...]:
     return tuple(sorted(rows, key=lambda row: -row.score))
 
 
-def _traces(found: Comparison, verdict: Verdict) -> Traces:
+def _traces(found: StateComparison, verdict: Verdict) -> Traces:
     runs = found.questioned.runs
     first = runs.recording == 0
     best = found.judged[0]
@@ -304,7 +304,7 @@ def _traces(found: Comparison, verdict: Verdict) -> Traces:
 _ONE_POINT, _MOST_OF_THE_TIME = 0.1, 0.7
 
 
-def excitation(questioned: Questioned) -> tuple[str, ...]:
+def excitation(questioned: NewRecordings) -> tuple[str, ...]:
     """What the recordings in question cannot tell, by how little the axes move."""
     told = []
     model, windows = questioned.known.model, questioned.runs.windows
@@ -323,7 +323,7 @@ def excitation(questioned: Questioned) -> tuple[str, ...]:
     return tuple(told)
 
 
-def change_sentence(found: Comparison, verdict: Verdict, causes: Sequence[Cause]) -> str:
+def change_sentence(found: StateComparison, verdict: Verdict, causes: Sequence[Cause]) -> str:
     """What a colleague would say."""
     count = len(found.questioned.known.runs.windows.datasets)
     known = f"the known state ({count} recording{'s' if count > 1 else ''})"
@@ -361,7 +361,7 @@ def change_sentence(found: Comparison, verdict: Verdict, causes: Sequence[Cause]
     return f"{text}."
 
 
-def _name(j: Judged) -> str:
+def _name(j: DifferenceScore) -> str:
     kind = j.difference.kind
     if kind == "parameter":
         return f"another {j.difference.name}"
@@ -370,7 +370,7 @@ def _name(j: Judged) -> str:
     return readable(j.difference.name)
 
 
-def _told_sizes(j: Judged) -> str:
+def _told_sizes(j: DifferenceScore) -> str:
     first = next(iter(_sizes(j).items()), None)
     if first is None:
         return ""

@@ -49,7 +49,7 @@ from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.moved_parameters import moved_parameters
 from trms_cli.gap.next_experiment import advise
-from trms_cli.gap.onset import begun
+from trms_cli.gap.onset import diagnose_onset
 from trms_cli.gap.posterior import Posterior, posterior_of
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
 from trms_cli.gap.race import (
@@ -133,7 +133,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         watch.enter("refit")
         return change_result(problem, compare(problem, watch.tell_whole))
     watch.enter("onset")
-    began = begun(problem, watch.tell)
+    began = diagnose_onset(problem, watch.tell)
     if began is not None:
         return began
     watch.enter("refit")

@@ -15,7 +15,7 @@ from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.gap.known_state import KnownState
 from trms_cli.gap.problem import CandidateEffect, is_amplitude, variants
-from trms_cli.gap.short_runs import Forces, ShortRuns
+from trms_cli.gap.short_runs import MissingForces, ShortRuns
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.parameters import Parameter
@@ -36,16 +36,16 @@ class ConstantTorque(Effect):
 
 
 @dataclass(frozen=True)
-class Questioned:
+class NewRecordings:
     """Recordings in question, with nothing changed."""
 
     known: KnownState
     runs: ShortRuns
     starts: FloatArray  #: (m, n) array; of the runs
-    forces: Forces  #: That are missing
+    forces: MissingForces  #: That are missing
 
     @classmethod
-    def recorded(cls, known: KnownState, datasets: Sequence[Dataset]) -> "Questioned":
+    def of(cls, known: KnownState, datasets: Sequence[Dataset]) -> "NewRecordings":
         """From recordings."""
         runs = ShortRuns(known.model, datasets)
         p = known.model.parameters.values
@@ -54,7 +54,7 @@ class Questioned:
 
 
 @dataclass(frozen=True)
-class Family:
+class DifferenceFamily:
     """A difference in one shape, by stretches of its amplitude between values that are simulated.
 
     Within a stretch what it adds to the missing forces is ``change + part · slope``, part 0 to 1:
@@ -77,11 +77,11 @@ class Difference:
     labels: tuple[str, ...]  #: Of its sizes
     units: tuple[str, ...]
     locations: tuple[str, ...]
-    families: tuple[Family, ...]
+    families: tuple[DifferenceFamily, ...]
 
 
 def differences(
-    questioned: Questioned,
+    questioned: NewRecordings,
     candidates: Mapping[str, CandidateEffect],
     *,
     only: Collection[str] | None = None,
@@ -110,14 +110,14 @@ def differences(
         yield from pool.map(made, simulated)
 
 
-def _of_parameter(questioned: Questioned, f: FreeParameter) -> Difference:
+def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
     runs, model = questioned.runs, questioned.known.model
     p = model.parameters.values
     at = model.parameters.names.index(f.name)
     steps = np.array([-x for x in reversed(_CHANGES)] + list(_CHANGES)) * f.scale
     steps = steps[(p[at] + steps > f.lower) & (p[at] + steps < f.upper)]
     starts: FloatArray | None = None
-    made: list[Forces] = []
+    made: list[MissingForces] = []
     for step in steps:
         own = p.copy()
         own[at] += step
@@ -142,7 +142,7 @@ _SAME_START = 1e-6
 
 
 def _of_effect(
-    questioned: Questioned,
+    questioned: NewRecordings,
     name: str,
     effect: Effect,
     locations: tuple[str, ...],
@@ -200,9 +200,9 @@ def _family(
     values: FloatArray,
     amplitude: int,
     log_prior: FloatArray,
-    made: Sequence[Forces],
-    base: Forces,
-) -> Family:
+    made: Sequence[MissingForces],
+    base: MissingForces,
+) -> DifferenceFamily:
     """From forces at ascending amplitudes; ``log_prior``: of each stretch between two of them."""
     change = np.array([f.force for f in made]) - base.force
     fine: BoolArray = np.array([np.isfinite(c[np.isfinite(base.force)]).all() for c in change])
@@ -212,9 +212,9 @@ def _family(
     kept = fine[1:] & fine[:-1] & (size[1:] * size[:-1] > 0)
     prior = log_prior[kept] - logsumexp(log_prior[kept]) if kept.any() else log_prior[:0]
     slope = np.diff(change, axis=0)[kept]
-    return Family(values[:-1][kept], values[1:][kept], prior, change[:-1][kept], slope)
+    return DifferenceFamily(values[:-1][kept], values[1:][kept], prior, change[:-1][kept], slope)
 
 
-def _normalised(families: Sequence[Family]) -> tuple[Family, ...]:
+def _normalised(families: Sequence[DifferenceFamily]) -> tuple[DifferenceFamily, ...]:
     kept = [f for f in families if len(f.prior)]
     return tuple(replace(f, prior=f.prior - np.log(len(kept))) for f in kept)

@@ -11,13 +11,13 @@ from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.diagnosis import Onset
-from trms_cli.gap.differences import Difference, Family, Questioned
+from trms_cli.gap.differences import Difference, DifferenceFamily, NewRecordings
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import robust, robust_weight
 
 
 @dataclass(frozen=True)
-class Judged:
+class DifferenceScore:
     """A difference with its evidence."""
 
     difference: Difference
@@ -56,13 +56,13 @@ class _Law:
     constant: float  #: nats; of the density
 
 
-class Evidence:
+class ChangeEvidence:
     """Log evidence of whatever may have happened to recordings in question.
 
     Of all windows in which an equation's force was measured, n together.
     """
 
-    def __init__(self, questioned: Questioned) -> None:
+    def __init__(self, questioned: NewRecordings) -> None:
         self.questioned = questioned
         self.known, self.runs, self.forces = questioned.known, questioned.runs, questioned.forces
         self.series = self.known.series(self.runs, self.forces)
@@ -125,7 +125,7 @@ class Evidence:
         both = enumerate(zip(law.whitener, self._rows, strict=True))
         return np.concatenate([w @ change[:, rows, e].T for e, (w, rows) in both])
 
-    def alike(self, one: Judged, other: Judged) -> float:
+    def alike(self, one: DifferenceScore, other: DifferenceScore) -> float:
         """Cosine between what two differences add, as innovations."""
         law = max(self._laws, key=lambda law: law.log_weight)
         a, b = self._whitened(law, np.stack([one.change, other.change])).T
@@ -158,15 +158,17 @@ _REWEIGHED = 5
 class _Trial(NamedTuple):
     """A family at its sizes, at some onsets or from the beginning on."""
 
-    family: Family
+    family: DifferenceFamily
     onsets: FloatArray  #: (t, 2) array; recording and s; empty: from the beginning on
     log: FloatArray  #: (t, k) array; log evidence with all priors, nats
     part: FloatArray  #: (t, k) array; of the stretches
     sd: FloatArray  #: (t, k) array; of the parts
 
 
-def judge(evidence: Evidence, difference: Difference, *, finely: bool = False) -> Judged:
-    """Evidence of a difference, with its most probable size and onset.
+def judge(
+    evidence: ChangeEvidence, difference: Difference, *, finely: bool = False
+) -> DifferenceScore:
+    """ChangeEvidence of a difference, with its most probable size and onset.
 
     ``finely``: onsets are tried in steps of a tenth of a second about the most probable one.
     """
@@ -199,7 +201,7 @@ def judge(evidence: Evidence, difference: Difference, *, finely: bool = False) -
         recording = int(best.onsets[t, 0])
         onset = _most_probable(begins, recording, float(best.onsets[t, 1]))
     gates = _gates(evidence.runs, best.onsets[t : t + 1]) if onset else np.ones((1, 1, 1))
-    return Judged(
+    return DifferenceScore(
         difference,
         _together(always),
         _together(begins),
@@ -217,7 +219,11 @@ def _together(trials: Sequence[_Trial]) -> float:
 
 
 def _gated(
-    evidence: Evidence, family: Family, onsets: FloatArray, gates: FloatArray, share: float
+    evidence: ChangeEvidence,
+    family: DifferenceFamily,
+    onsets: FloatArray,
+    gates: FloatArray,
+    share: float,
 ) -> _Trial:
     """A family from some onsets on; ``share``: prior of each onset."""
     change, slope = (

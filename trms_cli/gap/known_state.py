@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.gap.short_runs import Forces, ShortRuns
-from trms_cli.gap.standing import Series, StandingError, covariance
+from trms_cli.gap.short_runs import MissingForces, ShortRuns
+from trms_cli.gap.standing import ForceSeries, StandingError, covariance
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter, with_values
 from trms_cli.models.model import Model
@@ -24,7 +24,7 @@ class KnownState:
     errors: tuple[StandingError, ...]  #: By equation
     runs: ShortRuns  #: Over the recordings of the known state
 
-    def series(self, runs: ShortRuns, forces: Forces) -> tuple[Series, ...]:
+    def series(self, runs: ShortRuns, forces: MissingForces) -> tuple[ForceSeries, ...]:
         """Missing forces over any recordings by equation, linear about the fitted values."""
         slopes = _slopes(runs, self.model, self.free, forces)
         return _series(runs, forces, slopes, self.moved)
@@ -47,7 +47,7 @@ def known_state(
         slopes = _slopes(runs, fitted, free, forces)
         series = _series(runs, forces, slopes, moved)
         errors = tuple(
-            StandingError.learnt(s, _scale(slopes[:, e], moved, free)) for e, s in enumerate(series)
+            StandingError.fit(s, _scale(slopes[:, e], moved, free)) for e, s in enumerate(series)
         )
         total, right = np.eye(len(free)), np.zeros(len(free))
         for error in errors:
@@ -63,7 +63,7 @@ def known_state(
     forces = runs.forces(fitted.parameters.values)
     slopes = _slopes(runs, fitted, free, forces)
     errors = tuple(
-        StandingError.learnt(s, _scale(slopes[:, e], moved, free))
+        StandingError.fit(s, _scale(slopes[:, e], moved, free))
         for e, s in enumerate(_series(runs, forces, slopes, moved))
     )
     return KnownState(fitted, free, moved, sd, errors, runs)
@@ -84,7 +84,7 @@ def _bounded(free: Sequence[FreeParameter], moved: FloatArray) -> FloatArray:
 
 
 def _slopes(
-    runs: ShortRuns, model: Model, free: Sequence[FreeParameter], forces: Forces
+    runs: ShortRuns, model: Model, free: Sequence[FreeParameter], forces: MissingForces
 ) -> FloatArray:
     """Of the missing forces per prior deviation of each parameter, (m, e, n_f)."""
     found = np.zeros((*forces.force.shape, len(free)))
@@ -98,8 +98,8 @@ def _slopes(
 
 
 def _series(
-    runs: ShortRuns, forces: Forces, slopes: FloatArray, moved: FloatArray
-) -> tuple[Series, ...]:
+    runs: ShortRuns, forces: MissingForces, slopes: FloatArray, moved: FloatArray
+) -> tuple[ForceSeries, ...]:
     seen = np.isfinite(forces.force)
     made = []
     for e in range(forces.force.shape[1]):
@@ -109,7 +109,9 @@ def _series(
         usual = np.median(np.abs(force[moves])) if moves.any() else 0.0
         quiet = forces.held[:, e] & (np.abs(force) < _QUIET * usual)
         centred = force - slopes[:, e] @ moved
-        made.append(Series(centred, seen[:, e] & ~quiet, slopes[:, e], runs.recording, runs.begin))
+        made.append(
+            ForceSeries(centred, seen[:, e] & ~quiet, slopes[:, e], runs.recording, runs.begin)
+        )
     return tuple(made)
 
 

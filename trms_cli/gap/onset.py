@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.gap.change import Comparison, compare_with
+from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.diagnosis import DiagnosisResult, Onset
@@ -35,7 +35,7 @@ _FIRST, _LEAST = (0.25, 0.5), 10.0
 _CALM, _LOOKED_AT, _TOLD = 0.75, 0.5, 0.05
 
 
-def begun(
+def diagnose_onset(
     problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
 ) -> DiagnosisResult | None:
     """A diagnosis of what began within the recordings; None where nothing clearly did."""
@@ -48,7 +48,8 @@ def begun(
             look, found = _compared(problem, recorded, cuts, watch)
         except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
             return None  # a look that fails is no reason to lose a diagnosis
-        if found is not None and found.unchanged < _TOLD and found.judged[0].began is not None:
+        clear = found is not None and found.unchanged < _TOLD and found.unnamed < _LOOKED_AT
+        if clear and found is not None and found.judged[0].began is not None:
             times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
             result = change_result(problem, _later(found, times))
             told = ", ".join(f"{t:.3g}" for t in times)
@@ -64,7 +65,7 @@ def _compared(
     recorded: list[Dataset],
     cuts: list[int],
     watch: Callable[[float, str], bool],
-) -> tuple[Comparison, Comparison | None]:
+) -> tuple[StateComparison, StateComparison | None]:
     """The rests of recordings against their beginnings: a look, and all if it sees something."""
     first = [d.part(0, cut) for d, cut in zip(recorded, cuts, strict=True)]
     rest = [d.part(cut, len(d)) for d, cut in zip(recorded, cuts, strict=True)]
@@ -77,7 +78,7 @@ def _compared(
     return look, compare_with(known, rest, candidates, left_out, problem.jobs)
 
 
-def _later(found: Comparison, times: list[float]) -> Comparison:
+def _later(found: StateComparison, times: list[float]) -> StateComparison:
     """With onsets counted from the beginning of the recordings and not of their rests."""
     judged = []
     for j in found.judged:

@@ -39,7 +39,7 @@ _SETTLED, _CORRECTIONS = 0.3, 2
 
 
 @dataclass(frozen=True)
-class Equation:
+class ObservableEquation:
     """A physical equation whose missing force the outputs show."""
 
     location: str  #: In the block diagram: the disturbance's name
@@ -49,20 +49,20 @@ class Equation:
     order: int  #: How often the force is integrated to the output: 2 for an angle, 1 for a speed
 
 
-def seen_equations(model: Model, measured: Sequence[str]) -> tuple[Equation, ...]:
+def observable_equations(model: Model, measured: Sequence[str]) -> tuple[ObservableEquation, ...]:
     """Equations of the axes whose angles, and of the rotors whose speeds, are measured."""
     outputs, forces = names(model.outputs), names(model.disturbances)
     found = [(axis.moment, axis.angle, 2) for axis in model.axes.values()]
     found += [(f"{rotor}_motor", SPEEDS.get(rotor, ""), 1) for rotor in model.rotors]
     return tuple(
-        Equation(force, model.disturbances[i].unit, i, outputs.index(output), order)
+        ObservableEquation(force, model.disturbances[i].unit, i, outputs.index(output), order)
         for force, output, order in found
         if output in outputs and output in measured and force in forces
         for i in (forces.index(force),)
     )
 
 
-class Forces(NamedTuple):
+class MissingForces(NamedTuple):
     """Missing forces of windows."""
 
     force: FloatArray  #: (m, e) array; in the equations' units, NaN where nothing was measured
@@ -87,7 +87,7 @@ class ShortRuns:
         problem = FitProblem(model=model, datasets=tuple(datasets), window_length=length, jobs=1)
         self.windows = windows = Windows(problem, with_parameters=False)
         measured = {name for dataset in datasets for name in names(dataset.outputs)}
-        self.equations = seen_equations(model, sorted(measured))
+        self.equations = observable_equations(model, sorted(measured))
         step, count = windows.sample_time, windows.inside.shape[1]
         whole = windows.count == count
         #: (m,) array; of each window: its recording, and its beginning in s from that one's
@@ -121,7 +121,7 @@ class ShortRuns:
                 starts[:, row] -= np.nan_to_num(away[:, e.output])
         return starts
 
-    def forces(self, p: FloatArray, starts: FloatArray | None = None) -> Forces:
+    def forces(self, p: FloatArray, starts: FloatArray | None = None) -> MissingForces:
         """With all parameters at ``p``, (n_p,), from known starts (m, n_x) or estimated ones."""
         windows = self.windows
         with np.errstate(all="ignore"):
@@ -133,7 +133,7 @@ class ShortRuns:
         force = np.where(seen & np.isfinite(force), force, np.nan)
         late = simulated[:, len(self._t) // 2 :]
         still = np.ptp(late, axis=1) < _HELD
-        return Forces(force, still & np.array([e.order == 2 for e in self.equations]))
+        return MissingForces(force, still & np.array([e.order == 2 for e in self.equations]))
 
     def gate(self, onset: FloatArray) -> FloatArray:
         """Share of a unit force from an onset on that each window shows, (k, m, e).

@@ -38,8 +38,8 @@ _FACTORS, _VARIES = (1.0, 2.0, 4.0), 0.6
 _FREEDOM = 6.0
 
 
-class Sizes(NamedTuple):
-    """Sizes of the parts of one equation's standing error."""
+class ErrorSizes(NamedTuple):
+    """ErrorSizes of the parts of one equation's standing error."""
 
     white: float  #: σ_w, in the force's unit
     slow: float
@@ -49,7 +49,7 @@ class Sizes(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Series:
+class ForceSeries:
     """Missing forces of one equation over windows of some recordings, linear in the parameters."""
 
     force: FloatArray  #: (m,) array; with the parameters at the centres of their priors
@@ -58,10 +58,10 @@ class Series:
     recording: IntArray  #: (m,) array
     time: FloatArray  #: (m,) array; s
 
-    def joined(self, other: "Series") -> "Series":
+    def joined(self, other: "ForceSeries") -> "ForceSeries":
         """With the windows of other recordings after these."""
         later = other.recording + (self.recording.max() + 1 if len(self.recording) else 0)
-        return Series(
+        return ForceSeries(
             np.concatenate([self.force, other.force]),
             np.concatenate([self.seen, other.seen]),
             np.vstack([self.slopes, other.slopes]),
@@ -69,12 +69,12 @@ class Series:
             np.concatenate([self.time, other.time]),
         )
 
-    def only(self, rows: BoolArray) -> "Series":
+    def only(self, rows: BoolArray) -> "ForceSeries":
         """Some of the windows."""
-        return Series(*(getattr(self, n)[rows] for n in self.__dataclass_fields__))
+        return ForceSeries(*(getattr(self, n)[rows] for n in self.__dataclass_fields__))
 
 
-def covariance(series: Series, sizes: Sizes) -> FloatArray:
+def covariance(series: ForceSeries, sizes: ErrorSizes) -> FloatArray:
     """Of the forces, (m, m)."""
     together = series.recording[:, None] == series.recording
     apart = np.abs(series.time[:, None] - series.time)
@@ -84,7 +84,7 @@ def covariance(series: Series, sizes: Sizes) -> FloatArray:
     return np.asarray(common + np.where(together, own, 0.0) + np.diag(white))
 
 
-def _log_density(series: Series, sizes: Sizes) -> float:
+def _log_density(series: ForceSeries, sizes: ErrorSizes) -> float:
     if not len(series.force):
         return 0.0
     factor = np.linalg.cholesky(covariance(series, sizes))
@@ -103,7 +103,7 @@ def robust_weight(z: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class ForcePrediction:
     """What one choice of sizes foretells of an equation's forces on further recordings."""
 
     log_weight: float  #: Belief in the sizes, nats
@@ -115,12 +115,12 @@ class Prediction:
 class StandingError:
     """The standing error of one equation, learnt."""
 
-    reference: Series  #: Seen windows of the recordings of the known state
+    reference: ForceSeries  #: Seen windows of the recordings of the known state
     scale: float  #: What acts in the equation, in the force's unit
-    sizes: Sizes  #: Most likely
+    sizes: ErrorSizes  #: Most likely
 
     @classmethod
-    def learnt(cls, reference: Series, scale: float) -> "StandingError":
+    def fit(cls, reference: ForceSeries, scale: float) -> "StandingError":
         """The most likely sizes, given recordings of the known state.
 
         ``scale``: What acts in the equation, in the force's unit.
@@ -130,7 +130,7 @@ class StandingError:
 
         def cost(v: FloatArray) -> float:
             with np.errstate(all="ignore"):
-                value = -_log_density(seen, Sizes(*np.exp(v)))
+                value = -_log_density(seen, ErrorSizes(*np.exp(v)))
             return value + 0.5 * float(np.sum(((v - centres) / spreads) ** 2))
 
         found = minimize(
@@ -140,9 +140,11 @@ class StandingError:
             bounds=[(c - 6, c + 6) for c in centres],
             options={"maxiter": 40},
         )
-        return cls(seen, scale, Sizes(*np.exp(found.x)))
+        return cls(seen, scale, ErrorSizes(*np.exp(found.x)))
 
-    def predictions(self, series: Series, more: FloatArray | float = 0.0) -> Iterator[Prediction]:
+    def predictions(
+        self, series: ForceSeries, more: FloatArray | float = 0.0
+    ) -> Iterator[ForcePrediction]:
         """Of further recordings, for several sizes of what differs between recordings and slowly.
 
         The windows of ``series`` that are not seen are foretold as well. ``more``: covariance of a
@@ -155,7 +157,7 @@ class StandingError:
         count = len(np.unique(self.reference.recording))
         spread = _VARIES * np.sqrt(1 + 2 / max(count, 1))
         for offset, slow in product(_FACTORS, _FACTORS):
-            sizes = Sizes(
+            sizes = ErrorSizes(
                 self.sizes.white,
                 self.sizes.slow * slow,
                 self.sizes.offset * offset,
@@ -165,11 +167,11 @@ class StandingError:
             weight = -0.5 * float(np.sum((np.log([offset, slow]) / spread) ** 2))
             left = covariance(series, sizes) - taken
             factor = np.linalg.cholesky((left + left.T) / 2 + more)
-            yield Prediction(weight, mean, np.asarray(factor))
+            yield ForcePrediction(weight, mean, np.asarray(factor))
 
 
 def _beliefs(scale: float) -> tuple[FloatArray, FloatArray]:
-    """Centres and deviations of the logarithms of :class:`Sizes`."""
+    """Centres and deviations of the logarithms of :class:`ErrorSizes`."""
     rows = [(c * scale, s) for c, s in (_WHITE, _SLOW, _OFFSET)]
     rows += [_OF_PRIORS, _OF_PRIORS_BETWEEN]
     return np.log([c for c, _ in rows]), np.array([s for _, s in rows])
