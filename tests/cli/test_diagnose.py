@@ -462,3 +462,10 @@ class TestWhole:
             del document["seconds"]
             del document["worth"]["command"]  # its model is the one beside the document
         assert parted == whole
+
+
+def test_a_recording_is_not_compared_with_itself(lab):
+    done = in_process(lab, "diagnose", "real=rig.csv", "against=rig.csv", "out=itself", code=2)
+    assert "among the recordings in question" in done.said
+    done = in_process(lab, "diagnose", "real=rig.csv", "against=absent.csv", "out=itself", code=2)
+    assert "absent.csv" in done.said

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logsumexp
 
-from trms_cli.core.wording import listing, number, readable, small_unit
+from trms_cli.core.wording import listing, number, readable, small_unit, unit
 from trms_cli.gap.change import StateComparison
 from trms_cli.gap.diagnosis import (
     Cause,
@@ -375,6 +375,6 @@ def _told_sizes(j: DifferenceScore) -> str:
     if first is None:
         return ""
     label, size = first
-    unit, scale = small_unit(size.unit)
+    small, scale = small_unit(size.unit)
     spread = f" ± {number(scale * size.sd, 2)}" if size.sd > 0 else ""
-    return f"{label.split('.', 1)[1]} {number(scale * size.value)}{spread} {unit}".strip()
+    return f"{label.split('.', 1)[1]} {number(scale * size.value)}{spread} {unit(small)}".strip()
