@@ -50,7 +50,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.moved_parameters import moved_parameters
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.onset import diagnose_onset
-from trms_cli.gap.posterior import Posterior, posterior_of
+from trms_cli.gap.posterior import Posterior, posterior_of, simulated_part
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
 from trms_cli.gap.race import (
     EFFORTS,
@@ -70,13 +70,13 @@ from trms_cli.models.model import names
 
 #: Where on the way each stage begins, as a share of the whole.
 _BEGINS = {
-    "onset": 0.0,
-    "refit": 0.02,
+    "refit": 0.0,
     "separability": 0.08,
     "race": 0.3,
     "where": 0.85,
     "tests": 0.9,
-    "how far": 0.93,
+    "how far": 0.92,
+    "onset": 0.95,
     "advice": 0.98,
 }
 
@@ -97,7 +97,8 @@ class _Watch:
 
     def leave(self) -> None:
         if self._stage:
-            self.seconds[self._stage] = time.perf_counter() - self._begun
+            spent = self.seconds.get(self._stage, 0.0) + time.perf_counter() - self._begun
+            self.seconds[self._stage] = spent
 
     def tell_whole(self, share: float, message: str) -> bool:
         """Note how far the diagnosis is, where it has stages of its own."""
@@ -132,10 +133,6 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
 
         watch.enter("refit")
         return change_result(problem, compare(problem, watch.tell_whole))
-    watch.enter("onset")
-    began = diagnose_onset(problem, watch.tell)
-    if began is not None:
-        return began
     watch.enter("refit")
     parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
     free = nominal_parameters(problem.model)
@@ -177,6 +174,13 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     watch.enter("how far")
     runs = free_runs.SealedRuns(problem, parts)
     posterior = posterior_of(problem, race, candidates, forces, place, constants, runs, flexible)
+    if problem.effort != "quick" and _unexplained(posterior):
+        # a cause that acts in a part of the recordings fits none of them from end to end
+        watch.enter("onset")
+        began = diagnose_onset(problem, watch.tell)
+        if began is not None:
+            return began
+        watch.enter("how far")
     sealed = free_runs.sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
     beside = project_traces(posterior.corrected or nominal, traces)
@@ -185,6 +189,23 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     watch.leave()
     seconds = {name: round(value, 3) for name, value in watch.seconds.items()}
     return replace(result, seconds=seconds)
+
+
+#: Nats that the likeliest cause may owe to forces without a name before a part of the recordings is
+#: suspected to be unlike the rest.
+_OWED = 30.0
+
+
+def _unexplained(posterior: Posterior) -> bool:
+    """Whether no cause that acts from end to end explains what the refit leaves."""
+    features, top = posterior.features, next(iter(posterior.probabilities))
+    if features.behind < _OWED:
+        return False
+    if posterior.verdict in ("none_of_these", "undecided", "parameters_only"):
+        return True
+    part = simulated_part(top)
+    owed = dict(zip(features.names, features.behinds.tolist(), strict=True)).get(part)
+    return part != top or owed is None or owed > _OWED
 
 
 def _traces(
