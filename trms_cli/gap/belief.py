@@ -110,15 +110,18 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             "effect.error": _of_error(features.errors[i]),
         }
     foretold = 0.0 if np.isnan(features.foretold) else float(np.clip(features.foretold, 0.0, 1.0))
+    owed = dict(zip(features.names, features.behinds, strict=True))
     for axis, behinds in features.outside.items():
         disturbance = f"{axis}{DISTURBANCE}"
-        rows[disturbance,] = {
-            "effect.rest": _left(features, behinds[0]),
-            "disturbance": 1.0,
-            "disturbance.foretold": foretold,
-        }
+        # a torque that explains nothing is no answer
+        if features.behind - behinds[0] > _REST:
+            rows[disturbance,] = {
+                "effect.rest": _left(features, behinds[0]),
+                "disturbance": 1.0,
+                "disturbance.foretold": foretold,
+            }
         for name, behind in zip(features.names, behinds[1:], strict=True):
-            if name in rows:
+            if name in rows and owed[name] - behind > _REST:
                 joined = tuple(sorted((*name, disturbance)))
                 row = {k: v for k, v in rows[name].items() if k != "effect.error"}
                 rows[joined] = row | {"effect.rest": _left(features, behind), "disturbance": 1.0}
