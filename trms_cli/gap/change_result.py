@@ -241,11 +241,11 @@ def _rejected(found: StateComparison) -> tuple[Rejected, ...]:
             continue
         size = next(iter(_sizes(j).values()))
         behind = found.gains[0] - gain
-        reason = (
-            f"it explains the difference worse by {number(behind)} nats"
-            if gain > 0
-            else "nothing in these recordings calls for it"
-        )
+        reason = "nothing in these recordings calls for it"
+        if gain > 0 and behind > 0:
+            reason = f"it explains the difference worse by {number(behind)} nats"
+        elif gain > 0:
+            reason = "it explains the difference as well, by a kind of cause that is less usual"
         rows.append(
             Rejected(
                 effect=j.difference.name, score=gain, size=size, upper_bound=None, reason=reason
