@@ -179,13 +179,13 @@ def test_losses_and_strata():
 
 def test_the_study_is_told_and_nothing_is_written_unasked(tmp_path, capsys):
     file = FeaturesFile(tmp_path)
-    truths = [{FRICTION: {"torque": 0.004}}, {}, {"pitch_disturbance": {"torque": 0.01}}]
+    truths = [{FRICTION: {"torque": 0.004}}, {}, {"pitch_quantisation": {"quantum": 0.01}}]
     for i in range(9):
         effects = truths[i % 3]
         case = Case(kind="single" if effects else "null", effects=effects)
         file.append(Line(name=f"s{i}", case=case, document=document()))
     file.append(Line(name="s9", case=Case(kind="null"), document={}, failed="no"))
-    # what noise drives is not weighed
+    # rounding has marks of its own and is not weighed
     assert len(calibrating(file.lines())) == 6
     assert told_belief(file.lines()[0])[FRICTION,] == 0.8
     package = Path(__file__).parents[3] / "trms_cli" / "gap" / "calibration.json"
