@@ -173,12 +173,19 @@ def _where(found: StateComparison) -> tuple[LocationShare, ...]:
         ((place, share / total) for place, share in shares.items()), key=lambda r: -r[1]
     )
     return tuple(
-        LocationShare(
-            location=place, share=share, ci95=(max(0.0, share - 0.1), min(1.0, share + 0.1))
-        )
+        LocationShare(location=place, share=share, ci95=_interval(share))
         for place, share in listed
         if share >= 0.02
     )
+
+
+#: A tail of a 95 % interval.
+_TAIL = 0.025
+
+
+def _interval(share: float) -> tuple[float, float]:
+    """Of a single difference's place: it is there or not, with that probability."""
+    return share if share >= 1 - _TAIL else 0.0, share if share <= _TAIL else 1.0
 
 
 def _confusable(found: StateComparison) -> tuple[tuple[str, ...], ...]:

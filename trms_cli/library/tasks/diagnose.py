@@ -30,6 +30,7 @@ from trms_cli.core.trust import allowed_for_now
 from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
+from trms_cli.gap.belief import DISTURBANCE
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult, Worth
 from trms_cli.gap.findings import likeliest
 from trms_cli.gap.problem import GapProblem
@@ -382,9 +383,16 @@ def applied_cause(diagnosis: DiagnosisResult) -> Cause | None:
     first = likeliest(diagnosis)
     if first is None or not first.parameters or set(first.effects) & set(NO_EFFECT):
         return None
-    if any(name.endswith("_disturbance") for name in first.effects):
+    if diagnosis.verdict not in ("effect", "undecided"):
         return None
-    return first if diagnosis.verdict in ("effect", "undecided") else None
+    # a torque from outside or a coarse sensor beside it is no part of a model
+    fitted = tuple(
+        name
+        for name in first.effects
+        if not name.endswith(DISTURBANCE)
+        and any(size.startswith(f"{name}.") for size in first.parameters)
+    )
+    return replace(first, effects=fitted) if fitted else None
 
 
 def corrected_words(diagnosis: DiagnosisResult) -> str:
