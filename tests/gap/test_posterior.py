@@ -8,8 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.gap.calibrate import features_of, fit_weights, loss, right_answers, usual_shares
+from tests.gap.diagnosis_case import diagnosis
 from trms_cli.core.findings import json_data
 from trms_cli.gap.belief import Features, calibration, probabilities_of
+from trms_cli.gap.diagnosis import Cause, SizeEstimate
+from trms_cli.library.tasks.diagnose import applied_cause
 
 NAMES = (("a",), ("b",), ("a", "b"))
 
@@ -123,3 +126,14 @@ def test_a_torque_from_outside_is_what_nothing_foretells():
         gap, scores=np.array([300.0, 2.0, 0.0]), outside={"yaw": np.array([4e3, 0.0, 4e3, 4e3])}
     )
     assert next(iter(probabilities_of(beside, weights))) == ("a", "yaw_disturbance")
+
+
+def test_a_cause_beside_a_torque_from_outside_is_applied_alone():
+    told = diagnosis()
+    sizes = {"yaw_coulomb_friction.torque": SizeEstimate(value=0.004, sd=1e-4, unit="N*m")}
+    effects = ("pitch_disturbance", "yaw_coulomb_friction")
+    joint = Cause(effects=effects, probability=0.9, parameters=sizes)
+    applied = applied_cause(replace(told, verdict="effect", causes=(joint,)))
+    assert applied is not None and applied.effects == ("yaw_coulomb_friction",)
+    alone = replace(joint, effects=("pitch_disturbance",), parameters={})
+    assert applied_cause(replace(told, verdict="effect", causes=(alone,))) is None
