@@ -23,7 +23,7 @@ from trms_cli.gap.discrepancy import (
 from trms_cli.gap.gain_drift import USUAL_DRIFT, GainDrift, gain_drift
 from trms_cli.gap.problem import CandidateEffect, joint
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.greybox.map_fit import Point, minimise
+from trms_cli.identification.greybox.map_fit import Point, SearchEnd, minimise
 from trms_cli.identification.greybox.objective import (
     PosteriorObjective,
     Quadratic,
@@ -33,6 +33,7 @@ from trms_cli.identification.greybox.objective import (
 )
 from trms_cli.identification.greybox.windows import Residuals, Windows
 from trms_cli.identification.problem import (
+    FitOutcome,
     FitProblem,
     FreeParameter,
     Prior,
@@ -311,6 +312,30 @@ def _likely_drift(fitted: FittedModel, shares: FloatArray) -> Metric:
     return replace(metric, drift_sizes=drift.likely_sizes(fitted.fit.gains, variance))
 
 
+#: Steps after which the searches from several points are compared.
+_TRIAL = 5
+#: Nats behind the best from which a search is not gone on with.
+_OUTRUN = 60.0
+#: Searches whose costs (nats) and parameters (scaled) differ by less have met.
+_MET = (0.3, 0.1)
+
+
+def _leaders(points: Sequence[Point], scales: FloatArray) -> set[int]:
+    """Which of some searches are worth more steps."""
+    order = sorted(range(len(points)), key=lambda k: points[k].cost)
+    chosen: list[int] = []
+    for k in order:
+        here, best = points[k], points[order[0]]
+        met = any(
+            here.cost - points[i].cost < _MET[0]
+            and np.max(np.abs(here.theta - points[i].theta)[: len(scales)] / scales) < _MET[1]
+            for i in chosen
+        )
+        if not met and here.cost < best.cost + _OUTRUN:
+            chosen.append(k)
+    return set(chosen)
+
+
 class ModelStructure:
     """The nominal model with effects, ready to be fitted.
 
@@ -386,6 +411,8 @@ class ModelStructure:
     ) -> FittedModel:
         """Search from some points and keep the best.
 
+        After a few steps those that lie far behind, or have met another, are searched no further.
+
         ``points``, sequence of (theta, starts). ``centres``, (m, n_nominal states) array: of the
         starts' priors, the same for all who compete. ``gains``, (k,) array: coefficients of the
         drives' gains to begin with; None: zero.
@@ -394,19 +421,25 @@ class ModelStructure:
         low, high = self.problem.bounds
         bounds = (np.concatenate([low, -wide]), np.concatenate([high, wide]))
         n_f, first = len(low), np.zeros(len(wide)) if gains is None else gains
-        searches = []
-        for theta, starts in points:
-            objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))
-            searches.append(
-                minimise(
-                    objective,
-                    Point(np.concatenate([theta, first]), starts, np.inf),
-                    bounds=bounds,
-                    iterations=iterations,
-                    tolerance=tolerance,
-                )
+
+        def search(at: Point, steps: int) -> SearchEnd:
+            objective = InnovationObjective(
+                self.windows, metric, self.starts(at.theta[:n_f], centres)
             )
-        at, worth = min((search.point for search in searches), key=lambda p: p.cost), None
+            return minimise(objective, at, bounds=bounds, iterations=steps, tolerance=tolerance)
+
+        begins = [Point(np.concatenate([theta, first]), starts, np.inf) for theta, starts in points]
+        trial = min(_TRIAL, iterations) if len(begins) > 1 else iterations
+        ends = [search(point, trial) for point in begins]
+        if trial < iterations:
+            worth_more = _leaders([end.point for end in ends], self.problem.scales)
+            ends = [
+                search(end.point, iterations - trial)
+                if k in worth_more and end.outcome is FitOutcome.BUDGET_SPENT
+                else end
+                for k, end in enumerate(ends)
+            ]
+        at, worth = min((end.point for end in ends), key=lambda p: p.cost), None
         theta = at.theta[:n_f]
         if with_evidence and np.isfinite(at.cost):
             objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))

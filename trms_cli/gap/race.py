@@ -385,14 +385,17 @@ def run_race(
     if best is not None and effort.deepest > 1:
         pairs = promising_pairs(signs, candidates, effort.pairs * len(signs) // 2)
 
-        def both(pair: tuple[Signatures, int, int]) -> FittedModel:
+        # in one metric a pair whose members say less together than one effect is no competitor
+        least = max(entry.fit.score for entry in entries)
+
+        def both(pair: tuple[Signatures, int, int]) -> FittedModel | None:
             chosen = [candidates[pair[0].names[row]] for row in pair[1:]]
             structure = refit.structure.with_effects(*chosen)
-            return once(
-                "pair " + "+".join(structure.names),
-                structure,
-                lambda: _both(refit, middle, chosen, pair, structure),
-            )
+            key = "pair " + "+".join(structure.names)
+            searched = once(key, structure, lambda: _both(refit, middle, chosen, pair, structure))
+            if searched.fit.score < least:
+                return None
+            return once("final " + key, structure, searched.in_own_metric)
 
         joint = _each(both, pairs, jobs, watch, 0.75, 0.85, "two at once")
         joint.sort(key=lambda e: -e.fit.score)
@@ -487,7 +490,7 @@ def _both(
     for values in (refit.values, prior):
         theta = structure.theta({**values, **sizes})
         points.append((theta, structure.starts(theta, refit.fit.starts)))
-    fitted = structure.fit(
+    return structure.fit(
         metric,
         points,
         centres=refit.centres,
@@ -495,7 +498,6 @@ def _both(
         iterations=12,
         tolerance=0.5,
     )
-    return fitted.in_own_metric()
 
 
 def _points(
@@ -550,7 +552,7 @@ def _paired(
 
 
 def _each(
-    work: Callable[[Item], Made],
+    work: Callable[[Item], Made | None],
     items: Sequence[Item],
     jobs: int,
     watch: Callable[[float, str], bool],
@@ -558,7 +560,10 @@ def _each(
     high: float,
     message: str,
 ) -> list[Made]:
-    """The work on each item, in threads; compiled loops let go of the interpreter's lock."""
+    """The work on each item, in threads; compiled loops let go of the interpreter's lock.
+
+    What the work makes nothing of is left out.
+    """
     if not watch(low, message.format(items[0] if items else "")):
         return []
 
