@@ -104,7 +104,8 @@ def simulate(
         for recording in whole:  # diagnosed when it was interrupted
             keep(recording.stem, "")
         rest = [recording for recording in waiting if recording not in whole]
-        diagnose_all(rest, folder / _FOUND, list(request.words), jobs, keep)
+        words = ["advise=false", *request.words]  # no feature
+        diagnose_all(rest, folder / _FOUND, words, jobs, keep)
         shutil.rmtree(folder)
     return file.lines()
 

@@ -165,7 +165,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     place = locate(nominal, usual)
     forces = smoothed_forces(nominal, nominal)
     watch.tell(0.5, "a force without a name")
-    flexible = fit_flexible(nominal, place, forces)
+    quick = problem.effort == "quick"
+    flexible = None if quick else fit_flexible(nominal, place, forces)
     watch.enter("tests")
     # errors that are smaller than usual are no gap either
     limits = np.array([usual.get(c.location, np.inf) for c in channels])
@@ -174,7 +175,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     watch.enter("how far")
     runs = free_runs.SealedRuns(problem, parts)
     posterior = posterior_of(problem, race, candidates, forces, place, constants, runs, flexible)
-    if problem.effort != "quick" and _unexplained(posterior):
+    if not quick and _unexplained(posterior):
         # a cause that acts in a part of the recordings fits none of them from end to end
         watch.enter("onset")
         began = diagnose_onset(problem, watch.tell)
@@ -297,7 +298,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         parameters=parameters,
         gap=shrinkage.gap,
         shrink=shrinkage.shrink,
-        next_experiment=_advice(stages, unseen),
+        next_experiment=_advice(stages, unseen) if problem.advise else None,
         inclusion=inclusion(posterior.probabilities),
         moved=moved,
         rejected=rejected_effects(stages.race, posterior, stages.candidates, stages.beside, unseen),

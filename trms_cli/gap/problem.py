@@ -46,6 +46,7 @@ class GapProblem:
     effort: Effort = "normal"
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
+    advise: bool = True  #: Whether the next experiment is looked for
     warnings: tuple[str, ...] = field(default=())  #: Of the admission, to stand in the report
 
 

@@ -248,7 +248,7 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(5, 3, 2, 2),
+    "quick": Effort(4, 2, 0, 1),
     "normal": Effort(9, 5, 4, 3),
     "thorough": Effort(18, 8, 8, 4),
 }

@@ -162,14 +162,47 @@ class DiscreteModel:
         return ca.Function("sensors", [memory, x, u, p], [ca.densify(after)])
 
 
+#: Steps after which a memory that has not settled is taken to where it tends.
+_PATIENCE = 200
+#: Share of its pace that a memory keeps at most after such a jump.
+_NEARER = 0.01
+
+
 def _settle(memory: np.ndarray, following: Callable[[], np.ndarray]) -> None:
     """Repeat a step of a memory, in place, until it changes no bit."""
-    for _ in range(_MOST_STEPS_TO_SETTLE):
+    for k in range(1, _MOST_STEPS_TO_SETTLE + 1):
         after = following()
         settled = np.array_equal(after, memory)
         memory[:] = after
         if settled:
             break
+        if k >= _PATIENCE and k % 10 == 0:
+            _jump(memory, following)
+
+
+def _jump(memory: np.ndarray, following: Callable[[], np.ndarray]) -> None:
+    """One step of Newton's method towards the memory that its step leaves as it is.
+
+    What forgets over half a minute takes tens of thousands of steps to settle by itself. Where the
+    step has no single memory that stays, nothing is changed.
+    """
+    here = memory.copy()
+    pace = following() - here
+    slopes = np.empty((len(here), len(here)))
+    for i in range(len(here)):
+        by = 1e-4 * max(abs(here[i]), 1.0)
+        memory[:] = here
+        memory[i] += by
+        slopes[:, i] = (following() - here - pace) / by
+    memory[:] = here
+    try:
+        there = here + np.linalg.solve(np.eye(len(here)) - slopes, pace)
+    except np.linalg.LinAlgError:
+        return
+    memory[:] = there
+    left = np.abs(following() - there).max()
+    if not left <= _NEARER * np.abs(pace).max():
+        memory[:] = here
 
 
 def discretise(

@@ -27,6 +27,8 @@ from trms_cli.runs.run_folder import hold, in_use
 DOCUMENT_NAME, LOG_NAME, TIMING_NAME = "diagnosis.json", "printed.txt", "blind.json"
 #: Exit code of a run in which some recordings could not be diagnosed.
 EXIT_SOME_FAILED = 1
+#: Recordings that a process diagnoses before another takes its place.
+_TASKS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,9 +100,9 @@ def diagnose_all(
     if not recordings:
         return failed
     waiting = list(reversed(recordings))
-    # a process a recording: what one leaves behind in memory does not burden the next
+    # what recordings leave behind in memory does not pile up
     pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=1, initializer=one_thread
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=_TASKS, initializer=one_thread
     )
     running: dict[Future[str], str] = {}
     with pool:

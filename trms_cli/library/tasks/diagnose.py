@@ -70,6 +70,12 @@ class DiagnoseOptions:
     jobs: Annotated[int, Meta(ge=1)] = 2
     out: str | None = None
     page: bool = True
+    advise: bool = True  #: Look for the next experiment, and drive the loop with the correction
+
+    @property
+    def advises(self) -> bool:
+        """Whether it is asked for; a quick diagnosis does without."""
+        return self.advise and self.effort != "quick"
 
 
 @dataclass(frozen=True)
@@ -131,6 +137,7 @@ def request_of(composition: Composition) -> DiagnosisRequest:
         effort=options.effort,
         seed=options.seed,
         jobs=options.jobs,
+        advise=options.advises,
         warnings=tuple(str(issue) for issue in admission.warnings),
     )
     everything = (*datasets, *against)
@@ -510,7 +517,9 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     diagnosis = replace(diagnosis, versions=versions(), warnings=tuple(warnings))
     files = {"figures": folder / DOCUMENT_NAME}
     files["model"] = write_models(request, origin, diagnosis, folder)
-    diagnosis = replace(diagnosis, worth=_worth(composition, request, diagnosis, files["model"]))
+    if request.options.advises:
+        worth = _worth(composition, request, diagnosis, files["model"])
+        diagnosis = replace(diagnosis, worth=worth)
     write_document(document_of(diagnosis), files["figures"])
     result = findings(diagnosis, request.remarks, folder)
     if request.options.page:
