@@ -32,7 +32,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 #: Results kept at a time. A run with equations of its own adds about ten; the longest unused go.
-MOST_RESULTS = 128
+MOST_RESULTS = 1024
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def upper_bound(signs: Signatures, candidate: CandidateEffect) -> float | None:
     The trace at one size stands for those near it: of the sizes tried the one that is nearest to
     its own bound.
     """
-    from scipy.stats import norm
+    from scipy.special import ndtr, ndtri  # scipy.stats takes half a second to import
 
     free = candidate.free[0]
     least: tuple[float, float] | None = None
@@ -100,9 +100,9 @@ def upper_bound(signs: Signatures, candidate: CandidateEffect) -> float | None:
             continue
         mean, sd = float(signs.towards[row]) / left, left**-0.5
         if free.lower < 0:  # of either sign: of its amount
-            times = abs(mean) + norm.ppf(_LEVEL) * sd
+            times = abs(mean) + float(ndtri(_LEVEL)) * sd
         else:  # normal, and not below zero
-            times = mean + sd * norm.isf((1 - _LEVEL) * norm.sf(-mean / sd))
+            times = mean + sd * float(-ndtri((1 - _LEVEL) * ndtr(mean / sd)))
         if not (np.isfinite(times) and times > 0):
             # so far on the other side that the normal law has no tail left
             times = sd**2 / abs(mean) * -np.log(1 - _LEVEL) if mean < 0 else np.inf

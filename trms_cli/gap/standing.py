@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.optimize import minimize
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 
@@ -125,6 +124,8 @@ class StandingError:
 
         ``scale``: What acts in the equation, in the force's unit.
         """
+        from scipy.optimize import minimize  # 0.4 s to import
+
         seen = reference.only(reference.seen)
         centres, spreads = _beliefs(scale)
 

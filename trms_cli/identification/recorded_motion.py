@@ -23,6 +23,8 @@ _WINDOW = 0.5
 _STEP = 0.01
 #: A slowly sampled recording is not worth a larger function: signs need no accuracy.
 _MOST_SUBSTEPS = 8
+#: Angles at which a function of one angle is evaluated before it is interpolated.
+_GRID = 2000
 #: RigAxis and speed that belong to a rotor.
 _OF_ROTOR = {"main": ("pitch", "omega_v"), "tail": ("yaw", "omega_h")}
 
@@ -81,6 +83,9 @@ class RecordedMotions:
 
         ``values``: (n,) array, rad. Returns (n,) array, rad/s²; of pitch, what weight alone makes.
         """
+        if len(values) > _GRID:  # a smooth function of one angle
+            grid = np.linspace(values.min(), values.max(), _GRID)
+            return np.asarray(np.interp(values, grid, self.at_rest(angle, grid)))
         model, n = self.model, len(values)
         states = np.tile(model.rest()[:, None], (1, n))
         states[model.state_index(angle)] = values
@@ -178,9 +183,6 @@ class RecordedMotions:
 
 def _derivatives(values: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """An angle, its rate and its acceleration; the last NaN near an end or a missing sample."""
-    from scipy.ndimage import binary_dilation
-    from scipy.signal import savgol_filter
-
     there = np.isfinite(values)
     if not there.any():
         return (np.zeros_like(values),) * 2 + (np.full_like(values, np.nan),)
@@ -189,22 +191,44 @@ def _derivatives(values: FloatArray, step: float) -> tuple[FloatArray, FloatArra
     window = _window(step)
     if len(values) < window:
         return filled, np.zeros_like(values), np.full_like(values, np.nan)
-    smooth, first, second = (
-        savgol_filter(filled, window, 3, deriv=order, delta=step) for order in (0, 1, 2)
-    )
-    unsure = binary_dilation(~there, iterations=window // 2)
+    smooth, first, second = _local_cubics(filled, window, step)
+    unsure = np.convolve(~there, np.ones(window), mode="same") > 0.5
     unsure[: window // 2] = unsure[len(unsure) - window // 2 :] = True
     return smooth, first, np.where(unsure, np.nan, second)
 
 
 def smooth_motion(values: FloatArray, step: float) -> FloatArray:
     """Seen through the window through which the measured accelerations are seen, shape (n,)."""
-    from scipy.signal import savgol_filter
-
     window = _window(step)
     if len(values) < window:
         return np.asarray(values)
-    return np.asarray(savgol_filter(values, window, 3))
+    return _local_cubics(values, window, step)[0]
+
+
+def _local_cubics(
+    values: FloatArray, window: int, step: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Value, rate and acceleration of the cubic that fits best around each sample, (n,) arrays.
+
+    Savitzky and Golay 1964, Analytical Chemistry 36; near an end those of the last whole window.
+    ``scipy.signal`` has it, and takes longer to import than a check may take.
+    """
+    from numpy.polynomial.polynomial import polyder, polyval
+
+    half = window // 2
+    powers = np.arange(4)
+    at = (np.arange(window) - half) * step
+    fit = np.linalg.pinv(at[:, None] ** powers)  # (4, window): samples to coefficients
+    found = []
+    for order, factor in ((0, 1.0), (1, 1.0), (2, 2.0)):
+        inner = factor * np.convolve(values, fit[order][::-1], mode="same")
+        for end, whole in (
+            (slice(None, half), values[:window]),
+            (slice(-half, None), values[-window:]),
+        ):
+            inner[end] = polyval(at[end], polyder(fit @ whole, order))
+        found.append(inner)
+    return found[0], found[1], found[2]
 
 
 def _window(step: float) -> int:

@@ -30,6 +30,7 @@ import numpy.typing as npt
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction, compiled_library
 from trms_cli.core.errors import ModelError
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.discretisation import Method, discretise
 from trms_cli.models.model import Model, Signal
 
@@ -99,7 +100,7 @@ class Rollout:
         )
         self.states: tuple[Signal, ...] = self._discrete.states
         self._library: ctypes.CDLL | None = None
-        self._functions = _functions(self._discrete, self.free)
+        self._functions = call_memoised(_functions, self._discrete, self.free)
         self._library = compiled_library(self._functions, self._driver())
         if self._library is None:
             self._buffered = [BufferedFunction(f, compile=False) for f in self._functions]
