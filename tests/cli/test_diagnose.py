@@ -114,7 +114,7 @@ def read(file: Path) -> dict:
 class TestDiagnosis:
     def test_leaves_what_the_contract_names(self, found, trms, lab):
         asked = found(diagnosis())
-        done = trms("diagnose", "real=rig.csv", "out=d", "seed=3", "effort=quick")
+        done = trms("diagnose", "real=rig.csv", "out=d", "seed=3", "effort=thorough")
         document = read(lab / "d" / "diagnosis.json")
         assert document["verdict"] == "effect" and document["versions"]["trms"]
         assert diagnosis().sentence in " ".join(done.stdout.split())
@@ -126,7 +126,7 @@ class TestDiagnosis:
         assert "refit" in (lab / "d" / "log.txt").read_text(encoding="utf-8")
         assert not (lab / "d" / "diagnose-state.json").exists()
         (problem,) = asked
-        assert (problem.seed, problem.effort, problem.model_name) == (3, "quick", "newtonian")
+        assert (problem.seed, problem.effort, problem.model_name) == (3, "thorough", "newtonian")
         assert len(problem.datasets[0]) == 45 / 0.02 and len(problem.candidates) > 30
         # the screen says what the file says
         for cause in document["causes"][:3]:
@@ -460,8 +460,15 @@ class TestWhole:
         whole, parted = (read(lab / f / "diagnosis.json") for f in ("whole", "parted"))
         for document in (whole, parted):
             del document["seconds"]
-            del document["worth"]["command"]  # its model is the one beside the document
         assert parted == whole
+
+    def test_a_quick_one_leaves_out_what_takes_long_and_changes_no_verdict(self, done, lab):
+        document = read(lab / "whole" / "diagnosis.json")
+        assert document["worth"] is None
+        assert document["next_experiment"] is None
+        page = (lab / "whole" / "report.html").read_text(encoding="utf-8")
+        assert "<table" in page
+        assert "data:image" not in page
 
 
 def test_a_recording_is_not_compared_with_itself(lab):

@@ -81,6 +81,10 @@ _BEGINS = {
 }
 
 
+#: s. What a quick diagnosis fits at most.
+_GLANCE = 60.0
+
+
 class _Watch:
     """Tells the progress where the diagnosis is, and keeps the time of each stage."""
 
@@ -134,7 +138,14 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         watch.enter("refit")
         return change_result(problem, compare(problem, watch.tell_whole))
     watch.enter("refit")
-    parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
+    quick = problem.effort == "quick"
+    parts = divide(
+        problem.datasets,
+        problem.block,
+        problem.sealed_share,
+        problem.model.stops,
+        _GLANCE if quick else np.inf,
+    )
     free = nominal_parameters(problem.model)
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
     simulated = {name: candidate for name, candidate in candidates.items() if candidate.simulated}
@@ -165,7 +176,6 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     place = locate(nominal, usual)
     forces = smoothed_forces(nominal, nominal)
     watch.tell(0.5, "a force without a name")
-    quick = problem.effort == "quick"
     flexible = None if quick else fit_flexible(nominal, place, forces)
     watch.enter("tests")
     # errors that are smaller than usual are no gap either

@@ -79,14 +79,18 @@ class Parts:
 
 
 def divide(
-    datasets: Sequence[Dataset], block: float, share: float, stops: Mapping[str, float]
+    datasets: Sequence[Dataset],
+    block: float,
+    share: float,
+    stops: Mapping[str, float],
+    most: float = np.inf,
 ) -> Parts:
     """Seal the end of each recording, or the last recordings where there are several.
 
     ``block``: s; shortened for short recordings. ``share``: of the time, to be sealed. ``stops``:
     mechanical range of angles, rad: from a contact with a stop to the end of its block nothing is
-    compared, for no model of free motion follows there. Raises ConfigurationError if hardly
-    anything would be left.
+    compared, for no model of free motion follows there. ``most``: s, fitted of what is not sealed,
+    the newest. Raises ConfigurationError if hardly anything would be left.
     """
     whole = tuple(thin_dataset(dataset) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)
@@ -109,6 +113,7 @@ def divide(
             replace(dataset, noise_sd=part.noise_sd)
             for dataset, part in zip(whole, fitted, strict=True)
         )
+    fitted = _newest(fitted, most)
     left = sum(dataset.duration for dataset in fitted)
     block = min(block, left / _FEWEST_BLOCKS)
     if block < 2.0:
@@ -119,6 +124,18 @@ def divide(
         )
     fitted = tuple(_without_contacts(dataset, block, stops) for dataset in fitted)
     return Parts(fitted, whole, sealed, block)
+
+
+def _newest(datasets: Sequence[Dataset], most: float) -> tuple[Dataset, ...]:
+    """The end of recordings, so many seconds in all."""
+    kept: list[Dataset] = []
+    for dataset in reversed(datasets):
+        wanted = most - sum(len(other) * other.sample_time for other in kept)
+        samples = min(len(dataset), wanted / dataset.sample_time)
+        if samples < 1:
+            break
+        kept.insert(0, dataset.part(len(dataset) - round(samples), len(dataset)))
+    return tuple(kept)
 
 
 def _without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]) -> Dataset:

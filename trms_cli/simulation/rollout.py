@@ -14,7 +14,7 @@ one's. Without a compiler the same functions run in CasADi's virtual machine, on
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction, compiled_library
 from trms_cli.core.errors import ModelError
 from trms_cli.core.process_cache import call_memoised
-from trms_cli.models.discretisation import Method, discretise
+from trms_cli.models.discretisation import DiscreteModel, Method, discretise
 from trms_cli.models.model import Model, Signal
 
 #: s. Longest integration step unless another is asked for.
@@ -99,13 +99,9 @@ class Rollout:
             model, sample_time / self._repeats, substeps // self._repeats, method, sensors=True
         )
         self.states: tuple[Signal, ...] = self._discrete.states
-        self._library: ctypes.CDLL | None = None
-        self._functions = call_memoised(_functions, self._discrete, self.free)
-        self._library = compiled_library(self._functions, self._driver())
-        if self._library is None:
-            self._buffered = [BufferedFunction(f, compile=False) for f in self._functions]
-        #: Those have one set of arrays for whoever calls, several searching threads included.
-        self._one_at_a_time = Lock()
+        self._plain = _Loop(call_memoised(_functions, self._discrete), self._sizes())
+        self._sloped: _Loop | None = None
+        self._making = Lock()
 
     @property
     def n_x(self) -> int:
@@ -142,7 +138,7 @@ class Rollout:
         call = self._call(commands, first, count, starts, p)
         y = np.empty((call.rows, self.model.n_y))
         ends = np.empty((len(call.count), self.n_x))
-        self._share(call, self._outputs_of, (y, ends))
+        self._share(call, self._plain, self._outputs_of, (y, ends))
         return SimulatedWindows(y, ends)
 
     def sensitivities(
@@ -162,7 +158,7 @@ class Rollout:
         y, ends = np.empty((call.rows, self.model.n_y)), np.empty((m, self.n_x))
         dy = np.empty((call.rows, self.model.n_y, columns))
         dends = np.empty((m, self.n_x, columns))
-        self._share(call, self._sensitivities_of, (y, ends, dy, dends))
+        self._share(call, self._with_slopes(), self._sensitivities_of, (y, ends, dy, dends))
         return Sensitive(y, ends, dy, dends)
 
     def _call(
@@ -197,12 +193,27 @@ class Rollout:
             raise ValueError("a window lies outside the commands")
         return call
 
-    def _share(self, call: _Call, work: Any, results: tuple[FloatArray, ...]) -> None:
+    def _with_slopes(self) -> _Loop:
+        """The loop of :meth:`sensitivities`, made when it is first wanted.
+
+        Of dozens of hypotheses that are simulated a few are searched.
+        """
+        with self._making:
+            if self._sloped is None:
+                functions = call_memoised(_sloped_functions, self._discrete, self.free)
+                self._sloped = _Loop(functions, {**self._sizes(), "NF": len(self.free)})
+            return self._sloped
+
+    def _sizes(self) -> dict[str, int]:
+        sizes = {"NX": self.n_x, "NU": self.model.n_u, "NY": self.model.n_y}
+        return {**sizes, "SUBSTEPS": self._repeats}
+
+    def _share(self, call: _Call, loop: _Loop, work: Any, results: tuple[FloatArray, ...]) -> None:
         """Divide the windows among the threads; each writes its own part of the results."""
         m = len(call.count)
         offsets = np.concatenate([[0], np.cumsum(call.count)])
         jobs = min(self.jobs, m, max(1, call.rows // _WORTH_A_THREAD))
-        if self._library is None:
+        if loop.library is None:
             jobs = 1
         cuts = np.searchsorted(offsets, np.linspace(0, call.rows, jobs + 1)[1:-1])
         edges = [0, *cuts.tolist(), m]
@@ -211,8 +222,8 @@ class Rollout:
             rows = slice(offsets[a], offsets[b])
             # by sample and by window in turn: y, ends and, with slopes, dy, dends
             parts = (r[rows] if i % 2 == 0 else r[a:b] for i, r in enumerate(results))
-            with nullcontext() if self._library is not None else self._one_at_a_time:
-                work(call.part(a, b), tuple(parts))
+            with nullcontext() if loop.library is not None else loop.one_at_a_time:
+                work(loop, call.part(a, b), tuple(parts))
 
         ranges = [(a, b) for a, b in pairwise(edges) if b > a]
         if len(ranges) == 1:
@@ -221,12 +232,12 @@ class Rollout:
         with ThreadPoolExecutor(len(ranges)) as pool:
             list(pool.map(lambda edge: piece(*edge), ranges))
 
-    def _outputs_of(self, call: _Call, results: tuple[FloatArray, ...]) -> None:
-        if self._library is not None:
-            self._library.trms_rollout(*call.pointers(), *map(_pointer, results))
+    def _outputs_of(self, loop: _Loop, call: _Call, results: tuple[FloatArray, ...]) -> None:
+        if loop.library is not None:
+            loop.library.trms_rollout(*call.pointers(), *map(_pointer, results))
             return
         y, ends = results
-        step, measure = self._buffered[:2]
+        step, measure = loop.buffered
         for j, k, row, x, u in call.samples():
             y[row] = measure.evaluate(x, u, call.p)[0]
             for _ in range(self._repeats):
@@ -234,12 +245,12 @@ class Rollout:
             if k == call.count[j] - 1:
                 ends[j] = x
 
-    def _sensitivities_of(self, call: _Call, results: tuple[FloatArray, ...]) -> None:
-        if self._library is not None:
-            self._library.trms_sensitivities(*call.pointers(), *map(_pointer, results))
+    def _sensitivities_of(self, loop: _Loop, call: _Call, results: tuple[FloatArray, ...]) -> None:
+        if loop.library is not None:
+            loop.library.trms_sensitivities(*call.pointers(), *map(_pointer, results))
             return
         y, ends, dy, dends = results
-        step, measure = self._buffered[2:]
+        step, measure = loop.buffered
         n, f, n_y = self.n_x, len(self.free), self.model.n_y
         now = np.empty((n, n + f))
         for j, k, row, x, u in call.samples():
@@ -257,23 +268,25 @@ class Rollout:
             if k == call.count[j] - 1:
                 ends[j], dends[j] = x, now
 
-    def _driver(self) -> str:
-        functions = self._functions
-        sizes = {
-            "NX": self.n_x,
-            "NU": self.model.n_u,
-            "NY": self.model.n_y,
-            "SUBSTEPS": self._repeats,
-            "SZ_ARG": max(f.sz_arg() for f in functions),
-            "SZ_RES": max(f.sz_res() for f in functions),
-            "SZ_IW": max(f.sz_iw() for f in functions),
-            "SZ_W": max(f.sz_w() for f in functions),
+
+class _Loop:
+    """A loop over samples around a step and a measurement, in C where there is a compiler.
+
+    ``sizes``: what the C source counts, by the names of its macros.
+    """
+
+    def __init__(self, functions: Sequence[ca.Function], sizes: Mapping[str, int]) -> None:
+        work = {
+            f"SZ_{kind}": max(getattr(f, f"sz_{kind.lower()}")() for f in functions)
+            for kind in ("ARG", "RES", "IW", "W")
         }
-        if len(functions) > 2:
-            sizes["NF"] = len(self.free)
-        definitions = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+        macros = "".join(f"#define {name} {size}\n" for name, size in {**sizes, **work}.items())
         source = Path(__file__).with_name("rollout_driver.c").read_text(encoding="utf-8")
-        return definitions + source
+        self.library = compiled_library(functions, macros + source)
+        if self.library is None:
+            self.buffered = [BufferedFunction(f, compile=False) for f in functions]
+        #: Those have one set of arrays for whoever calls, several searching threads included.
+        self.one_at_a_time = Lock()
 
 
 @dataclass(frozen=True)
@@ -312,25 +325,30 @@ def _pointer(array: npt.NDArray[Any]) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _functions(discrete: Any, free: Sequence[str]) -> list[ca.Function]:
-    """Step and measurement, and both with slopes, without disturbances."""
-    model = discrete.model
-    x, u, p, _ = discrete.symbols()
-    after = discrete.step(x, u, p, ca.SX.zeros(model.n_w))
-    y = discrete.measurement(x, u, p)
-    columns = [model.parameters.names.index(name) for name in free]
-
-    def slopes(of: ca.SX) -> list[ca.SX]:
-        in_p = ca.jacobian(of, p)[:, columns] if columns else ca.SX.zeros(of.shape[0], 0)
-        return [ca.densify(ca.jacobian(of, x)), ca.densify(in_p)]
-
-    made = {
-        "rollout_step": [after],
-        "rollout_measure": [y],
-        "rollout_step_slopes": [after, *slopes(after)],
-        "rollout_measure_slopes": [y, *slopes(y)],
-    }
+def _functions(discrete: DiscreteModel) -> list[ca.Function]:
+    """Step and measurement, without disturbances."""
+    x, u, p, after, y = _equations(discrete)
     return [
-        ca.Function(name, [x, u, p], ca.cse([ca.densify(r) for r in results]))
-        for name, results in made.items()
+        ca.Function("rollout_step", [x, u, p], ca.cse([after])),
+        ca.Function("rollout_measure", [x, u, p], ca.cse([y])),
     ]
+
+
+def _sloped_functions(discrete: DiscreteModel, free: Sequence[str]) -> list[ca.Function]:
+    """The same with their slopes in the state and in the free parameters."""
+    x, u, p, after, y = _equations(discrete)
+    columns = [discrete.model.parameters.names.index(name) for name in free]
+
+    def sloped(name: str, of: ca.SX) -> ca.Function:
+        in_p = ca.jacobian(of, p)[:, columns] if columns else ca.SX.zeros(of.shape[0], 0)
+        slopes = [ca.densify(ca.jacobian(of, x)), ca.densify(in_p)]
+        return ca.Function(name, [x, u, p], ca.cse([of, *slopes]))
+
+    return [sloped("rollout_step_slopes", after), sloped("rollout_measure_slopes", y)]
+
+
+def _equations(discrete: DiscreteModel) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Symbols x, u, p; the next state and the outputs."""
+    x, u, p, _ = discrete.symbols()
+    after = discrete.step(x, u, p, ca.SX.zeros(discrete.model.n_w))
+    return x, u, p, ca.densify(after), ca.densify(discrete.measurement(x, u, p))

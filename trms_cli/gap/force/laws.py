@@ -241,13 +241,15 @@ class LawInputs:
 
     def lagged(self, values: FloatArray, time: float) -> FloatArray:
         """Values after a first-order lag, each stretch from its first value."""
-        from scipy.signal import lfilter
+        from scipy.linalg import solve_banded  # scipy.signal takes a second to import
 
         keep = float(np.exp(-self.record.sample_time / time))
         result = np.empty_like(values)
         for part in self.record.segments:
-            start = np.array([keep * values[part.start]])
-            result[part], _ = lfilter([1 - keep], [1, -keep], values[part], zi=start)
+            driven = (1 - keep) * values[part]
+            driven[0] = values[part.start]
+            bands = np.vstack([np.ones_like(driven), np.full_like(driven, -keep)])
+            result[part] = solve_banded((1, 0), bands, driven)
         return result
 
     def smoothed(self, values: FloatArray, sd: float) -> FloatArray:

@@ -24,6 +24,7 @@ from trms_cli.core.errors import (
     RecordingError,
     TrmsError,
 )
+from trms_cli.core.findings import Chart, Findings, RigDiagram
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.plugins import TARGET, build, construct, nearest
 from trms_cli.core.trust import allowed_for_now
@@ -526,13 +527,24 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         from trms_cli.reporting.page import write_page
 
         facts = {**result.facts, "command": f"`{command_line()}`"}
-        page = write_page(
-            replace(result, facts=facts), folder / PAGE_NAME, pictures=False, interactive=False
-        )
+        shown = replace(result, facts=facts)
+        if request.options.effort == "quick":
+            shown = _without_drawings(shown)
+        page = write_page(shown, folder / PAGE_NAME, pictures=False, interactive=False)
         files |= {"report": page} if page else {}
     progress.finish(f"verdict {diagnosis.verdict}: {diagnosis.sentence}")
     spent = {"time": wording.seconds(perf_counter() - begin)}
     return Done(folder, replace(result, measures=(), facts=spent, files=files))
+
+
+def _without_drawings(result: Findings) -> Findings:
+    """What a quick diagnosis has to tell: drawing takes a quarter of its time."""
+    sections = []
+    for section in result.sections:
+        kept = [block for block in section.blocks if not isinstance(block, Chart | RigDiagram)]
+        if kept or not section.blocks:
+            sections.append(replace(section, blocks=kept))
+    return replace(result, sections=sections)
 
 
 #: What closes the loop in which a correction shows its worth.
