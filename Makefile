@@ -125,7 +125,7 @@ closing-loop: $(READY) ## study: rigs controlled with nominal, diagnosed and tru
 	@$(BIN)/python -m experiments.gap $(ARGS)
 
 tras-fit: $(READY) ## study: a fit to the real TRAS (RECORDS=folder with closed_loop.csv)
-	@$(BIN)/python -m experiments.tras_fit '$(RECORDS)' $(ARGS)
+	@$(BIN)/python -m experiments.tras '$(RECORDS)' $(ARGS)
 
 blind: $(READY) ## proof, small: 24 sealed rigs made, diagnosed and judged (ARGS="effort=quick" is faster)
 	@test -f $(BLIND)/small/commitment.json || $(BIN)/trms blind make set=small seed=$(SEED) out=$(BLIND)/small

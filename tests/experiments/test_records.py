@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.aero.study import fit_model, parts_of, problem_of, read_study, recording
-from experiments.tras_fit import study as tras
+from experiments.tras import study as tras
 from trms_cli.identification.problem import Prior, free_parameters
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.simulation.rollout import Rollout

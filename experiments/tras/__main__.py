@@ -1,4 +1,4 @@
-"""``python -m experiments.tras_fit tras/``: fit the first part of the record, judge on the rest."""
+"""``python -m experiments.tras tras/``: fit the first part of the record, judge on the rest."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.tras_fit.study import (
+from experiments.tras.study import (
     TrasFit,
     cross_validated,
     errors,
@@ -26,7 +26,7 @@ from trms_cli.core.errors import TrmsError
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study and print its tables, or one JSON document."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.tras_fit", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m experiments.tras", description=__doc__)
     parser.add_argument("folder", type=Path, help="closed_loop.csv and the static curves")
     parser.add_argument("--fit-only", action="store_true", help="leave the held-out part alone")
     parser.add_argument("--folds", action="store_true", help="cross-validate over the whole record")
