@@ -63,6 +63,14 @@ class Metric:
         """Innovations of columns (m, c, n_y, k)."""
         return self.discrepancy.whitened(self.filter_, columns)
 
+    @cached_property
+    def whitened_drift(self) -> FloatArray:
+        """Whitened columns of the gains that wander within each window, scaled, (m, c, n_y, a)."""
+        near = self.drift.near
+        scaled = self.drift.columns * self.drift.sd(self.drift_sizes)
+        taken = np.take_along_axis(scaled, np.maximum(near, 0)[:, None, None], axis=-1)
+        return self.whitened(np.where((near >= 0)[:, None, None], taken, 0.0))
+
     def losses(self, z: FloatArray) -> FloatArray:
         """Half the robust squares of innovations (m, c, n_y), by window, shape (m,)."""
         return np.asarray(0.5 * huber_squares(z, self.robust).sum(axis=(1, 2)))
@@ -90,15 +98,19 @@ class InnovationObjective(PosteriorObjective):
         self.precisions = np.concatenate([self.precisions, sd**-2])
 
     def simulated(self, theta: FloatArray, starts: FloatArray, *, slopes: bool) -> Residuals:
-        """The windows' residuals; ``theta``: parameters, then the gains' coefficients."""
+        """The windows' residuals; ``theta``: parameters, then the gains' coefficients.
+
+        Slopes are those in the starts and parameters; those in the coefficients do not change.
+        """
         columns = self.metric.drift.columns
         n_f = len(theta) - columns.shape[-1]
         made = super().simulated(theta[:n_f], starts, slopes=slopes)
-        r = made.r + columns @ theta[n_f:]
-        j = made.j
-        if j is not None:
-            j = np.concatenate([j, columns], axis=-1)
-        return made._replace(r=r, j=j)
+        return made._replace(r=made.r + columns @ theta[n_f:])
+
+    def slopes(self, residuals: Residuals) -> FloatArray:
+        """Slopes in the starts, the parameters and the gains' coefficients, (m, c, n_y, k)."""
+        assert residuals.j is not None
+        return np.concatenate([residuals.j, self.metric.drift.columns], axis=-1)
 
     @np.errstate(all="ignore")
     def by_window(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
@@ -115,24 +127,42 @@ class InnovationObjective(PosteriorObjective):
         m, gaps = len(self.windows), (starts - self.centres) / self.windows.spread
         cost, made = np.inf, np.zeros((m, 1, self.windows.n_x + len(theta) + 1))
         if residuals.finite:
-            columns = self.columns(residuals)
-            z = columns[..., -1]
+            white = self._whitened(residuals)
+            z = white[..., -1]
             cost = float(self.metric.losses(z).sum() + 0.5 * np.sum(gaps**2))
             cost += self.of_parameters(theta)
-            columns = columns * huber_roots(z, self.metric.robust)[..., None]
-            flat = columns.reshape(m, -1, columns.shape[-1])
-            made = triangles(flat[..., :-1], flat[..., -1])
+            drift = self.metric.whitened_drift
+            own, near = white.shape[-1] - 1, drift.shape[-1]
+            rows = np.empty((*z.shape, own + near + 1))
+            roots = huber_roots(z, self.metric.robust)[..., None]
+            np.multiply(white[..., :-1], roots, out=rows[..., :own])
+            np.multiply(drift, roots, out=rows[..., own:-1])
+            np.multiply(white[..., -1:], roots, out=rows[..., -1:])
+            small = triangles(rows.reshape(m, -1, rows.shape[-1]))
+            made = np.zeros((m, small.shape[1], self.windows.n_x + len(theta) + 1))
+            made[..., :own], made[..., -1] = small[..., :own], small[..., -1]
+            for j, taken in enumerate(self.metric.drift.near):
+                known = taken >= 0
+                made[j, :, own + taken[known]] = small[j, :, own:-1][:, known].T
         roots = np.sqrt(self.precisions)
         own = (roots * self.scales, roots * (theta - self.means))
         return cost if np.isfinite(cost) else np.inf, Quadratic(made, gaps, *own, None), residuals
 
     def columns(self, residuals: Residuals) -> FloatArray:
-        """Whitened slopes in scaled starts and parameters, then the residual, (m, c, n_y, k)."""
+        """Whitened slopes, scaled, of all that is fitted, then the residual, (m, c, n_y, k)."""
+        return self._whitened(residuals._replace(j=self.slopes(residuals)))
+
+    def _whitened(self, residuals: Residuals) -> FloatArray:
         assert residuals.j is not None
-        scaled = residuals.j * np.concatenate([self.windows.spread, self.scales])
-        # where a simulation bounces its slopes may run away though itself it does not
-        scaled = np.where(np.abs(scaled) < _STEEPEST, scaled, 0.0)
-        return self.metric.whitened(np.concatenate([scaled, residuals.r[..., None]], axis=-1))
+        k = residuals.j.shape[-1]
+        columns = np.empty((*residuals.r.shape, k + 1))
+        scales = np.concatenate([self.windows.spread, self.scales])[:k]
+        scaled = np.multiply(residuals.j, scales, out=columns[..., :-1])
+        if not (scaled.max() < _STEEPEST and scaled.min() > -_STEEPEST):
+            # where a simulation bounces its slopes may run away though itself it does not
+            scaled[~(np.abs(scaled) < _STEEPEST)] = 0.0
+        columns[..., -1] = residuals.r
+        return self.metric.whitened(columns)
 
     def _losses(self, r: FloatArray, starts: FloatArray) -> FloatArray:
         z = self.metric.whitened(r[..., None])[..., 0]

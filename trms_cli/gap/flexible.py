@@ -488,7 +488,6 @@ def _parabola(fitted: FittedModel, metric: Metric) -> _Parabola:
     structure, fit = fitted.structure, fitted.fit
     objective = replace(fitted, metric=metric).objective
     _, quadratic, residuals = objective.parabola(fit.point, fit.starts)
-    assert residuals.j is not None
     n, m = quadratic.n, len(fit.starts)
     own = np.zeros((m, n, quadratic.triangles.shape[-1]))
     own[:, :, :n] = np.eye(n)
@@ -498,7 +497,9 @@ def _parabola(fitted: FittedModel, metric: Metric) -> _Parabola:
     if not np.isfinite(whole).all():
         raise FloatingPointError("the slopes of a simulation run away")
     scales = np.concatenate([structure.windows.spread, objective.scales])
-    return _Parabola(whole, n, quadratic.prior_root, residuals.j * scales, residuals.r)
+    return _Parabola(
+        whole, n, quadratic.prior_root, objective.slopes(residuals) * scales, residuals.r
+    )
 
 
 def held_out_residuals(fitted: FittedModel) -> FloatArray:

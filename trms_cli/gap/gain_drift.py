@@ -11,6 +11,7 @@ credited in every block.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,6 +34,17 @@ class GainDrift:
 
     columns: FloatArray  #: (m, c, n_y, k) array; change of the outputs for a gain that is one more
     drive: IntArray  #: (k,) array; drive that each column belongs to
+
+    @cached_property
+    def near(self) -> IntArray:
+        """Numbers of the columns that are not zero in each window, (m, a); −1 where there are less.
+
+        A knot reaches no further than the next ones.
+        """
+        there = (self.columns != 0).any(axis=(1, 2))
+        most = int(there.sum(axis=1).max(initial=0))
+        order = np.argsort(~there, axis=1, kind="stable")[:, :most]
+        return np.where(np.take_along_axis(there, order, axis=1), order, -1)
 
     @property
     def drives(self) -> int:

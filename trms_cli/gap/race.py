@@ -176,8 +176,7 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
     fit, objective, windows = fitted.fit, fitted.objective, fitted.structure.windows
     point = fit.point
     residuals = objective.simulated(point, fit.starts, slopes=True)
-    base, slopes = residuals.r, residuals.j
-    assert slopes is not None
+    base, slopes = residuals.r, objective.slopes(residuals)
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     scales = np.concatenate([windows.spread, objective.scales])
     n, n_f, count = windows.n_x, len(point), len(traces.names)

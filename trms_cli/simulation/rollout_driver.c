@@ -43,9 +43,17 @@ void trms_rollout(long long windows, const long long *first, const long long *co
 #else
 #define NS (NX + NF)
 
+/* The files are compiled in haste, for most of their code is used for seconds; not this loop. No
+ * contraction: the bits are the same with any instructions. */
+#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
+#define INNER_LOOP __attribute__((optimize("O3"), target_clones("avx2", "default")))
+#else
+#define INNER_LOOP
+#endif
+
 /* c (rows x NS) = a (rows x NX, column-major) b (NX x NS), with d (rows x NF, column-major) added
  * to the columns of the parameters. */
-static void slope(int rows, const double *a, const double *b, const double *d, double *c) {
+INNER_LOOP static void slope(int rows, const double *a, const double *b, const double *d, double *c) {
   memset(c, 0, sizeof(double) * rows * NS);
   for (int l = 0; l < NX; ++l)
     for (int i = 0; i < rows; ++i) {

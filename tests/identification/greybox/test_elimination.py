@@ -23,7 +23,7 @@ def quadratic(seed: int, joined: bool) -> tuple[Quadratic, np.ndarray, np.ndarra
             generator.standard_normal((M, N)),
         )
     made = Quadratic(
-        triangles(a_b, r),
+        triangles(np.concatenate([a_b, r[..., None]], axis=2)),
         generator.standard_normal((M, N)),
         generator.uniform(0.0, 2.0, F),
         generator.standard_normal(F),
@@ -74,7 +74,7 @@ def test_triangles_keep_the_normal_matrix(rows: int) -> None:
     generator = np.random.default_rng(1)
     a_b, r = generator.standard_normal((2, rows, 11)), generator.standard_normal((2, rows))
     whole = np.concatenate([a_b, r[..., None]], axis=2)
-    found = triangles(a_b, r)
+    found = triangles(np.concatenate([a_b, r[..., None]], axis=2))
     assert found.shape[1] <= max(rows, 8000)
     np.testing.assert_allclose(
         found.swapaxes(1, 2) @ found, whole.swapaxes(1, 2) @ whole, rtol=1e-10, atol=1e-9

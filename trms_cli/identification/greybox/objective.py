@@ -156,12 +156,8 @@ class ReducedQuadratic(NamedTuple):
         return np.asarray(self.at_zero + self.to_starts @ dtheta)
 
 
-def triangles(a_b: FloatArray, r: FloatArray) -> FloatArray:
-    """Triangular factors of each window's ``[A B r]``.
-
-    ``a_b``: (m, rows, n + n_f) array. ``r``: (m, rows) array.
-    """
-    rows = np.concatenate([a_b, r[..., None]], axis=2)
+def triangles(rows: FloatArray) -> FloatArray:
+    """Triangular factors of each window's ``[A B r]``, (m, rows, n + n_f + 1)."""
     m, _, columns = rows.shape
     block = max(2 * columns, _ENTRIES_AT_ONCE // columns)
     # A tall matrix in blocks, their triangles stacked, in blocks again (TSQR, Demmel et al. 2012,
@@ -250,7 +246,7 @@ def _solved(a: FloatArray, b: FloatArray) -> FloatArray:
 def _compact(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The same parabola in few rows: slopes and constants."""
     if len(rows) > rows.shape[1]:
-        rows = triangles(rows[None, :, :-1], rows[None, :, -1])[0]
+        rows = triangles(rows[None])[0]
     return rows[:, :-1], rows[:, -1]
 
 
@@ -362,10 +358,10 @@ class MapObjective(PosteriorObjective):
         cost = self._cost(theta, starts, residuals)
         assert residuals.j is not None
         roots = self.weights.roots(residuals.r) * self.windows.measured
-        a_b = self.scaled(residuals.j) * roots[..., None]
-        m, n_all = len(self.windows), a_b.shape[-1]
+        a_b, r = self.scaled(residuals.j), residuals.r[..., None]
+        rows = np.concatenate([a_b, r], axis=-1) * roots[..., None]
         quadratic = Quadratic(
-            triangles(a_b.reshape(m, -1, n_all), (residuals.r * roots).reshape(m, -1)),
+            triangles(rows.reshape(len(self.windows), -1, rows.shape[-1])),
             (starts - self.centres) / self.windows.spread,
             np.sqrt(self.precisions) * self.scales,
             np.sqrt(self.precisions) * (theta - self.means),

@@ -308,16 +308,22 @@ class Windows:
         y, ends, dy, dends = self.rollout.sensitivities(
             self._commands, self.first, self.count, x, p
         )
-        j = np.zeros((*self.inside.shape, *dy.shape[1:]))
-        j[self.inside] = dy
+        j = self._by_window(dy)
         dends = dends[:, : self.n_x]
         j, dends = self._in_model_states(j, dends, memory_slopes)
         return Residuals(self._compared(y), j, ends[:, : self.n_x], dends)
 
     def _compared(self, y: FloatArray) -> FloatArray:
-        r = np.zeros(self.target.shape)
-        r[self.inside] = y
-        return np.where(self.measured, r - self.target, 0.0)
+        return np.where(self.measured, self._by_window(y) - self.target, 0.0)
+
+    def _by_window(self, rows: FloatArray) -> FloatArray:
+        """Rows of one window after another as (m, c, …); zero past the end of a short one."""
+        shape = (*self.inside.shape, *rows.shape[1:])
+        if self.inside.all():
+            return rows.reshape(shape)
+        found = np.zeros(shape)
+        found[self.inside] = rows
+        return found
 
     def _in_model_states(
         self, j: FloatArray, dends: FloatArray, memory_slopes: FloatArray | None
