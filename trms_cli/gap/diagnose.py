@@ -43,7 +43,6 @@ from trms_cli.gap.diagnosis import (
     Traces,
 )
 from trms_cli.gap.discrepancy import input_channels
-from trms_cli.gap.findings import sizes
 from trms_cli.gap.flexible import fit_flexible, node_of, short_law
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
@@ -64,6 +63,7 @@ from trms_cli.gap.race import (
 )
 from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, innovation_tests, locate, smoothed_forces
+from trms_cli.gap.wording import sizes
 from trms_cli.identification.free_runs import simulated_windows
 from trms_cli.identification.problem import Progress, SilentProgress
 from trms_cli.models.model import names
