@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from experiments.chapter4.fits import CaseOutcome, GreyboxFit
+from experiments.page_tables import write_tables
 from trms_cli.core.findings import json_data
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,23 +72,15 @@ def write_out(found: Findings, folder: Path) -> None:
 def publish(found: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
-    Raises ValueError if the page has no marks for a table.
+    Raises ConfigurationError if the page has no marks for a table.
     """
-    text = page.read_text(encoding="utf-8")
     blocks = {name: _markdown(rows) for name, rows in tables(found).items()}
     fits = [f for o in (*found.cases, *found.compared) for f in o.fits]
     blocks["time"] = (
         f"The {len(fits)} fits of the study took {sum(f.seconds for f in fits):.0f} s of processor "
         "time together; two processes share them."
     )
-    for name, block in blocks.items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, mark, rest = text.partition(begin)
-        _, close, after = rest.partition(end)
-        if not (mark and close):
-            raise ValueError(f"{page} has no {begin} … {end}")
-        text = f"{before}{begin}\n{block}\n{end}{after}"
-    page.write_text(text, encoding="utf-8")
+    write_tables(page, blocks)
     figures.mkdir(parents=True, exist_ok=True)
     draw(found, figures)
 

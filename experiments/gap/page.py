@@ -14,6 +14,7 @@ from scipy import stats
 from experiments.gap.closing_loop import AXES, Sizes, Tracking, Verdict, traces_of
 from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE
 from experiments.gap.separation import Separation
+from experiments.page_tables import write_tables
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures" / "closing_loop"
@@ -94,22 +95,14 @@ def write_out(found: Findings, folder: Path, runs: Path) -> None:
 def publish(found: Findings, runs: Path, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
-    Raises ValueError if the page has no marks for a table.
+    Raises ConfigurationError if the page has no marks for a table.
     """
-    text = page.read_text(encoding="utf-8")
     blocks = {name: markdown(rows) for name, rows in tables(found).items()}
     if "separation" in blocks:
         blocks["separation"] += "".join(
             f"\n\n`{s.rig}`: {s.why}.\n\n    {s.command}" for s in found.separations if s.command
         )
-    for name, block in (blocks | {"made": made_of(found)}).items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, mark, rest = text.partition(begin)
-        _, close, after = rest.partition(end)
-        if not (mark and close):
-            raise ValueError(f"{page} has no {begin} … {end}")
-        text = f"{before}{begin}\n{block}\n{end}{after}"
-    page.write_text(text, encoding="utf-8")
+    write_tables(page, blocks | {"made": made_of(found)})
     figures.mkdir(parents=True, exist_ok=True)
     draw(found, figures, runs)
 
