@@ -14,7 +14,7 @@ from scipy import stats
 from experiments.gap.closing_loop import AXES, Sizes, Tracking, Verdict, traces_of
 from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE
 from experiments.gap.separation import Separation
-from experiments.page_tables import write_tables
+from experiments.page_tables import markdown, write_tables
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures" / "closing_loop"
@@ -59,24 +59,6 @@ def document(found: Findings) -> dict[str, Any]:
     }
     cleaned: dict[str, Any] = _finite(content)
     return cleaned
-
-
-def print_tables(found: Findings) -> None:
-    """For a person."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=140)
-    for name, rows in tables(found).items():
-        table = Table(title=name, title_justify="left", box=SIMPLE_HEAD)
-        for i, head in enumerate(rows[0]):
-            table.add_column(head, justify="left" if i < 2 else "right")
-        for row in rows[1:]:
-            table.add_row(*row)
-        console.print(table)
 
 
 def write_out(found: Findings, folder: Path, runs: Path) -> None:
@@ -124,12 +106,6 @@ def made_of(found: Findings) -> str:
     if not found.separations:
         words += " **Not run yet: the next experiment.**"
     return words
-
-
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """A table."""
-    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows[1:]])
 
 
 def mean_and_interval(values: Sequence[float]) -> tuple[float, float]:
