@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from trms_cli.core.errors import ConfigurationError
@@ -31,6 +31,30 @@ def write_alone(folder: Path, tables: Mapping[str, str]) -> None:
     """All tables under their names into ``tables.md`` of a folder."""
     words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
     (folder / "tables.md").write_text(words + "\n", encoding="utf-8")
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """A table, its head in the first row."""
+    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows[1:]])
+
+
+def print_tables(tables: Mapping[str, Sequence[Sequence[str]]], width: int) -> None:
+    """For a person; ``width``: characters of a line where no terminal has its own."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=width)
+    for name, rows in tables.items():
+        table = Table(title=name, title_justify="left", box=SIMPLE_HEAD)
+        for i, head in enumerate(rows[0]):
+            table.add_column(head, justify="left" if i < 2 else "right")
+        for row in rows[1:]:
+            table.add_row(*row)
+        console.print(table)
 
 
 def number(value: float, digits: int = 3) -> str:

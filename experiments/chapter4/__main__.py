@@ -39,6 +39,7 @@ def _study(given: argparse.Namespace) -> int:
     from experiments.chapter4 import page
     from experiments.chapter4.cases import Case, read_study
     from experiments.chapter4.fits import CaseOutcome, run_case
+    from experiments.page_tables import print_tables
 
     study = read_study(given.only, given.quick)
     begin = perf_counter()
@@ -75,7 +76,8 @@ def _study(given: argparse.Namespace) -> int:
         [compared[number] for number in sorted(compared)],
         seconds,
     )
-    page.print_tables(found)
+    tables = {name: rows for name, rows in page.tables(found).items() if len(rows) > 1}
+    print_tables(tables, width=120)
     page.write_out(found, given.out)
     if given.publish:
         page.publish(found)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from experiments.chapter4.fits import CaseOutcome, GreyboxFit
+from experiments.page_tables import markdown, write_tables
 from trms_cli.core.findings import json_data
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,26 +40,6 @@ def tables(found: Findings) -> dict[str, list[list[str]]]:
     return {"white-against-grey": _white_grey(found), "comparison": _comparison(found)}
 
 
-def print_tables(found: Findings) -> None:
-    """For a person."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
-    for name, rows in tables(found).items():
-        if len(rows) < 2:
-            continue
-        table = Table(title=name, title_justify="left", box=SIMPLE_HEAD)
-        for i, head in enumerate(rows[0]):
-            table.add_column(head, justify="left" if i < 2 else "right")
-        for row in rows[1:]:
-            table.add_row(*row)
-        console.print(table)
-
-
 def write_out(found: Findings, folder: Path) -> None:
     """Tables as JSON and figures into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -71,23 +52,15 @@ def write_out(found: Findings, folder: Path) -> None:
 def publish(found: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
-    Raises ValueError if the page has no marks for a table.
+    Raises ConfigurationError if the page has no marks for a table.
     """
-    text = page.read_text(encoding="utf-8")
-    blocks = {name: _markdown(rows) for name, rows in tables(found).items()}
+    blocks = {name: markdown(rows) for name, rows in tables(found).items()}
     fits = [f for o in (*found.cases, *found.compared) for f in o.fits]
     blocks["time"] = (
         f"The {len(fits)} fits of the study took {sum(f.seconds for f in fits):.0f} s of processor "
         "time together; two processes share them."
     )
-    for name, block in blocks.items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, mark, rest = text.partition(begin)
-        _, close, after = rest.partition(end)
-        if not (mark and close):
-            raise ValueError(f"{page} has no {begin} … {end}")
-        text = f"{before}{begin}\n{block}\n{end}{after}"
-    page.write_text(text, encoding="utf-8")
+    write_tables(page, blocks)
     figures.mkdir(parents=True, exist_ok=True)
     draw(found, figures)
 
@@ -218,12 +191,6 @@ def _short(value: float) -> str:
 
 def _milli(value: float | None) -> str:
     return "–" if value is None else f"{1e3 * value:.3g}"
-
-
-def _markdown(rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
-    lines += ["| " + " | ".join(row) + " |" for row in rows[1:]]
-    return "\n".join(lines)
 
 
 def _bars(outcomes: Sequence[CaseOutcome]) -> Any:

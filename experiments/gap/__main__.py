@@ -53,6 +53,7 @@ def _study(given: argparse.Namespace) -> int:
     from experiments.gap.models import DIAGNOSED
     from experiments.gap.rigs import read_study
     from experiments.gap.separation import separate
+    from experiments.page_tables import print_tables
 
     study = read_study()
     begin = process_time()
@@ -74,7 +75,7 @@ def _study(given: argparse.Namespace) -> int:
     sizes = [sizes_of(rig, models, given.out) for rig in rigs]
     found = page.Findings(runs, verdicts, sizes, separations, process_time() - begin)
     _tell("")
-    page.print_tables(found)
+    print_tables(page.tables(found), width=140)
     page.write_out(found, given.out, given.out)
     if given.publish:
         page.publish(found, given.out)

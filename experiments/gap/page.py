@@ -14,6 +14,7 @@ from scipy import stats
 from experiments.gap.closing_loop import AXES, Sizes, Tracking, Verdict, traces_of
 from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE
 from experiments.gap.separation import Separation
+from experiments.page_tables import markdown, write_tables
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures" / "closing_loop"
@@ -60,24 +61,6 @@ def document(found: Findings) -> dict[str, Any]:
     return cleaned
 
 
-def print_tables(found: Findings) -> None:
-    """For a person."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=140)
-    for name, rows in tables(found).items():
-        table = Table(title=name, title_justify="left", box=SIMPLE_HEAD)
-        for i, head in enumerate(rows[0]):
-            table.add_column(head, justify="left" if i < 2 else "right")
-        for row in rows[1:]:
-            table.add_row(*row)
-        console.print(table)
-
-
 def write_out(found: Findings, folder: Path, runs: Path) -> None:
     """Tables as JSON and Markdown, and figures, into a folder.
 
@@ -94,22 +77,14 @@ def write_out(found: Findings, folder: Path, runs: Path) -> None:
 def publish(found: Findings, runs: Path, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
-    Raises ValueError if the page has no marks for a table.
+    Raises ConfigurationError if the page has no marks for a table.
     """
-    text = page.read_text(encoding="utf-8")
     blocks = {name: markdown(rows) for name, rows in tables(found).items()}
     if "separation" in blocks:
         blocks["separation"] += "".join(
             f"\n\n`{s.rig}`: {s.why}.\n\n    {s.command}" for s in found.separations if s.command
         )
-    for name, block in (blocks | {"made": made_of(found)}).items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, mark, rest = text.partition(begin)
-        _, close, after = rest.partition(end)
-        if not (mark and close):
-            raise ValueError(f"{page} has no {begin} … {end}")
-        text = f"{before}{begin}\n{block}\n{end}{after}"
-    page.write_text(text, encoding="utf-8")
+    write_tables(page, blocks | {"made": made_of(found)})
     figures.mkdir(parents=True, exist_ok=True)
     draw(found, figures, runs)
 
@@ -131,12 +106,6 @@ def made_of(found: Findings) -> str:
     if not found.separations:
         words += " **Not run yet: the next experiment.**"
     return words
-
-
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """A table."""
-    lines = ["| " + " | ".join(rows[0]) + " |", "|" + "---|" * len(rows[0])]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows[1:]])
 
 
 def mean_and_interval(values: Sequence[float]) -> tuple[float, float]:

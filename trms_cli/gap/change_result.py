@@ -10,7 +10,6 @@ from trms_cli.core.wording import listing, number, readable, small_unit, unit
 from trms_cli.gap.change import StateComparison
 from trms_cli.gap.diagnosis import (
     Cause,
-    DiagnosedRecording,
     DiagnosisResult,
     FittedParameter,
     LocationShare,
@@ -23,8 +22,7 @@ from trms_cli.gap.diagnosis import (
 )
 from trms_cli.gap.differences import NewRecordings
 from trms_cli.gap.evidence import DifferenceScore
-from trms_cli.gap.problem import GapProblem
-from trms_cli.identification.dataset import Dataset
+from trms_cli.gap.problem import GapProblem, diagnosed_recordings
 from trms_cli.models.model import names
 
 #: Probability from which a verdict is given, and below which a cause is not told.
@@ -44,8 +42,8 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
     if verdict == "parameters_only" and best.began is None:
         values[best.difference.name] += float(best.value[0])
     return DiagnosisResult(
-        recordings=tuple(_recording(d) for d in problem.datasets),
-        against=tuple(_recording(d) for d in problem.against),
+        recordings=diagnosed_recordings(problem.datasets),
+        against=diagnosed_recordings(problem.against),
         model=problem.model_name,
         seed=problem.seed,
         versions={},
@@ -90,16 +88,6 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
             },
         },
         traces=_traces(found, verdict),
-    )
-
-
-def _recording(dataset: Dataset) -> DiagnosedRecording:
-    return DiagnosedRecording(
-        file=dataset.source,
-        sha256=dataset.sha256,
-        duration_s=dataset.duration,
-        sample_time_s=dataset.sample_time,
-        channels=(*names(dataset.inputs), *names(dataset.outputs)),
     )
 
 

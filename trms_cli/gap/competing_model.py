@@ -199,11 +199,7 @@ def evidence(
     nothing = Evidence(np.full(m, -np.inf), np.full((len(theta), len(theta)), np.nan))
     if not residuals.finite:
         return nothing
-    own = np.zeros((m, n, quadratic.triangles.shape[-1]))
-    own[:, :, :n] = np.eye(n)
-    own[:, :, -1] = quadratic.start_gap
-    rows = np.concatenate([quadratic.triangles, own], axis=1)
-    whole = np.asarray(np.linalg.qr(rows, mode="r"))
+    whole = np.asarray(np.linalg.qr(quadratic.rows, mode="r"))
     of_starts = np.log(np.abs(np.einsum("mii->mi", whole[:, :n, :n]))).sum(axis=1)
     r, c = whole[:, n:, n:-1], whole[:, n:, -1]
     if not (np.isfinite(r).all() and np.abs(r).max() < _STEEP):

@@ -29,7 +29,6 @@ from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
     Detectable,
-    DiagnosedRecording,
     DiagnosisResult,
     FittedParameter,
     GapTest,
@@ -43,7 +42,6 @@ from trms_cli.gap.diagnosis import (
     Traces,
 )
 from trms_cli.gap.discrepancy import input_channels
-from trms_cli.gap.findings import sizes
 from trms_cli.gap.flexible import fit_flexible, node_of, short_law
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
@@ -51,7 +49,14 @@ from trms_cli.gap.moved_parameters import moved_parameters
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.onset import diagnose_onset
 from trms_cli.gap.posterior import Posterior, posterior_of, simulated_part
-from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates, divide
+from trms_cli.gap.problem import (
+    CandidateEffect,
+    GapProblem,
+    Parts,
+    applicable_candidates,
+    diagnosed_recordings,
+    divide,
+)
 from trms_cli.gap.race import (
     EFFORTS,
     Checkpoint,
@@ -64,9 +69,9 @@ from trms_cli.gap.race import (
 )
 from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, innovation_tests, locate, smoothed_forces
+from trms_cli.gap.wording import sizes
 from trms_cli.identification.free_runs import simulated_windows
 from trms_cli.identification.problem import Progress, SilentProgress
-from trms_cli.models.model import names
 
 #: Where on the way each stage begins, as a share of the whole.
 _BEGINS = {
@@ -285,16 +290,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
     drives = [c.location for c in input_channels(refit.model)]
     shares |= dict(zip(drives, metric.drift_sizes.tolist(), strict=True))
     return DiagnosisResult(
-        recordings=tuple(
-            DiagnosedRecording(
-                file=d.source,
-                sha256=d.sha256,
-                duration_s=d.duration,
-                sample_time_s=d.sample_time,
-                channels=(*names(d.inputs), *names(d.outputs)),
-            )
-            for d in problem.datasets
-        ),
+        recordings=diagnosed_recordings(problem.datasets),
         model=problem.model_name,
         seed=problem.seed,
         versions={},

@@ -1,10 +1,11 @@
 """What a diagnosis says: the content of ``diagnosis.json``, as plain data between the stages.
 
 The names of fields and their nesting are the contract with programs that read the file; what is
-``None`` there could not be told. Numbers are in SI units and radians.
+``None`` there could not be told. Numbers are in SI units and radians. The functions below read what
+pages, screens and tasks ask of it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -15,6 +16,10 @@ SCHEMA = "trms.diagnosis/1"
 Verdict = Literal["effect", "parameters_only", "no_gap", "no_change", "none_of_these", "undecided"]
 #: Causes that are no effect, as they stand among the ``causes``.
 NO_EFFECT = ("no_gap", "no_change", "parameters_only", "none_of_these")
+#: Probability and share below which a cause and a place are not worth a line.
+LEAST = 0.01
+#: s; the horizon that stands for all: this, or the longest that there is below.
+_HORIZON = 2.0
 #: Where a gap can lie, from the command to the sensor.
 LOCATIONS = (
     "main_actuator",
@@ -288,3 +293,35 @@ def document_of(diagnosis: DiagnosisResult) -> dict[str, Any]:
 def horizon_key(horizon: float | str) -> str:
     """A horizon as the document has it: ``2.0`` for 2 s."""
     return repr(float(horizon))
+
+
+def likeliest(diagnosis: DiagnosisResult) -> Cause | None:
+    """The cause with the largest probability."""
+    return max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
+
+
+def confusable_with(cause: Cause, diagnosis: DiagnosisResult) -> list[Cause]:
+    """Other causes, worth a line, that these recordings do not tell from this one."""
+    effects = set(cause.effects)
+    names = effects.union(*(group for group in diagnosis.confusable if effects & set(group)))
+    return [
+        other
+        for other in diagnosis.causes
+        if other is not cause
+        and other.probability >= LEAST
+        and names >= set(other.effects)
+        and not effects >= set(other.effects)
+    ]
+
+
+def is_corrected(diagnosis: DiagnosisResult) -> bool:
+    """Whether the corrected model is another one than the refitted."""
+    rows = [row for rows in diagnosis.gap.values() for row in rows.values()]
+    return any(row.corrected != row.refit for row in rows)
+
+
+def shown_horizon(horizons: Iterable[str]) -> str:
+    """The horizon that stands for all, as the document has it; empty without any."""
+    known = sorted(horizons, key=float)
+    below = [horizon for horizon in known if float(horizon) <= _HORIZON]
+    return (below or known[:1] or [""])[-1]

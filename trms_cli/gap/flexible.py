@@ -488,18 +488,13 @@ def _parabola(fitted: FittedModel, metric: Metric) -> _Parabola:
     structure, fit = fitted.structure, fitted.fit
     objective = replace(fitted, metric=metric).objective
     _, quadratic, residuals = objective.parabola(fit.point, fit.starts)
-    n, m = quadratic.n, len(fit.starts)
-    own = np.zeros((m, n, quadratic.triangles.shape[-1]))
-    own[:, :, :n] = np.eye(n)
-    own[:, :, -1] = quadratic.start_gap
-    rows = np.concatenate([quadratic.triangles, own], axis=1)
-    whole = np.asarray(np.linalg.qr(rows, mode="r"))
+    whole = np.asarray(np.linalg.qr(quadratic.rows, mode="r"))
     if not np.isfinite(whole).all():
         raise FloatingPointError("the slopes of a simulation run away")
-    scales = np.concatenate([structure.windows.spread, objective.scales])
-    return _Parabola(
-        whole, n, quadratic.prior_root, objective.slopes(residuals) * scales, residuals.r
+    slopes = objective.slopes(residuals) * np.concatenate(
+        [structure.windows.spread, objective.scales]
     )
+    return _Parabola(whole, quadratic.n, quadratic.prior_root, slopes, residuals.r)
 
 
 def held_out_residuals(fitted: FittedModel) -> FloatArray:

@@ -17,10 +17,11 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.quantisation import Quantisation
+from trms_cli.gap.diagnosis import DiagnosedRecording
 from trms_cli.identification.data import noise_estimate
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
-from trms_cli.models.model import Model
+from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter
 
 Effort = Literal["quick", "normal", "thorough"]
@@ -48,6 +49,20 @@ class GapProblem:
     jobs: Annotated[int, Meta(ge=1)] = 2
     advise: bool = True  #: Whether the next experiment is looked for
     warnings: tuple[str, ...] = field(default=())  #: Of the admission, to stand in the report
+
+
+def diagnosed_recordings(datasets: Sequence[Dataset]) -> tuple[DiagnosedRecording, ...]:
+    """Recordings as their diagnosis names them."""
+    return tuple(
+        DiagnosedRecording(
+            file=dataset.source,
+            sha256=dataset.sha256,
+            duration_s=dataset.duration,
+            sample_time_s=dataset.sample_time,
+            channels=(*names(dataset.inputs), *names(dataset.outputs)),
+        )
+        for dataset in datasets
+    )
 
 
 #: s. Recordings that are sampled faster are thinned: no effect of the library needs more, and a

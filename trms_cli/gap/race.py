@@ -350,15 +350,8 @@ def run_race(
         structure = refit.structure.with_effects(candidate)
 
         def search() -> FittedModel:
-            points = _points(structure, candidate, refit, signs)
-            return structure.fit(
-                middle,
-                points,
-                centres=refit.centres,
-                gains=refit.fit.gains,
-                iterations=12,
-                tolerance=0.5,
-            )
+            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in (signs[0], signs[-1])]
+            return _searched(structure, refit, middle, _points(structure, refit, sizes))
 
         return once(f"single {name}", structure, search)
 
@@ -388,10 +381,15 @@ def run_race(
         least = max(entry.fit.score for entry in entries)
 
         def both(pair: tuple[Signatures, int, int]) -> FittedModel | None:
-            chosen = [candidates[pair[0].names[row]] for row in pair[1:]]
+            sign, *rows = pair
+            chosen = [candidates[sign.names[row]] for row in rows]
             structure = refit.structure.with_effects(*chosen)
+            sizes: dict[str, float] = {}
+            for candidate, row in zip(chosen, rows, strict=True):
+                sizes |= _scaled_sizes(candidate, sign, row, 0.3)
+            points = _points(structure, refit, [sizes, sizes])
             key = "pair " + "+".join(structure.names)
-            searched = once(key, structure, lambda: _both(refit, middle, chosen, pair, structure))
+            searched = once(key, structure, lambda: _searched(structure, refit, middle, points))
             if searched.fit.score < least:
                 return None
             return once("final " + key, structure, searched.in_own_metric)
@@ -472,43 +470,33 @@ def promising_pairs(
     return list(chosen.values())
 
 
-def _both(
-    refit: Refit,
-    metric: Metric,
-    chosen: Sequence[CandidateEffect],
-    pair: tuple[Signatures, int, int],
+def _searched(
     structure: ModelStructure,
+    base: FittedModel,
+    metric: Metric,
+    points: Sequence[tuple[FloatArray, FloatArray]],
 ) -> FittedModel:
-    """Two effects fitted at once, from the refit and from the centre of the priors."""
-    sign, *rows = pair
-    sizes: dict[str, float] = {}
-    for candidate, row in zip(chosen, rows, strict=True):
-        sizes |= _scaled_sizes(candidate, sign, row, 0.3)
-    prior = {p.name: p.prior_mean for p in refit.structure.problem.free}
-    points = []
-    for values in (refit.values, prior):
-        theta = structure.theta({**values, **sizes})
-        points.append((theta, structure.starts(theta, refit.fit.starts)))
+    """A few steps from some points, with the centres and gains of a fit that is built on."""
     return structure.fit(
         metric,
         points,
-        centres=refit.centres,
-        gains=refit.fit.gains,
+        centres=base.centres,
+        gains=base.fit.gains,
         iterations=12,
         tolerance=0.5,
     )
 
 
 def _points(
-    structure: ModelStructure, candidate: CandidateEffect, refit: Refit, signs: Sequence[Signatures]
+    structure: ModelStructure, refit: Refit, sizes: Sequence[Mapping[str, float]]
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Where searches begin: the refit's optimum and the priors' centre, sizes as screened."""
+    """Where searches begin: the refit's optimum and the priors' centre, each with its sizes."""
     prior = {p.name: p.prior_mean for p in refit.structure.problem.free}
-    points = []
-    for values, sign in ((refit.values, signs[0]), (prior, signs[-1])):
-        theta = structure.theta({**values, **_promising_sizes(candidate, sign, 0.3)})
-        points.append((theta, structure.starts(theta, refit.fit.starts)))
-    return points
+    thetas = [
+        structure.theta({**values, **own})
+        for values, own in zip((refit.values, prior), sizes, strict=True)
+    ]
+    return [(theta, structure.starts(theta, refit.fit.starts)) for theta in thetas]
 
 
 def _promising_sizes(
@@ -539,15 +527,7 @@ def _paired(
     sizes = _promising_sizes(partner, signs, 0.2)
     theta = structure.theta({**best.values, **sizes})
     starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
-    fitted = structure.fit(
-        best.metric,
-        [(theta, starts)],
-        centres=best.centres,
-        gains=best.fit.gains,
-        iterations=12,
-        tolerance=0.5,
-    )
-    return fitted.in_own_metric()
+    return _searched(structure, best, best.metric, [(theta, starts)]).in_own_metric()
 
 
 def _each(

@@ -23,16 +23,14 @@ import numpy as np
 
 from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import (
-    fit_problem,
     is_size,
-    map_fit,
     nominal_free,
     parts_of,
     refit,
 )
 from experiments.gap.baselines.force_terms import columns
 from experiments.gap.baselines.restoring_force import motion
-from experiments.gap.baselines.white_noise import compete
+from experiments.gap.baselines.white_noise import fit_with
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
@@ -285,9 +283,7 @@ class Classifier:
         likely = float(told[order[0]]) >= _LIKELY
         if best in found and likely:
             chosen = [found[best]]
-            near = compete(problem, parts, chosen, compete(problem, parts, (), None))
-            starts: Mapping[str, float] = near.fit.values if np.isfinite(near.bic) else {}
-            corrected = map_fit(fit_problem(problem, parts, chosen, starts))
+            corrected = fit_with(problem, parts, chosen)
         return diagnosis(
             problem,
             "effect" if chosen else "parameters_only" if likely else "undecided",

@@ -6,15 +6,12 @@ What no candidate stands for (an effect outside the library) it cannot add; then
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from experiments.gap.baselines.baseline import diagnosis, places
-from experiments.gap.baselines.fits import fit_problem, map_fit, parts_of, refit
-from experiments.gap.baselines.white_noise import compete
+from experiments.gap.baselines.fits import parts_of, refit
+from experiments.gap.baselines.white_noise import fit_with
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, Verdict
 from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import GapProblem, applicable_candidates
@@ -41,10 +38,7 @@ class Oracle:
             verdict, cause = "none_of_these", "none_of_these"
         effects: tuple[str, ...] = (cause,)
         if chosen:
-            # A few steps of plain least squares find the sizes' order; then all is fitted well.
-            near = compete(problem, parts, chosen, compete(problem, parts, (), None))
-            starts: Mapping[str, float] = near.fit.values if np.isfinite(near.bic) else {}
-            fit = map_fit(fit_problem(problem, parts, chosen, starts))
+            fit = fit_with(problem, parts, chosen)
             verdict, effects = "effect", tuple(s.name for s in chosen)
         return diagnosis(
             problem,

@@ -10,7 +10,7 @@ standard deviation of each output is the residuals' own, as maximum likelihood h
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.gap.baselines.baseline import diagnosis, places
-from experiments.gap.baselines.fits import Fit, fit_problem, parts_of
+from experiments.gap.baselines.fits import Fit, fit_problem, map_fit, parts_of
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, Verdict
 from trms_cli.gap.free_runs import measure_shrinkage
@@ -91,6 +91,16 @@ def compete(
         0 if held else len(asked.free),
         int(windows.measured.sum()),
     )
+
+
+def fit_with(problem: GapProblem, parts: Parts, chosen: Sequence[CandidateEffect]) -> Fit:
+    """The nominal parameters and some effects, maximum a posteriori.
+
+    A few steps of plain least squares find the sizes' order; then all is fitted well.
+    """
+    near = compete(problem, parts, chosen, compete(problem, parts, (), None))
+    starts: Mapping[str, float] = near.fit.values if np.isfinite(near.bic) else {}
+    return map_fit(fit_problem(problem, parts, chosen, starts))
 
 
 def with_deviations(competitor: Competitor, problem: GapProblem, parts: Parts) -> Competitor:

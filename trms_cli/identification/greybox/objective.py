@@ -130,6 +130,15 @@ class Quadratic(NamedTuple):
         """Number of states."""
         return int(self.start_gap.shape[1])
 
+    @property
+    def rows(self) -> FloatArray:
+        """``triangles``, and below them those of each start's prior, (m, k + n, n + n_f + 1)."""
+        m, n = self.start_gap.shape
+        own = np.zeros((m, n, self.triangles.shape[-1]))
+        own[:, :, :n] = np.eye(n)
+        own[:, :, -1] = self.start_gap
+        return np.concatenate([self.triangles, own], axis=1)
+
     def cost(self, dx: FloatArray, dtheta: FloatArray) -> float:
         """Its value after a change, dx (m, n) and dtheta (n_f,)."""
         move = np.hstack([dx, np.broadcast_to(dtheta, (len(dx), len(dtheta)))])
@@ -179,15 +188,11 @@ def eliminate_starts(quadratic: Quadratic, damping: float) -> ReducedQuadratic:
     """
     m, n = quadratic.start_gap.shape
     columns = quadratic.triangles.shape[2]
-    own = np.zeros((m, n, columns))
-    own[:, :, :n] = np.eye(n)
-    own[:, :, -1] = quadratic.start_gap
-    rows = [quadratic.triangles, own]
+    stacked = quadratic.rows
     if damping > 0:
         held = np.zeros((m, n, columns))
         held[:, :, :n] = np.sqrt(damping) * np.eye(n)
-        rows.append(held)
-    stacked = np.concatenate(rows, axis=1)
+        stacked = np.concatenate([stacked, held], axis=1)
     if quadratic.joint is not None:
         return _along_chains(quadratic.joint, stacked, n)
     whole = _triangle(stacked)

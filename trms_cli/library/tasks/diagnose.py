@@ -32,8 +32,7 @@ from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.gap.belief import DISTURBANCE
-from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult, Worth
-from trms_cli.gap.findings import likeliest
+from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult, Worth, likeliest
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets

@@ -1,0 +1,51 @@
+"""Causes, places and sizes of a diagnosis in words."""
+
+from collections.abc import Mapping, Sequence
+
+from trms_cli.core import wording
+from trms_cli.gap.diagnosis import SizeEstimate
+
+#: Stands for the causes that have no row of their own.
+OTHERS = ("others",)
+#: Units of sizes besides, and the factors to them.
+_SIZES = {"s": ("ms", 1e3), "kg": ("g", 1e3)}
+
+
+def cause_name(effects: Sequence[str]) -> str:
+    """A cause, or a competitor of the race, as a colleague calls it."""
+    plain = {
+        (): "parameters only",
+        ("flexible",): "a force without a name",
+        ("no_gap",): "no gap",
+        ("no_change",): "nothing changed",
+        ("none_of_these",): "none of these",
+        OTHERS: "others, together",
+    }
+    return plain.get(tuple(effects)) or " with ".join(wording.readable(name) for name in effects)
+
+
+def place_name(location: str) -> str:
+    """``yaw_moment`` as yaw moment."""
+    return location.replace("_", " ")
+
+
+def sizes(parameters: Mapping[str, SizeEstimate]) -> str:
+    """Sizes of a cause with their deviations; one without any was held where it is."""
+    return ", ".join(
+        f"{name.split('.', 1)[-1].replace('_', ' ')} {size_text(size)}"
+        for name, size in parameters.items()
+    )
+
+
+def size_text(size: SizeEstimate) -> str:
+    """One size: ``4.12 ± 0.18 mN m``."""
+    unit, scale = size_unit(size.unit, size.value)
+    spread = f" ± {wording.number(scale * size.sd, 2)}" if size.sd > 0 else ""
+    return f"{wording.number(scale * size.value)}{spread} {wording.unit(unit)}".rstrip()
+
+
+def size_unit(unit: str, value: float) -> tuple[str, float]:
+    """A unit in which a size has few digits, and the factor to it."""
+    if abs(value) >= 1:
+        return unit, 1.0
+    return _SIZES.get(unit) or wording.small_unit(unit)
