@@ -247,7 +247,7 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(4, 2, 0, 1),
+    "quick": Effort(3, 2, 0, 1),
     "normal": Effort(9, 5, 4, 3),
     "thorough": Effort(18, 8, 8, 4),
 }
