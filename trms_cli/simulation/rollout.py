@@ -211,10 +211,12 @@ class Rollout:
     def _share(self, call: _Call, loop: _Loop, work: Any, results: tuple[FloatArray, ...]) -> None:
         """Divide the windows among the threads; each writes its own part of the results."""
         m = len(call.count)
-        offsets = np.concatenate([[0], np.cumsum(call.count)])
         jobs = min(self.jobs, m, max(1, call.rows // _WORTH_A_THREAD))
-        if loop.library is None:
-            jobs = 1
+        if loop.library is None or jobs == 1:
+            with nullcontext() if loop.library is not None else loop.one_at_a_time:
+                work(loop, call, results)
+            return
+        offsets = np.concatenate([[0], np.cumsum(call.count)])
         cuts = np.searchsorted(offsets, np.linspace(0, call.rows, jobs + 1)[1:-1])
         edges = [0, *cuts.tolist(), m]
 
@@ -222,13 +224,9 @@ class Rollout:
             rows = slice(offsets[a], offsets[b])
             # by sample and by window in turn: y, ends and, with slopes, dy, dends
             parts = (r[rows] if i % 2 == 0 else r[a:b] for i, r in enumerate(results))
-            with nullcontext() if loop.library is not None else loop.one_at_a_time:
-                work(loop, call.part(a, b), tuple(parts))
+            work(loop, call.part(a, b), tuple(parts))
 
         ranges = [(a, b) for a, b in pairwise(edges) if b > a]
-        if len(ranges) == 1:
-            piece(*ranges[0])
-            return
         with ThreadPoolExecutor(len(ranges)) as pool:
             list(pool.map(lambda edge: piece(*edge), ranges))
 

@@ -13,12 +13,14 @@ left long before the window: it is free, as the states are.
 """
 
 from functools import cached_property
+from threading import Lock
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FitProblem
@@ -164,8 +166,11 @@ class _Kinematics:
         if model.sample_time is None and self._angles and self._momenta:
             x, u, q, w = model.symbols()
             rate = model.dynamics(x, u, q, w)[self._angles]
-            slope = ca.densify(ca.jacobian(rate, x))
-            self._rate = ca.Function("rate", [x, u, q, w], [rate, slope])
+            slope = ca.jacobian(rate, ca.vertcat(*[x[i] for i in self._momenta]))
+            # not compiled: it is a few operations, and other ones for every model
+            function = ca.Function("rate", [x, u, q, w], [rate, slope])
+            self._rate = BufferedFunction(function, compile=False)
+            self._one_at_a_time = Lock()
         else:
             self._momenta = []
 
@@ -178,11 +183,13 @@ class _Kinematics:
         if not rows or not self._momenta:
             return x
         wanted = np.array([rates[names_[k]] for k in rows])
-        now, slope = (np.array(v) for v in self._rate(x, u, p, np.zeros(self._model.n_w)))
+        with self._one_at_a_time:
+            now, slope = (
+                np.reshape(value, (len(self._angles), -1))[rows]
+                for value in self._rate.evaluate(x, u, p, np.zeros(self._model.n_w))
+            )
         # The rates are linear in the momenta.
-        change, *_ = np.linalg.lstsq(
-            slope[np.ix_(rows, self._momenta)], wanted - now[rows, 0], rcond=None
-        )
+        change, *_ = np.linalg.lstsq(slope, wanted - now[:, 0], rcond=None)
         after = x.copy()
         after[self._momenta] += change
         return after
