@@ -40,7 +40,10 @@ FloatArray = npt.NDArray[np.float64]
 _WIDTH = 2.0
 #: A better score never speaks against a competitor, nor a worse free run for one.
 _NEVER_BELOW = ("score", "score.bend")
-_NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error")
+_NEVER_ABOVE = (
+    *("effect.rest", "effect.error", "no_gap.error", "parameters.error"),
+    *("score.poor", "joined.poor"),
+)
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
 #: Effects that the belief does not weigh: rounding is told by other marks.
@@ -146,11 +149,16 @@ def blind_lines(key: Path, diagnoses: Path) -> list[Line]:
 
 
 def calibrating(lines: Sequence[Line]) -> list[Line]:
-    """Those whose truth the posterior weighs."""
+    """Those whose truth the posterior weighs.
+
+    What begins within a recording, and what changed since others, is told by a comparison.
+    """
     return [
         line
         for line in lines
-        if not line.failed and not any(e.endswith(_APART) for e in line.case.effects)
+        if "scores" in line.evidence
+        and line.case.kind != "onset"
+        and not any(e.endswith(_APART) for e in line.case.effects)
     ]
 
 
@@ -189,7 +197,7 @@ def study(lines: Sequence[Line], folds: int, seed: int) -> tuple[Calibration, st
     nulls = [
         line.evidence["shares"]
         for line in lines
-        if not line.failed and line.case.kind in ("null", "offset")
+        if "shares" in line.evidence and line.case.kind in ("null", "offset")
     ]
     found = fit_weights(weights, list(zip(known, rights, strict=True)))
     usual = {**start.usual_shares, **usual_shares(nulls)}
