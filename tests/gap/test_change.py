@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trms_cli.composition.composer import compose
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
@@ -75,6 +76,25 @@ def test_friction_that_was_there_from_the_beginning_has_no_onset(known):
     assert size.value == pytest.approx(0.004, rel=0.1)
     assert found.causes[0].onset is None
     assert found.where[0].location == "yaw_moment"
+
+
+def test_what_is_alike_at_one_angle_is_parted_at_two_others(known):
+    rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
+    dataset = begins(rubbing, 0.0, values=VALUES, seconds=20.0, seed=14)
+    parted = of(known, dataset)
+    assert parted.next_experiment is None
+    alike = replace(compared(known, dataset), alike=[1])
+    problem = GapProblem(
+        model=MODEL, model_name="newtonian", datasets=(dataset,), candidates={}, against=()
+    )
+    found = change_result(problem, alike)
+    assert found.confusable
+    assert found.next_experiment is not None
+    words = found.next_experiment.command.split()
+    assert words[:2] == ["trms", "run"]
+    experiment = compose(words[2:]).config  # it can be typed
+    assert experiment["ref"]["alpha_h"]["amplitude"] == 0.2
+    assert experiment["ref"]["alpha_v"]["amplitude"] == 0
 
 
 def test_friction_that_begins_is_told_with_its_onset(known):

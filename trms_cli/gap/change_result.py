@@ -14,6 +14,7 @@ from trms_cli.gap.diagnosis import (
     FittedParameter,
     LocationShare,
     MovedParameter,
+    NextExperiment,
     RaceEntry,
     Rejected,
     SizeEstimate,
@@ -66,7 +67,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         },
         gap={},
         shrink={},
-        next_experiment=None,
+        next_experiment=_next(problem, found) if changed and problem.advise else None,
         inclusion=_inclusion(found),
         moved=_moved(found),
         rejected=_rejected(found),
@@ -185,6 +186,40 @@ def _confusable(found: StateComparison) -> tuple[tuple[str, ...], ...]:
     ]
     unique = tuple(dict.fromkeys(group))
     return (unique,) if len(unique) > 1 else ()
+
+
+#: rad, between the angle that was held and each of the two to hold next; s, at each of them.
+_APART, _HELD = 0.2, 10.0
+
+
+def _next(problem: GapProblem, found: StateComparison) -> NextExperiment | None:
+    """What parts differences that are one where an axis is held: two other angles."""
+    groups = _confusable(found)
+    moments = {f"{name}_moment": axis.angle for name, axis in problem.model.axes.items()}
+    places = [at for at in found.judged[0].difference.locations if at in moments]
+    if not groups or not places:
+        return None
+    angle = moments[places[0]]
+    recorded = [
+        d.measurements[:, i]
+        for d in problem.datasets
+        for i, output in enumerate(d.outputs)
+        if output.name == angle
+    ]
+    if not recorded:
+        return None
+    held = float(np.nanmedian(np.concatenate(recorded)))
+    words = [f"ref.{angle}.amplitude={_APART:g}", f"ref.{angle}.offset={held:.2f}"]
+    words += [f"ref.{angle}.frequency={0.5 / _HELD:g}"]
+    words += [f"ref.{other}.amplitude=0" for other in moments.values() if other != angle]
+    return NextExperiment(
+        why=f"{listing([readable(name) for name in groups[0]])} are one where {readable(angle)} is "
+        f"held at {held:.2f} rad: held at {held - _APART:.2f} and {held + _APART:.2f} rad, "
+        f"{_HELD:g} s each, a constant torque, a weight and a gain differ; record it on the rig, "
+        "and compare it with the same recordings",
+        command=f"trms run model={problem.model_name} controller=newton_mpc ref=square "
+        f"{' '.join(words)} sim.duration=80",
+    )
 
 
 def _inclusion(found: StateComparison) -> dict[str, float]:
