@@ -42,10 +42,7 @@ FloatArray = npt.NDArray[np.float64]
 _PRIOR, _WIDTH = Path(__file__).with_name("prior_weights.json"), 2.0
 #: A better score never speaks against a competitor, nor a worse free run for one.
 _NEVER_BELOW = ("score", "score.bend")
-_NEVER_ABOVE = (
-    *("effect.rest", "effect.error", "no_gap.error", "parameters.error"),
-    *("score.poor", "joined.poor"),
-)
+_NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error")
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
 #: Effects that the belief does not weigh: rounding is told by other marks.

@@ -108,7 +108,6 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             "effect.shape": float(features.sizes[i] - len(name)),
             "effect.surprise": float(features.surprises[i]),
             "effect.error": _of_error(features.errors[i]),
-            "score.poor": _poor(score, features.errors[i]),
         }
     foretold = 0.0 if np.isnan(features.foretold) else float(np.clip(features.foretold, 0.0, 1.0))
     owed = dict(zip(features.names, features.behinds, strict=True))
@@ -125,7 +124,6 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             if name in rows and owed[name] - behind > _REST:
                 joined = tuple(sorted((*name, disturbance)))
                 row = {k: v for k, v in rows[name].items() if k != "effect.error"}
-                row["joined.poor"] = row.pop("score.poor")
                 rows[joined] = row | {"effect.rest": _left(features, behind), "disturbance": 1.0}
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
@@ -153,15 +151,6 @@ def _rest(behind: float | FloatArray) -> FloatArray:
 
 def _of_score(score: float) -> dict[str, float]:
     return {"score": score, "score.bend": _BEND * float(np.log1p(max(score, 0.0) / _BEND))}
-
-
-def _poor(score: float, ratio: float) -> float:
-    """The part of a score that a model has whose free runs err by ``ratio`` floors.
-
-    Where what is added leaves the model wrong, nats are counted against errors that are not noise,
-    and a few more or less of hundreds say nothing.
-    """
-    return score * (1 - 1 / float(np.clip(ratio, 1.0, _WORST))) if np.isfinite(ratio) else 0.0
 
 
 def _of_error(ratio: float) -> float:

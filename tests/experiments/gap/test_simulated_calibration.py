@@ -57,7 +57,7 @@ def stopping(after: int):
     """Stands for diagnoses: fails at two of a kind, and is interrupted after some."""
 
     def diagnose_all(recordings, out, words, jobs, shown) -> dict[str, str]:
-        assert words == ["effort=quick"]
+        assert words == ["advise=false", "effort=quick"]
         for number, recording in enumerate(recordings):
             if number == after:
                 raise KeyboardInterrupt
