@@ -13,7 +13,7 @@ from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.simulation.rollout import Rollout
 
 
-@pytest.mark.parametrize("study", ["aero", "tras_fit"])
+@pytest.mark.parametrize("study", ["aero", "tras"])
 def test_skips_where_there_is_no_record(study, tmp_path, capsys) -> None:
     main = importlib.import_module(f"experiments.{study}.__main__").main
     assert main([str(tmp_path)]) == 0

@@ -72,6 +72,9 @@ class Features:
 _REST, _GAIN = 8.5, 6.0
 #: nats. Scores beyond so many count by their logarithm as well.
 _BEND = 10.0
+#: Share of the best competitor's score that the flexible one is taken to have where it was not
+#: fitted: it reaches a true cause nearly, and leaves a wrong one far behind.
+_UNFITTED = 0.5
 #: What the name of a torque from outside ends in.
 DISTURBANCE = "_disturbance"
 #: Floors. Free runs worse than this are all alike.
@@ -129,7 +132,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
                 rows[joined] = row | {"effect.rest": _left(features, behind), "disturbance": 1.0}
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
-        **_of_score(max(features.flexible, 0.0) if was_fitted else best),
+        **_of_score(max(features.flexible, 0.0) if was_fitted else _UNFITTED * best),
         "none.constant": 1.0,
         "none.rest": rest,
         "none.foretold": foretold,
