@@ -42,7 +42,10 @@ FloatArray = npt.NDArray[np.float64]
 _PRIOR, _WIDTH = Path(__file__).with_name("prior_weights.json"), 2.0
 #: A better score never speaks against a competitor, nor a worse free run for one.
 _NEVER_BELOW = ("score", "score.bend")
-_NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error")
+_NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error", "none.rest")
+#: What is left over, and what other parameters gain, speaks against no gap at least as it does
+#: before any rig: a handful of nulls with large nuisances must not make hundreds of nats no gap.
+_AT_MOST_PRIOR = ("no_gap.rest", "no_gap.gain")
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
 #: Effects that the belief does not weigh: rounding is told by other marks.
@@ -124,7 +127,9 @@ def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, 
         return total, slope
 
     bounds = [
-        (0.0, None) if n in _NEVER_BELOW else (None, 0.0) if n in _NEVER_ABOVE else (None, None)
+        (0.0, None)
+        if n in _NEVER_BELOW
+        else (None, 0.0 if n in _NEVER_ABOVE else prior[n] if n in _AT_MOST_PRIOR else None)
         for n in names
     ]
     found = minimize(cost, centre, jac=True, method="L-BFGS-B", bounds=bounds)

@@ -462,7 +462,7 @@ class TestWhole:
             del document["seconds"]
         assert parted == whole
 
-    def test_a_quick_one_leaves_out_what_takes_long_and_changes_no_verdict(self, done, lab):
+    def test_a_quick_one_leaves_out_what_takes_long(self, done, lab):
         document = read(lab / "whole" / "diagnosis.json")
         assert document["worth"] is None
         assert document["next_experiment"] is None

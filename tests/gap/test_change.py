@@ -83,10 +83,17 @@ def test_what_is_alike_at_one_angle_is_parted_at_two_others(known):
     dataset = begins(rubbing, 0.0, values=VALUES, seconds=20.0, seed=14)
     parted = of(known, dataset)
     assert parted.next_experiment is None
-    alike = replace(compared(known, dataset), alike=[1])
+    comparison = compared(known, dataset)
+    kinds = [(j.difference.name, j.difference.kind) for j in comparison.judged]
+    parameter = next(k for k, (_, kind) in enumerate(kinds) if kind == "parameter")
+    torque = next(k for k, (name, _) in enumerate(kinds) if name == "yaw_disturbance")
+    alike = replace(comparison, alike=[parameter, torque])
     problem = GapProblem(
         model=MODEL, model_name="newtonian", datasets=(dataset,), candidates={}, against=()
     )
+    # frictions that are alike are not parted so
+    other = next(k for k, (name, _) in enumerate(kinds) if name == "yaw_quadratic_damping")
+    assert change_result(problem, replace(comparison, alike=[other])).next_experiment is None
     found = change_result(problem, alike)
     assert found.confusable
     assert found.next_experiment is not None

@@ -119,13 +119,9 @@ def test_a_torque_from_outside_is_what_nothing_foretells():
         flexible=5.0,
         foretold=0.02,
     )
-    believed = probabilities_of(gap, weights)
-    # a law that nothing here foretells, the play of an encoder, looks like a torque from outside
-    assert set(list(believed)[:2]) == {("yaw_disturbance",), ("none_of_these",)}
-    assert believed["yaw_disturbance",] > 0.3
+    assert next(iter(probabilities_of(gap, weights))) == ("yaw_disturbance",)
     law = replace(gap, flexible=600.0, foretold=0.9)
     assert next(iter(probabilities_of(law, weights))) == ("none_of_these",)
-    assert probabilities_of(law, weights)["yaw_disturbance",] < 0.01
     beside = replace(
         gap, scores=np.array([300.0, 2.0, 0.0]), outside={"yaw": np.array([4e3, 0.0, 4e3, 4e3])}
     )

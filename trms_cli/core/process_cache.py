@@ -31,7 +31,8 @@ from trms_cli.core.whole_file import replace_whole
 P = ParamSpec("P")
 T = TypeVar("T")
 
-#: Results kept at a time. A run with equations of its own adds about ten; the longest unused go.
+#: Results kept at a time; the longest unused go. A run with equations of its own adds about ten, a
+#: diagnosis five for each of its forty suspects, which the next one of the process takes over.
 MOST_RESULTS = 1024
 
 

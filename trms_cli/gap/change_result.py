@@ -190,11 +190,13 @@ def _confusable(found: StateComparison) -> tuple[tuple[str, ...], ...]:
 
 #: rad, between the angle that was held and each of the two to hold next; s, at each of them.
 _APART, _HELD = 0.2, 10.0
+#: Differences that pull a held axis steadily; frictions are alike for other reasons.
+_STEADY = {"pitch_disturbance", "yaw_disturbance", "pitch_mass_imbalance", "parameters_only"}
 
 
 def _next(problem: GapProblem, found: StateComparison) -> NextExperiment | None:
     """What parts differences that are one where an axis is held: two other angles."""
-    groups = _confusable(found)
+    groups = [g for g in _confusable(found) if len(_STEADY.intersection(g)) > 1]
     moments = {f"{name}_moment": axis.angle for name, axis in problem.model.axes.items()}
     places = [at for at in found.judged[0].difference.locations if at in moments]
     if not groups or not places:
