@@ -1,5 +1,6 @@
 """Refit, traces and race on rigs whose cause is known, with a few candidates."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,17 @@ from tests.identification.greybox.rigs import QUANTUM, TACHO_NOISE
 from trms_cli.gap.competing_model import FittedModel, nominal_parameters, refit
 from trms_cli.gap.diagnose import diagnose
 from trms_cli.gap.diagnosis import GapTest
-from trms_cli.gap.problem import GapProblem, applicable_candidates, divide, quantum_of, with_noise
-from trms_cli.gap.race import EFFORTS, Checkpoint, Race, effect_traces, run_race
+from trms_cli.gap.problem import (
+    GapProblem,
+    applicable_candidates,
+    divide,
+    quantum_of,
+    variants,
+    with_noise,
+)
+from trms_cli.gap.race import EFFORTS, Checkpoint, Effort, Race, run_race
 from trms_cli.gap.residuals import innovation_tests
+from trms_cli.gap.signatures import effect_traces
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
 
@@ -21,13 +30,18 @@ NAMES = ("yaw_coulomb_friction", "yaw_quadratic_damping", "main_input_delay", "m
 MODEL = Newtonian()
 
 
-def raced(dataset, checkpoint: Checkpoint | None = None) -> Race:
-    found, left_out = applicable_candidates(MODEL, {name: effect(name) for name in NAMES})
+def raced(
+    dataset,
+    checkpoint: Checkpoint | None = None,
+    names: Sequence[str] = NAMES,
+    effort: Effort = EFFORTS["quick"],
+) -> Race:
+    found, left_out = applicable_candidates(MODEL, {name: effect(name) for name in names})
     assert not left_out
     parts = divide((dataset,), 10.0, 0.25, MODEL.stops)
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
     seen = effect_traces(nominal, list(found.values()))
-    return run_race(nominal, found, seen, EFFORTS["quick"], checkpoint=checkpoint)
+    return run_race(nominal, found, seen, effort, checkpoint=checkpoint)
 
 
 def judged(fitted: FittedModel) -> tuple[GapTest, ...]:
@@ -96,6 +110,26 @@ def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
     assert [e.names for e in again.entries] == [e.names for e in friction.entries]
     for one, other in zip(again.entries, friction.entries, strict=True):
         np.testing.assert_allclose(one.fit.theta, other.fit.theta, rtol=1e-6, atol=1e-9)
+
+
+def test_others_are_tried_in_the_stead_of_a_second_effect():
+    """Beside a strong friction: a cable that hangs free off the middle is like a biased sensor."""
+    names = ("yaw_coulomb_friction", "yaw_sensor_bias", "yaw_cable_stiffness")
+    rig = {
+        "yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004),
+        "yaw_cable_stiffness": effect("yaw_cable_stiffness", stiffness=0.002, neutral=0.2),
+    }
+    race = raced(
+        recording(rig, seconds=50.0), names=names, effort=replace(EFFORTS["normal"], pairs=1)
+    )
+    tried = {e.names for e in race.entries}
+    friction = "yaw_coulomb_friction"
+    assert {tuple(sorted((friction, name))) for name in names[1:]} <= tried
+
+
+def test_an_angle_off_the_middle_is_tried_on_both_sides():
+    rows = variants(effect("yaw_cable_stiffness").parameters())
+    assert {round(float(row[2]), 2) for row in rows} == {-0.15, 0.0, 0.15}
 
 
 def test_noise_is_read_from_steps_and_ripple():

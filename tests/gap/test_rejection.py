@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from trms_cli.gap.diagnosis import NotTestable
-from trms_cli.gap.race import Signatures
 from trms_cli.gap.rejection import inclusion, rejected_effects, upper_bound
+from trms_cli.gap.signatures import Signatures
 
 
 def traces(rows: dict[str, tuple[float, float, float]]) -> Signatures:

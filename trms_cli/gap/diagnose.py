@@ -60,15 +60,12 @@ from trms_cli.gap.problem import (
 from trms_cli.gap.race import (
     EFFORTS,
     Checkpoint,
-    EffectTraces,
     Race,
-    Signatures,
-    effect_traces,
-    project_traces,
     run_race,
 )
 from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, innovation_tests, locate, smoothed_forces
+from trms_cli.gap.signatures import EffectTraces, Signatures, effect_traces, project_traces
 from trms_cli.gap.wording import sizes
 from trms_cli.identification.free_runs import simulated_windows
 from trms_cli.identification.problem import Progress, SilentProgress
@@ -595,8 +592,6 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
 _LEAST_ALIKE = 0.01
 #: Parameters that a sentence names.
 _MOVED_TOLD = 3
-#: s. The horizon that a sentence tells.
-_TOLD_AT = "2.0"
 #: Times the floor from which on a refitted model is said to leave something unexplained.
 _MUCH = 5.0
 #: Times the floor up to which a model without a gap is at it.
@@ -649,7 +644,7 @@ def sentence(
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
-    shrink = shrinkage.shrink.get("all", {}).get(_TOLD_AT)
+    shrink = shrinkage.shrink.get("all", {}).get(free_runs.TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
         if shrink.fraction > 0:
             closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
@@ -678,7 +673,7 @@ def _left_over(shrinkage: free_runs.Shrinkage) -> str:
     worst, ratio = _farthest(shrinkage, "refit")
     if ratio < _MUCH:
         return ""
-    gap = shrinkage.gap[worst][_TOLD_AT]
+    gap = shrinkage.gap[worst][free_runs.TOLD_AT]
     return (
         f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
         f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
@@ -693,7 +688,7 @@ def _above_floor(shrinkage: free_runs.Shrinkage) -> str:
     worst, ratio = _farthest(shrinkage, "raw")
     if ratio < _LITTLE:
         return ""
-    gap = shrinkage.gap[worst][_TOLD_AT]
+    gap = shrinkage.gap[worst][free_runs.TOLD_AT]
     small, scale = small_unit(gap.unit)
     errors = (
         f"{signal(worst)}, {number(scale * gap.raw)} against {quantity(scale * gap.floor, small)}"
@@ -707,9 +702,9 @@ def _above_floor(shrinkage: free_runs.Shrinkage) -> str:
 def _farthest(shrinkage: free_runs.Shrinkage, model: str) -> tuple[str, float]:
     """The channel whose free runs of 2 s lie farthest above the floor, and how many times."""
     ratios = {
-        channel: getattr(gaps[_TOLD_AT], model) / gaps[_TOLD_AT].floor
+        channel: getattr(gaps[free_runs.TOLD_AT], model) / gaps[free_runs.TOLD_AT].floor
         for channel, gaps in shrinkage.gap.items()
-        if _TOLD_AT in gaps and gaps[_TOLD_AT].floor > 0
+        if free_runs.TOLD_AT in gaps and gaps[free_runs.TOLD_AT].floor > 0
     }
     worst = max(ratios, key=lambda channel: ratios[channel], default="")
     return worst, ratios.get(worst, 0.0)

@@ -225,8 +225,8 @@ def _prior_sd(model: Model, step: float) -> FloatArray:
 _RESAMPLES, _LEAST_GAP = 400, 1.05
 #: A channel that loses more than this of its error is worse.
 _WORSE = 1.02
-#: s. The horizon at which a channel is judged worse.
-_TOLD_AT = 2.0
+#: s. The horizon at which a channel is judged worse, and that a sentence tells.
+TOLD_AT = "2.0"
 
 
 @dataclass(frozen=True)
@@ -321,11 +321,10 @@ def measure_shrinkage(
             pooled.setdefault(key, []).append(own)
             shrink.setdefault(channel, {})[key] = _pooled([own], problem.seed)
     shrink["all"] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
-    decisive = repr(_TOLD_AT)
     worse = tuple(
         channel
         for channel, table in gap.items()
-        if decisive in table and table[decisive].corrected > _WORSE * table[decisive].refit
+        if TOLD_AT in table and table[TOLD_AT].corrected > _WORSE * table[TOLD_AT].refit
     )
     return Shrinkage(gap, shrink, worse)
 

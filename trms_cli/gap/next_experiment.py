@@ -19,7 +19,7 @@ from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
 from trms_cli.gap.gain_drift import gain_drift
 from trms_cli.gap.problem import CandidateEffect
-from trms_cli.gap.race import Signatures, effect_traces, project_traces
+from trms_cli.gap.signatures import Signatures, effect_traces, project_traces
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.excitation.design import band_of, lead_in, linearise_model
 from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
@@ -338,7 +338,7 @@ def advise(
 
     Each is simulated with the refitted model; along that motion the traces of the effects asked
     after are projected and compared as those of the recordings are
-    (:mod:`trms_cli.gap.race`). A second or two on one core where the models of the effects
+    (:mod:`trms_cli.gap.signatures`). A second or two on one core where the models of the effects
     are compiled, as they are after the race. None where no experiment can be predicted: in open
     loop the angles would not stay within their bounds at any amplitude.
 

@@ -232,6 +232,8 @@ _SPREAD_SHAPES = {
     "width": (0.15, 0.5, 0.85),
     "frequency": tuple(np.linspace(0.0, 1.0, 16).tolist()),
 }
+#: How far towards the ends of its typical range an angle off the middle is tried.
+_OFF = 0.5
 #: Width of a size's prior, in the largest typical size.
 _WIDTH = 2.0
 
@@ -392,6 +394,9 @@ def _shapes(parameters: Sequence[Parameter], chosen: Sequence[int]) -> list[tupl
         p = parameters[i]
         if p.name == "arm":
             options.append([p.value, -p.value])
+        elif p.value == 0.0 and p.typical and p.unit == "rad" and p.typical[0] < 0 < p.typical[1]:
+            # where a spring hangs free: off the middle it pulls all the time
+            options.append([p.value, *(_OFF * end for end in p.typical)])
         elif p.name in _SPREAD_SHAPES:
             low, high = p.typical or (p.value / 2, p.value * 2)
             options.append((low * (high / low) ** np.array(_SPREAD_SHAPES[p.name])).tolist())

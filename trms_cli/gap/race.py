@@ -1,11 +1,9 @@
 """Which effect it is: the short list fitted, steps to combinations, all compared alike.
 
-The short list comes of the trace that each effect leaves and no refit of the parameters can. For
-every effect at a few sizes the change of the outputs is simulated along the recorded inputs, made
-white, and freed of all that other windows' starts and nominal parameters within their priors could
-do as well. What is left says how large an effect must be to be seen, and which effects leave the
-same trace: before anything is fitted, and without looking at what the rig answered but for the
-trajectory about which the noise is propagated.
+The short list comes of the trace that each effect leaves and no refit of the parameters can
+(:mod:`trms_cli.gap.signatures`). Combinations come of the same traces: pairs about the refit, then
+partners beside the best, and others in the stead of one of its effects, for a strong effect bends
+the traces of what acts beside it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,213 +15,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure, Refit
-from trms_cli.gap.discrepancy import FLOOR, FilterGains, LinearSystem, whiten
-from trms_cli.gap.problem import CandidateEffect
-
-#: Windows whose columns are whitened at a time.
-_AT_ONCE = 12
-#: Standard deviations of its projected trace at which an effect counts as visible.
-_VISIBLE = 5.0
-
-
-#: Traces nearer to each other than this cosine make no pair.
-_PARALLEL = 0.98
-#: Rows of each effect that are looked at in pairs.
-_ROWS = 3
-
-
-@dataclass(frozen=True)
-class Signatures:
-    """Projected traces of effects."""
-
-    names: tuple[str, ...]  #: Of the effect of each row
-    sizes: tuple[FloatArray, ...]  #: tuple of (n_s,) arrays; at which each row was simulated
-    energy: FloatArray  #: (k,) array; squared length of each trace, in noise variances
-    left: FloatArray  #: (k,) array; the same after projection
-    #: (k,) array; inner product of each projected trace with what the nominal fit left over: the
-    #: residual is best explained by ``towards/left`` times the row's change
-    towards: FloatArray
-    cosine: FloatArray  #: (k, k) array; between projected traces
-
-    @property
-    def gain(self) -> FloatArray:
-        """Nats by which each row lowers the cost, its change taken up to three times, (k,)."""
-        left = np.maximum(self.left, 1e-12)
-        by = np.clip(self.towards / left, 0.0, 3.0)
-        gain: FloatArray = by * self.towards - 0.5 * by**2 * left
-        return np.maximum(gain, 0.0)
-
-    def pairs(self, least: float) -> list[tuple[float, int, int]]:
-        """Pairs of rows of two effects, best first, each pair of effects once.
-
-        Each with the nats by which both together lower the cost and their rows; only pairs that
-        promise ``least`` nats more than either of them alone. Where one of the two would have to
-        act backwards or beyond three times its size they are no pair.
-        """
-        rows = np.array([r for n in dict.fromkeys(self.names) for r in self._promising(n)])
-        length = np.sqrt(self.left[rows])
-        towards, cosine = self.towards[rows] / length, self.cosine[np.ix_(rows, rows)]
-        with np.errstate(all="ignore"):
-            turned = 1 / (1 - cosine**2)
-            by = (towards[:, None] - cosine * towards[None, :]) * turned  # (i, j): size of i
-            together = 0.5 * (by * towards[:, None] + by.T * towards[None, :])
-        multiple = by / length[:, None]
-        alone = self.gain[rows]
-        fine = (multiple > 0) & (multiple < 3) & (np.abs(cosine) < _PARALLEL)
-        fine &= fine.T & (together > np.maximum(alone[:, None], alone[None, :]) + least)
-        found: dict[frozenset[str], tuple[float, int, int]] = {}
-        for i, j in np.argwhere(np.triu(fine, 1)):
-            key = frozenset((self.names[rows[i]], self.names[rows[j]]))
-            gain = float(together[i, j])
-            if len(key) == 2 and gain > found.get(key, (0.0,))[0]:
-                found[key] = (gain, int(rows[i]), int(rows[j]))
-        return sorted(found.values(), reverse=True)
-
-    def _promising(self, name: str) -> IntArray:
-        """Rows of an effect that are worth a look beside another one."""
-        rows = self.rows(name)
-        return rows[np.argsort(-self.gain[rows] - 1e-9 * self.towards[rows])][:_ROWS]
-
-    def rows(self, name: str) -> IntArray:
-        """Rows of an effect."""
-        return np.flatnonzero([other == name for other in self.names])
-
-    def best(self, name: str) -> tuple[float, int]:
-        """Largest gain of an effect, nats, and its row."""
-        rows = self.rows(name)
-        row = int(rows[np.argmax(self.gain[rows])])
-        return float(self.gain[row]), row
-
-    def absorbed(self, name: str) -> float:
-        """Share of the trace that a refit would take, of the row that is absorbed least."""
-        rows = self.rows(name)
-        energy = np.maximum(self.energy[rows], 1e-12)
-        return float(np.clip(1 - np.max(self.left[rows] / energy), 0.0, 1.0))
-
-    def least_size(self, name: str) -> float | None:
-        """Smallest value of the first size that would show, None where none of those tried does.
-
-        Traces are not proportional to sizes (a dead zone, a friction that holds): the smallest
-        tried size that is visible is scaled down by what it exceeds the threshold.
-        """
-        found = []
-        for row in self.rows(name):
-            size, length = abs(self.sizes[row][0]), np.sqrt(max(self.left[row], 0.0))
-            if size > 0 and length > 0:
-                found.append((size, length))
-        visible = [(size, length) for size, length in found if length >= _VISIBLE]
-        if visible:
-            size, length = min(visible)
-            return float(size * _VISIBLE / length)
-        return None
-
-    def alike(self, one: str, other: str) -> float:
-        """Largest cosine between traces of two effects, at the sizes that they share best."""
-        block = self.cosine[np.ix_(self.rows(one), self.rows(other))]
-        return float(np.max(np.abs(block)))
-
-
-@dataclass(frozen=True)
-class EffectTraces:
-    """What each effect changes in the outputs when it is added to a fitted model."""
-
-    names: tuple[str, ...]  #: Of the effect of each row
-    sizes: tuple[FloatArray, ...]  #: tuple of (n_s,) arrays
-    changes: FloatArray  #: (k, m, c, n_y) array
-
-
-def effect_traces(
-    nominal: FittedModel,
-    candidates: Sequence[CandidateEffect],
-    *,
-    watch: Callable[[int], bool] = lambda k: True,
-) -> EffectTraces:
-    """Simulate every effect at a few sizes, all else as fitted without it.
-
-    ``nominal``: without any of the candidates, none of which noise drives. ``watch``: told how
-    many candidates are done; False stops.
-    """
-    p = nominal.structure.problem.all_values(nominal.fit.theta)
-    base = nominal.structure.windows.residuals(p, nominal.fit.starts).r
-    theta = nominal.values
-    changes: list[FloatArray] = []
-    names: list[str] = []
-    sizes: list[FloatArray] = []
-    for k, candidate in enumerate(candidates):
-        if not watch(k):
-            break
-        structure = nominal.structure.with_effects(candidate)
-        for row in candidate.variants:
-            own = {f.name: v for f, v in zip(candidate.free, row, strict=True)}
-            vector = structure.theta({**theta, **own})
-            starts = structure.starts(vector, nominal.fit.starts)
-            with np.errstate(all="ignore"):
-                r = structure.windows.residuals(structure.problem.all_values(vector), starts).r
-            if np.isfinite(r).all():
-                changes.append(r - base)
-                names.append(candidate.name)
-                sizes.append(row)
-    return EffectTraces(tuple(names), tuple(sizes), np.array(changes).reshape(-1, *base.shape))
-
-
-def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
-    """Traces, freed of what the starts and parameters of a fitted model could do as well.
-
-    ``fitted``: the nominal model, or one with an effect: then its sizes are among the parameters.
-    """
-    fit, objective, windows = fitted.fit, fitted.objective, fitted.structure.windows
-    point = fit.point
-    residuals = objective.simulated(point, fit.starts, slopes=True)
-    base, slopes = residuals.r, objective.slopes(residuals)
-    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-    scales = np.concatenate([windows.spread, objective.scales])
-    n, n_f, count = windows.n_x, len(point), len(traces.names)
-    total = np.zeros((n_f + count + 1, n_f + count + 1))
-    raw = np.zeros(count)
-    gaps = (fit.starts - objective.centres) / windows.spread
-    for j in range(0, len(windows), _AT_ONCE):
-        rows = slice(j, j + _AT_ONCE)
-        changes = np.moveaxis(traces.changes[:, rows], 0, -1)
-        parts = [slopes[rows] * scales, changes, base[rows][..., None]]
-        white = _part(fitted.metric, rows, np.concatenate(parts, axis=-1))
-        flat = white.reshape(white.shape[0], -1, white.shape[-1])
-        gram = np.swapaxes(flat, 1, 2) @ flat
-        own = gram[:, :n, :n] + np.eye(n)
-        across = gram[:, :n, n:].copy()
-        across[..., -1] += gaps[rows]
-        inner = gram[:, n:, n:] - np.swapaxes(across, 1, 2) @ np.linalg.solve(own, across)
-        total += inner.sum(axis=0)
-        raw += np.einsum("mii->i", gram[:, n + n_f : -1, n + n_f : -1])
-    root = objective.precisions * objective.scales
-    across = total[:n_f, n_f:].copy()
-    across[:, -1] += root * (point - objective.means)
-    inner = total[:n_f, :n_f] + np.diag(root * objective.scales)
-    left = total[n_f:, n_f:] - across.T @ np.linalg.solve(inner, across)
-    energy = np.maximum(np.diag(left)[:-1], 1e-12)
-    length = np.sqrt(energy)
-    return Signatures(
-        traces.names,
-        traces.sizes,
-        raw,
-        energy,
-        -left[:-1, -1],
-        left[:-1, :-1] / np.outer(length, length),
-    )
-
-
-def _part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
-    system, filter_ = metric.discrepancy.system, metric.filter_
-    part = LinearSystem(system.f[rows], system.h[rows], system.seen[rows], system.r, system.start)
-    gains = FilterGains(
-        np.ascontiguousarray(filter_.k[rows]),
-        np.ascontiguousarray(filter_.root[rows]),
-        filter_.logdet[rows],
-        None,
-    )
-    return whiten(part, gains, columns)
-
+from trms_cli.gap.discrepancy import FLOOR
+from trms_cli.gap.problem import CandidateEffect, is_amplitude
+from trms_cli.gap.signatures import EffectTraces, Signatures, project_traces
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -234,6 +30,9 @@ _TIGHTER = 3.0
 _HOPELESS = 1.5
 #: Nats of held-out prediction that another effect must add to be taken in.
 _ENTRANCE = 6.0
+#: Nats that an effect must promise beside others for rivals to be tried in its stead: what promises
+#: such a share of it, or has a trace with such a cosine to its own.
+_WORTH_EXCHANGING, _RIVAL, _RIVAL_TRACE = 10.0, 0.5, 0.7
 
 
 @dataclass(frozen=True)
@@ -300,6 +99,10 @@ class Checkpoint:
             self._keep(self._points)
 
 
+#: Told the share that is done and what is being done; False stops.
+Watch = Callable[[float, str], bool]
+
+
 def run_race(
     refit: Refit,
     candidates: Mapping[str, CandidateEffect],
@@ -309,7 +112,7 @@ def run_race(
     prior: tuple[FittedModel, EffectTraces] | None = None,
     checkpoint: Checkpoint | None = None,
     jobs: int = 1,
-    watch: Callable[[float, str], bool] = lambda fraction, message: True,
+    watch: Watch = lambda fraction, message: True,
 ) -> Race:
     """Run the race.
 
@@ -319,25 +122,216 @@ def run_race(
     ``checkpoint``: of fits that an interrupted race had finished. ``jobs``: threads. ``watch``:
     told the share that is done and what is being done; False stops with what there is.
     """
-    checkpoint = checkpoint or Checkpoint()
     shares = np.maximum(FLOOR, refit.metric.shares / _TIGHTER)
-    wide_signs = project_traces(refit, traces)
-    tight = replace(refit.metric, shares=shares)
-    tight_signs = project_traces(replace(refit, metric=tight), traces)
-    signs: tuple[Signatures, ...] = (tight_signs, wide_signs)
+    wide = project_traces(refit, traces)
+    tight = project_traces(replace(refit, metric=replace(refit.metric, shares=shares)), traces)
+    signs: tuple[Signatures, ...] = (tight, wide)
     if prior is not None:
         signs = (*signs, project_traces(*prior))
-    listed = short_list(signs, candidates, effort.listed * len(signs) // 2)
-    worth = [n for n in listed if max(s.best(n)[0] for s in signs) > _HOPELESS]
-    listed = worth or listed[:1]
-    middle = replace(refit.metric, shares=np.sqrt(shares * refit.metric.shares))
+    search = _Search(refit, candidates, traces, effort, checkpoint or Checkpoint(), jobs, watch)
+    everyone = search.alone(signs)
+    if everyone and effort.deepest > 1:
+        everyone += search.together(signs, everyone)
+    everyone.sort(key=lambda e: -e.fit.score)
+    return Race(refit, tuple(everyone), wide, tight)
 
-    def once(key: str, structure: ModelStructure, search: Callable[[], FittedModel]) -> FittedModel:
+
+@dataclass(frozen=True)
+class _Place:
+    """An effect that is to be fitted beside what a fit has."""
+
+    base: FittedModel
+    beside: Signatures  #: About that fit
+    name: str
+
+    @property
+    def names(self) -> frozenset[str]:
+        """All effects together."""
+        return frozenset((*self.base.names, self.name))
+
+    @property
+    def promise(self) -> float:
+        """Nats."""
+        return self.beside.best(self.name)[0]
+
+
+class _Search:
+    """The fits of a race."""
+
+    def __init__(
+        self,
+        refit: Refit,
+        candidates: Mapping[str, CandidateEffect],
+        traces: EffectTraces,
+        effort: Effort,
+        checkpoint: Checkpoint,
+        jobs: int,
+        watch: Watch,
+    ) -> None:
+        self._refit, self._candidates, self._traces = refit, candidates, traces
+        self._effort, self._checkpoint, self._jobs, self._watch = effort, checkpoint, jobs, watch
+        shares = refit.metric.shares
+        tight = np.maximum(FLOOR, shares / _TIGHTER)
+        self._middle = replace(refit.metric, shares=np.sqrt(tight * shares))
+        #: Nats that a pair has to say more than one effect alone, in one metric
+        self._least = -np.inf
+
+    def alone(self, signs: Sequence[Signatures]) -> list[FittedModel]:
+        """Single effects that are promising by any of some metrics, the best in their own."""
+        effort = self._effort
+        listed = short_list(signs, self._candidates, effort.listed * len(signs) // 2)
+        worth = [n for n in listed if max(s.best(n)[0] for s in signs) > _HOPELESS]
+        listed = worth or listed[:1]
+        refit = self._refit.refitted(self._middle, iterations=5).fit.score
+
+        def single(name: str) -> FittedModel:
+            candidate = self._candidates[name]
+            structure = self._refit.structure.with_effects(candidate)
+            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in (signs[0], signs[-1])]
+            return self._once(f"single {name}", structure, lambda: self._found(structure, sizes))
+
+        def final(entry: FittedModel) -> FittedModel:
+            key = "final " + "+".join(entry.names)
+            return self._once(key, entry.structure, lambda: assessed(entry))
+
+        def assessed(entry: FittedModel) -> FittedModel:
+            if entry.fit.score < refit + _ENTRANCE / 2:
+                # it explains nothing: the discrepancy that it leaves is the refit's
+                return entry.refitted(self._refit.metric, iterations=4, tolerance=0.5)
+            return entry.in_own_metric()
+
+        entries = self._each(single, listed, (0.0, 0.55), "fitting {}")
+        entries.sort(key=lambda e: -e.fit.score)
+        self._least = max((entry.fit.score for entry in entries), default=-np.inf)
+        return self._each(final, entries[: effort.finalists], (0.55, 0.75), "comparing")
+
+    def together(
+        self, signs: Sequence[Signatures], alone: Sequence[FittedModel]
+    ) -> list[FittedModel]:
+        """Several effects at once."""
+        chosen = promising_pairs(signs, self._candidates, self._effort.pairs * len(signs) // 2)
+        singles = {entry.names[0]: entry for entry in alone}
+        found = self._each(
+            lambda place: self._pair(place, singles), chosen, (0.75, 0.85), "two at once"
+        )
+        best = max(alone, key=lambda e: e.fit.score)
+        first = max(found, key=lambda e: e.fit.score, default=best)
+        if first.fit.score > best.fit.score + _ENTRANCE:
+            best = first
+        while True:
+            if len(best.names) > 1:
+                places = self._exchanges(best, (*alone, *found), signs)
+                made = self._joined(places, "in the stead of one of " + "+".join(best.names))
+                found += made
+                best = max((best, *made), key=lambda e: e.fit.score)
+            if len(best.names) >= self._effort.deepest:
+                return found
+            places = self._partners(best, found)
+            made = self._joined(places, "beside " + "+".join(best.names))
+            found += made
+            deeper = max(made, key=lambda e: e.fit.score, default=best)
+            if deeper.fit.score < best.fit.score + _ENTRANCE or deeper is best:
+                return found
+            best = deeper
+
+    def _pair(
+        self, place: tuple[Signatures, int, int], singles: Mapping[str, FittedModel]
+    ) -> FittedModel | None:
+        """Two effects fitted at once; None where they say less together than one alone.
+
+        ``singles``: what was fitted of each alone, from which the search begins, too.
+        """
+        sign, *rows = place
+        chosen = [self._candidates[sign.names[row]] for row in rows]
+        structure = self._refit.structure.with_effects(*chosen)
+        sizes: dict[str, float] = {}
+        for candidate, row in zip(chosen, rows, strict=True):
+            sizes |= _scaled_sizes(candidate, sign, row, 0.3)
+        key = "pair " + "+".join(structure.names)
+        known = max(
+            (singles[name] for name in structure.names if name in singles),
+            key=lambda e: e.fit.score,
+            default=None,
+        )
+        found = self._once(key, structure, lambda: self._found(structure, [sizes, sizes], known))
+        if found.fit.score < self._least:
+            return None
+        return self._once("final " + key, structure, found.in_own_metric)
+
+    def _partners(self, best: FittedModel, tried: Sequence[FittedModel]) -> list[_Place]:
+        """Effects whose traces point at what the best leaves over."""
+        known = {frozenset(entry.names) for entry in tried}
+        places = self._beside(best, best.names)
+        return [p for p in places if p.promise > _ENTRANCE and p.names not in known]
+
+    def _exchanges(
+        self, best: FittedModel, tried: Sequence[FittedModel], signs: Sequence[Signatures]
+    ) -> list[_Place]:
+        """Others in the stead of one of the best's effects: rivals for what it explains.
+
+        They promise about as much about what the rest leaves, or have a trace like its own about
+        the refit: a strong effect beside them bends what traces promise.
+        """
+        known = {frozenset(entry.names): entry for entry in tried}
+        found: list[tuple[float, _Place]] = []
+        for name in best.names:
+            base = known.get(frozenset(best.names) - {name})
+            if base is None:
+                continue
+            beside = project_traces(base, self._traces)
+            own = beside.best(name)[0]
+            if own < _WORTH_EXCHANGING:
+                continue
+            for other in self._candidates:
+                place = _Place(base, beside, other)
+                if other in best.names or place.names in known or not len(beside.rows(other)):
+                    continue
+                alike = max(sign.alike(name, other) for sign in signs)
+                if place.promise > _RIVAL * own or alike > _RIVAL_TRACE:
+                    found.append((max(place.promise / own, alike), place))
+        found.sort(key=lambda item: -item[0])
+        return [place for _, place in found[: self._effort.pairs]]
+
+    def _beside(self, base: FittedModel, but_for: Sequence[str]) -> list[_Place]:
+        beside = project_traces(base, self._traces)
+        others = {n: c for n, c in self._candidates.items() if n not in but_for}
+        listed = short_list((beside,), others, self._effort.pairs)
+        return [_Place(base, beside, name) for name in listed]
+
+    def _joined(self, places: Sequence[_Place], message: str) -> list[FittedModel]:
+        def joined(place: _Place) -> FittedModel:
+            base, partner = place.base, self._candidates[place.name]
+            structure = self._refit.structure.with_effects(*base.structure.effects, partner)
+            return self._once(
+                "joint " + "+".join((*base.names, place.name)),
+                structure,
+                lambda: _paired(base, partner, place.beside, structure),
+            )
+
+        return self._each(joined, places, (0.85, 0.95), message)
+
+    def _found(
+        self,
+        structure: ModelStructure,
+        sizes: Sequence[Mapping[str, float]],
+        known: FittedModel | None = None,
+    ) -> FittedModel:
+        """``known``: a fit with a part of the effects, from which the search begins, too."""
+        points = _points(structure, self._refit, sizes)
+        if known is not None:
+            theta = structure.theta({**sizes[0], **known.values})
+            starts = known.fit.starts[:, : self._refit.centres.shape[1]]
+            points.append((theta, structure.starts(theta, starts)))
+        return _searched(structure, self._refit, self._middle, points)
+
+    def _once(
+        self, key: str, structure: ModelStructure, search: Callable[[], FittedModel]
+    ) -> FittedModel:
         """What a search finds, or where it had ended before the race was interrupted."""
-        known = checkpoint.point(key)
+        known, refit = self._checkpoint.point(key), self._refit
         if known is None:
             made = search()
-            checkpoint.add(key, made)
+            self._checkpoint.add(key, made)
             return made
         metric = replace(refit.metric, shares=known["shares"], drift_sizes=known["drift"])
         points = [(known["theta"], known["starts"])]
@@ -345,91 +339,38 @@ def run_race(
             metric, points, centres=refit.centres, gains=known["gains"], iterations=0
         )
 
-    def single(name: str) -> FittedModel:
-        candidate = candidates[name]
-        structure = refit.structure.with_effects(candidate)
+    def _each(
+        self,
+        work: Callable[[Item], Made | None],
+        items: Sequence[Item],
+        share: tuple[float, float],
+        message: str,
+    ) -> list[Made]:
+        """The work on each item, in threads; compiled loops let go of the interpreter's lock.
 
-        def search() -> FittedModel:
-            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in (signs[0], signs[-1])]
-            return _searched(structure, refit, middle, _points(structure, refit, sizes))
+        What the work makes nothing of is left out.
+        """
+        low, high = share
+        if not items or not self._watch(low, message.format(items[0])):
+            return []
 
-        return once(f"single {name}", structure, search)
-
-    refit_score = refit.refitted(middle, iterations=5).fit.score
-    entries = _each(single, listed, jobs, watch, 0.0, 0.55, "fitting {}")
-    entries.sort(key=lambda e: -e.fit.score)
-    finals = entries[: effort.finalists]
-
-    def final(entry: FittedModel) -> FittedModel:
-        key = "final " + "+".join(entry.names)
-        return once(key, entry.structure, lambda: assessed(entry))
-
-    def assessed(entry: FittedModel) -> FittedModel:
-        if entry.fit.score < refit_score + _ENTRANCE / 2:
-            # it explains nothing: the discrepancy that it leaves is the refit's
-            return entry.refitted(refit.metric, iterations=4, tolerance=0.5)
-        return entry.in_own_metric()
-
-    finals = _each(final, finals, jobs, watch, 0.55, 0.75, "comparing")
-    finals.sort(key=lambda e: -e.fit.score)
-    joint: list[FittedModel] = []
-    best = finals[0] if finals else None
-    if best is not None and effort.deepest > 1:
-        pairs = promising_pairs(signs, candidates, effort.pairs * len(signs) // 2)
-
-        # in one metric a pair whose members say less together than one effect is no competitor
-        least = max(entry.fit.score for entry in entries)
-
-        def both(pair: tuple[Signatures, int, int]) -> FittedModel | None:
-            sign, *rows = pair
-            chosen = [candidates[sign.names[row]] for row in rows]
-            structure = refit.structure.with_effects(*chosen)
-            sizes: dict[str, float] = {}
-            for candidate, row in zip(chosen, rows, strict=True):
-                sizes |= _scaled_sizes(candidate, sign, row, 0.3)
-            points = _points(structure, refit, [sizes, sizes])
-            key = "pair " + "+".join(structure.names)
-            searched = once(key, structure, lambda: _searched(structure, refit, middle, points))
-            if searched.fit.score < least:
+        def guarded(item: Item) -> Made | None:
+            # A model that can no longer be reckoned with is no competitor, and no reason to stop.
+            try:
+                return work(item)
+            except (FloatingPointError, np.linalg.LinAlgError):
                 return None
-            return once("final " + key, structure, searched.in_own_metric)
 
-        joint = _each(both, pairs, jobs, watch, 0.75, 0.85, "two at once")
-        joint.sort(key=lambda e: -e.fit.score)
-        if joint and joint[0].fit.score > best.fit.score + _ENTRANCE:
-            best = joint[0]
-    while best is not None and len(best.names) < effort.deepest:
-        # effects whose traces point at what the best leaves over
-        beside = project_traces(best, traces)
-        others = {n: s for n, s in candidates.items() if n not in best.names}
-        listed = short_list((beside,), others, effort.pairs)
-        tried = {frozenset(entry.names) for entry in joint}
-        partners = [
-            name
-            for name in listed
-            if beside.best(name)[0] > _ENTRANCE and frozenset((*best.names, name)) not in tried
-        ]
-
-        def pair(name: str, base: FittedModel = best, signs: Signatures = beside) -> FittedModel:
-            effects = (*base.structure.effects, candidates[name])
-            structure = refit.structure.with_effects(*effects)
-            return once(
-                "joint " + "+".join((*base.names, name)),
-                structure,
-                lambda: _paired(base, candidates[name], signs, structure),
-            )
-
-        made = _each(pair, partners, jobs, watch, 0.85, 0.95, "beside " + "+".join(best.names))
-        if not made:
-            break
-        made.sort(key=lambda e: -e.fit.score)
-        joint += made
-        if made[0].fit.score < best.fit.score + _ENTRANCE:
-            break
-        best = made[0]
-    everyone = finals + joint
-    everyone.sort(key=lambda e: -e.fit.score)
-    return Race(refit, tuple(everyone), wide_signs, tight_signs)
+        with ThreadPoolExecutor(max(1, self._jobs)) as pool:
+            made: list[Made] = []
+            for k, result in enumerate(pool.map(guarded, items)):
+                if result is not None:
+                    made.append(result)
+                done = low + (high - low) * (k + 1) / len(items)
+                if not self._watch(done, message.format(items[k])):
+                    pool.shutdown(wait=True, cancel_futures=True)
+                    break
+        return made
 
 
 def short_list(
@@ -516,7 +457,7 @@ def _scaled_sizes(
     by = float(np.clip(sign.towards[row] / max(sign.left[row], 1e-12), least, 2.0))
     sizes = {}
     for i, (free, size) in enumerate(zip(candidate.free, sign.sizes[row], strict=True)):
-        scaled = i == 0 or free.prior_mean == 0.0
+        scaled = is_amplitude(candidate.effect.parameters(), i)
         sizes[free.name] = float(np.clip(size * by, free.lower, free.upper) if scaled else size)
     return sizes
 
@@ -528,37 +469,3 @@ def _paired(
     theta = structure.theta({**best.values, **sizes})
     starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
     return _searched(structure, best, best.metric, [(theta, starts)]).in_own_metric()
-
-
-def _each(
-    work: Callable[[Item], Made | None],
-    items: Sequence[Item],
-    jobs: int,
-    watch: Callable[[float, str], bool],
-    low: float,
-    high: float,
-    message: str,
-) -> list[Made]:
-    """The work on each item, in threads; compiled loops let go of the interpreter's lock.
-
-    What the work makes nothing of is left out.
-    """
-    if not watch(low, message.format(items[0] if items else "")):
-        return []
-
-    def guarded(item: Item) -> Made | None:
-        # A model that can no longer be reckoned with is no competitor, and no reason to stop.
-        try:
-            return work(item)
-        except (FloatingPointError, np.linalg.LinAlgError):
-            return None
-
-    with ThreadPoolExecutor(max(1, jobs)) as pool:
-        made: list[Made] = []
-        for k, result in enumerate(pool.map(guarded, items)):
-            if result is not None:
-                made.append(result)
-            if not watch(low + (high - low) * (k + 1) / len(items), message.format(items[k])):
-                pool.shutdown(wait=True, cancel_futures=True)
-                break
-    return made

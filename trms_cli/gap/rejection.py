@@ -1,8 +1,8 @@
 """Why not the others: every suspect that is not the answer, with what speaks against it.
 
 A suspect that was fitted has a score and a size of its own. One that was not is judged by its trace
-(:mod:`trms_cli.gap.race`): beside the answer, the recordings want so much of it, and no more than
-its upper bound.
+(:mod:`trms_cli.gap.signatures`): beside the answer, the recordings want so much of it, and no more
+than its upper bound.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,8 @@ from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, NotTestable, Rejected, SizeEstimate
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import CandidateEffect
-from trms_cli.gap.race import Race, Signatures
+from trms_cli.gap.race import Race
+from trms_cli.gap.signatures import Signatures
 
 #: Nats within which, and traces' cosine from which, two are not told apart.
 _NATS, _ALIKE = 3.0, 0.99

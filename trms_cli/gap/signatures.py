@@ -1,0 +1,220 @@
+"""What each effect would change in a recording that nothing else can: its trace, projected.
+
+For every effect at a few sizes the change of the outputs is simulated along the recorded inputs,
+made white, and freed of all that other windows' starts and nominal parameters within their priors
+could do as well. What is left says how large an effect must be to be seen, and which effects leave
+the same trace: before anything is fitted, and without looking at what the rig answered but for the
+trajectory about which the noise is propagated.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.gap.competing_model import FittedModel, Metric
+from trms_cli.gap.discrepancy import FilterGains, LinearSystem, whiten
+from trms_cli.gap.problem import CandidateEffect
+
+#: Windows whose columns are whitened at a time.
+_AT_ONCE = 12
+#: Standard deviations of its projected trace at which an effect counts as visible.
+_VISIBLE = 5.0
+
+
+#: Traces nearer to each other than this cosine make no pair.
+_PARALLEL = 0.98
+#: Rows of each effect that are looked at in pairs.
+_ROWS = 3
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Projected traces of effects."""
+
+    names: tuple[str, ...]  #: Of the effect of each row
+    sizes: tuple[FloatArray, ...]  #: tuple of (n_s,) arrays; at which each row was simulated
+    energy: FloatArray  #: (k,) array; squared length of each trace, in noise variances
+    left: FloatArray  #: (k,) array; the same after projection
+    #: (k,) array; inner product of each projected trace with what the nominal fit left over: the
+    #: residual is best explained by ``towards/left`` times the row's change
+    towards: FloatArray
+    cosine: FloatArray  #: (k, k) array; between projected traces
+
+    @property
+    def gain(self) -> FloatArray:
+        """Nats by which each row lowers the cost, its change taken up to three times, (k,)."""
+        left = np.maximum(self.left, 1e-12)
+        by = np.clip(self.towards / left, 0.0, 3.0)
+        gain: FloatArray = by * self.towards - 0.5 * by**2 * left
+        return np.maximum(gain, 0.0)
+
+    def pairs(self, least: float) -> list[tuple[float, int, int]]:
+        """Pairs of rows of two effects, best first, each pair of effects once.
+
+        Each with the nats by which both together lower the cost and their rows; only pairs that
+        promise ``least`` nats more than either of them alone. Where one of the two would have to
+        act backwards or beyond three times its size they are no pair.
+        """
+        rows = np.array([r for n in dict.fromkeys(self.names) for r in self._promising(n)])
+        length = np.sqrt(self.left[rows])
+        towards, cosine = self.towards[rows] / length, self.cosine[np.ix_(rows, rows)]
+        with np.errstate(all="ignore"):
+            turned = 1 / (1 - cosine**2)
+            by = (towards[:, None] - cosine * towards[None, :]) * turned  # (i, j): size of i
+            together = 0.5 * (by * towards[:, None] + by.T * towards[None, :])
+        multiple = by / length[:, None]
+        alone = self.gain[rows]
+        fine = (multiple > 0) & (multiple < 3) & (np.abs(cosine) < _PARALLEL)
+        fine &= fine.T & (together > np.maximum(alone[:, None], alone[None, :]) + least)
+        found: dict[frozenset[str], tuple[float, int, int]] = {}
+        for i, j in np.argwhere(np.triu(fine, 1)):
+            key = frozenset((self.names[rows[i]], self.names[rows[j]]))
+            gain = float(together[i, j])
+            if len(key) == 2 and gain > found.get(key, (0.0,))[0]:
+                found[key] = (gain, int(rows[i]), int(rows[j]))
+        return sorted(found.values(), reverse=True)
+
+    def _promising(self, name: str) -> IntArray:
+        """Rows of an effect that are worth a look beside another one."""
+        rows = self.rows(name)
+        return rows[np.argsort(-self.gain[rows] - 1e-9 * self.towards[rows])][:_ROWS]
+
+    def rows(self, name: str) -> IntArray:
+        """Rows of an effect."""
+        return np.flatnonzero([other == name for other in self.names])
+
+    def best(self, name: str) -> tuple[float, int]:
+        """Largest gain of an effect, nats, and its row."""
+        rows = self.rows(name)
+        row = int(rows[np.argmax(self.gain[rows])])
+        return float(self.gain[row]), row
+
+    def absorbed(self, name: str) -> float:
+        """Share of the trace that a refit would take, of the row that is absorbed least."""
+        rows = self.rows(name)
+        energy = np.maximum(self.energy[rows], 1e-12)
+        return float(np.clip(1 - np.max(self.left[rows] / energy), 0.0, 1.0))
+
+    def least_size(self, name: str) -> float | None:
+        """Smallest value of the first size that would show, None where none of those tried does.
+
+        Traces are not proportional to sizes (a dead zone, a friction that holds): the smallest
+        tried size that is visible is scaled down by what it exceeds the threshold.
+        """
+        found = []
+        for row in self.rows(name):
+            size, length = abs(self.sizes[row][0]), np.sqrt(max(self.left[row], 0.0))
+            if size > 0 and length > 0:
+                found.append((size, length))
+        visible = [(size, length) for size, length in found if length >= _VISIBLE]
+        if visible:
+            size, length = min(visible)
+            return float(size * _VISIBLE / length)
+        return None
+
+    def alike(self, one: str, other: str) -> float:
+        """Largest cosine between traces of two effects, at the sizes that they share best."""
+        block = self.cosine[np.ix_(self.rows(one), self.rows(other))]
+        return float(np.max(np.abs(block)))
+
+
+@dataclass(frozen=True)
+class EffectTraces:
+    """What each effect changes in the outputs when it is added to a fitted model."""
+
+    names: tuple[str, ...]  #: Of the effect of each row
+    sizes: tuple[FloatArray, ...]  #: tuple of (n_s,) arrays
+    changes: FloatArray  #: (k, m, c, n_y) array
+
+
+def effect_traces(
+    nominal: FittedModel,
+    candidates: Sequence[CandidateEffect],
+    *,
+    watch: Callable[[int], bool] = lambda k: True,
+) -> EffectTraces:
+    """Simulate every effect at a few sizes, all else as fitted without it.
+
+    ``nominal``: without any of the candidates, none of which noise drives. ``watch``: told how
+    many candidates are done; False stops.
+    """
+    p = nominal.structure.problem.all_values(nominal.fit.theta)
+    base = nominal.structure.windows.residuals(p, nominal.fit.starts).r
+    theta = nominal.values
+    changes: list[FloatArray] = []
+    names: list[str] = []
+    sizes: list[FloatArray] = []
+    for k, candidate in enumerate(candidates):
+        if not watch(k):
+            break
+        structure = nominal.structure.with_effects(candidate)
+        for row in candidate.variants:
+            own = {f.name: v for f, v in zip(candidate.free, row, strict=True)}
+            vector = structure.theta({**theta, **own})
+            starts = structure.starts(vector, nominal.fit.starts)
+            with np.errstate(all="ignore"):
+                r = structure.windows.residuals(structure.problem.all_values(vector), starts).r
+            if np.isfinite(r).all():
+                changes.append(r - base)
+                names.append(candidate.name)
+                sizes.append(row)
+    return EffectTraces(tuple(names), tuple(sizes), np.array(changes).reshape(-1, *base.shape))
+
+
+def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
+    """Traces, freed of what the starts and parameters of a fitted model could do as well.
+
+    ``fitted``: the nominal model, or one with an effect: then its sizes are among the parameters.
+    """
+    fit, objective, windows = fitted.fit, fitted.objective, fitted.structure.windows
+    point = fit.point
+    residuals = objective.simulated(point, fit.starts, slopes=True)
+    base, slopes = residuals.r, objective.slopes(residuals)
+    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+    scales = np.concatenate([windows.spread, objective.scales])
+    n, n_f, count = windows.n_x, len(point), len(traces.names)
+    total = np.zeros((n_f + count + 1, n_f + count + 1))
+    raw = np.zeros(count)
+    gaps = (fit.starts - objective.centres) / windows.spread
+    for j in range(0, len(windows), _AT_ONCE):
+        rows = slice(j, j + _AT_ONCE)
+        changes = np.moveaxis(traces.changes[:, rows], 0, -1)
+        parts = [slopes[rows] * scales, changes, base[rows][..., None]]
+        white = _part(fitted.metric, rows, np.concatenate(parts, axis=-1))
+        flat = white.reshape(white.shape[0], -1, white.shape[-1])
+        gram = np.swapaxes(flat, 1, 2) @ flat
+        own = gram[:, :n, :n] + np.eye(n)
+        across = gram[:, :n, n:].copy()
+        across[..., -1] += gaps[rows]
+        inner = gram[:, n:, n:] - np.swapaxes(across, 1, 2) @ np.linalg.solve(own, across)
+        total += inner.sum(axis=0)
+        raw += np.einsum("mii->i", gram[:, n + n_f : -1, n + n_f : -1])
+    root = objective.precisions * objective.scales
+    across = total[:n_f, n_f:].copy()
+    across[:, -1] += root * (point - objective.means)
+    inner = total[:n_f, :n_f] + np.diag(root * objective.scales)
+    left = total[n_f:, n_f:] - across.T @ np.linalg.solve(inner, across)
+    energy = np.maximum(np.diag(left)[:-1], 1e-12)
+    length = np.sqrt(energy)
+    return Signatures(
+        traces.names,
+        traces.sizes,
+        raw,
+        energy,
+        -left[:-1, -1],
+        left[:-1, :-1] / np.outer(length, length),
+    )
+
+
+def _part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
+    system, filter_ = metric.discrepancy.system, metric.filter_
+    part = LinearSystem(system.f[rows], system.h[rows], system.seen[rows], system.r, system.start)
+    gains = FilterGains(
+        np.ascontiguousarray(filter_.k[rows]),
+        np.ascontiguousarray(filter_.root[rows]),
+        filter_.logdet[rows],
+        None,
+    )
+    return whiten(part, gains, columns)
