@@ -304,6 +304,15 @@ FIGURES = {
         characteristic=memory_of_noise,
         window=(0.0, 120.0),
     ),
+    "constant_torque": EffectFigure(
+        scene=Scene(
+            effect="pitch_constant_torque",
+            command=_main(_steps([0.4, 0.8, 1.2], 15.0)),
+            duration=45.0,
+        ),
+        shown="alpha_v",
+        characteristic=against_angle("alpha_v"),
+    ),
     "residual_force": EffectFigure(
         scene=Scene(
             effect="yaw_residual_force",

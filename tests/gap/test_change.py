@@ -65,6 +65,8 @@ def test_another_recording_of_the_same_state_is_no_change(known):
     assert sum(cause.probability for cause in found.causes) == pytest.approx(1.0)
     assert not found.where
     assert len(found.against) == 2
+    assert all(row.corrected == row.refit for rows in found.gap.values() for row in rows.values())
+    assert found.shrink["all"]["2.0"].fraction in (None, 0.0)
 
 
 def test_friction_that_was_there_from_the_beginning_has_no_onset(known):
@@ -76,6 +78,10 @@ def test_friction_that_was_there_from_the_beginning_has_no_onset(known):
     assert size.value == pytest.approx(0.004, rel=0.1)
     assert found.causes[0].onset is None
     assert found.where[0].location == "yaw_moment"
+    # on the part kept aside the model of the known state errs, and with the friction it does not
+    gap = found.gap["alpha_h"]["2.0"]
+    assert gap.corrected < 0.5 * gap.refit
+    assert found.shrink["all"]["2.0"].fraction > 0.5
 
 
 def test_what_is_alike_at_one_angle_is_parted_at_two_others(known):

@@ -60,6 +60,7 @@ class StateComparison:
     unnamed: float  #: Probability of something else
     by_equation: FloatArray  #: (e,) array; nats that a free force gains on each equation alone
     alike: tuple[int, ...]  #: Those that are not told from the first
+    candidates: Mapping[str, CandidateEffect]  #: Effects that were tried
     left_out: Mapping[str, str]  #: Why other effects cannot be the cause here
 
 
@@ -126,6 +127,7 @@ def compare_with(
         float(shares[-1]),
         free,
         alike,
+        candidates,
         left_out,
     )
 

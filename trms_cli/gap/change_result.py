@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
-from trms_cli.core.wording import listing, number, readable, small_unit, unit
+from trms_cli.core.wording import gap_share, listing, number, readable, small_unit, unit
+from trms_cli.effects.constant_torque import ConstantTorque
 from trms_cli.gap.change import StateComparison
+from trms_cli.gap.change_shrinkage import change_shrinkage, stand_in
 from trms_cli.gap.diagnosis import (
     Cause,
     DiagnosisResult,
@@ -23,6 +26,7 @@ from trms_cli.gap.diagnosis import (
 )
 from trms_cli.gap.differences import NewRecordings
 from trms_cli.gap.evidence import DifferenceScore
+from trms_cli.gap.free_runs import TOLD_AT, Shrinkage
 from trms_cli.gap.problem import GapProblem, diagnosed_recordings
 from trms_cli.models.model import names
 
@@ -42,6 +46,8 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
     }
     if verdict == "parameters_only" and best.began is None:
         values[best.difference.name] += float(best.value[0])
+    added = _added(found, verdict, causes)
+    shrinkage = change_shrinkage(problem, found, added)
     return DiagnosisResult(
         recordings=diagnosed_recordings(problem.datasets),
         against=diagnosed_recordings(problem.against),
@@ -65,18 +71,20 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
             )
             for f, moved, sd in zip(known.free, known.moved, known.sd, strict=True)
         },
-        gap={},
-        shrink={},
+        gap=shrinkage.gap if shrinkage else {},
+        shrink=shrinkage.shrink if shrinkage else {},
+        worse=shrinkage.worse if shrinkage else (),
         next_experiment=_next(problem, found) if changed and problem.advise else None,
         inclusion=_inclusion(found),
         moved=_moved(found),
         rejected=_rejected(found),
         excitation=excitation(questioned),
-        sentence=change_sentence(found, verdict, causes),
+        sentence=change_sentence(found, verdict, shrinkage),
         race=_race(found),
         warnings=problem.warnings,
         effort=problem.effort,
         refit=values,
+        residual=_residual(added),
         evidence={
             "usual_gains": list(found.usual),
             "free_force": {
@@ -137,6 +145,30 @@ def _causes(found: StateComparison) -> tuple[Cause, ...]:
     total = sum(row.probability for row in rows)
     rows = [replace(row, probability=row.probability / total) for row in rows]
     return tuple(sorted(rows, key=lambda row: -row.probability))
+
+
+def _added(
+    found: StateComparison, verdict: Verdict, causes: Sequence[Cause]
+) -> DifferenceScore | None:
+    """What the corrected model has beyond the known state's."""
+    best = found.judged[0]
+    if verdict == "parameters_only":
+        return best if best.began is None else None
+    if verdict not in ("effect", "undecided"):
+        return None
+    by_name = {j.difference.name: j for j in found.judged if j.difference.kind != "parameter"}
+    return by_name.get(causes[0].effects[0])
+
+
+def _residual(added: DifferenceScore | None) -> dict[str, dict[str, Any]]:
+    """A constant torque as an effect of the corrected model."""
+    torque = stand_in(added) if added is not None else None
+    if torque is None:
+        return {}
+    node = {"_target_": f"{ConstantTorque.__module__}.{ConstantTorque.__name__}"}
+    return {
+        f"{torque.axis}_constant_torque": {**node, "axis": torque.axis, "torque": torque.torque}
+    }
 
 
 def _sizes(j: DifferenceScore) -> dict[str, SizeEstimate]:
@@ -355,7 +387,9 @@ def excitation(questioned: NewRecordings) -> tuple[str, ...]:
     return tuple(told)
 
 
-def change_sentence(found: StateComparison, verdict: Verdict, causes: Sequence[Cause]) -> str:
+def change_sentence(
+    found: StateComparison, verdict: Verdict, shrinkage: Shrinkage | None = None
+) -> str:
     """What a colleague would say."""
     count = len(found.questioned.known.runs.windows.datasets)
     known = f"the known state ({count} recording{'s' if count > 1 else ''})"
@@ -390,6 +424,10 @@ def change_sentence(found: StateComparison, verdict: Verdict, causes: Sequence[C
         return (
             f"These recordings do not decide what changed. Likeliest: {text[0].lower()}{text[1:]}."
         )
+    shrink = shrinkage.shrink["all"].get(TOLD_AT) if shrinkage else None
+    if shrink is not None and shrink.fraction is not None and shrink.fraction > 0:
+        closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
+        text += f". Sized without the last part, it closes {closed} there"
     return f"{text}."
 
 

@@ -3,15 +3,14 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
-import casadi as ca
 import numpy as np
-from msgspec import Meta
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import BoolArray, FloatArray
-from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.effects.constant_torque import ConstantTorque
+from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.gap.known_state import KnownState
 from trms_cli.gap.problem import CandidateEffect, is_amplitude, variants
@@ -19,20 +18,6 @@ from trms_cli.gap.short_runs import MissingForces, ShortRuns
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.parameters import Parameter
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConstantTorque(Effect):
-    """A torque on an axis that does not change: a weight, a pull, whatever it is."""
-
-    axis: Literal["pitch", "yaw"]
-    torque: Annotated[float, Meta(ge=-1e3, le=1e3)] = 0.01  #: N m
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (self.size("torque", "N*m", (-0.02, 0.02), "constant torque"),)
-
-    def disturbance(self, at: EffectContext) -> ca.SX:
-        return at.on(at.axis(self.axis).moment, at.sizes["torque"])
 
 
 @dataclass(frozen=True)

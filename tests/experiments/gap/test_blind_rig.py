@@ -42,9 +42,15 @@ OTHER_LAW = {
     "tail_inflow": 0.2,
 }
 SAME_LAW = 0.03
-#: What a random draw or the encoder decides cannot be compared sample by sample; a residual is no
-#: effect of a rig.
-NOT_COMPARED = ("disturbance", "quantisation", "residual_force", "residual_reading")
+#: What a random draw or the encoder decides cannot be compared sample by sample; a residual and a
+#: constant torque are no effects of a rig.
+NOT_COMPARED = (
+    "disturbance",
+    "quantisation",
+    "residual_force",
+    "residual_reading",
+    "constant_torque",
+)
 
 
 def nominals(n: int) -> dict[str, np.ndarray]:

@@ -410,6 +410,9 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
         named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
         open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
         return f"the nominal model refitted together with {named}{open_}"
+    if diagnosis.against and diagnosis.residual:
+        named = " with ".join(diagnosis.residual)
+        return f"the model fitted to the known state with {named}, which stands in for what pulls"
     if diagnosis.verdict == "effect" and first is not None:
         return f"{refit}: {' with '.join(first.effects)} was not fitted, so it is not added"
     if diagnosis.residual:

@@ -1,0 +1,68 @@
+"""How far a change closes the gap: free runs on the end of the recordings, kept aside for it.
+
+Which difference it is was chosen on the whole of the recordings, for a change is often seen in a
+part of them alone. Its sizes are estimated anew without the part that the free runs are made on.
+"""
+
+from __future__ import annotations
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.constant_torque import ConstantTorque
+from trms_cli.effects.extended_model import extend_model
+from trms_cli.gap.change import StateComparison
+from trms_cli.gap.differences import NewRecordings, differences
+from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
+from trms_cli.gap.free_runs import Shrinkage, measure_shrinkage
+from trms_cli.gap.problem import GapProblem, Parts, divide
+from trms_cli.identification.problem import with_values
+from trms_cli.models.model import Model
+
+#: s after an onset that must be left to estimate sizes from.
+_LEAST_AFTER = 5.0
+
+
+def change_shrinkage(
+    problem: GapProblem, found: StateComparison, added: DifferenceScore | None
+) -> Shrinkage | None:
+    """Free runs of the model as it was, of the known state's, and of that with the difference.
+
+    ``added``: what the corrected model has beyond the known state's; None: nothing. None where the
+    recordings are too short to keep a part aside, or the difference begins within that part.
+    """
+    try:
+        parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
+    except ConfigurationError:
+        return None
+    known = found.questioned.known.model
+    corrected = known if added is None else _corrected(found, parts, added)
+    if corrected is None:
+        return None
+    return measure_shrinkage(problem, parts, problem.model, known, corrected)
+
+
+def _corrected(found: StateComparison, parts: Parts, added: DifferenceScore) -> Model | None:
+    """The known state's model with the difference, of sizes that the sealed part has no say in."""
+    known = found.questioned.known
+    if added.began is not None:
+        within = parts.fitted[added.recording] if added.recording < len(parts.fitted) else None
+        if within is None or within.duration - added.began.time_s < _LEAST_AFTER:
+            return None
+    name = added.difference.name
+    evidence = ChangeEvidence(NewRecordings.of(known, parts.fitted))
+    again = differences(evidence.questioned, found.candidates, only={name})
+    score = judge(evidence, next(d for d in again if d.name == name))
+    if added.difference.kind == "parameter":
+        value = known.model.parameters[name].value + float(score.value[0])
+        return with_values(known.model, {name: value})
+    sizes = dict(zip(score.difference.labels, score.value.tolist(), strict=True))
+    effect = stand_in(added) or found.candidates[name].effect
+    with_effect = extend_model(known.model, {name: effect})
+    return with_values(with_effect, {f"{name}.{size}": value for size, value in sizes.items()})
+
+
+def stand_in(score: DifferenceScore) -> ConstantTorque | None:
+    """What a model has in place of a torque from outside; None for any other difference."""
+    if score.difference.kind != "torque":
+        return None
+    axis = score.difference.name.split("_")[0]
+    return ConstantTorque(axis=axis, torque=float(score.value[0]))  # type: ignore[arg-type]
