@@ -14,7 +14,6 @@ import pytest
 from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.chart import Bars, RigDiagram
 from trms_cli.core.findings import Datum, Findings, Table, plain
-from trms_cli.gap.diagnose import sentence
 from trms_cli.gap.diagnosis import (
     LOCATIONS,
     Cause,
@@ -30,6 +29,7 @@ from trms_cli.gap.diagnosis import (
 from trms_cli.gap.evidence_sections import force_chart, gap_chart, race_chart, run_chart
 from trms_cli.gap.findings import findings
 from trms_cli.gap.free_runs import Shrinkage
+from trms_cli.gap.sentence import sentence
 from trms_cli.reporting.page import page_html
 from trms_cli.reporting.rig_diagram import diagram
 

@@ -1,0 +1,474 @@
+"""What the stages of a diagnosis have found, as one diagnosis: verdict, causes, places, tables."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.errors import TrmsError
+from trms_cli.core.findings import json_data
+from trms_cli.core.wording import listing
+from trms_cli.gap import free_runs
+from trms_cli.gap.competing_model import FittedModel
+from trms_cli.gap.diagnosis import (
+    NO_EFFECT,
+    Cause,
+    Detectable,
+    DiagnosisResult,
+    FittedParameter,
+    GapTest,
+    LocationShare,
+    MovedParameter,
+    NextExperiment,
+    NotTestable,
+    RaceEntry,
+    RegionShare,
+    SizeEstimate,
+    Traces,
+)
+from trms_cli.gap.discrepancy import input_channels
+from trms_cli.gap.flexible import node_of, short_law
+from trms_cli.gap.force.description import description, regions
+from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.moved_parameters import moved_parameters
+from trms_cli.gap.next_experiment import advise
+from trms_cli.gap.posterior import Posterior
+from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, diagnosed_recordings
+from trms_cli.gap.race import Race
+from trms_cli.gap.rejection import inclusion, rejected_effects
+from trms_cli.gap.residuals import Location, smoothed_forces
+from trms_cli.gap.sentence import LEAST_ALIKE, sentence
+from trms_cli.gap.signatures import Signatures
+from trms_cli.identification.free_runs import simulated_windows
+
+#: Causes less probable than this are not listed.
+_LEAST_PROBABILITY = 0.002
+#: Places with less of the gap than this are not listed.
+_LEAST_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class StageResults:
+    """What the stages of a diagnosis have found."""
+
+    problem: GapProblem
+    parts: Parts
+    candidates: Mapping[str, CandidateEffect]
+    left_out: Mapping[str, str]  #: Why other effects cannot be the cause here
+    race: Race
+    place: Location
+    forces: Mapping[str, ForceRecord]  #: Smoothed missing force of each equation
+    tests: tuple[GapTest, ...]
+    posterior: Posterior
+    sealed: free_runs.SealedComparison
+    beside: Signatures  #: Traces about the corrected model, or the refit where nothing is added
+
+
+def result_of(stages: StageResults) -> DiagnosisResult:
+    """The diagnosis, without the times that it took."""
+    problem, posterior, refit = stages.problem, stages.posterior, stages.race.refit
+    shrinkage = stages.sealed.shrinkage
+    where: tuple[LocationShare, ...] = ()
+    region: list[RegionShare] = []
+    words: tuple[str, ...] = ()
+    if posterior.verdict not in ("no_gap", "parameters_only"):
+        where = _where(stages)
+        main = [w.location for w in where[:2] if w.location in stages.forces]
+        forced = {k: v for k, v in stages.place.share().items() if k in stages.forces}
+        for location in main or sorted(forced, key=lambda k: -forced[k])[:1]:
+            region += regions(stages.forces[location])
+            words = words or description(stages.forces[location], _foretold(posterior, location))
+    residual, law = _residual(stages)
+    words = (*law, *words)
+    unseen = _not_testable(stages)
+    parameters, causes, moved = _parameters(stages), _causes(stages), _moved_parameters(stages)
+    metric = refit.metric
+    places = [c.location for c in metric.discrepancy.channels]
+    shares = dict(zip(places, metric.shares.tolist(), strict=True))
+    drives = [c.location for c in input_channels(refit.model)]
+    shares |= dict(zip(drives, metric.drift_sizes.tolist(), strict=True))
+    return DiagnosisResult(
+        recordings=diagnosed_recordings(problem.datasets),
+        model=problem.model_name,
+        seed=problem.seed,
+        versions={},
+        verdict=posterior.verdict,
+        where=where,
+        region=tuple(region),
+        causes=causes,
+        confusable=posterior.confusable,
+        not_testable=unseen,
+        detectable=_detectable(stages),
+        parameters=parameters,
+        gap=shrinkage.gap,
+        shrink=shrinkage.shrink,
+        next_experiment=_advice(stages, unseen) if problem.advise else None,
+        inclusion=inclusion(posterior.probabilities),
+        moved=moved,
+        rejected=rejected_effects(stages.race, posterior, stages.candidates, stages.beside, unseen),
+        sentence=sentence(posterior, causes, where, shrinkage, moved, law),
+        tests=stages.tests,
+        race=_race(stages),
+        description=words,
+        warnings=(*problem.warnings, *_remarks(stages)),
+        worse=shrinkage.worse,
+        effort=problem.effort,
+        refit=refit.values,
+        residual=residual,
+        evidence={
+            **json_data(posterior.features),
+            "shares": shares,
+        },
+        traces=_report_traces(stages, [w.location for w in where]),
+    )
+
+
+def _foretold(posterior: Posterior, location: str) -> float | None:
+    """Share of an equation's missing force that the residual without a name foretells."""
+    flexible = posterior.flexible
+    if flexible is None or flexible.location != location:
+        return None
+    return flexible.foretold
+
+
+def _residual_places(posterior: Posterior) -> tuple[str, ...]:
+    """Where the residual without a name acts, if the corrected model has it."""
+    flexible = posterior.flexible
+    if flexible is None or posterior.corrected is not flexible.fitted:
+        return ()
+    return flexible.places
+
+
+def _residual(stages: StageResults) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+    """What the corrected model has in place of a named cause, and the short law that is closest."""
+    flexible, race = stages.posterior.flexible, stages.race
+    if flexible is None or not _residual_places(stages.posterior):
+        return {}, ()
+    nodes = {name: node_of(effect) for name, effect in flexible.effects.items()}
+    return nodes, short_law(race.refit, flexible, stages.forces)
+
+
+def _where(stages: StageResults) -> tuple[LocationShare, ...]:
+    """Each place's share of the gap: by the causes where they are named, else by disturbances."""
+    place, posterior, candidates = stages.place, stages.posterior, stages.candidates
+    seed = stages.race.refit.structure.problem.seed
+    random = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+    m = place.together.size
+    residual = _residual_places(posterior)
+    whole = _shares(posterior.probabilities, place.share(), candidates, residual)
+    drawn = [
+        _shares(p, place.share(random.integers(0, m, m)), candidates, residual)
+        for p in posterior.resampled[:100]
+    ]
+    listed = []
+    for location, share in sorted(whole.items(), key=lambda item: -item[1]):
+        if share < _LEAST_SHARE:
+            continue
+        values = [d.get(location, 0.0) for d in drawn]
+        low, high = np.quantile(values, [0.025, 0.975]) if values else (share, share)
+        listed.append(
+            LocationShare(
+                location=location,
+                share=share,
+                ci95=(float(min(low, share)), float(max(high, share))),
+            )
+        )
+    return tuple(listed)
+
+
+def _shares(
+    probabilities: Mapping[tuple[str, ...], float],
+    by_disturbance: Mapping[str, float],
+    candidates: Mapping[str, CandidateEffect],
+    residual: Sequence[str],
+) -> dict[str, float]:
+    """``residual``: where what has no name acts; empty where that is not known."""
+    unnamed = {k: v for k, v in by_disturbance.items() if not residual or k in residual}
+    total = sum(unnamed.values())
+    shares: dict[str, float] = {}
+    for effects, probability in probabilities.items():
+        if effects[0] in NO_EFFECT:
+            if effects[0] == "none_of_these" and total > 0:
+                for location, share in unnamed.items():
+                    shares[location] = shares.get(location, 0.0) + probability * share / total
+            continue
+        for name in effects:
+            places = candidates[name].locations
+            weights = np.array([by_disturbance.get(p, 0.0) + 1e-3 for p in places])
+            for location, weight in zip(places, weights / weights.sum(), strict=True):
+                part = probability * weight / len(effects)
+                shares[location] = shares.get(location, 0.0) + float(part)
+    return shares
+
+
+def _causes(stages: StageResults) -> tuple[Cause, ...]:
+    race, posterior = stages.race, stages.posterior
+    causes = [
+        Cause(
+            effects=effects,
+            probability=probability,
+            parameters=_sizes(fitted) if (fitted := posterior.fitted(race, effects)) else {},
+        )
+        for effects, probability in posterior.probabilities.items()
+        if probability >= _LEAST_PROBABILITY or effects[0] in NO_EFFECT
+    ]
+    total = sum(cause.probability for cause in causes)
+    return tuple(
+        Cause(effects=c.effects, probability=c.probability / total, parameters=c.parameters)
+        for c in causes
+    )
+
+
+def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
+    fit, sd = entry.fit, entry.fit.sd
+    return {
+        free.name: SizeEstimate(value=float(fit.theta[i]), sd=float(sd[i]), unit=free.unit)
+        for i, free in enumerate(entry.structure.problem.free)
+        if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
+    }
+
+
+def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
+    entry = stages.posterior.corrected or stages.race.refit
+    structure, fit, sd = entry.structure, entry.fit, entry.fit.sd
+    own = set(stages.race.refit.structure.problem.names)
+    return {
+        free.name: FittedParameter(
+            prior=float(stages.problem.model.parameters[free.name].value),
+            fitted=float(fit.theta[i]),
+            sd=float(sd[i]),
+            unit=free.unit,
+            moved=None
+            if not free.prior_sd
+            else float((fit.theta[i] - free.prior_mean) / free.prior_sd),
+        )
+        for i, free in enumerate(structure.problem.free)
+        if free.name in own
+    }
+
+
+#: Probability of other parameters from which it is told which.
+_WORTH_TELLING = 0.05
+
+
+def _moved_parameters(stages: StageResults) -> tuple[MovedParameter, ...]:
+    """Which parameters moved, where they may be what differs."""
+    problem, posterior = stages.problem, stages.posterior
+    likely = posterior.probabilities.get(("parameters_only",), 0.0)
+    if posterior.verdict != "parameters_only" and likely < _WORTH_TELLING:
+        return ()
+    pitch = [
+        float(np.nanmean(d.measurements[:, i]))
+        for d in problem.datasets
+        for i, signal in enumerate(d.outputs)
+        if signal.name == "alpha_v"
+    ]
+    about = float(np.mean(pitch)) if pitch else 0.0
+    return moved_parameters(stages.race.refit, problem.model, about, problem.seed)
+
+
+def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
+    """Everyone, and those without an effect to compare with."""
+    race, features = stages.race, stages.posterior.features
+    refit = race.refit
+    own = refit.fit.predictive
+    finite = features.scores[np.isfinite(features.scores)]
+    most = max(features.behind, float(np.max(finite, initial=0.0)), 1e-9)
+
+    def row(
+        effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
+    ) -> RaceEntry:
+        apart = predictive - own
+        error = np.std(apart, ddof=1) * np.sqrt(len(apart)) if len(apart) > 1 else 0.0
+        given = {"explained": 0.0, **more}
+        return RaceEntry(
+            effects=effects, score=float(apart.sum()), se=float(error), moved=moved, **given
+        )
+
+    moved = _moved(race, refit)
+    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=moved)]
+    if refit.raw.evidence is not None:
+        rows.append(row(("no_gap",), refit.raw.predictive, 0.0))
+    if (flexible := stages.posterior.flexible) is not None:
+        predictive = flexible.fitted.fit.predictive
+        gained = float(np.clip((predictive - own).sum() / most, 0.0, 1.0))
+        rows.append(row(("flexible",), predictive, _moved(race, flexible.fitted), explained=gained))
+    for entry in race.entries:
+        if entry.fit.evidence is None or not np.isfinite(entry.fit.predictive).all():
+            continue
+        gained = float(np.clip((entry.fit.predictive - own).sum() / most, 0.0, 1.0))
+        rows.append(
+            row(
+                entry.names,
+                entry.fit.predictive,
+                _moved(race, entry),
+                explained=gained,
+                parameters=_sizes(entry),
+            )
+        )
+    return tuple(sorted(rows, key=lambda row: -row.score))
+
+
+def _moves(race: Race, entry: FittedModel) -> dict[str, float]:
+    """Size of the move of each nominal parameter that has a prior, in its standard deviations."""
+    own = set(race.refit.structure.problem.names)
+    return {
+        free.name: float(abs(entry.fit.theta[i] - free.prior_mean) / free.prior_sd)
+        for i, free in enumerate(entry.structure.problem.free)
+        if free.name in own and free.prior_sd
+    }
+
+
+def _moved(race: Race, entry: FittedModel) -> float:
+    return max(_moves(race, entry).values(), default=0.0)
+
+
+def _detectable(stages: StageResults) -> dict[str, Detectable]:
+    signs, sizes = stages.race.signatures, {}
+    for name in dict.fromkeys(signs.names):
+        least = signs.least_size(name)
+        if least is not None:
+            unit = stages.candidates[name].free[0].unit
+            sizes[name] = Detectable(minimum_size=least, unit=unit)
+    return sizes
+
+
+def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
+    race = stages.race
+    rows = [NotTestable(effect=name, reason=why) for name, why in stages.left_out.items()]
+    known = set(race.signatures.names)
+    believed = inclusion(stages.posterior.probabilities)
+    for name, candidate in stages.candidates.items():
+        # what the race was decided by was tested, whatever was foreseen of it
+        if not candidate.simulated or believed.get(name, 0.0) >= LEAST_ALIKE:
+            continue
+        if name not in known:
+            rows.append(NotTestable(effect=name, reason="no simulation with it stays finite"))
+        elif race.signatures.least_size(name) is None:
+            rows.append(NotTestable(effect=name, reason=why_not_testable(race, candidate)))
+    return tuple(rows)
+
+
+def _remarks(stages: StageResults) -> tuple[str, ...]:
+    parts, race = stages.parts, stages.race
+    remarks = list(dict.fromkeys(r for d in (*parts.whole, *parts.fitted) for r in d.remarks))
+    far = {name: move for name, move in _moves(race, race.refit).items() if move > 3.0}
+    proxies = []
+    if far:
+        moves = listing([f"{name} by {move:.1f}" for name, move in far.items()])
+        proxies.append(
+            f"the refit had to move {moves} standard deviations of what was known: rather "
+            "proxies of what is missing than an explanation"
+        )
+    return (*remarks, *proxies)
+
+
+def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperiment | None:
+    """What to record next: what parts those that are not told apart, else what shows the unseen."""
+    race, posterior, candidates = stages.race, stages.posterior, stages.candidates
+    best = posterior.best
+    apart: list[str] = []
+    values: dict[str, float] = {}
+    shares = None
+    if best is not None and posterior.confusable and best.names[0] not in NO_EFFECT:
+        apart = list(dict.fromkeys(n for group in posterior.confusable for n in group))
+        for entry in race.entries:
+            values = {**entry.values, **values}
+        shares = best.metric.shares
+    try:
+        return advise(
+            refit=race.refit,
+            candidates=candidates,
+            model_name=stages.problem.model_name,
+            apart=apart,
+            untested=[row.effect for row in unseen if row.effect in candidates],
+            values=values,
+            shares=shares,
+        )
+    except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
+        return None  # an experiment that cannot be predicted is no reason to lose a diagnosis
+
+
+def why_not_testable(race: Race, candidate: CandidateEffect) -> str:
+    """Why recordings say nothing on an effect."""
+    signs = race.signatures
+    rows = signs.rows(candidate.name)
+    raw = float(np.sqrt(np.max(signs.energy[rows])))
+    absorbed = signs.absorbed(candidate.name)
+    if raw < 5.0:
+        return (
+            "what it does was not excited: at several times its typical size it would change the "
+            f"outputs by {raw:.1f} standard deviations of the noise"
+        )
+    return (
+        f"the nominal parameters can do {100 * absorbed:.1f} % of what it does within their "
+        "priors, and the rest is below the noise"
+    )
+
+
+#: Points of a picture's line at most.
+_POINTS = 1500
+#: s. Length of the free run that is shown.
+_SHOWN = 10.0
+
+
+def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
+    """Missing forces with what explains them, and free runs before and after."""
+    forces, corrected = stages.forces, stages.posterior.corrected
+    shown = [name for name in locations if name in forces] or list(forces)[:1]
+    explained: dict[str, FloatArray] = {}
+    if corrected is not None:
+        left = smoothed_forces(stages.race.refit, corrected)
+        explained = {name: forces[name].force - left[name].force for name in shown}
+    first = forces[shown[0]] if shown else None
+    rows = slice(None, None, 1 if first is None else max(1, len(first.time) // _POINTS))
+    force: dict[str, FloatArray] = {}
+    for name in shown:
+        force[name] = forces[name].force[rows]
+        force[f"{name}.sd"] = forces[name].sd[rows]
+    time, runs = _runs(stages.parts, stages.sealed)
+    return Traces(
+        force_time=np.zeros(0) if first is None else first.time[rows],
+        force=force,
+        force_unit={name: forces[name].unit for name in shown},
+        explained={name: value[rows] for name, value in explained.items()},
+        run_time=time,
+        runs=runs,
+    )
+
+
+def _runs(
+    parts: Parts, sealed: free_runs.SealedComparison
+) -> tuple[FloatArray, dict[str, dict[str, FloatArray]]]:
+    """The free run over the sealed part in which most was gained."""
+    number, first, last = parts.sealed[0]
+    dataset = parts.whole[number]
+    step = dataset.sample_time
+    before = free_runs.history(step)
+    samples = min(round(_SHOWN / step), last - first - before - 1)
+    begins = np.arange(max(first, before), last - samples + 1, max(1, samples // 2))
+    if samples < 5 or not len(begins):
+        return np.zeros(0), {}
+    simulated = {}
+    for name, (model, rollout) in sealed.models.items():
+        starts = free_runs.start_states(model, rollout, dataset, begins)
+        p = model.parameters.values
+        simulated[name] = simulated_windows(rollout, dataset, begins, samples, starts, p)
+    measured = dataset.measurements[begins[:, None] + np.arange(samples)]
+    after = simulated.get("corrected", simulated["refit"])
+    with np.errstate(all="ignore"):
+        worse = np.nansum((simulated["refit"] - measured) ** 2, axis=1)
+        better = np.nansum((after - measured) ** 2, axis=1)
+        gained = np.nansum((worse - better) / np.maximum(dataset.noise_sd**2, 1e-18), axis=1)
+    best = int(np.argmax(gained)) if len(simulated) > 2 else int(np.argmax(worse.sum(axis=1)))
+    time = dataset.time[begins[best] : begins[best] + samples]
+    runs = {
+        signal.name: {
+            "measured": measured[best, :, i],
+            **{name: y[best, :, i] for name, y in simulated.items()},
+        }
+        for i, signal in enumerate(dataset.outputs)
+    }
+    return np.asarray(time - time[0] + float(time[0])), runs

@@ -1,0 +1,134 @@
+"""What a colleague would say of a diagnosis, in a sentence or two."""
+
+from collections.abc import Iterable, Sequence
+
+from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
+from trms_cli.gap import free_runs
+from trms_cli.gap.diagnosis import Cause, LocationShare, MovedParameter
+from trms_cli.gap.posterior import Posterior
+from trms_cli.gap.wording import sizes
+
+#: Probability from which a cause that is not told apart is worth its name.
+LEAST_ALIKE = 0.01
+#: Parameters that a sentence names.
+_MOVED_TOLD = 3
+#: Times the floor from which on a refitted model is said to leave something unexplained.
+_MUCH = 5.0
+#: Times the floor up to which a model without a gap is at it.
+_LITTLE = 1.2
+
+
+def sentence(
+    posterior: Posterior,
+    causes: Sequence[Cause],
+    where: Sequence[LocationShare],
+    shrinkage: free_runs.Shrinkage,
+    moved: Sequence[MovedParameter] = (),
+    law: Sequence[str] = (),
+) -> str:
+    """What a colleague would say; ``law``: of a residual without a name."""
+    top = causes[0]
+    place = f"the {readable(where[0].location)}" if where else "no single place"
+    if posterior.verdict == "no_gap":
+        return (
+            "No gap was found, with probability "
+            f"{_sure(top.probability)}: the model as it is needs neither an effect nor other "
+            "parameters to explain these recordings." + _above_floor(shrinkage)
+        )
+    if posterior.verdict == "parameters_only":
+        which = listing([item.words for item in moved[:_MOVED_TOLD]])
+        return (
+            "No effect is missing: other values of the parameters explain these recordings, with "
+            f"probability {_sure(top.probability)}"
+            + (f"; what moved is likeliest the {which}." if which else ".")
+            + _left_over(shrinkage)
+        )
+    if posterior.verdict == "none_of_these":
+        return (
+            f"Something is missing that is none of the effects known here, with probability "
+            f"{_sure(top.probability)}; it acts mostly on {place}."
+            + "".join(f" {w}" for w in law[:1])
+        )
+    if posterior.verdict == "undecided":
+        listed = ", ".join(
+            f"{_effects(c.effects)} ({c.probability:.2f})"
+            for c in causes[:3]
+            if c.probability > 0.05
+        )
+        return f"These recordings do not decide what causes the gap: {listed}."
+    told = sizes(dict(list(top.parameters.items())[:3]))
+    causes_it = "causes it" if len(top.effects) == 1 else "cause it"
+    text = (
+        f"The gap lies in {place}, and {_effects(top.effects)} {causes_it}, with probability "
+        f"{_sure(top.probability)}" + (f" ({told})" if told else "")
+    )
+    if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
+        return text + "; it is estimated, not explained: the corrected model is the refitted one."
+    shrink = shrinkage.shrink.get("all", {}).get(free_runs.TOLD_AT)
+    if shrink is not None and shrink.fraction is not None:
+        if shrink.fraction > 0:
+            closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
+            text += f"; on data kept aside, adding it closes {closed}"
+        else:
+            text += "; on data kept aside, adding it closes nothing of the gap at 2 s"
+    likely = {n for cause in causes if cause.probability >= LEAST_ALIKE for n in cause.effects}
+    alike = {name for group in posterior.confusable for name in group}
+    others = sorted((alike & likely) - set(top.effects))
+    if others:
+        text += f". These recordings do not tell it from {_effects(others, 'or')}"
+    return text + "."
+
+
+def _sure(probability: float) -> str:
+    """A probability that never reads as certain."""
+    return "over 0.99" if probability >= 0.995 else f"{probability:.2f}"
+
+
+def _left_over(shrinkage: free_runs.Shrinkage) -> str:
+    """What the refitted model still lacks on the sealed part, where that is much.
+
+    The verdict compares causes on the part that was fitted. A short recording can be fitted by
+    parameters that do not hold afterwards; who reads "parameters" has to be told.
+    """
+    worst, ratio = _farthest(shrinkage, "refit")
+    if ratio < _MUCH:
+        return ""
+    gap = shrinkage.gap[worst][free_runs.TOLD_AT]
+    return (
+        f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
+        f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
+    )
+
+
+def _above_floor(shrinkage: free_runs.Shrinkage) -> str:
+    """By how much free runs of a model without a gap err beyond the noise, and why it is none.
+
+    The verdict weighs errors of one step, and the floor knows only the sensors' noise.
+    """
+    worst, ratio = _farthest(shrinkage, "raw")
+    if ratio < _LITTLE:
+        return ""
+    gap = shrinkage.gap[worst][free_runs.TOLD_AT]
+    small, scale = small_unit(gap.unit)
+    errors = (
+        f"{signal(worst)}, {number(scale * gap.raw)} against {quantity(scale * gap.floor, small)}"
+    )
+    text = f" Over 2 s it errs by up to {ratio:.1f} times what the sensors' noise alone makes"
+    if ratio < _MUCH:
+        return f"{text} ({errors}): errors of its equations so small are usual and count as no gap."
+    return f"{text} ({errors}): do not rely on this, and record longer."
+
+
+def _farthest(shrinkage: free_runs.Shrinkage, model: str) -> tuple[str, float]:
+    """The channel whose free runs of 2 s lie farthest above the floor, and how many times."""
+    ratios = {
+        channel: getattr(gaps[free_runs.TOLD_AT], model) / gaps[free_runs.TOLD_AT].floor
+        for channel, gaps in shrinkage.gap.items()
+        if free_runs.TOLD_AT in gaps and gaps[free_runs.TOLD_AT].floor > 0
+    }
+    worst = max(ratios, key=lambda channel: ratios[channel], default="")
+    return worst, ratios.get(worst, 0.0)
+
+
+def _effects(names: Iterable[str], word: str = "and") -> str:
+    return listing([readable(name) for name in names], word)
