@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from trms_cli.cli import describe_error
 from trms_cli.core.errors import EXIT_INTERRUPTED, ConfigurationError, TrmsError
@@ -67,3 +68,22 @@ def progress_with_time() -> Callable[[str], None]:
         sys.stdout.flush()
 
     return said
+
+
+class RunsBar:
+    """A rich bar on standard error if that is a terminal: runs that are done, of so many."""
+
+    def __init__(self, total: int) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(file=sys.stderr)
+        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task("runs", total=total)
+
+    def __enter__(self) -> Any:
+        self._bar.start()
+        return lambda name: self._bar.update(self._task, advance=1, description=name)
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()

@@ -20,8 +20,8 @@ from experiments.aero.study import (
     read_study,
     recording,
 )
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import TrmsError
+from experiments.command_line import exit_code_of
+from trms_cli.core.errors import EXIT_OK
 from trms_cli.models.quanser_aero import QuanserAero
 
 
@@ -39,13 +39,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not (given.folder / settings["fitted"]).is_file():
         print(f"skipped: there is no {settings['fitted']} in {given.folder}", file=sys.stderr)
         return 0
-    try:
-        document = _told(given, settings)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
+    return exit_code_of(lambda: _study(given, settings))
+
+
+def _study(given: argparse.Namespace, settings: dict[str, Any]) -> int:
+    document = _told(given, settings)
     print(json.dumps(document, indent=1) if given.json else _table(document))
-    return 0
+    return EXIT_OK
 
 
 def _told(given: argparse.Namespace, settings: dict[str, Any]) -> dict[str, Any]:

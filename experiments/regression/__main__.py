@@ -8,9 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
-from experiments.command_line import exit_code_of
+from experiments.command_line import RunsBar, exit_code_of
 from experiments.regression import comparison as comparing
 from experiments.regression.matrix import MATRIX, Case, read_matrix
 from experiments.regression.runs import Outcome, run_all
@@ -98,30 +97,11 @@ def _recorded(given: argparse.Namespace) -> comparing.BaselineFile:
 def _outcomes(cases: Sequence[Case], jobs: int) -> list[Outcome]:
     """In the order of the cases; a bar on a terminal."""
     done: dict[str, Outcome] = {}
-    with _progress(len(cases)) as advance:
+    with RunsBar(len(cases)) as advance:
         for outcome in run_all(cases, jobs):
             done[outcome.case.name] = outcome
             advance(outcome.case.name)
     return [done[case.name] for case in cases]
-
-
-class _progress:
-    """A rich bar on standard error if that is a terminal."""
-
-    def __init__(self, total: int) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        console = Console(file=sys.stderr)
-        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._bar.add_task("runs", total=total)
-
-    def __enter__(self) -> Any:
-        self._bar.start()
-        return lambda name: self._bar.update(self._task, advance=1, description=name)
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
 
 
 def _update(

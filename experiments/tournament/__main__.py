@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from experiments.command_line import RunsBar, one_thread_each
 from experiments.tournament.schedule import TOURNAMENT, Plan, Run, read_plan, runs_of
 from trms_cli.cli import describe_error
 from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_OK, ConfigurationError, TrmsError
@@ -21,8 +21,7 @@ _ABOUT = "about.json"
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the tournament, print its tables, write them into the documentation on request."""
     given = _parser().parse_args(argv)
-    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"  # every process is one thread
+    one_thread_each()
     try:
         return _tournament(given)
     except TrmsError as error:
@@ -94,7 +93,7 @@ def _run(runs: Sequence[Run], given: argparse.Namespace, plan: Plan) -> float:
     before = _earlier(given.out)
     todo = [run for run in runs if not is_done(run, given.out)]
     begin = perf_counter()
-    with _progress(len(todo)) as advance:
+    with RunsBar(len(todo)) as advance:
         for run in run_all(
             todo, given.out, jobs=given.jobs, time_limit=plan.time_limit, logs=given.logs
         ):
@@ -123,25 +122,6 @@ def _about(given: argparse.Namespace, seconds: float, *, whole: bool) -> dict[st
         "git": GitRevision.ask().answer(),
         "machine": describe(),
     }
-
-
-class _progress:
-    """A rich bar on standard error if that is a terminal."""
-
-    def __init__(self, total: int) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        console = Console(file=sys.stderr)
-        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._bar.add_task("runs", total=total)
-
-    def __enter__(self) -> Any:
-        self._bar.start()
-        return lambda name: self._bar.update(self._task, advance=1, description=name)
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.command_line import exit_code_of
 from experiments.tras.study import (
     TrasFit,
     cross_validated,
@@ -20,8 +21,7 @@ from experiments.tras.study import (
     parts_of,
     read_study,
 )
-from trms_cli.cli import describe_error
-from trms_cli.core.errors import TrmsError
+from trms_cli.core.errors import EXIT_OK
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,17 +37,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not (given.folder / "closed_loop.csv").is_file():
         print(f"skipped: there is no closed_loop.csv in {given.folder}", file=sys.stderr)
         return 0
+    return exit_code_of(lambda: _study(given))
+
+
+def _study(given: argparse.Namespace) -> int:
     settings = read_study()
     document: dict[str, Any] = {"schema": "trms.tras_fit/1", "fits": {}}
-    try:
-        for name, fit in settings["fits"].items():
-            if given.only in (None, name):
-                document["fits"][name] = _told(given, settings, fit)
-    except TrmsError as error:
-        sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
-        return error.exit_code
+    for name, fit in settings["fits"].items():
+        if given.only in (None, name):
+            document["fits"][name] = _told(given, settings, fit)
     print(json.dumps(document, indent=1) if given.json else _table(document))
-    return 0
+    return EXIT_OK
 
 
 def _told(given: argparse.Namespace, settings: dict[str, Any], fit: dict[str, Any]) -> Any:

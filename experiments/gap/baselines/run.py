@@ -15,9 +15,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from experiments.command_line import one_thread_each
 from experiments.gap.baselines.baseline import Baseline
 from experiments.gap.blind.judgement import CORRECTED, REFIT
-from experiments.gap.blind.run import one_thread, recordings_of
+from experiments.gap.blind.run import recordings_of
 from experiments.gap.blind.sealing import open_key
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.plugins import build, nearest
@@ -226,7 +227,7 @@ def run_baseline(
     failed: dict[str, str] = {}
     begun = perf_counter()
     with ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=20, initializer=one_thread
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=20, initializer=one_thread_each
     ) as pool:
         told = truth or {}
         futures = {

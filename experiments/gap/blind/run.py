@@ -7,7 +7,6 @@ what has one is not done again. The key is nowhere opened here.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -18,6 +17,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from experiments.command_line import one_thread_each
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.plugins import construct
@@ -102,7 +102,10 @@ def diagnose_all(
     waiting = list(reversed(recordings))
     # what recordings leave behind in memory does not pile up
     pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=_TASKS, initializer=one_thread
+        jobs,
+        mp_context=get_context("spawn"),
+        max_tasks_per_child=_TASKS,
+        initializer=one_thread_each,
     )
     running: dict[Future[str], str] = {}
     with pool:
@@ -123,12 +126,6 @@ def diagnose_all(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return failed
-
-
-def one_thread() -> None:
-    """What runs beside others takes one thread: an initialiser of processes."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
 
 
 def _diagnose(recording: Path, out: Path, words: list[str]) -> str:
