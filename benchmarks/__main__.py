@@ -13,6 +13,7 @@ from pathlib import Path
 
 from benchmarks.document import Table, document, print_table, write_document
 from benchmarks.options import Options
+from trms_cli.core.threads import ONE_THREAD
 
 #: In the order of running; a module each under benchmarks.subjects.
 SUBJECTS = (
@@ -29,8 +30,7 @@ def main(argv: list[str] | None = None) -> int:
         if name not in SUBJECTS:
             parser.error(f"no subject {name!r}; there are: {', '.join(SUBJECTS)}")
     # Before NumPy and CasADi load: one thread for everybody.
-    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
+    os.environ.update(ONE_THREAD)
     # CasADi tells do-mpc what will change in its next major version.
     warnings.filterwarnings("ignore", category=FutureWarning, module=r"casadi|do_mpc")
     from benchmarks.machine import describe

@@ -12,6 +12,7 @@ from typing import Any
 
 from trms_cli.cli import describe_error
 from trms_cli.core.errors import EXIT_INTERRUPTED, ConfigurationError, TrmsError
+from trms_cli.core.threads import ONE_THREAD
 
 
 def exit_code_of(work: Callable[[], int]) -> int:
@@ -55,8 +56,7 @@ def refuse_part(given: argparse.Namespace) -> None:
 
 def one_thread_each() -> None:
     """Processes begun from here on compute in one thread."""
-    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
+    os.environ.update(ONE_THREAD)
 
 
 def progress_with_time() -> Callable[[str], None]:

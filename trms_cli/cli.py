@@ -11,6 +11,7 @@ from types import ModuleType
 
 from trms_cli import __version__
 from trms_cli.core.errors import EXIT_OK, TrmsError, interrupted_code
+from trms_cli.core.threads import take_one_thread
 
 EXIT_BUG = 70  #: an error that no code of ours expected (EX_SOFTWARE of sysexits.h)
 
@@ -102,9 +103,7 @@ def _dispatch(arguments: list[str]) -> int:
     if word in ("-V", "--version"):
         sys.stdout.write(f"trms {__version__}\n")
         return EXIT_OK
-    # Before linear algebra is loaded: matrices are small here, and threads that wait for one
-    # another on a busy machine have cost a training a factor of fifty.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    take_one_thread()
     module = load_command(word)
     if any(text.partition("=")[0] == "--allow" for text in rest):
         from trms_cli.composition.catalogue import take_allowed

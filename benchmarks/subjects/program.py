@@ -17,6 +17,7 @@ import numpy as np
 
 from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.options import Options
+from trms_cli.core.threads import ONE_THREAD
 
 TITLE = "whole processes, warm caches"
 #: s, of wall time.
@@ -25,7 +26,7 @@ _REPEATS = 7
 #: Settings of test machines and of this benchmark that a person's shell does not have; without
 #: byte code beside the modules every start would compile them.
 _NOT_A_PERSONS = (
-    *("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"),
+    *ONE_THREAD,
     *("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED"),
 )
 

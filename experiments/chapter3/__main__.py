@@ -15,6 +15,7 @@ from pathlib import Path
 
 from experiments.command_line import exit_code_of
 from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.threads import take_one_thread
 
 _DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -22,8 +23,7 @@ _DOCS = Path(__file__).resolve().parents[2] / "docs"
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
     given = _parser().parse_args(argv)
-    # Before the linear algebra is loaded: small matrices, and a process for each core.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    take_one_thread()
     return exit_code_of(
         lambda: _networks(given.only) if given.what == "networks" else _study(given)
     )

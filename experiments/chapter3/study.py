@@ -23,12 +23,11 @@ from experiments.chapter3.trainings import (
     run_job,
     settings,
 )
+from trms_cli.core.threads import ONE_THREAD
 from trms_cli.identification.problem import FitProblem, SilentProgress
 
 #: Where all members are trained; ``systems`` of a member says others.
 ONE_AXIS = ("horizontal", "vertical")
-#: One thread of linear algebra a process: the matrices are small, and two pools would fight.
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -122,8 +121,8 @@ def _pool(jobs: int) -> Iterator[Callable[..., Iterator]]:
     if jobs <= 1:
         yield map
         return
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
     try:
         with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
             yield pool.map

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import fnmatch
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,13 +12,13 @@ from time import process_time
 from experiments.command_line import exit_code_of
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import nearest
+from trms_cli.core.threads import take_one_thread
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study, print its tables, write them into the documentation on request."""
     given = _parser().parse_args(argv)
-    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
+    take_one_thread()
     return exit_code_of(lambda: _study(given))
 
 

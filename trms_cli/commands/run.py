@@ -2,7 +2,6 @@
 
 import atexit
 import gc
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,10 +55,6 @@ OPTION = "--from"
 
 def main(argv: Sequence[str]) -> int:
     """Compose and run."""
-    # The matrices of a control step are small: threads of the linear algebra only wait for each
-    # other, and on a busy machine for milliseconds. Set before NumPy is loaded.
-    for library in ("OPENBLAS", "OMP", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     log, rest = take_log(argv)
     with _rare_collection(), termination():
         if log is None:

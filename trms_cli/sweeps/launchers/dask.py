@@ -20,7 +20,8 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError, first_line
-from trms_cli.sweeps.launchers.local import ONE_THREAD, collect_arrivals
+from trms_cli.core.threads import ONE_THREAD
+from trms_cli.sweeps.launchers.local import collect_arrivals
 from trms_cli.sweeps.plugins import Attempt, EndedAttempt, Work, Workers
 
 INSTALL = "pip install 'trms-cli[cluster]'"

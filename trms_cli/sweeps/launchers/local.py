@@ -20,10 +20,9 @@ from typing import Annotated, Any, TypeVar
 from msgspec import Meta
 
 from trms_cli.core.errors import TrmsError, first_line
+from trms_cli.core.threads import ONE_THREAD
 from trms_cli.sweeps.plugins import Attempt, EndedAttempt, Work, Workers
 
-#: Matrices are small here: threads of linear algebra only wait for one another.
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
 #: Workers that may die one after another without having finished a single run.
 _MOST_DEATHS = 20
 _GRACE = 15.0  # s

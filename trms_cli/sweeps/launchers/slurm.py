@@ -24,6 +24,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from trms_cli.core.errors import ConfigurationError, TrmsError
+from trms_cli.core.threads import ONE_THREAD
 from trms_cli.sweeps.launchers.dask import (
     DaskWorkers,
     cluster,
@@ -31,7 +32,7 @@ from trms_cli.sweeps.launchers.dask import (
     require_package,
     wait_for_workers,
 )
-from trms_cli.sweeps.launchers.local import ONE_THREAD, InProcess
+from trms_cli.sweeps.launchers.local import InProcess
 from trms_cli.sweeps.plugins import EndedAttempt, Work, Workers
 
 #: s between two looks at jobs that have ended.
