@@ -87,11 +87,22 @@ class StartEstimator:
         seen = {s.name: float(v) for s, v in zip(dataset.outputs, self._values[0], strict=True)}
         command = dataset.commands[0]
         self._opening = rollout.initial(resting_state(model, seen, command), command)
+        measured = bool(np.isfinite(self._values[:, self._columns]).all())
+        #: Whether measurements tell every state, so that nothing before a window matters
+        self._fully_measured = (
+            measured and rollout.n_x == len(self._rows) + self._kinematics.determined
+        )
 
     def at(self, p: FloatArray) -> Starts:
         """The starts with all parameters at ``p``, shape (n_p,)."""
         rollout, model = self._rollout, self._rollout.model
         n = model.n_x
+        if self._fully_measured:
+            x = np.tile(self._opening, (len(self._first), 1))
+            x[:, self._rows] = self._values[:, self._columns]
+            moving = dict(zip(self._rows.tolist(), self._rates[:, self._columns].T, strict=True))
+            x = self._kinematics.with_all_rates(x, self._commands[self._first], moving, p)
+            return Starts(x, np.zeros((len(x), 0, len(rollout.free))))
         state, slopes = self._opening, np.zeros((rollout.n_x - rollout.n_free, len(rollout.free)))
         states, memories, at = [], [], 0
         for j, sample in enumerate(self._first):
@@ -168,11 +179,33 @@ class _Kinematics:
             rate = model.dynamics(x, u, q, w)[self._angles]
             slope = ca.jacobian(rate, ca.vertcat(*[x[i] for i in self._momenta]))
             # not compiled: it is a few operations, and other ones for every model
-            function = ca.Function("rate", [x, u, q, w], [rate, slope])
-            self._rate = BufferedFunction(function, compile=False)
+            self._function = ca.Function("rate", [x, u, q, w], [rate, slope])
+            self._rate = BufferedFunction(self._function, compile=False)
             self._one_at_a_time = Lock()
         else:
             self._momenta = []
+
+    @property
+    def determined(self) -> int:
+        """Number of momenta that the angles' rates tell, if all are measured."""
+        return len(self._momenta) if len(self._momenta) == len(self._angles) else -1
+
+    def with_all_rates(
+        self, x: FloatArray, u: FloatArray, rates: dict[int, FloatArray], p: FloatArray
+    ) -> FloatArray:
+        """As :meth:`with_rates`, of states (m, n_x) and commands (m, n_u) that all are known.
+
+        ``rates``: (m,) arrays of the states that are measured.
+        """
+        m, angles = len(x), self._angles
+        given = np.repeat(p[:, None], m, axis=1), np.zeros((self._model.n_w, m))
+        found = self._function.map(m)(x.T, u.T, *given)
+        now, slope = (np.asarray(ca.DM(value).full()) for value in found)
+        slopes = slope.T.reshape(m, len(angles), len(angles)).swapaxes(1, 2)
+        wanted = np.array([rates[row] for row in angles]) - now
+        after = x.copy()
+        after[:, self._momenta] += np.linalg.solve(slopes, wanted.T[..., None])[..., 0]
+        return after
 
     def with_rates(
         self, x: FloatArray, u: FloatArray, rates: dict[str, float], p: FloatArray
