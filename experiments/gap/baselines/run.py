@@ -226,9 +226,9 @@ def run_baseline(
     folder_out.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
     begun = perf_counter()
-    with ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=20, initializer=one_thread_each
-    ) as pool:
+    one_thread_each()
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=20)
+    with pool:
         told = truth or {}
         futures = {
             pool.submit(

@@ -100,13 +100,10 @@ def diagnose_all(
     if not recordings:
         return failed
     waiting = list(reversed(recordings))
+    # before the processes begin: they load NumPy before anything else is called in them
+    one_thread_each()
     # what recordings leave behind in memory does not pile up
-    pool = ProcessPoolExecutor(
-        jobs,
-        mp_context=get_context("spawn"),
-        max_tasks_per_child=_TASKS,
-        initializer=one_thread_each,
-    )
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=_TASKS)
     running: dict[Future[str], str] = {}
     with pool:
         try:
