@@ -230,7 +230,7 @@ _DECADE = 10.0
 #: Where in their typical range, on a logarithmic scale, shapes are tried to which no slope leads.
 _SPREAD_SHAPES = {
     "width": (0.15, 0.5, 0.85),
-    "frequency": tuple(np.linspace(0.0, 1.0, 16).tolist()),
+    "frequency": tuple(np.linspace(0.0, 1.0, 24).tolist()),
 }
 #: How far towards the ends of its typical range an angle off the middle is tried.
 _OFF = 0.5

@@ -188,7 +188,10 @@ class _Search:
             candidate = self._candidates[name]
             structure = self._refit.structure.with_effects(candidate)
             sizes = [_promising_sizes(candidate, sign, 0.3) for sign in (signs[0], signs[-1])]
-            return self._once(f"single {name}", structure, lambda: self._found(structure, sizes))
+            more = _other_frequencies(candidate, signs[0], 0.3)
+            return self._once(
+                f"single {name}", structure, lambda: self._found(structure, sizes, more=more)
+            )
 
         def final(entry: FittedModel) -> FittedModel:
             key = "final " + "+".join(entry.names)
@@ -315,9 +318,13 @@ class _Search:
         structure: ModelStructure,
         sizes: Sequence[Mapping[str, float]],
         known: FittedModel | None = None,
+        more: Sequence[Mapping[str, float]] = (),
     ) -> FittedModel:
-        """``known``: a fit with a part of the effects, from which the search begins, too."""
+        """Also from ``known``, a fit with a part of the effects, and at ``more`` sizes."""
         points = _points(structure, self._refit, sizes)
+        for own in more:
+            theta = structure.theta({**self._refit.values, **own})
+            points.append((theta, structure.starts(theta, self._refit.fit.starts)))
         if known is not None:
             theta = structure.theta({**sizes[0], **known.values})
             starts = known.fit.starts[:, : self._refit.centres.shape[1]]
@@ -449,6 +456,26 @@ def _promising_sizes(
     times, within their bounds.
     """
     return _scaled_sizes(candidate, sign, sign.best(candidate.name)[1], least)
+
+
+#: How many frequencies a search for a mode begins at, besides the most promising one.
+_FREQUENCIES = 2
+
+
+def _other_frequencies(
+    candidate: CandidateEffect, sign: Signatures, least: float
+) -> list[dict[str, float]]:
+    """Sizes at further promising frequencies of an effect that has one: no slope leads there."""
+    at = next((i for i, f in enumerate(candidate.free) if f.name.endswith(".frequency")), None)
+    if at is None:
+        return []
+    rows = sign.rows(candidate.name)
+    best = rows[np.argsort(-sign.gain[rows])]
+    chosen: dict[float, int] = {}
+    for row in best.tolist():
+        chosen.setdefault(float(sign.sizes[row][at]), row)
+    others = list(chosen.values())[1 : 1 + _FREQUENCIES]
+    return [_scaled_sizes(candidate, sign, row, least) for row in others]
 
 
 def _scaled_sizes(
