@@ -41,11 +41,20 @@ FloatArray = npt.NDArray[np.float64]
 #: whole; the two were chosen by that.)
 _PRIOR, _WIDTH = Path(__file__).with_name("prior_weights.json"), 2.0
 #: A better score never speaks against a competitor, nor a worse free run for one.
-_NEVER_BELOW = ("score", "score.bend")
-_NEVER_ABOVE = ("effect.rest", "effect.error", "no_gap.error", "parameters.error", "none.rest")
-#: What is left over, and what other parameters gain, speaks against no gap at least as it does
-#: before any rig: a handful of nulls with large nuisances must not make hundreds of nats no gap.
-_AT_MOST_PRIOR = ("no_gap.rest", "no_gap.gain")
+_NEVER_BELOW = ("score", "score.bend", "score.rate")
+_NEVER_ABOVE = (
+    "effect.rest",
+    "effect.error",
+    "no_gap.error",
+    "parameters.error",
+    "none.rest",
+    "disturbance.sensor",
+    "disturbance.force",
+)
+#: What is left over, and what other parameters gain, speaks against no gap (and against parameters
+#: alone) at least as it does before any rig: a handful of nulls with large nuisances must not make
+#: hundreds of nats no gap.
+_AT_MOST_PRIOR = ("no_gap.rest", "no_gap.gain", "no_gap.bettered", "parameters.rest")
 #: Belief that is always left for what was not thought of.
 _LEAST = 1e-3
 #: Effects that the belief does not weigh: rounding is told by other marks.

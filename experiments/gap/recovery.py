@@ -49,18 +49,25 @@ class Recovery:
     verdict: str
 
     @property
+    def near(self) -> bool:
+        """Whether the size is the rig's, as far as its own deviation says."""
+        if self.estimate is None or self.sd is None:
+            return False
+        error = abs(self.estimate - self.size)
+        within = error <= max(NEAR * abs(self.size), DEVIATIONS * self.sd)
+        return within or self.effect in _OTHER_LAW
+
+    @property
     def recovered(self) -> bool:
         """Whether size and score are the rig's."""
         if self.effect.endswith(_NAMED_ONLY):
             return self.named
-        if self.estimate is None or self.sd is None or self.score is None:
-            return False
-        error = abs(self.estimate - self.size)
-        near = error <= max(NEAR * abs(self.size), DEVIATIONS * self.sd)
-        return self.score > FAR_ABOVE and (near or self.effect in _OTHER_LAW)
+        return self.near and self.score is not None and self.score > FAR_ABOVE
 
 
-def cases_of(effects: Sequence[str], seed: int) -> dict[str, Case]:
+def cases_of(
+    effects: Sequence[str], seed: int, factors: Sequence[float] = FACTORS
+) -> dict[str, Case]:
     """Rigs by name: nominal but for one effect, all driven alike."""
     return {
         f"{effect}-{factor:g}": Case(
@@ -71,7 +78,7 @@ def cases_of(effects: Sequence[str], seed: int) -> dict[str, Case]:
             excitation=seed,
         )
         for effect in effects
-        for factor in FACTORS
+        for factor in factors
     }
 
 
@@ -127,9 +134,17 @@ def table_of(found: Sequence[Recovery]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def study(out: Path, effects: Sequence[str], *, race: bool, seed: int, jobs: int) -> list[Recovery]:
+def study(
+    out: Path,
+    effects: Sequence[str],
+    *,
+    race: bool,
+    seed: int,
+    jobs: int,
+    factors: Sequence[float] = FACTORS,
+) -> list[Recovery]:
     """Record, diagnose, read; a rig that cannot be diagnosed is told, and not in the list."""
-    cases = cases_of(effects, seed)
+    cases = cases_of(effects, seed, factors)
     write_recordings(cases, out / "recordings", seed)
     answers = out / ("race" if race else "alone")
     answers.mkdir(exist_ok=True)

@@ -53,7 +53,7 @@ def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_
     leaves = features(behind=3000.0, scores=(40.0, 30.0, 41.0), behinds=(2900.0,) * 3)
     for case, first in (
         (features(gained=-3.0), "no_gap"),
-        (features(gained=500.0), "parameters_only"),
+        (replace(features(gained=500.0), refit_error=1.0), "parameters_only"),
         (closes, "a"),
         (leaves, "none_of_these"),
     ):
@@ -110,15 +110,20 @@ def test_features_survive_the_file():
     assert again.names == NAMES
 
 
-def test_a_torque_from_outside_is_what_nothing_foretells():
-    """Alone, and beside a cause that explains the rest."""
-    weights = calibration().weights
-    gap = replace(
+def pulled() -> Features:
+    """A torque on yaw that nothing foretells, and no cause that explains it."""
+    return replace(
         features(behind=9000.0, scores=(1.0, 2.0, 0.0), behinds=(8900.0,) * 3, errors=20.0),
         outside={"yaw": np.array([0.0, 0.0, 0.0, 0.0])},
         flexible=5.0,
         foretold=0.02,
     )
+
+
+def test_a_torque_from_outside_is_what_nothing_foretells():
+    """Alone, and beside a cause that explains the rest."""
+    weights = calibration().weights
+    gap = pulled()
     assert next(iter(probabilities_of(gap, weights))) == ("yaw_disturbance",)
     law = replace(gap, flexible=600.0, foretold=0.9)
     assert next(iter(probabilities_of(law, weights))) == ("none_of_these",)
@@ -126,6 +131,30 @@ def test_a_torque_from_outside_is_what_nothing_foretells():
         gap, scores=np.array([300.0, 2.0, 0.0]), outside={"yaw": np.array([4e3, 0.0, 4e3, 4e3])}
     )
     assert next(iter(probabilities_of(beside, weights))) == ("a", "yaw_disturbance")
+
+
+def test_the_least_gain_of_a_long_recording_is_no_gap():
+    """What is significant need not matter: errors of one step that fall by a percent are none."""
+    weights = calibration().weights
+    null = replace(features(gained=150.0), samples=2e4, raw_error=1.05, refit_error=1.0)
+    assert next(iter(probabilities_of(null, weights))) == ("no_gap",)
+    # the same gain in a tenth of the samples, or free runs that it betters, is one
+    short = replace(null, samples=1e3)
+    bettered = replace(null, raw_error=8.0)
+    for case in (short, bettered):
+        found = probabilities_of(case, weights)
+        assert found["no_gap",] < probabilities_of(null, weights)["no_gap",]
+        assert found["parameters_only",] > found["no_gap",]
+
+
+def test_a_torque_that_an_error_of_the_sensor_explains_as_well_is_doubted():
+    """Play in an encoder: a torque of several times what acts on the axis, and no other cause."""
+    weights = calibration().weights
+    gap = pulled()
+    torque = replace(gap, sensor={"yaw": 0.75}, force={"yaw": 0.2})
+    play = replace(gap, sensor={"yaw": 0.99}, force={"yaw": 4.0})
+    assert next(iter(probabilities_of(torque, weights))) == ("yaw_disturbance",)
+    assert next(iter(probabilities_of(play, weights))) == ("none_of_these",)
 
 
 def test_a_cause_beside_a_torque_from_outside_is_applied_alone():

@@ -57,24 +57,41 @@ class Features:
     #: (k,) array; how unusual each competitor's sizes are, nats; see ``CandidateEffect.surprise``
     surprises: FloatArray
     errors: FloatArray  #: (k,) array; of free runs of each competitor; NaN where not measured
+    #: (k,) array; share of the refit's gap that each competitor closes on the sealed part, over all
+    #: channels; NaN where not measured, or nothing to close
+    closed: FloatArray = field(default_factory=lambda: np.zeros(0))
+    #: (k,) array; standard error of each score by its scatter from block to block, nats
+    deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
     raw_error: float = np.nan  #: Of free runs of the model as it was
     refit_error: float = np.nan  #: Of free runs of the refit
     #: (k + 1,) arrays by axis; as ``behind`` if a torque from outside acts on it, of the refit and
     #: of each competitor
     outside: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: Share of what a torque from outside explains that an error of its axis' sensor explains too
+    sensor: Mapping[str, float] = field(default_factory=dict)
+    #: Size of a torque from outside over that of what acts on its axis
+    force: Mapping[str, float] = field(default_factory=dict)
     flexible: float = np.nan  #: Score of the flexible competitor; NaN: it was not fitted
     #: Share of the missing force that it, or a regression on it, foretells on held-out blocks
     foretold: float = np.nan
     coefficients: float = np.nan  #: Number of its coefficients that the data decide
+    samples: float = 2e4  #: Number of measured values that were fitted
 
 
-#: nats. Discrepancy beyond the usual that hardly counts, and gain of a refit that hardly does.
-_REST, _GAIN = 8.5, 6.0
+#: nats. Discrepancy beyond the usual that hardly counts.
+_REST = 8.5
+#: nats a measured value. Gain of a refit that hardly counts: errors of one step fall by half a
+#: percent. That it is significant says nothing: in a long recording the least gain is.
+_GAIN = 0.005
 #: nats. Scores beyond so many count by their logarithm as well.
 _BEND = 10.0
+#: Measured values of a usual recording, by which a score counts too: nats grow with the length.
+_SAMPLES = 2e4
 #: Share of the best competitor's score that the flexible one is taken to have where it was not
 #: fitted: it reaches a true cause nearly, and leaves a wrong one far behind.
 _UNFITTED = 0.5
+#: Share of what a torque explains that its sensor explains too, and a little more.
+_WHOLE = 1.01
 #: What the name of a torque from outside ends in.
 DISTURBANCE = "_disturbance"
 #: Floors. Free runs worse than this are all alike.
@@ -83,18 +100,20 @@ _WORST = 50.0
 
 def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
     """Features of each alternative by name, of the order of one; what is not named is zero."""
-    gain = float(np.log1p(max(features.gained, 0.0)) - np.log1p(_GAIN))
+    gain = max(features.gained, 0.0) / (_GAIN * features.samples)
     rest = float(_rest(features.behind))
+    bettered = _of_error(features.raw_error) - _of_error(features.refit_error)
     rows: dict[tuple[str, ...], dict[str, float]] = {
         ("no_gap",): {
             "no_gap.rest": rest,
-            "no_gap.gain": max(gain, 0.0),
+            "no_gap.gain": float(np.log1p(gain)),
+            "no_gap.bettered": max(bettered, 0.0),
             "no_gap.error": _of_error(features.raw_error),
         },
         ("parameters_only",): {
             "parameters.constant": 1.0,
             "parameters.rest": rest,
-            "parameters.no_gain": max(-gain, 0.0),
+            "parameters.no_gain": 1 / (1 + gain),
             "parameters.error": _of_error(features.refit_error),
         },
     }
@@ -106,7 +125,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             continue
         best = max(best, score)
         rows[name] = {
-            "score": score,
+            **_of_score(score, features.samples),
             "score.bend": _by_steps(name, scores),
             "effect.rest": _left(features, features.behinds[i]),
             "effect.count": float(len(name)),
@@ -118,21 +137,30 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
     owed = dict(zip(features.names, features.behinds, strict=True))
     for axis, behinds in features.outside.items():
         disturbance = f"{axis}{DISTURBANCE}"
+        # play in an encoder looks like a torque, but one that is larger than all that acts there
+        doubtful = {
+            "disturbance.sensor": -float(np.log(_WHOLE - min(features.sensor.get(axis, 0.0), 1.0))),
+            "disturbance.force": float(np.log1p(features.force.get(axis, 0.0))),
+        }
         # a torque that explains nothing is no answer
         if features.behind - behinds[0] > _REST:
             rows[disturbance,] = {
                 "effect.rest": _left(features, behinds[0]),
                 "disturbance": 1.0,
                 "disturbance.foretold": foretold,
+                **doubtful,
             }
         for name, behind in zip(features.names, behinds[1:], strict=True):
             if name in rows and owed[name] - behind > _REST:
                 joined = tuple(sorted((*name, disturbance)))
                 row = {k: v for k, v in rows[name].items() if k != "effect.error"}
-                rows[joined] = row | {"effect.rest": _left(features, behind), "disturbance": 1.0}
+                rest_ = {"effect.rest": _left(features, behind), "disturbance": 1.0}
+                rows[joined] = row | rest_ | doubtful
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
-        **_of_score(max(features.flexible, 0.0) if was_fitted else _UNFITTED * best),
+        **_of_score(
+            max(features.flexible, 0.0) if was_fitted else _UNFITTED * best, features.samples
+        ),
         "none.constant": 1.0,
         "none.rest": rest,
         "none.foretold": foretold,
@@ -169,8 +197,8 @@ def _bent(score: float) -> float:
     return _BEND * float(np.log1p(max(score, 0.0) / _BEND))
 
 
-def _of_score(score: float) -> dict[str, float]:
-    return {"score": score, "score.bend": _bent(score)}
+def _of_score(score: float, samples: float) -> dict[str, float]:
+    return {"score": score, "score.bend": _bent(score), "score.rate": score * _SAMPLES / samples}
 
 
 def _of_error(ratio: float) -> float:

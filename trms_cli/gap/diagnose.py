@@ -160,8 +160,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
 
 
 #: Nats that the likeliest cause may owe to forces without a name before a part of the recordings is
-#: suspected to be unlike the rest.
-_OWED = 30.0
+#: suspected to be unlike the rest; and the share of the gap, for no law is exactly that of the rig.
+_OWED, _OWED_SHARE = 30.0, 0.05
 
 
 def _unexplained(posterior: Posterior) -> bool:
@@ -173,7 +173,7 @@ def _unexplained(posterior: Posterior) -> bool:
         return True
     part = simulated_part(top)
     owed = dict(zip(features.names, features.behinds.tolist(), strict=True)).get(part)
-    return part != top or owed is None or owed > _OWED
+    return part != top or owed is None or owed > max(_OWED, _OWED_SHARE * features.behind)
 
 
 def _traces(

@@ -283,6 +283,24 @@ def farthest_error(errors: Errors, floor: Errors, stray: Mapping[str, float]) ->
     return max(ratios, default=float("nan"))
 
 
+def closed_share(before: Errors, after: Errors, floor: Errors) -> float:
+    """Share of what errors exceed the floor by, over all channels at :data:`TOLD_AT`, that is gone.
+
+    At most 1, and NaN where there is hardly anything to close.
+    """
+    at = float(TOLD_AT)
+    seen = [channel for channel in before if at in before[channel]]
+    if not seen:
+        return float("nan")
+    reference, left = (
+        np.sqrt(np.mean([(e[c][at].rms / floor[c][at].rms) ** 2 for c in seen]))
+        for e in (before, after)
+    )
+    if not reference > _LEAST_GAP:
+        return float("nan")
+    return float(np.clip(1 - (left - 1) / (reference - 1), -1.0, 1.0))
+
+
 def measure_shrinkage(
     problem: GapProblem,
     parts: Parts,

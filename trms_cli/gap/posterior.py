@@ -18,7 +18,7 @@ from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.free_runs import SealedRuns, farthest_error
+from trms_cli.gap.free_runs import SealedRuns, closed_share, farthest_error
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
@@ -101,8 +101,12 @@ def features_of(
 
     refit_error = error(refit.model, plain)
     errors = np.full(len(race.entries), refit_error)
+    closed = np.full(len(race.entries), np.nan)
+    before = runs.errors(refit.model, plain)
     for i, entry in enumerate(race.entries[:_RUN]):
-        errors[i] = error(entry.model, entry.structure.windows.rollout)
+        rollout = entry.structure.windows.rollout
+        errors[i] = error(entry.model, rollout)
+        closed[i] = closed_share(before, runs.errors(entry.model, rollout), floor)
     return Features(
         gained=own - float(refit.raw.predictive.sum()),
         behind=float(behinds[0].sum()),
@@ -114,13 +118,23 @@ def features_of(
             [sum(s.surprise(e.values) for s in e.structure.effects) for e in race.entries]
         ),
         errors=errors,
+        closed=closed,
+        deviations=np.array(
+            [_deviation(e.fit.predictive - refit.fit.predictive) for e in race.entries]
+        ),
         raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
         flexible=np.nan if flexible is None else flexible.score - own,
         foretold=np.nan if flexible is None else flexible.foretold,
         coefficients=np.nan if flexible is None else flexible.effective,
+        samples=float(refit.structure.windows.measured.sum()),
     )
+
+
+def _deviation(blocks: FloatArray) -> float:
+    """Standard error of a sum over blocks."""
+    return float(np.std(blocks, ddof=1) * np.sqrt(len(blocks))) if len(blocks) > 1 else 0.0
 
 
 def resampled_features(
@@ -211,7 +225,16 @@ def posterior_of(
         if f"{axis}{DISTURBANCE}" in candidates
         and shares.get(f"{axis}_moment", 0.0) >= shares.get(f"{axis}_sensor", 0.0)
     ]
-    features = replace(features, outside={axis: features.outside[axis] for axis in known})
+    sizes = dict(zip(place.locations, place.sizes.tolist(), strict=True))
+    features = replace(
+        features,
+        outside={axis: features.outside[axis] for axis in known},
+        sensor={
+            axis: shares.get(f"{axis}_sensor", 0.0) / max(shares[f"{axis}_moment"], 1e-9)
+            for axis in known
+        },
+        force={axis: sizes[f"{axis}_moment"] for axis in known},
+    )
     if known and features.behind > 0:
         axis = max(known, key=lambda axis: shares[f"{axis}_moment"])
         # the regression knows paths and the last moments, which the terms of the flexible do not
@@ -270,8 +293,7 @@ def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
         if entry.names == best.names or len(entry.names) != len(best.names):
             continue
         apart = own - entry.fit.predictive
-        error = float(np.std(apart, ddof=1) * np.sqrt(len(apart))) if len(apart) > 1 else 0.0
-        if apart.sum() < max(_NATS, _ERRORS * error) and np.isfinite(apart).all():
+        if apart.sum() < max(_NATS, _ERRORS * _deviation(apart)) and np.isfinite(apart).all():
             group += [n for n in entry.names if n not in best.names]
     pairs = []
     signs = race.tight

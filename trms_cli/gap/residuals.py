@@ -248,6 +248,7 @@ class Location:
     locations: tuple[str, ...]
     gains: FloatArray  #: (k, m) array; nats by which each place raises the likelihood of each block
     together: FloatArray  #: (m,) array; the same of all places
+    sizes: FloatArray  #: (k,) array; of each place's disturbance alone, over what acts there
 
     def share(self, blocks: IntArray | None = None) -> dict[str, float]:
         """Share of the gap by place, from some blocks (with repetition); None: from all."""
@@ -281,7 +282,9 @@ def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     start = np.maximum(floor, 0.7 * np.array(shares))
     both = likely_shares(every, r, start, iterations=_ITERATIONS, least=floor)
     together = log_likelihood(every, r, both) - none
-    return Location(tuple(c.location for c in channels), np.array(gains), together)
+    return Location(
+        tuple(c.location for c in channels), np.array(gains), together, np.array(shares)
+    )
 
 
 def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRecord]:
