@@ -26,22 +26,27 @@ def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
         main(["nowhere", "yaw_friction"])
 
 
-#: Multiples of the typical size at which an effect shows in two minutes; the others at once.
-SHOWS_AT = {"main_rotor_friction": 2.0, "tail_inflow": 2.0, "yaw_flexible_mode": 2.0}
-#: A drive that warms up loses no more than gains wander by: its size comes out, and no more.
-HIDDEN = ("main_supply_derating", "tail_supply_derating")
+#: At their typical sizes these hardly show in two minutes (a drive that warms up loses no more than
+#: gains wander by): their sizes come out, or nothing is claimed.
+HARDLY_SHOWN = (
+    "main_supply_derating",
+    "tail_supply_derating",
+    "main_rotor_friction",
+    "tail_inflow",
+)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sides", [("pitch", "main", "ground"), ("yaw", "tail", "gyroscopic")])
 def test_every_effect_is_recovered_of_its_own_simulation(sides, tmp_path):
     own = [name for name in LIBRARY if name.split("_")[0] in sides]
-    missed = []
-    for factor in (1.0, 2.0):
-        chosen = [name for name in own if SHOWS_AT.get(name, 1.0) == factor]
-        found = study(tmp_path, chosen, race=False, seed=20, jobs=1, factors=(factor,))
-        assert len(found) == len(chosen)
-        missed += [r for r in found if not (r.near if r.effect in HIDDEN else r.recovered)]
+    found = study(tmp_path, own, race=False, seed=20, jobs=2, factors=(1.0,))
+    assert len(found) == len(own)
+    missed = [
+        r
+        for r in found
+        if not r.recovered and not (r.effect in HARDLY_SHOWN and (r.near or not r.named))
+    ]
     assert not missed, table_of(missed)
 
 
