@@ -85,8 +85,6 @@ _REST = 8.5
 _GAIN = 0.005
 #: nats. Scores beyond so many count by their logarithm as well.
 _BEND = 10.0
-#: Measured values of a usual recording, by which a score counts too: nats grow with the length.
-_SAMPLES = 2e4
 #: Share of the best competitor's score that the flexible one is taken to have where it was not
 #: fitted: it reaches a true cause nearly, and leaves a wrong one far behind.
 _UNFITTED = 0.5
@@ -94,6 +92,8 @@ _UNFITTED = 0.5
 _WHOLE = 1.01
 #: What the name of a torque from outside ends in.
 DISTURBANCE = "_disturbance"
+#: Share by which a right cause may widen the gap on a short sealed part.
+_BY_CHANCE = 0.1
 #: Floors. Free runs worse than this are all alike.
 _WORST = 50.0
 
@@ -125,13 +125,14 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             continue
         best = max(best, score)
         rows[name] = {
-            **_of_score(score, features.samples),
+            **_of_score(score),
             "score.bend": _by_steps(name, scores),
             "effect.rest": _left(features, features.behinds[i]),
             "effect.count": float(len(name)),
             "effect.shape": float(features.sizes[i] - len(name)),
             "effect.surprise": float(features.surprises[i]),
             "effect.error": _of_error(features.errors[i]),
+            "effect.worse": _worse(features.closed, i),
         }
     foretold = 0.0 if np.isnan(features.foretold) else float(np.clip(features.foretold, 0.0, 1.0))
     owed = dict(zip(features.names, features.behinds, strict=True))
@@ -158,9 +159,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
                 rows[joined] = row | rest_ | doubtful
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
-        **_of_score(
-            max(features.flexible, 0.0) if was_fitted else _UNFITTED * best, features.samples
-        ),
+        **_of_score(max(features.flexible, 0.0) if was_fitted else _UNFITTED * best),
         "none.constant": 1.0,
         "none.rest": rest,
         "none.foretold": foretold,
@@ -176,6 +175,12 @@ def _left(features: Features, behind: float) -> float:
     """
     left = max(float(behind), 0.0)
     return float(_rest(left)) * min(left / (max(features.behind, 0.0) + _REST), 1.0)
+
+
+def _worse(closed: FloatArray, i: int) -> float:
+    """Share by which a competitor widens the gap on the sealed part, beyond what may happen."""
+    known = i < len(closed) and np.isfinite(closed[i])
+    return float(np.clip(-closed[i] - _BY_CHANCE, 0.0, 1.0)) if known else 0.0
 
 
 def _rest(behind: float | FloatArray) -> FloatArray:
@@ -197,8 +202,8 @@ def _bent(score: float) -> float:
     return _BEND * float(np.log1p(max(score, 0.0) / _BEND))
 
 
-def _of_score(score: float, samples: float) -> dict[str, float]:
-    return {"score": score, "score.bend": _bent(score), "score.rate": score * _SAMPLES / samples}
+def _of_score(score: float) -> dict[str, float]:
+    return {"score": score, "score.bend": _bent(score)}
 
 
 def _of_error(ratio: float) -> float:
