@@ -40,12 +40,12 @@ FloatArray = npt.NDArray[np.float64]
 #: there were rigs to fit to: timid. (Of the first 78 rigs log loss 1.51 in six folds, 1.71 with the
 #: whole; the two were chosen by that.)
 _PRIOR, _WIDTH = Path(__file__).with_name("prior_weights.json"), 2.0
-#: A better score never speaks against a competitor, nor a worse free run for one.
-_NEVER_BELOW = ("score", "score.bend")
+#: A better score never speaks against a competitor, and a lead of two hundred nats decides; nor
+#: does a worse free run speak for one.
+_AT_LEAST = {"score": 0.065, "score.bend": 0.0}
 _NEVER_ABOVE = (
     "effect.rest",
     "effect.error",
-    "no_gap.error",
     "parameters.error",
     "none.rest",
     "disturbance.sensor",
@@ -59,6 +59,7 @@ _AT_MOST_PRIOR = (
     "no_gap.rest",
     "no_gap.gain",
     "no_gap.bettered",
+    "no_gap.error",
     "parameters.rest",
     "effect.worse",
 )
@@ -143,8 +144,8 @@ def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, 
         return total, slope
 
     bounds = [
-        (0.0, None)
-        if n in _NEVER_BELOW
+        (_AT_LEAST[n], None)
+        if n in _AT_LEAST
         else (None, 0.0 if n in _NEVER_ABOVE else prior[n] if n in _AT_MOST_PRIOR else None)
         for n in names
     ]

@@ -60,8 +60,6 @@ class Features:
     #: (k,) array; share of the refit's gap that each competitor closes on the sealed part, over all
     #: channels; NaN where not measured, or nothing to close
     closed: FloatArray = field(default_factory=lambda: np.zeros(0))
-    #: (k,) array; standard error of each score by its scatter from block to block, nats
-    deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
     raw_error: float = np.nan  #: Of free runs of the model as it was
     refit_error: float = np.nan  #: Of free runs of the refit
     #: (k + 1,) arrays by axis; as ``behind`` if a torque from outside acts on it, of the refit and
@@ -155,8 +153,8 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             if name in rows and owed[name] - behind > _REST:
                 joined = tuple(sorted((*name, disturbance)))
                 row = {k: v for k, v in rows[name].items() if k != "effect.error"}
-                rest_ = {"effect.rest": _left(features, behind), "disturbance": 1.0}
-                rows[joined] = row | rest_ | doubtful
+                row |= {"effect.rest": _left(features, behind), "disturbance": 1.0}
+                rows[joined] = row | doubtful
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
         **_of_score(max(features.flexible, 0.0) if was_fitted else _UNFITTED * best),

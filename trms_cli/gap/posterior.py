@@ -119,9 +119,6 @@ def features_of(
         ),
         errors=errors,
         closed=closed,
-        deviations=np.array(
-            [_deviation(e.fit.predictive - refit.fit.predictive) for e in race.entries]
-        ),
         raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
