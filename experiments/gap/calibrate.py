@@ -42,7 +42,7 @@ FloatArray = npt.NDArray[np.float64]
 _PRIOR, _WIDTH = Path(__file__).with_name("prior_weights.json"), 2.0
 #: A better score never speaks against a competitor, and a lead of two hundred nats decides; nor
 #: does a worse free run speak for one.
-_AT_LEAST = {"score": 0.07, "score.bend": 0.0}
+_AT_LEAST = {"score": 0.075, "score.bend": 0.0}
 _NEVER_ABOVE = (
     "effect.rest",
     "effect.error",
