@@ -35,7 +35,10 @@ def against_rate(angle: str) -> Callable[[Axes, Run, Effect], None]:
 
 def against_angle(angle: str) -> Callable[[Axes, Run, Effect], None]:
     def draw(panel: Axes, run: Run, effect: Effect) -> None:
-        panel.plot(run.states[angle][1:], _torque(run, angle), ".", color=EFFECT, ms=2.5)
+        torque = _torque(run, angle)
+        panel.plot(run.states[angle][1:], torque, ".", color=EFFECT, ms=2.5)
+        if np.ptp(torque) < 0.01 * np.abs(torque).max():  # constant, but for rounding
+            panel.set_ylim(*sorted((0.0, 1.5 * float(torque.mean()))))
         panel.set_xlabel(LABELS[angle])
         panel.set_ylabel("torque of the effect [mN m]")
 
