@@ -197,8 +197,14 @@ def told_belief(line: Line) -> dict[tuple[str, ...], float]:
     }
 
 
-def study(lines: Sequence[Line], folds: int, seed: int) -> tuple[Calibration, str]:
-    """Weights fitted to all, and tables of beliefs that nothing was fitted to."""
+def study(
+    lines: Sequence[Line], folds: int, seed: int, *, usual_too: bool = False
+) -> tuple[Calibration, str]:
+    """Weights fitted to all, and tables of beliefs that nothing was fitted to.
+
+    ``usual_too``: whether what counts as usual is taken from these rigs, too. What a fit leaves
+    beyond that is a feature: their diagnoses have to be made anew then.
+    """
     weighed = calibrating(lines)
     known = [features_of(line.evidence) for line in weighed]
     rights = [frozenset(right_causes(line.case)) for line in weighed]
@@ -227,9 +233,12 @@ def study(lines: Sequence[Line], folds: int, seed: int) -> tuple[Calibration, st
         and line.case.kind in ("null", "offset")
         and not line.case.imperfect
     ]
-    found = fit_weights(prior, list(zip(known, rights, strict=True)))
+    found = replace(start, weights=fit_weights(prior, list(zip(known, rights, strict=True))))
     usual = {**start.usual_shares, **usual_shares(nulls)}
-    return replace(start, weights=found, usual_shares=usual), text
+    rows = [(name, start.usual(name), share) for name, share in usual.items()]
+    text += "\nErrors that are usual, as shares of what acts there: in force, of these rigs\n\n"
+    text += "".join(f"{name:16} {now:.4f} {share:.4f}\n" for name, now, share in rows)
+    return (replace(found, usual_shares=usual) if usual_too else found), text
 
 
 def write_constants(constants: Calibration) -> None:
@@ -257,13 +266,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true", help="make the fit the package's")
+    parser.add_argument(
+        "--usual",
+        action="store_true",
+        help="what counts as usual as well; the rigs have to be diagnosed anew then",
+    )
     given = parser.parse_args(argv)
     lines = [line for source in given.sources for line in FeaturesFile(source).lines()]
     lines += [line for key, found in given.blind for line in blind_lines(key, found)]
     weighed = calibrating(lines)
     if len(weighed) < given.folds:
         parser.error(f"{len(weighed)} diagnosed rigs are too few for {given.folds} folds")
-    found, text = study(lines, given.folds, given.seed)
+    found, text = study(lines, given.folds, given.seed, usual_too=given.usual)
     failed = sum(bool(line.failed) for line in lines)
     sys.stdout.write(
         f"{len(lines)} rigs, {failed} could not be diagnosed, {len(weighed)} are weighed\n\n{text}"

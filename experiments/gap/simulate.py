@@ -1,7 +1,7 @@
 """Diagnoses of many simulated rigs, of which no more than their features are kept.
 
     python -m experiments.gap.simulate OUT [--set calibration] [--seed 1] [--cases 1000]
-        [--batch 200] [--jobs 2] [--effort normal] [--with KEY=VALUE] [--batches N] [--retry]
+        [--batch 1000] [--jobs 2] [--effort normal] [--with KEY=VALUE] [--batches N] [--retry]
 
 The rigs of a set of the proof are planned from the seed, then recorded and diagnosed in batches.
 Each diagnosis leaves a line in ``OUT/features.jsonl.gz`` (:mod:`.features_file`); recordings and
@@ -45,7 +45,7 @@ class Simulation:
     set: str = "calibration"  #: Of :data:`experiments.gap.blind.sets.SETS`
     seed: int = 1
     cases: int | None = None  #: None: as many as the set has
-    batch: int = 200  #: Rigs that are recorded together
+    batch: int = 1000  #: Rigs that are recorded together, all in the time of the longest
     duration: float | None = None  #: s; None: each rig its own
     words: tuple[str, ...] = ()  #: Options of ``trms diagnose``
 
@@ -164,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--set", default="calibration")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--cases", type=int, default=None)
-    parser.add_argument("--batch", type=int, default=200)
+    parser.add_argument("--batch", type=int, default=1000)
     parser.add_argument("--duration", type=float, default=None, help="s; default: each its own")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--effort", default="normal")

@@ -92,6 +92,8 @@ _WHOLE = 1.01
 DISTURBANCE = "_disturbance"
 #: Share by which a right cause may widen the gap on a short sealed part.
 _BY_CHANCE = 0.1
+#: Floors. Free runs that err by less are as good as those of a rig without a gap.
+_AT_FLOOR = 1.25
 #: Floors. Free runs worse than this are all alike.
 _WORST = 50.0
 
@@ -130,7 +132,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             "effect.shape": float(features.sizes[i] - len(name)),
             "effect.surprise": float(features.surprises[i]),
             "effect.error": _of_error(features.errors[i]),
-            "effect.worse": _worse(features.closed, i),
+            "effect.worse": _worse(features, i),
         }
     foretold = 0.0 if np.isnan(features.foretold) else float(np.clip(features.foretold, 0.0, 1.0))
     owed = dict(zip(features.names, features.behinds, strict=True))
@@ -175,10 +177,19 @@ def _left(features: Features, behind: float) -> float:
     return float(_rest(left)) * min(left / (max(features.behind, 0.0) + _REST), 1.0)
 
 
-def _worse(closed: FloatArray, i: int) -> float:
-    """Share by which a competitor widens the gap on the sealed part, beyond what may happen."""
-    known = i < len(closed) and np.isfinite(closed[i])
-    return float(np.clip(-closed[i] - _BY_CHANCE, 0.0, 1.0)) if known else 0.0
+def _worse(features: Features, i: int) -> float:
+    """By how much a competitor widens the gap on the sealed part, beyond what may happen.
+
+    Both as a share, over all channels at a short horizon, and of the worst channel at the longest:
+    of a gap that is none, or of a few seconds, either alone says little.
+    """
+    if not (i < len(features.closed) and np.isfinite(features.closed[i])):
+        return 0.0
+    before, after = (
+        max(error, _AT_FLOOR) for error in (features.refit_error, float(features.errors[i]))
+    )
+    wider = min(-float(features.closed[i]) - _BY_CHANCE, float(np.log(after / before)))
+    return float(np.clip(wider, 0.0, 1.0))
 
 
 def _rest(behind: float | FloatArray) -> FloatArray:
