@@ -68,16 +68,16 @@ def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_
     assert ("a",) not in found
 
 
-def test_a_cause_that_widens_the_gap_on_the_sealed_part_is_believed_less():
-    def of_a(closed, error):
-        made = features(behind=500.0, scores=(100.0, 0.0, 0.0), errors=error)
-        made = replace(made, closed=np.array([closed, np.nan, np.nan]))
+def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
+    def of_a(harm):
+        made = features(behind=500.0, scores=(100.0, 0.0, 0.0))
+        made = replace(made, harms=np.array([harm, np.nan, np.nan]))
         return probabilities_of(made, calibration().weights)["a",]
 
-    assert of_a(-0.8, 7.0) < 0.5 * of_a(0.0, 7.0)
-    # where there is no gap to widen, or it does not show at both horizons, that says nothing
-    assert of_a(-0.8, 3.0) == of_a(0.0, 3.0)
-    assert of_a(0.0, 7.0) == of_a(np.nan, 7.0)
+    assert of_a(1.2) < 0.5 * of_a(0.0)
+    assert of_a(1.2) < of_a(0.6) < of_a(0.0)
+    # a little is chance, a help to all channels is told by the errors, and unknown is unknown
+    assert of_a(0.05) == of_a(-0.5) == of_a(np.nan) == of_a(0.0)
 
 
 def test_the_fit_of_the_constants_finds_honest_ones():

@@ -60,6 +60,9 @@ class Features:
     #: (k,) array; share of the refit's gap that each competitor closes on the sealed part, over all
     #: channels; NaN where not measured, or nothing to close
     closed: FloatArray = field(default_factory=lambda: np.zeros(0))
+    #: (k,) array; logarithm of the factor by which each competitor errs more than the refit, in the
+    #: channel where it fares worst, on the sealed part; NaN where not measured
+    harms: FloatArray = field(default_factory=lambda: np.zeros(0))
     raw_error: float = np.nan  #: Of free runs of the model as it was
     refit_error: float = np.nan  #: Of free runs of the refit
     #: (k + 1,) arrays by axis; as ``behind`` if a torque from outside acts on it, of the refit and
@@ -90,10 +93,9 @@ _UNFITTED = 0.5
 _WHOLE = 1.01
 #: What the name of a torque from outside ends in.
 DISTURBANCE = "_disturbance"
-#: Share by which a right cause may widen the gap on a short sealed part.
-_BY_CHANCE = 0.1
-#: Floors. Free runs that err by less are as good as those of a rig without a gap.
-_AT_FLOOR = 1.25
+#: Logarithms. A right cause may do a channel so much harm on a short sealed part; more than the
+#: other is all alike.
+_BY_CHANCE, _HARMED = 0.1, 1.5
 #: Floors. Free runs worse than this are all alike.
 _WORST = 50.0
 
@@ -130,7 +132,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             "effect.rest": _left(features, features.behinds[i]),
             "effect.count": float(len(name)),
             "effect.shape": float(features.sizes[i] - len(name)),
-            "effect.surprise": float(features.surprises[i]),
+            "effect.surprise": float(np.log1p(features.surprises[i])),
             "effect.error": _of_error(features.errors[i]),
             "effect.worse": _worse(features, i),
         }
@@ -178,18 +180,9 @@ def _left(features: Features, behind: float) -> float:
 
 
 def _worse(features: Features, i: int) -> float:
-    """By how much a competitor widens the gap on the sealed part, beyond what may happen.
-
-    Both as a share, over all channels at a short horizon, and of the worst channel at the longest:
-    of a gap that is none, or of a few seconds, either alone says little.
-    """
-    if not (i < len(features.closed) and np.isfinite(features.closed[i])):
-        return 0.0
-    before, after = (
-        max(error, _AT_FLOOR) for error in (features.refit_error, float(features.errors[i]))
-    )
-    wider = min(-float(features.closed[i]) - _BY_CHANCE, float(np.log(after / before)))
-    return float(np.clip(wider, 0.0, 1.0))
+    """By how much a competitor harms a channel, as a logarithm, beyond what may happen."""
+    known = i < len(features.harms) and np.isfinite(features.harms[i])
+    return float(np.clip(features.harms[i] - _BY_CHANCE, 0.0, _HARMED)) if known else 0.0
 
 
 def _rest(behind: float | FloatArray) -> FloatArray:

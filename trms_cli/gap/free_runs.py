@@ -221,6 +221,10 @@ def _prior_sd(model: Model, step: float) -> FloatArray:
     return np.where(driven > 0, driven / np.sqrt(1 - kept), sd)
 
 
+#: Floors. Free runs that err by less are as good as those of a rig without a gap.
+_AT_FLOOR = 1.25
+#: A channel that errs by so many times more is ruined, by whatever more.
+_RUINED = 100.0
 #: Resamples of blocks, and how far a refit has to stand above the floor for a gap to shrink.
 _RESAMPLES, _LEAST_GAP = 400, 1.05
 #: A channel that loses more than this of its error is worse.
@@ -281,6 +285,22 @@ def farthest_error(errors: Errors, floor: Errors, stray: Mapping[str, float]) ->
         if least > 0:
             ratios.append(by_horizon[longest].rms / least)
     return max(ratios, default=float("nan"))
+
+
+def harm(before: Errors, after: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
+    """Largest factor by which a channel's error at the longest horizon grows, as a logarithm.
+
+    Errors below :data:`_AT_FLOOR` are alike; ``stray`` as of :func:`farthest_error`. NaN where
+    there is none.
+    """
+    found = []
+    for channel, by_horizon in before.items():
+        longest = max(by_horizon)
+        least = _AT_FLOOR * float(np.hypot(floor[channel][longest].rms, stray[channel]))
+        if least > 0:
+            grown = max(after[channel][longest].rms, least) / max(by_horizon[longest].rms, least)
+            found.append(float(np.log(np.fmin(grown, _RUINED))))
+    return max(found, default=float("nan"))
 
 
 def closed_share(before: Errors, after: Errors, floor: Errors) -> float:

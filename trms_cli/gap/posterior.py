@@ -18,7 +18,7 @@ from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.free_runs import SealedRuns, closed_share, farthest_error
+from trms_cli.gap.free_runs import SealedRuns, closed_share, farthest_error, harm
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
@@ -101,12 +101,14 @@ def features_of(
 
     refit_error = error(refit.model, plain)
     errors = np.full(len(race.entries), refit_error)
-    closed = np.full(len(race.entries), np.nan)
+    closed, harms = np.full((2, len(race.entries)), np.nan)
     before = runs.errors(refit.model, plain)
     for i, entry in enumerate(race.entries[:_RUN]):
         rollout = entry.structure.windows.rollout
-        errors[i] = error(entry.model, rollout)
-        closed[i] = closed_share(before, runs.errors(entry.model, rollout), floor)
+        after = runs.errors(entry.model, rollout)
+        errors[i] = farthest_error(after, floor, stray)
+        closed[i] = closed_share(before, after, floor)
+        harms[i] = harm(before, after, floor, stray)
     return Features(
         gained=own - float(refit.raw.predictive.sum()),
         behind=float(behinds[0].sum()),
@@ -119,6 +121,7 @@ def features_of(
         ),
         errors=errors,
         closed=closed,
+        harms=harms,
         raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
