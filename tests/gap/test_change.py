@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
@@ -128,6 +129,23 @@ def test_the_missing_force_of_a_run_is_the_torque_that_acts():
     force = [r.forces(MODEL.parameters.values).force[:, yaw] for r in runs]
     assert np.std(force[0]) < 5e-4
     assert np.std(force[1]) > 3 * np.std(force[0])
+
+
+def test_a_sensor_that_is_off_shows_in_what_gravity_does():
+    bias = {"pitch_sensor_bias": effect("pitch_sensor_bias", bias=0.05)}
+    dataset = begins(bias, 0.0, seconds=20.0, seed=16)
+    plain, biased = ShortRuns(MODEL, [dataset]), ShortRuns(extend_model(MODEL, bias), [dataset])
+    starts = plain.starts(MODEL.parameters.values)
+    p = biased.model.parameters.values
+    pitch = MODEL.state_index("alpha_v")
+    shown = biased.shown_at(p, starts)
+    np.testing.assert_allclose(shown[:, pitch], starts[:, pitch] - 0.05)
+    others = np.arange(starts.shape[1]) != pitch
+    np.testing.assert_array_equal(shown[:, others], starts[:, others])
+    at = [e.location for e in plain.equations].index("pitch_moment")
+    missing = plain.forces(MODEL.parameters.values).force[:, at]
+    explained = biased.forces(p, shown).force[:, at]
+    assert abs(np.median(explained)) < 0.1 * abs(np.median(missing))
 
 
 def test_a_gate_opens_at_its_onset():

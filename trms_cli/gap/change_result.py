@@ -86,6 +86,10 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         refit=values,
         residual=_residual(added),
         evidence={
+            "gains": {
+                j.difference.name: {"kind": j.difference.kind, "nats": float(gain)}
+                for j, gain in zip(found.judged, found.gains, strict=True)
+            },
             "usual_gains": list(found.usual),
             "free_force": {
                 e.location: float(g)

@@ -148,7 +148,7 @@ def _of_effect(
         made = []
         for row in rows:
             p[-len(own) :] = row
-            made.append(runs.forces(p, starts))
+            made.append(runs.forces(p, starts if starts is None else runs.shown_at(p, starts)))
         equal = np.zeros(len(grid) - 1)
         families.append(_family(rows, at, equal, made, questioned.forces))
     labels, units = tuple(q.name for q in own), tuple(q.unit for q in own)

@@ -17,6 +17,7 @@ force that it lacks in each of them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -120,6 +121,25 @@ class ShortRuns:
                 row = self.model.state_index(self.model.outputs[e.output].name)
                 starts[:, row] -= np.nan_to_num(away[:, e.output])
         return starts
+
+    def shown_at(self, p: FloatArray, starts: FloatArray) -> FloatArray:
+        """Starts at which the sensors show the angles of others, (m, n_x).
+
+        An encoder that is off by a degree shows the measured angle where the axis is elsewhere.
+        """
+        angles = [e.output for e in self.equations if e.order == 2]
+        rows = [self.model.state_index(self.model.outputs[i].name) for i in angles]
+        count = len(starts)
+        commands = self.windows.commands[:, 0]
+        shown = self._measure.map(count)(starts.T, commands.T, np.tile(p[:, None], count))
+        moved = starts.copy()
+        moved[:, rows] += starts[:, rows] - np.asarray(ca.DM(shown).full().T)[:, angles]
+        return moved
+
+    @cached_property
+    def _measure(self) -> ca.Function:
+        x, u, p, _ = self.model.symbols()
+        return ca.Function("shown", [x, u, p], [self.model.measurement(x, u, p)])
 
     def forces(self, p: FloatArray, starts: FloatArray | None = None) -> MissingForces:
         """With all parameters at ``p``, (n_p,), from known starts (m, n_x) or estimated ones."""
