@@ -77,6 +77,9 @@ class Features:
     foretold: float = np.nan
     coefficients: float = np.nan  #: Number of its coefficients that the data decide
     samples: float = 2e4  #: Number of measured values that were fitted
+    #: (k,) array; standard error of each competitor's score, from its scatter over blocks
+    deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
+    blocks: float = np.nan  #: Number of blocks
 
 
 #: nats. Discrepancy beyond the usual that hardly counts.

@@ -129,6 +129,10 @@ def features_of(
         foretold=np.nan if flexible is None else flexible.foretold,
         coefficients=np.nan if flexible is None else flexible.effective,
         samples=float(refit.structure.windows.measured.sum()),
+        deviations=np.array(
+            [_deviation(e.fit.predictive - refit.fit.predictive) for e in race.entries]
+        ),
+        blocks=float(len(refit.structure.windows)),
     )
 
 
