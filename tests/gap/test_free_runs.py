@@ -11,7 +11,7 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.flexible_mode import FlexibleMode
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.sensor_delay import SensorDelay
-from trms_cli.gap.free_runs import HorizonErrors, expected_errors, free_run_errors, harm, history
+from trms_cli.gap.free_runs import expected_errors, free_run_errors, history
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
@@ -99,23 +99,3 @@ def test_a_model_that_runs_away_counts_as_infinitely_wrong(plain: tuple[Model, D
     model.parameters = model.parameters.replaced({"J_mr": 1e-9})
     found = free_run_errors(model, [dataset], [SPAN])
     assert not np.isfinite(found["omega_v"][2.0].rms)
-
-
-def test_harm_is_that_of_the_channel_that_fares_worst_at_the_longest_horizon() -> None:
-    def errors(pitch: float, yaw: float):
-        return {
-            name: {
-                2.0: HorizonErrors(np.full(4, 1e6), np.arange(4)),
-                10.0: HorizonErrors(np.full(4, rms**2), np.arange(4)),
-            }
-            for name, rms in (("alpha_v", pitch), ("alpha_h", yaw))
-        }
-
-    floor, stray = errors(1.0, 1.0), {"alpha_v": 0.0, "alpha_h": 0.0}
-    assert harm(errors(8, 4), errors(2, 6), floor, stray) == pytest.approx(np.log(1.5))
-    assert harm(errors(8, 4), errors(2, 2), floor, stray) < 0  # all fare better
-    # near the floor, and below what any rig strays by, no error is worse than another
-    assert harm(errors(0.5, 4), errors(1.2, 4), floor, stray) == 0.0
-    assert harm(errors(2, 4), errors(4, 4), floor, {"alpha_v": 5.0, "alpha_h": 0.0}) == 0.0
-    # a run that diverges is a ruin, and a number
-    assert harm(errors(2, 2), errors(np.inf, 2), floor, stray) == pytest.approx(np.log(100))

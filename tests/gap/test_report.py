@@ -28,8 +28,8 @@ from trms_cli.gap.diagnosis import (
 )
 from trms_cli.gap.evidence_sections import force_chart, gap_chart, race_chart, run_chart
 from trms_cli.gap.findings import findings
-from trms_cli.gap.free_runs import Shrinkage
 from trms_cli.gap.sentence import sentence
+from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.reporting.page import page_html
 from trms_cli.reporting.rig_diagram import diagram
 

@@ -26,8 +26,8 @@ from trms_cli.gap.diagnosis import (
 )
 from trms_cli.gap.differences import NewRecordings
 from trms_cli.gap.evidence import DifferenceScore
-from trms_cli.gap.free_runs import TOLD_AT, Shrinkage
 from trms_cli.gap.problem import GapProblem, diagnosed_recordings
+from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
 from trms_cli.models.model import names
 
 #: Probability from which a verdict is given, and below which a cause is not told.

@@ -12,8 +12,8 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.change import StateComparison
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
-from trms_cli.gap.free_runs import Shrinkage, measure_shrinkage
 from trms_cli.gap.problem import GapProblem, Parts, divide
+from trms_cli.gap.shrinkage import Shrinkage, measure_shrinkage
 from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model
 

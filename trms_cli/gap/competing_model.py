@@ -181,6 +181,8 @@ class Evidence:
     predictive: FloatArray  #: (m,) array; log density of each block given the others, nats
     #: (n, n) array; of the free parameters in their units, and of the gains' coefficients
     covariance: FloatArray
+    #: (m, n) array; what these would be without each block, to first order
+    without: FloatArray
 
 
 def evidence(
@@ -196,7 +198,9 @@ def evidence(
     """
     _, quadratic, residuals = objective.parabola(theta, starts)
     n, m = quadratic.n, len(starts)
-    nothing = Evidence(np.full(m, -np.inf), np.full((len(theta), len(theta)), np.nan))
+    nothing = Evidence(
+        np.full(m, -np.inf), np.full((len(theta), len(theta)), np.nan), np.tile(theta, (m, 1))
+    )
     if not residuals.finite:
         return nothing
     whole = np.asarray(np.linalg.qr(quadratic.rows, mode="r"))
@@ -213,10 +217,11 @@ def evidence(
     # what a window's log density loses by the spread of its starts and of its innovations
     base = -of_starts - 0.5 * objective.metric.filter_.logdet
     likelihood = base - objective.by_window(theta, starts)
-    predictive = np.empty(m)
+    predictive, without = np.empty(m), np.tile(theta, (m, 1))
     for j in range(m):
         left = total - each[j]
         shift = np.linalg.solve(left, r[j].T @ c[j]) if free.any() else np.zeros(0)
+        without[j, free] += objective.scales[free] * shift
         away = c[j] + r[j] @ shift
         spread = np.eye(len(away)) + r[j] @ np.linalg.solve(left, r[j].T)
         _, logdet = np.linalg.slogdet(spread)
@@ -226,7 +231,7 @@ def evidence(
     inverse = np.linalg.pinv(total, rcond=1e-13, hermitian=True)
     covariance[np.ix_(free, free)] = inverse
     covariance *= np.outer(objective.scales, objective.scales)
-    return Evidence(predictive, covariance)
+    return Evidence(predictive, covariance, np.clip(without, *bounds))
 
 
 #: Compiled models by nominal model: many recordings of one model are diagnosed in one process.
@@ -289,6 +294,13 @@ class FittedModel:
     def model(self) -> Model:
         """The model at the fitted values."""
         return with_values(self.structure.problem.model, self.values)
+
+    def without(self, block: int) -> Model:
+        """The model at the values that the other blocks alone would give it."""
+        assert self.fit.evidence is not None
+        theta = self.fit.evidence.without[block, : len(self.fit.theta)]
+        values = dict(zip(self.structure.problem.names, theta.tolist(), strict=True))
+        return with_values(self.structure.problem.model, values)
 
     @cached_property
     def objective(self) -> InnovationObjective:

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from trms_cli.gap import free_runs
 from trms_cli.gap.belief import calibration
 from trms_cli.gap.competing_model import Refit, about_priors, nominal_parameters, refit
 from trms_cli.gap.diagnosis import DiagnosisResult
@@ -22,6 +21,7 @@ from trms_cli.gap.posterior import Posterior, posterior_of, simulated_part
 from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, run_race
 from trms_cli.gap.residuals import innovation_tests, locate, smoothed_forces
+from trms_cli.gap.shrinkage import SealedRuns, sealed_comparison
 from trms_cli.gap.signatures import EffectTraces, effect_traces, project_traces
 from trms_cli.identification.problem import Progress, SilentProgress
 
@@ -140,7 +140,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     calm = replace(nominal.metric, shares=np.minimum(nominal.metric.shares, limits))
     tests = innovation_tests(replace(nominal, metric=calm), seed=problem.seed)
     watch.enter("how far")
-    runs = free_runs.SealedRuns(problem, parts)
+    runs = SealedRuns(problem, parts)
     posterior = posterior_of(problem, race, candidates, forces, place, constants, runs, flexible)
     if not quick and _unexplained(posterior):
         # a cause that acts in a part of the recordings fits none of them from end to end
@@ -149,7 +149,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         if began is not None:
             return began
         watch.enter("how far")
-    sealed = free_runs.sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
+    sealed = sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
     beside = project_traces(posterior.corrected or nominal, traces)
     found = (race, place, forces, tests, posterior, sealed, beside)

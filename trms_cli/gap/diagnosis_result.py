@@ -40,6 +40,7 @@ from trms_cli.gap.race import Race
 from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, smoothed_forces
 from trms_cli.gap.sentence import LEAST_ALIKE, sentence
+from trms_cli.gap.shrinkage import SealedComparison
 from trms_cli.gap.signatures import Signatures
 from trms_cli.identification.free_runs import simulated_windows
 
@@ -62,7 +63,7 @@ class StageResults:
     forces: Mapping[str, ForceRecord]  #: Smoothed missing force of each equation
     tests: tuple[GapTest, ...]
     posterior: Posterior
-    sealed: free_runs.SealedComparison
+    sealed: SealedComparison
     beside: Signatures  #: Traces about the corrected model, or the refit where nothing is added
 
 
@@ -440,7 +441,7 @@ def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
 
 
 def _runs(
-    parts: Parts, sealed: free_runs.SealedComparison
+    parts: Parts, sealed: SealedComparison
 ) -> tuple[FloatArray, dict[str, dict[str, FloatArray]]]:
     """The free run over the sealed part in which most was gained."""
     number, first, last = parts.sealed[0]

@@ -19,9 +19,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
-from trms_cli.gap.competing_model import FittedModel
-from trms_cli.gap.diagnosis import Gap, Shrink
-from trms_cli.gap.problem import HORIZONS, GapProblem, Parts
+from trms_cli.gap.problem import HORIZONS
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
 from trms_cli.identification.greybox.windows import StartEstimator, spreads
@@ -103,7 +101,7 @@ def free_run_errors(
                 errors = HorizonErrors(column[seen], block_of[inside][seen])
                 found.setdefault(name, {}).setdefault(horizon, []).append(errors)
     return {
-        name: {horizon: _joined(parts_) for horizon, parts_ in of_channel.items()}
+        name: {horizon: joined(parts_) for horizon, parts_ in of_channel.items()}
         for name, of_channel in found.items()
     }
 
@@ -201,7 +199,8 @@ def _near(anchors: IntArray, begin: IntArray, samples: int) -> BoolArray:
     return np.abs(begin[after] - anchors) <= 2 * samples
 
 
-def _joined(errors: Sequence[HorizonErrors]) -> HorizonErrors:
+def joined(errors: Sequence[HorizonErrors]) -> HorizonErrors:
+    """Of several parts of one channel at one horizon."""
     return HorizonErrors(
         np.concatenate([e.squared for e in errors]), np.concatenate([e.block for e in errors])
     )
@@ -219,214 +218,3 @@ def _prior_sd(model: Model, step: float) -> FloatArray:
     forgets, driven = (np.array(ca.DM(v).full()).ravel() for v in of_states(*at))
     kept = np.exp(2 * step * np.minimum(forgets, -1e-3))
     return np.where(driven > 0, driven / np.sqrt(1 - kept), sd)
-
-
-#: Floors. Free runs that err by less are as good as those of a rig without a gap.
-_AT_FLOOR = 1.25
-#: A channel that errs by so many times more is ruined, by whatever more.
-_RUINED = 100.0
-#: Resamples of blocks, and how far a refit has to stand above the floor for a gap to shrink.
-_RESAMPLES, _LEAST_GAP = 400, 1.05
-#: A channel that loses more than this of its error is worse.
-_WORSE = 1.02
-#: s. The horizon at which a channel is judged worse, and that a sentence tells.
-TOLD_AT = "2.0"
-
-
-@dataclass(frozen=True)
-class Shrinkage:
-    """Fields of a diagnosis that say how far."""
-
-    gap: Mapping[str, Mapping[str, Gap]]  #: By channel and horizon
-    shrink: Mapping[str, Mapping[str, Shrink]]  #: By channel, and ``all``, and horizon
-    worse: tuple[str, ...]  #: Channels that the correction made worse at 2 s
-
-
-class SealedRuns:
-    """Free runs of models on the sealed part, each model's made once."""
-
-    def __init__(self, problem: GapProblem, parts: Parts) -> None:
-        self._problem, self._parts = problem, parts
-        self._options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
-        self._errors: dict[int, tuple[Model, Errors]] = {}
-        self._floors: dict[int, tuple[Model, Errors]] = {}
-
-    def errors(self, model: Model, rollout: Rollout | None = None) -> Errors:
-        """By channel and horizon; ``rollout``: of the model's structure, where one is at hand."""
-        # the model stands beside its errors so that its identity stays its own
-        known = self._errors.get(id(model))
-        if known is None:
-            own = self._parts
-            made = free_run_errors(model, own.whole, own.sealed, rollout=rollout, **self._options)
-            known = self._errors[id(model)] = (model, made)
-        return known[1]
-
-    def floor(self, model: Model, rollout: Rollout | None = None) -> Errors:
-        """What a model leaves of its own simulation, seen through the sensors' noise."""
-        known = self._floors.get(id(model))
-        if known is None:
-            own, seed = self._parts, self._problem.seed
-            made = expected_errors(
-                model, own.whole, own.sealed, seed=seed, rollout=rollout, **self._options
-            )
-            known = self._floors[id(model)] = (model, made)
-        return known[1]
-
-
-def farthest_error(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
-    """Largest error of all channels at the longest horizon, in floors; NaN where there is none.
-
-    ``stray``: by channel, by which free runs of any rig stray at that horizon; it widens the floor.
-    """
-    ratios = []
-    for channel, by_horizon in errors.items():
-        longest = max(by_horizon)
-        least = float(np.hypot(floor[channel][longest].rms, stray[channel]))
-        if least > 0:
-            ratios.append(by_horizon[longest].rms / least)
-    return max(ratios, default=float("nan"))
-
-
-def harm(before: Errors, after: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
-    """Largest factor by which a channel's error at the longest horizon grows, as a logarithm.
-
-    Errors below :data:`_AT_FLOOR` are alike; ``stray`` as of :func:`farthest_error`. NaN where
-    there is none.
-    """
-    found = []
-    for channel, by_horizon in before.items():
-        longest = max(by_horizon)
-        least = _AT_FLOOR * float(np.hypot(floor[channel][longest].rms, stray[channel]))
-        if least > 0:
-            grown = max(after[channel][longest].rms, least) / max(by_horizon[longest].rms, least)
-            found.append(float(np.log(np.fmin(grown, _RUINED))))
-    return max(found, default=float("nan"))
-
-
-def closed_share(before: Errors, after: Errors, floor: Errors) -> float:
-    """Share of what errors exceed the floor by, over all channels at :data:`TOLD_AT`, that is gone.
-
-    At most 1, and NaN where there is hardly anything to close.
-    """
-    at = float(TOLD_AT)
-    seen = [channel for channel in before if at in before[channel]]
-    if not seen:
-        return float("nan")
-    reference, left = (
-        np.sqrt(np.mean([(e[c][at].rms / floor[c][at].rms) ** 2 for c in seen]))
-        for e in (before, after)
-    )
-    if not reference > _LEAST_GAP:
-        return float("nan")
-    return float(np.clip(1 - (left - 1) / (reference - 1), -1.0, 1.0))
-
-
-def measure_shrinkage(
-    problem: GapProblem,
-    parts: Parts,
-    raw: Model,
-    refit: Model,
-    corrected: Model,
-    rollouts: tuple[Rollout | None, Rollout | None] = (None, None),
-    runs: SealedRuns | None = None,
-) -> Shrinkage:
-    """Free runs of three models on the sealed part.
-
-    The floor is what the corrected model would leave of its own simulation, seen through the
-    declared noise.
-
-    ``rollouts``: of the refitted and of the corrected model's structure, where they are at hand.
-    ``runs``: that may have been made.
-    """
-    runs = runs or SealedRuns(problem, parts)
-    plain, richer = rollouts
-    before = runs.errors(refit, plain)
-    after = before if corrected is refit else runs.errors(corrected, richer)
-    errors = {"raw": runs.errors(raw, plain), "refit": before, "corrected": after}
-    right = runs.floor(corrected, plain if corrected is refit else richer)
-    units = {s.name: s.unit for d in parts.whole for s in d.outputs}
-    gap: dict[str, dict[str, Gap]] = {}
-    shrink: dict[str, dict[str, Shrink]] = {}
-    pooled: dict[str, list[tuple[FloatArray, IntArray]]] = {}
-    for channel, by_horizon in before.items():
-        for horizon, reference in by_horizon.items():
-            key = repr(float(horizon))
-            floor = right[channel][horizon].rms
-            figures = {name: e[channel][horizon].rms for name, e in errors.items()}
-            gap.setdefault(channel, {})[key] = Gap(**figures, floor=floor, unit=units[channel])
-            squares = np.stack([reference.squared, after[channel][horizon].squared])
-            own = (squares / floor**2, reference.block)
-            pooled.setdefault(key, []).append(own)
-            shrink.setdefault(channel, {})[key] = _pooled([own], problem.seed)
-    shrink["all"] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
-    worse = tuple(
-        channel
-        for channel, table in gap.items()
-        if TOLD_AT in table and table[TOLD_AT].corrected > _WORSE * table[TOLD_AT].refit
-    )
-    return Shrinkage(gap, shrink, worse)
-
-
-def _pooled(parts: Sequence[tuple[FloatArray, IntArray]], seed: int) -> Shrink:
-    """Of channels together, blocks resampled in all at once.
-
-    ``parts``: of each its squares (2, m) before and after, in floors squared, and their blocks.
-    """
-    blocks = np.unique(np.concatenate([block for _, block in parts]))
-    sums = np.zeros((len(parts), len(blocks), 2))
-    counts = np.zeros((len(parts), len(blocks)))
-    for i, (squares, block) in enumerate(parts):
-        at = np.searchsorted(blocks, block)
-        counts[i] = np.bincount(at, minlength=len(blocks))
-        for k in range(2):
-            sums[i, :, k] = np.bincount(at, squares[k], len(blocks))
-
-    def fraction(weights: FloatArray) -> float:
-        with np.errstate(all="ignore"):
-            means = (weights @ sums) / (counts @ weights)[:, None]
-            refit, corrected = np.sqrt(np.mean(means, axis=0))
-            if not refit > _LEAST_GAP:
-                return np.nan
-            # below the floor by chance is no more than all of the gap
-            return float(min(1 - (corrected - 1) / (refit - 1), 1.0))
-
-    whole = fraction(np.ones(len(blocks)))
-    if not np.isfinite(whole):
-        return Shrink(fraction=None, ci95=None)
-    random = np.random.default_rng(np.random.SeedSequence([seed, 0x5412]))
-    drawn = random.multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), _RESAMPLES)
-    found = np.array([fraction(w.astype(float)) for w in drawn])
-    found = found[np.isfinite(found)]
-    if len(blocks) < 2 or len(found) < _RESAMPLES / 2:
-        return Shrink(fraction=whole, ci95=None)
-    low, high = np.quantile(found, [0.025, 0.975])
-    return Shrink(fraction=whole, ci95=(float(low), float(high)))
-
-
-@dataclass(frozen=True)
-class SealedComparison:
-    """The opened seal."""
-
-    shrinkage: Shrinkage
-    #: ``raw``, ``refit``, and ``corrected`` where a cause is added, as their free runs were made
-    models: Mapping[str, tuple[Model, Rollout]]
-
-
-def sealed_comparison(
-    problem: GapProblem,
-    parts: Parts,
-    refit: FittedModel,
-    corrected: FittedModel | None,
-    runs: SealedRuns,
-) -> SealedComparison:
-    """Free runs of the model as it was, refitted, and corrected where there is a cause."""
-    plain = refit.structure.windows.rollout
-    last, richer = refit.model, plain
-    models = {"raw": (problem.model, plain), "refit": (refit.model, plain)}
-    if corrected is not None:
-        last, richer = corrected.model, corrected.structure.windows.rollout
-        models["corrected"] = (last, richer)
-    measured = measure_shrinkage(
-        problem, parts, problem.model, refit.model, last, (plain, richer), runs
-    )
-    return SealedComparison(measured, models)

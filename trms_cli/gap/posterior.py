@@ -18,10 +18,10 @@ from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.free_runs import SealedRuns, closed_share, farthest_error, harm
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
+from trms_cli.gap.shrinkage import SealedRuns, closed_share, farthest_error, harm
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Sequence
 
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
-from trms_cli.gap import free_runs
 from trms_cli.gap.diagnosis import Cause, LocationShare, MovedParameter
 from trms_cli.gap.posterior import Posterior
+from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
 from trms_cli.gap.wording import sizes
 
 #: Probability from which a cause that is not told apart is worth its name.
@@ -22,7 +22,7 @@ def sentence(
     posterior: Posterior,
     causes: Sequence[Cause],
     where: Sequence[LocationShare],
-    shrinkage: free_runs.Shrinkage,
+    shrinkage: Shrinkage,
     moved: Sequence[MovedParameter] = (),
     law: Sequence[str] = (),
 ) -> str:
@@ -64,7 +64,7 @@ def sentence(
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
-    shrink = shrinkage.shrink.get("all", {}).get(free_runs.TOLD_AT)
+    shrink = shrinkage.shrink.get("all", {}).get(TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
         if shrink.fraction > 0:
             closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
@@ -84,7 +84,7 @@ def _sure(probability: float) -> str:
     return "over 0.99" if probability >= 0.995 else f"{probability:.2f}"
 
 
-def _left_over(shrinkage: free_runs.Shrinkage) -> str:
+def _left_over(shrinkage: Shrinkage) -> str:
     """What the refitted model still lacks on the sealed part, where that is much.
 
     The verdict compares causes on the part that was fitted. A short recording can be fitted by
@@ -93,14 +93,14 @@ def _left_over(shrinkage: free_runs.Shrinkage) -> str:
     worst, ratio = _farthest(shrinkage, "refit")
     if ratio < _MUCH:
         return ""
-    gap = shrinkage.gap[worst][free_runs.TOLD_AT]
+    gap = shrinkage.gap[worst][TOLD_AT]
     return (
         f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
         f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
     )
 
 
-def _above_floor(shrinkage: free_runs.Shrinkage) -> str:
+def _above_floor(shrinkage: Shrinkage) -> str:
     """By how much free runs of a model without a gap err beyond the noise, and why it is none.
 
     The verdict weighs errors of one step, and the floor knows only the sensors' noise.
@@ -108,7 +108,7 @@ def _above_floor(shrinkage: free_runs.Shrinkage) -> str:
     worst, ratio = _farthest(shrinkage, "raw")
     if ratio < _LITTLE:
         return ""
-    gap = shrinkage.gap[worst][free_runs.TOLD_AT]
+    gap = shrinkage.gap[worst][TOLD_AT]
     small, scale = small_unit(gap.unit)
     errors = (
         f"{signal(worst)}, {number(scale * gap.raw)} against {quantity(scale * gap.floor, small)}"
@@ -119,12 +119,12 @@ def _above_floor(shrinkage: free_runs.Shrinkage) -> str:
     return f"{text} ({errors}): do not rely on this, and record longer."
 
 
-def _farthest(shrinkage: free_runs.Shrinkage, model: str) -> tuple[str, float]:
+def _farthest(shrinkage: Shrinkage, model: str) -> tuple[str, float]:
     """The channel whose free runs of 2 s lie farthest above the floor, and how many times."""
     ratios = {
-        channel: getattr(gaps[free_runs.TOLD_AT], model) / gaps[free_runs.TOLD_AT].floor
+        channel: getattr(gaps[TOLD_AT], model) / gaps[TOLD_AT].floor
         for channel, gaps in shrinkage.gap.items()
-        if free_runs.TOLD_AT in gaps and gaps[free_runs.TOLD_AT].floor > 0
+        if TOLD_AT in gaps and gaps[TOLD_AT].floor > 0
     }
     worst = max(ratios, key=lambda channel: ratios[channel], default="")
     return worst, ratios.get(worst, 0.0)

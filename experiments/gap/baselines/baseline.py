@@ -15,8 +15,8 @@ from trms_cli.gap.diagnosis import (
     LocationShare,
     Verdict,
 )
-from trms_cli.gap.free_runs import Shrinkage
 from trms_cli.gap.problem import CandidateEffect, GapProblem
+from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.models.model import names
 
 

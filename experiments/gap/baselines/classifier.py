@@ -36,8 +36,8 @@ from trms_cli.core.compilation import cache_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult
-from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import GapProblem, applicable_candidates
+from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.data import noise_estimate
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, index_of, names

@@ -24,8 +24,8 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
-from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter

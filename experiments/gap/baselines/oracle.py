@@ -13,8 +13,8 @@ from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import parts_of, refit
 from experiments.gap.baselines.white_noise import fit_with
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, Verdict
-from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import GapProblem, applicable_candidates
+from trms_cli.gap.shrinkage import measure_shrinkage
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ from typing import ClassVar
 from experiments.gap.baselines.baseline import diagnosis
 from experiments.gap.baselines.fits import parts_of, refit
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult
-from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import GapProblem
+from trms_cli.gap.shrinkage import measure_shrinkage
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,8 +25,8 @@ from experiments.gap.baselines.restoring_force import Motion, motion
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
-from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates
+from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model, names
 

@@ -21,8 +21,8 @@ from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import Fit, fit_problem, map_fit, parts_of
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, Verdict
-from trms_cli.gap.free_runs import measure_shrinkage
 from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, applicable_candidates
+from trms_cli.gap.shrinkage import measure_shrinkage
 from trms_cli.identification.greybox.map_fit import Point, information, minimise, with_fitted_starts
 from trms_cli.identification.greybox.objective import MapObjective, ResidualWeights
 from trms_cli.identification.greybox.windows import Windows

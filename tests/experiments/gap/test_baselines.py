@@ -28,7 +28,6 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.model_file import load_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.gap.diagnosis import DiagnosisResult, document_of
-from trms_cli.gap.free_runs import _pooled
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, names
@@ -187,18 +186,6 @@ def test_marks_are_as_many_for_any_length(rubbing: GapProblem) -> None:
     dataset = rubbing.datasets[0]
     long, short = (marks(few_free(*FREE), [d], 10.0) for d in (dataset, dataset.part(0, 1500)))
     assert long.shape == short.shape and np.isfinite(long).all()
-
-
-def test_the_interval_of_a_shrink_comes_from_blocks() -> None:
-    block = np.repeat(np.arange(6), 10)
-    refit_ = np.full(60, 101.0)
-    after = np.where(block < 3, 1.0, 26.0)  # three blocks closed entirely, three by half
-    found = _pooled([(np.stack([refit_, after]), block)], 0)
-    assert found.fraction == pytest.approx(1 - (np.sqrt(13.5) - 1) / (np.sqrt(101) - 1))
-    assert found.ci95 is not None
-    assert found.ci95[0] < found.fraction < found.ci95[1] <= 1.0
-    none = _pooled([(np.ones((2, 60)), block)], 0)
-    assert none.fraction is None and none.ci95 is None
 
 
 def test_what_is_sealed_is_not_fitted(rubbing: GapProblem) -> None:

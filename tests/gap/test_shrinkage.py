@@ -1,0 +1,113 @@
+"""How far a correction closes the gap, and how sure that is with few sealed blocks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.gap.recorded import effect, recording
+from trms_cli.gap.competing_model import nominal_parameters, refit
+from trms_cli.gap.diagnosis import Shrink
+from trms_cli.gap.free_runs import HorizonErrors
+from trms_cli.gap.problem import Parts, applicable_candidates
+from trms_cli.gap.shrinkage import _in_turn, _Pair, _pooled, harm
+from trms_cli.models.newtonian import Newtonian
+
+
+def test_harm_is_that_of_the_channel_that_fares_worst_at_the_longest_horizon() -> None:
+    def errors(pitch: float, yaw: float):
+        return {
+            name: {
+                2.0: HorizonErrors(np.full(4, 1e6), np.arange(4)),
+                10.0: HorizonErrors(np.full(4, rms**2), np.arange(4)),
+            }
+            for name, rms in (("alpha_v", pitch), ("alpha_h", yaw))
+        }
+
+    floor, stray = errors(1.0, 1.0), {"alpha_v": 0.0, "alpha_h": 0.0}
+    assert harm(errors(8, 4), errors(2, 6), floor, stray) == pytest.approx(np.log(1.5))
+    assert harm(errors(8, 4), errors(2, 2), floor, stray) < 0  # all fare better
+    # near the floor, and below what any rig strays by, no error is worse than another
+    assert harm(errors(0.5, 4), errors(1.2, 4), floor, stray) == 0.0
+    assert harm(errors(2, 4), errors(4, 4), floor, {"alpha_v": 5.0, "alpha_h": 0.0}) == 0.0
+    # a run that diverges is a ruin, and a number
+    assert harm(errors(2, 2), errors(np.inf, 2), floor, stray) == pytest.approx(np.log(100))
+
+
+def pair(before: np.ndarray, after: np.ndarray, block: np.ndarray) -> _Pair:
+    """A channel's squared errors with a floor of one."""
+    return _Pair.of(HorizonErrors(before, block), HorizonErrors(after, block), 1.0)
+
+
+def test_the_interval_of_a_shrink_comes_from_blocks() -> None:
+    block = np.repeat(np.arange(6), 10)
+    after = np.where(block < 3, 1.0, 26.0)  # three blocks closed entirely, three by half
+    found = _pooled([pair(np.full(60, 101.0), after, block)], 0)
+    assert found.fraction == pytest.approx(1 - (np.sqrt(13.5) - 1) / (np.sqrt(101) - 1))
+    assert found.ci95 is not None
+    assert found.ci95[0] < found.fraction < found.ci95[1] <= 1.0
+    none = _pooled([pair(np.ones(60), np.ones(60), block)], 0)
+    assert none.fraction is None and none.ci95 is None
+
+
+def test_blocks_sealed_in_turn_tell_how_few_sealed_ones_scatter() -> None:
+    """Of many parts as short as the sealed one, the interval holds what the whole would show."""
+    random = np.random.default_rng(4)
+    few, many = np.repeat(np.arange(2), 5), np.repeat(np.arange(8), 5)
+    held, held_alone, width = 0, 0, []
+    for trial in range(60):
+        left = random.lognormal(2.0, 0.8, 10)  # squares that a block leaves
+        after = np.repeat(left, 5)
+        truth = 1 - (np.sqrt(np.exp(2.0 + 0.32)) - 1) / (np.sqrt(101) - 1)
+        sealed = pair(np.full(10, 101.0), after[:10], few)
+        turns = pair(np.full(40, 101.0), after[10:], many)
+        found, alone = _pooled([sealed.beside(turns)], trial), _pooled([sealed], trial)
+        assert found.fraction == alone.fraction  # what is told is of the sealed part
+        assert found.ci95 is not None and alone.ci95 is not None
+        held += found.ci95[0] <= truth <= found.ci95[1]
+        held_alone += alone.ci95[0] <= truth <= alone.ci95[1]
+        width.append(found.ci95[1] - found.ci95[0])
+    assert held >= 50 > held_alone
+    assert max(width) < 1.0
+
+
+def test_a_block_is_foretold_by_the_others() -> None:
+    """To first order the values without a block are those of a fit without it."""
+    model = Newtonian()
+    rubbing = effect("yaw_coulomb_friction", torque=0.004)
+    dataset = recording({"yaw_coulomb_friction": rubbing}, seconds=40.0)
+    free = tuple(p for p in nominal_parameters(model) if p.name in ("k_oh", "k_fhp", "k_fvp"))
+    fitted = refit(model, free, (dataset,), 10.0)
+    silent = dataset.measurements.copy()
+    silent[: round(10.0 / dataset.sample_time)] = np.nan
+    again = refit(model, free, (replace(dataset, measurements=silent),), 10.0)
+    sd = dict(zip(fitted.structure.problem.names, fitted.fit.sd, strict=True))
+    without = fitted.without(0).parameters
+    for name, value in again.values.items():
+        assert abs(without[name].value - value) < 1.0 * sd[name], name
+    moved = [abs(without[n].value - fitted.values[n]) / sd[n] for n in fitted.values]
+    assert max(moved) > 0.01
+
+
+def test_fitted_blocks_are_sealed_in_turn_where_the_sealed_part_is_short() -> None:
+    model = Newtonian()
+    rubbing = effect("yaw_coulomb_friction", torque=0.004)
+    dataset = recording({"yaw_coulomb_friction": rubbing}, seconds=40.0)
+    cut = round(30.0 / dataset.sample_time)
+    fitted = dataset.part(0, cut)
+    free = tuple(p for p in nominal_parameters(model) if p.name in ("k_oh", "k_fhp", "k_fvp"))
+    plain = refit(model, free, (fitted,), 10.0)
+    candidates, _ = applicable_candidates(model, {"yaw_coulomb_friction": rubbing})
+    richer = plain.structure.with_effects(*candidates.values())
+    corrected = richer.fit(
+        plain.metric, [(richer.theta(plain.values), plain.fit.starts)], centres=plain.centres
+    )
+    parts = Parts((fitted,), (dataset,), ((0, cut, len(dataset)),), 10.0)
+    turns = _in_turn(parts, plain, corrected, 1)
+    assert turns is not None
+    before, after = (errors["alpha_h"][2.0] for errors in turns)
+    assert sorted(set(before.block.tolist())) == [0, 1, 2]
+    assert after.rms < 0.5 * before.rms
+    # a long sealed part tells its own scatter
+    assert _in_turn(replace(parts, sealed=((0, 0, len(dataset)),)), plain, corrected, 1) is None
+    assert isinstance(_pooled([_Pair.of(before, after, 1e-4)], 0), Shrink)

@@ -1,0 +1,327 @@
+"""How far a correction closes the gap on what was kept aside, and how sure that is.
+
+What is told is measured on the sealed part, on which nothing was fitted and nobody chose. A part of
+few blocks does not tell its own scatter: then the blocks that were fitted are sealed in turn, each
+with the parameters that the other blocks alone would have, and what sealed parts of that length
+scatter by is what such blocks, drawn anew, do.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+from trms_cli.gap.competing_model import FittedModel
+from trms_cli.gap.diagnosis import Gap, Shrink
+from trms_cli.gap.free_runs import (
+    Errors,
+    HorizonErrors,
+    expected_errors,
+    free_run_errors,
+    joined,
+)
+from trms_cli.gap.problem import GapProblem, Parts
+from trms_cli.models.model import Model
+from trms_cli.simulation.rollout import Rollout
+
+#: Floors. Free runs that err by less are as good as those of a rig without a gap.
+_AT_FLOOR = 1.25
+#: A channel that errs by so many times more is ruined, by whatever more.
+_RUINED = 100.0
+#: Resamples of blocks, and how far a refit has to stand above the floor for a gap to shrink.
+_RESAMPLES, _LEAST_GAP = 400, 1.05
+#: A channel that loses more than this of its error is worse.
+_WORSE = 1.02
+#: s. The horizon at which a channel is judged worse, and that a sentence tells.
+TOLD_AT = "2.0"
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """Fields of a diagnosis that say how far."""
+
+    gap: Mapping[str, Mapping[str, Gap]]  #: By channel and horizon
+    shrink: Mapping[str, Mapping[str, Shrink]]  #: By channel, and ``all``, and horizon
+    worse: tuple[str, ...]  #: Channels that the correction made worse at 2 s
+
+
+class SealedRuns:
+    """Free runs of models on the sealed part, each model's made once."""
+
+    def __init__(self, problem: GapProblem, parts: Parts) -> None:
+        self._problem, self._parts = problem, parts
+        self._options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
+        self._errors: dict[int, tuple[Model, Errors]] = {}
+        self._floors: dict[int, tuple[Model, Errors]] = {}
+
+    def errors(self, model: Model, rollout: Rollout | None = None) -> Errors:
+        """By channel and horizon; ``rollout``: of the model's structure, where one is at hand."""
+        # the model stands beside its errors so that its identity stays its own
+        known = self._errors.get(id(model))
+        if known is None:
+            own = self._parts
+            made = free_run_errors(model, own.whole, own.sealed, rollout=rollout, **self._options)
+            known = self._errors[id(model)] = (model, made)
+        return known[1]
+
+    def floor(self, model: Model, rollout: Rollout | None = None) -> Errors:
+        """What a model leaves of its own simulation, seen through the sensors' noise."""
+        known = self._floors.get(id(model))
+        if known is None:
+            own, seed = self._parts, self._problem.seed
+            made = expected_errors(
+                model, own.whole, own.sealed, seed=seed, rollout=rollout, **self._options
+            )
+            known = self._floors[id(model)] = (model, made)
+        return known[1]
+
+
+def farthest_error(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
+    """Largest error of all channels at the longest horizon, in floors; NaN where there is none.
+
+    ``stray``: by channel, by which free runs of any rig stray at that horizon; it widens the floor.
+    """
+    ratios = []
+    for channel, by_horizon in errors.items():
+        longest = max(by_horizon)
+        least = float(np.hypot(floor[channel][longest].rms, stray[channel]))
+        if least > 0:
+            ratios.append(by_horizon[longest].rms / least)
+    return max(ratios, default=float("nan"))
+
+
+def harm(before: Errors, after: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
+    """Largest factor by which a channel's error at the longest horizon grows, as a logarithm.
+
+    Errors below :data:`_AT_FLOOR` are alike; ``stray`` as of :func:`farthest_error`. NaN where
+    there is none.
+    """
+    found = []
+    for channel, by_horizon in before.items():
+        longest = max(by_horizon)
+        least = _AT_FLOOR * float(np.hypot(floor[channel][longest].rms, stray[channel]))
+        if least > 0:
+            grown = max(after[channel][longest].rms, least) / max(by_horizon[longest].rms, least)
+            found.append(float(np.log(np.fmin(grown, _RUINED))))
+    return max(found, default=float("nan"))
+
+
+def closed_share(before: Errors, after: Errors, floor: Errors) -> float:
+    """Share of what errors exceed the floor by, over all channels at :data:`TOLD_AT`, that is gone.
+
+    At most 1, and NaN where there is hardly anything to close.
+    """
+    at = float(TOLD_AT)
+    seen = [channel for channel in before if at in before[channel]]
+    if not seen:
+        return float("nan")
+    reference, left = (
+        np.sqrt(np.mean([(e[c][at].rms / floor[c][at].rms) ** 2 for c in seen]))
+        for e in (before, after)
+    )
+    if not reference > _LEAST_GAP:
+        return float("nan")
+    return float(np.clip(1 - (left - 1) / (reference - 1), -1.0, 1.0))
+
+
+def measure_shrinkage(
+    problem: GapProblem,
+    parts: Parts,
+    raw: Model,
+    refit: Model,
+    corrected: Model,
+    rollouts: tuple[Rollout | None, Rollout | None] = (None, None),
+    runs: SealedRuns | None = None,
+    turns: tuple[Errors, Errors] | None = None,
+) -> Shrinkage:
+    """Free runs of three models on the sealed part.
+
+    The floor is what the corrected model would leave of its own simulation, seen through the
+    declared noise.
+
+    ``rollouts``: of the refitted and of the corrected model's structure, where they are at hand.
+    ``runs``: that may have been made. ``turns``: of the refitted and of the corrected model on
+    blocks that were sealed in turn, where a sealed part of few blocks does not tell its scatter.
+    """
+    runs = runs or SealedRuns(problem, parts)
+    plain, richer = rollouts
+    before = runs.errors(refit, plain)
+    after = before if corrected is refit else runs.errors(corrected, richer)
+    errors = {"raw": runs.errors(raw, plain), "refit": before, "corrected": after}
+    right = runs.floor(corrected, plain if corrected is refit else richer)
+    units = {s.name: s.unit for d in parts.whole for s in d.outputs}
+    gap: dict[str, dict[str, Gap]] = {}
+    shrink: dict[str, dict[str, Shrink]] = {}
+    pooled: dict[str, list[_Pair]] = {}
+    for channel, by_horizon in before.items():
+        for horizon, reference in by_horizon.items():
+            key = repr(float(horizon))
+            floor = right[channel][horizon].rms
+            figures = {name: e[channel][horizon].rms for name, e in errors.items()}
+            gap.setdefault(channel, {})[key] = Gap(**figures, floor=floor, unit=units[channel])
+            own = _Pair.of(reference, after[channel][horizon], floor)
+            if turns is not None and horizon in turns[0].get(channel, {}):
+                one, other = (turn[channel][horizon] for turn in turns)
+                own = own.beside(_Pair.of(one, other, floor))
+            pooled.setdefault(key, []).append(own)
+            shrink.setdefault(channel, {})[key] = _pooled([own], problem.seed)
+    shrink["all"] = {key: _pooled(parts, problem.seed) for key, parts in pooled.items()}
+    worse = tuple(
+        channel
+        for channel, table in gap.items()
+        if TOLD_AT in table and table[TOLD_AT].corrected > _WORSE * table[TOLD_AT].refit
+    )
+    return Shrinkage(gap, shrink, worse)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Squared errors of a channel at a horizon before and after, in floors squared."""
+
+    squares: FloatArray  #: (2, m) array
+    block: IntArray  #: (m,) array of int
+    sealed: BoolArray  #: (m,) array of bool; of blocks that nothing was fitted to
+
+    @classmethod
+    def of(cls, before: HorizonErrors, after: HorizonErrors, floor: float) -> "_Pair":
+        squares = np.stack([before.squared, after.squared]) / floor**2
+        return cls(squares, before.block, np.ones(len(before.block), dtype=bool))
+
+    def beside(self, turns: "_Pair") -> "_Pair":
+        """With blocks that were sealed in turn, whose numbers begin at :data:`_IN_TURN`."""
+        return _Pair(
+            np.hstack([self.squares, turns.squares]),
+            np.concatenate([self.block, turns.block + _IN_TURN]),
+            np.concatenate([self.sealed, ~turns.sealed]),
+        )
+
+
+#: Number of the first block that was sealed in turn.
+_IN_TURN = 1_000_000
+
+
+def _pooled(parts: Sequence[_Pair], seed: int) -> Shrink:
+    """Of channels together, blocks resampled in all at once.
+
+    The share is that of sealed blocks; as many are drawn from all blocks, and how these scatter
+    about all is how the share does.
+    """
+    blocks = np.unique(np.concatenate([part.block for part in parts]))
+    sums = np.zeros((len(parts), len(blocks), 2))
+    counts = np.zeros((len(parts), len(blocks)))
+    for i, part in enumerate(parts):
+        at = np.searchsorted(blocks, part.block)
+        counts[i] = np.bincount(at, minlength=len(blocks))
+        for k in range(2):
+            sums[i, :, k] = np.bincount(at, part.squares[k], len(blocks))
+
+    def fraction(weights: FloatArray) -> float:
+        with np.errstate(all="ignore"):
+            means = (weights @ sums) / (counts @ weights)[:, None]
+            refit, corrected = np.sqrt(np.mean(means, axis=0))
+            if not refit > _LEAST_GAP:
+                return np.nan
+            # below the floor by chance is no more than all of the gap
+            return float(min(1 - (corrected - 1) / (refit - 1), 1.0))
+
+    sealed = blocks < _IN_TURN
+    told, of_all = fraction(sealed.astype(float)), fraction(np.ones(len(blocks)))
+    if not np.isfinite(told):
+        return Shrink(fraction=None, ci95=None)
+    random = np.random.default_rng(np.random.SeedSequence([seed, 0x5412]))
+    even = np.full(len(blocks), 1 / len(blocks))
+    drawn = random.multinomial(np.count_nonzero(sealed), even, _RESAMPLES)
+    found = np.array([fraction(w.astype(float)) for w in drawn])
+    found = found[np.isfinite(found)]
+    if len(blocks) < 2 or len(found) < _RESAMPLES / 2 or not np.isfinite(of_all):
+        return Shrink(fraction=told, ci95=None)
+    low, high = np.quantile(found, [0.025, 0.975]) + told - of_all
+    return Shrink(
+        fraction=told, ci95=(float(min(low, told)), float(np.clip(high, told, max(told, 1.0))))
+    )
+
+
+#: Blocks of a sealed part up to which those that were fitted are sealed in turn.
+_FEW_BLOCKS = 3
+
+
+def _in_turn(
+    parts: Parts, refit: FittedModel, corrected: FittedModel, jobs: int
+) -> tuple[Errors, Errors] | None:
+    """Free runs of both on each fitted block, at the values that the others would give.
+
+    To first order, so that no fit is made anew. None where the sealed part has blocks enough.
+    """
+    step = parts.whole[0].sample_time
+    length = sum((end - begin) * step for _, begin, end in parts.sealed)
+    if length >= (_FEW_BLOCKS + 1) * parts.block:
+        return None
+    windows = refit.structure.windows
+    ends = np.cumsum([len(dataset) for dataset in windows.datasets])
+    made: list[list[Errors]] = [[], []]
+    for j, (first, count) in enumerate(zip(windows.first, windows.count, strict=True)):
+        number = int(np.searchsorted(ends, first, side="right"))
+        begin = int(first - (ends[number] - len(windows.datasets[number])))
+        span = (number, begin, begin + int(count))
+        for fitted, found in zip((refit, corrected), made, strict=True):
+            own = fitted.structure.windows.rollout
+            errors = free_run_errors(
+                fitted.without(j), parts.whole, [span], block=parts.block, rollout=own, jobs=jobs
+            )
+            found.append(_numbered(errors, j))
+    before, after = (_together(found) for found in made)
+    return before, after
+
+
+def _numbered(errors: Errors, block: int) -> Errors:
+    """As of one block of that number."""
+    return {
+        name: {h: replace(e, block=np.full_like(e.block, block)) for h, e in by_horizon.items()}
+        for name, by_horizon in errors.items()
+    }
+
+
+def _together(errors: Sequence[Errors]) -> Errors:
+    found: dict[str, dict[float, list[HorizonErrors]]] = {}
+    for one in errors:
+        for name, by_horizon in one.items():
+            for horizon, e in by_horizon.items():
+                found.setdefault(name, {}).setdefault(horizon, []).append(e)
+    return {
+        name: {horizon: joined(parts) for horizon, parts in by_horizon.items()}
+        for name, by_horizon in found.items()
+    }
+
+
+@dataclass(frozen=True)
+class SealedComparison:
+    """The opened seal."""
+
+    shrinkage: Shrinkage
+    #: ``raw``, ``refit``, and ``corrected`` where a cause is added, as their free runs were made
+    models: Mapping[str, tuple[Model, Rollout]]
+
+
+def sealed_comparison(
+    problem: GapProblem,
+    parts: Parts,
+    refit: FittedModel,
+    corrected: FittedModel | None,
+    runs: SealedRuns,
+) -> SealedComparison:
+    """Free runs of the model as it was, refitted, and corrected where there is a cause."""
+    plain = refit.structure.windows.rollout
+    last, richer = refit.model, plain
+    models = {"raw": (problem.model, plain), "refit": (refit.model, plain)}
+    if corrected is not None:
+        last, richer = corrected.model, corrected.structure.windows.rollout
+        models["corrected"] = (last, richer)
+    turns = None
+    if corrected is not None and problem.effort != "quick":
+        turns = _in_turn(parts, refit, corrected, problem.jobs)
+    measured = measure_shrinkage(
+        problem, parts, problem.model, refit.model, last, (plain, richer), runs, turns
+    )
+    return SealedComparison(measured, models)
