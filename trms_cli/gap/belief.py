@@ -9,7 +9,7 @@ nuisances are drawn and whose truth is known (``calibration.json``, with the com
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -26,6 +26,8 @@ class Calibration:
     weights: Mapping[str, float]  #: By feature, see :func:`alternatives`
     #: Error of each equation of a rig without a gap, as a share of what acts there
     usual_shares: Mapping[str, float] = field(default_factory=dict)
+    #: What is believed of a change before it is seen, see :func:`change_probabilities`
+    change: Mapping[str, float] = field(default_factory=dict)
     command: str = ""  #: That makes the file again
 
     def usual(self, location: str) -> float:
@@ -227,3 +229,54 @@ def probabilities_of(
     odds = np.exp(logits - logits.max())
     found = dict(zip(rows, (odds / odds.sum()).tolist(), strict=True))
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+#: Kinds of differences, each of which has its own share of belief.
+CHANGE_KINDS = ("effect", "torque", "parameter")
+#: nats. Largest gain of a change that is thought of: gains are log-uniform up to it.
+_LARGEST_GAIN = 1000.0
+#: nats by which a change that gains nothing is less likely than one of the least gain.
+_NO_GAIN = 3.0
+
+
+def change_worth(
+    kinds: Sequence[str], nats: FloatArray, constants: Mapping[str, float]
+) -> FloatArray:
+    """Logarithm of how likely each of some differences is, up to a constant, (k,).
+
+    ``nats``, (k,) array: log evidence of each. A kind's belief is shared among its members.
+    """
+    priors = [np.log(constants[kind] / kinds.count(kind)) for kind in kinds]
+    return np.asarray(constants["nat"] * nats + priors)
+
+
+def change_probabilities(
+    kinds: Sequence[str],
+    gains: FloatArray,
+    unnamed: float,
+    usual: Sequence[float],
+    constants: Mapping[str, float],
+) -> tuple[FloatArray, float, float]:
+    """Probability of each difference (k,), that nothing changed, and of something else.
+
+    Gains between recordings of one state are exponential, of a rate of which as much is believed
+    as ``believed`` recordings that gained ``usual_gain`` tell; with those of the recordings at hand
+    the best gain of a further one is Lomax distributed. Those of a change are log-uniform.
+
+    ``gains``, (k,) array: nats above that nothing changed. ``unnamed``: of a force without a name.
+    ``usual``: nats that the best gains where each recording of the known state is questioned.
+    ``constants``: beliefs ``unchanged``, ``unnamed`` and of each kind; ``nat``, of how much belief
+    a nat is worth among differences; ``believed`` and ``usual_gain``.
+    """
+    size = max(float(np.max(gains, initial=0.0)), unnamed, 0.0)
+    shape = constants["believed"] + len(usual)
+    scale = constants["believed"] * constants["usual_gain"] + sum(usual)
+    none = np.log(shape / scale) - (shape + 1) * np.log1p(size / scale)
+    some = -np.log((1 + size) * np.log(_LARGEST_GAIN)) - (0.0 if size > 0 else _NO_GAIN)
+    before = np.log(constants["unchanged"] / (1 - constants["unchanged"]))
+    unchanged = float(1 / (1 + np.exp(some - none - before)))
+    other = constants["nat"] * unnamed + np.log(constants["unnamed"])
+    log = np.append(change_worth(kinds, gains, constants), other)
+    shares = np.exp(log - log.max())
+    shares *= (1 - unchanged) / shares.sum()
+    return shares[:-1], unchanged, float(shares[-1])

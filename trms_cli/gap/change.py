@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.gap.belief import calibration, change_probabilities, change_worth
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
@@ -29,16 +30,6 @@ from trms_cli.gap.problem import (
 )
 from trms_cli.identification.dataset import Dataset
 
-#: What is believed before the recordings are seen: that nothing changed; of what may have, that it
-#: is none of these, and by kind of difference, to be shared among its members.
-_UNCHANGED, _UNNAMED = 0.6, 0.1
-_KINDS: Mapping[str, float] = {"effect": 0.6, "torque": 0.2, "parameter": 0.1}
-#: Belief per nat among differences: windows are less independent than the standing error says.
-_TEMPERATURE = 0.35
-#: Gains between recordings of one state are exponential, with a rate of which as much is believed
-#: as so many recordings that gained so many nats tell. Those of a change are log-uniform, up to
-#: _LARGEST.
-_BELIEVED, _USUAL_GAIN, _LARGEST = 2, 5.0, 1000.0
 #: Nats of belief behind the best within which a difference is judged finely, and how many at most.
 _NEAR, _FINALISTS = 9.0, 8
 #: Effects that are tried between the recordings of the known state, besides all else.
@@ -97,34 +88,32 @@ def compare_with(
     for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):
         found.append(judge(evidence, difference))
         watch(0.2 + 0.5 * k / count, difference.name)
-    found = sorted(found, key=lambda j: -_worth(j, found))
-    best = _worth(found[0], found)
-    near = [j for j in found if _worth(j, found) > best - _NEAR][:_FINALISTS]
+    constants = calibration().change
+    found, worth = _in_order(found, constants)
+    near = [j for j, w in zip(found, worth, strict=True) if w > worth[0] - _NEAR][:_FINALISTS]
     watch(0.75, "when")
     finely = [judge(evidence, j.difference, finely=True) for j in near]
-    judged = sorted([*finely, *found[len(near) :]], key=lambda j: -_worth(j, found))
+    judged, worth = _in_order([*finely, *found[len(near) :]], constants)
     free = evidence.free_force() - evidence.unchanged
     watch(0.85, "between recordings of the known state")
     gains = np.array([j.evidence for j in judged]) - evidence.unchanged
     unnamed = float(logsumexp(free) - np.log(len(free)))
     usual = _usual_gains(known, candidates, judged)
-    unchanged = _unchanged(max(float(gains.max()), unnamed), usual)
-    priors = np.array([_log_prior(j, judged) for j in judged])
-    log = np.append(_TEMPERATURE * gains + priors, _TEMPERATURE * unnamed + np.log(_UNNAMED))
-    shares = (1 - unchanged) * np.exp(log - logsumexp(log))
+    kinds = [j.difference.kind for j in judged]
+    probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, usual, constants)
     alike = tuple(
         k
         for k, j in enumerate(judged)
-        if k and abs(evidence.alike(judged[0], j)) > _ALIKE and log[k] > log[0] - _NEAR
+        if k and abs(evidence.alike(judged[0], j)) > _ALIKE and worth[k] > worth[0] - _NEAR
     )
     return StateComparison(
         questioned,
         tuple(judged),
         gains,
         usual,
-        shares[:-1],
+        probabilities,
         unchanged,
-        float(shares[-1]),
+        other,
         free,
         alike,
         candidates,
@@ -132,13 +121,14 @@ def compare_with(
     )
 
 
-def _log_prior(one: DifferenceScore, everyone: Sequence[DifferenceScore]) -> float:
-    kind = one.difference.kind
-    return float(np.log(_KINDS[kind] / sum(j.difference.kind == kind for j in everyone)))
-
-
-def _worth(one: DifferenceScore, everyone: Sequence[DifferenceScore]) -> float:
-    return _TEMPERATURE * one.evidence + _log_prior(one, everyone)
+def _in_order(
+    scores: Sequence[DifferenceScore], constants: Mapping[str, float]
+) -> tuple[list[DifferenceScore], FloatArray]:
+    """The likeliest first, and the logarithm of how likely each is, up to a constant."""
+    kinds = [j.difference.kind for j in scores]
+    worth = change_worth(kinds, np.array([j.evidence for j in scores]), constants)
+    order = np.argsort(-worth, kind="stable")
+    return [scores[k] for k in order], worth[order]
 
 
 def _usual_gains(
@@ -160,18 +150,3 @@ def _usual_gains(
         ]
         found.append(max(0.0, max(tried, default=0.0) - evidence.unchanged))
     return tuple(found)
-
-
-def _unchanged(gain: float, usual: Sequence[float]) -> float:
-    """Probability that nothing changed, by what recordings of one state gain.
-
-    Exponential gains of an unknown rate, given those of k references, are Lomax distributed.
-    """
-    shape, scale = _BELIEVED + len(usual), _BELIEVED * _USUAL_GAIN + sum(usual)
-    size = max(gain, 0.0)
-    none = np.log(shape / scale) - (shape + 1) * np.log1p(size / scale)
-    some = -np.log((1 + size) * np.log(_LARGEST))
-    if gain <= 0:
-        some -= 3.0
-    odds = np.log(_UNCHANGED / (1 - _UNCHANGED)) + none - some
-    return float(1 / (1 + np.exp(-odds)))

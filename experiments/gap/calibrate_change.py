@@ -1,0 +1,166 @@
+"""Fit what is believed of a change, before it is seen, to simulated rigs that changed or did not.
+
+    python -m experiments.gap.calibrate_change experiments/gap/features/calibration [--write]
+
+Of rigs that :mod:`.simulate` diagnosed those of the kind ``against``. Tables are as those of
+:mod:`.calibrate`; ``--write`` makes the fit the package's. Constants stay near those that were set
+before there were rigs to fit to, within a factor of two or three: a few dozen rigs tell no more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+from scipy.special import expit, logit, logsumexp
+
+from experiments.gap.blind.judgement import right_causes
+from experiments.gap.calibrate import write_constants
+from experiments.gap.cross_validation import LEAST, cross_validated, folds_of, tables
+from experiments.gap.features_file import FeaturesFile, Line
+from trms_cli.gap.belief import calibration, change_probabilities
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Where each constant is without rigs, and the width of the prior of its logarithm (of its logit,
+#: where it is a probability).
+PRIOR: Mapping[str, float] = {
+    "unchanged": 0.6,
+    "unnamed": 0.1,
+    "effect": 0.6,
+    "torque": 0.2,
+    "parameter": 0.1,
+    "nat": 0.35,
+    "believed": 2.0,
+    "usual_gain": 5.0,
+}
+_WIDTH = 1.0
+#: Rounding is told by the steps of the sensor, not by gains.
+_APART = "_quantisation"
+
+#: What is known of a rig, and which causes are right.
+Belief = Mapping[tuple[str, ...], float]
+
+
+@dataclass(frozen=True)
+class ChangeFeatures:
+    """What a comparison with a known state knows before it believes anything."""
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    gains: FloatArray  #: (k,) array; nats above that nothing changed
+    unnamed: float  #: nats of a force without a name
+    usual: tuple[float, ...]  #: nats between recordings of the known state
+
+    @classmethod
+    def of(cls, line: Line) -> ChangeFeatures:
+        """Of a line of a features file."""
+        evidence = line.evidence
+        free = np.array(list(evidence["free_force"].values()))
+        gains = evidence["gains"]
+        return cls(
+            names=tuple(gains),
+            kinds=tuple(entry["kind"] for entry in gains.values()),
+            gains=np.array([entry["nats"] for entry in gains.values()]),
+            unnamed=float(logsumexp(free) - np.log(len(free))),
+            usual=tuple(evidence["usual_gains"]),
+        )
+
+
+def believed(known: ChangeFeatures, constants: Mapping[str, float]) -> Belief:
+    """Probabilities of causes."""
+    each, unchanged, unnamed = change_probabilities(
+        known.kinds, known.gains, known.unnamed, known.usual, constants
+    )
+    found: dict[tuple[str, ...], float] = {
+        ("no_change",): unchanged,
+        ("none_of_these",): unnamed,
+        ("parameters_only",): 0.0,
+    }
+    for name, kind, probability in zip(known.names, known.kinds, each.tolist(), strict=True):
+        key = ("parameters_only",) if kind == "parameter" else (name,)
+        found[key] = found.get(key, 0.0) + probability
+    return found
+
+
+def fit(
+    cases: Sequence[tuple[ChangeFeatures, frozenset[tuple[str, ...]]]],
+) -> dict[str, float]:
+    """Constants that make the truth least surprising, near the prior."""
+    names = list(PRIOR)
+    centre = np.array([_outward(name, PRIOR[name]) for name in names])
+
+    def cost(v: FloatArray) -> float:
+        constants = {name: _inward(name, x) for name, x in zip(names, v, strict=True)}
+        total = 0.5 * float(np.sum(((v - centre) / _WIDTH) ** 2))
+        for known, right in cases:
+            belief = believed(known, constants)
+            share = sum(belief.get(cause, 0.0) for cause in right)
+            total -= float(np.log(LEAST + (1 - LEAST) * share))
+        return total
+
+    found = minimize(cost, centre, method="L-BFGS-B")
+    return {name: _inward(name, x) for name, x in zip(names, found.x.tolist(), strict=True)}
+
+
+def _outward(name: str, value: float) -> float:
+    return float(logit(value) if name == "unchanged" else np.log(value))
+
+
+def _inward(name: str, x: float) -> float:
+    return float(expit(x) if name == "unchanged" else np.exp(x))
+
+
+def weighed(lines: Sequence[Line]) -> list[Line]:
+    """Those that were compared with a known state."""
+    return [
+        line
+        for line in lines
+        if "gains" in line.evidence and not any(e.endswith(_APART) for e in line.case.effects)
+    ]
+
+
+def study(lines: Sequence[Line], folds: int, seed: int) -> tuple[dict[str, float], str]:
+    """Constants fitted to all, and tables of beliefs that nothing was fitted to."""
+    chosen = weighed(lines)
+    known = [ChangeFeatures.of(line) for line in chosen]
+    rights = [frozenset(right_causes(line.case)) for line in chosen]
+    rigs = [line.case for line in chosen]
+    beliefs = cross_validated(known, rights, folds_of(rigs, folds, seed), fit, believed)
+    now = calibration().change
+    package = [believed(features, now) for features in known]
+    text = tables(rigs, rights, {"package": package, f"{folds} folds": beliefs})
+    return fit(list(zip(known, rights, strict=True))), text
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fit, tell, and write on request."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.gap.calibrate_change",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("sources", nargs="+", type=Path)
+    parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", action="store_true", help="make the fit the package's")
+    given = parser.parse_args(argv)
+    lines = [line for source in given.sources for line in FeaturesFile(source).lines()]
+    if len(weighed(lines)) < given.folds:
+        parser.error(f"{len(weighed(lines))} compared rigs are too few for {given.folds} folds")
+    found, text = study(lines, given.folds, given.seed)
+    sys.stdout.write(f"{len(weighed(lines))} rigs were compared\n\n{text}\n")
+    sys.stdout.writelines(f"{name:12} {value:.3g}\n" for name, value in found.items())
+    if given.write:
+        write_constants(replace(calibration(), change=found))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
