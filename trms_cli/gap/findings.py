@@ -287,6 +287,12 @@ def _moved(diagnosis: DiagnosisResult) -> report.Section | None:
         "A refit moves every parameter a little. Here each either keeps to what was known of it or "
         "has moved: the probability that it has, and by how much."
     )
+    if diagnosis.verdict != "parameters_only":
+        believed = {cause.effects: cause.probability for cause in diagnosis.causes}
+        share = wording.percent(believed.get(("parameters_only",), 0.0))
+        text = (
+            f"What would have moved if other parameters were the answer, which has {share}. {text}"
+        )
     shown = diagnosis.verdict in ("parameters_only", "undecided")
     return report.Section(
         "Which of the parameters",
