@@ -24,11 +24,9 @@ from trms_cli.gap.diagnosis import (
     Traces,
     Verdict,
 )
-from trms_cli.gap.differences import NewRecordings
 from trms_cli.gap.evidence import DifferenceScore
-from trms_cli.gap.problem import GapProblem, diagnosed_recordings
+from trms_cli.gap.problem import GapProblem, diagnosed_recordings, poor_excitation
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
-from trms_cli.models.model import names
 
 #: Probability from which a verdict is given, and below which a cause is not told.
 _DECIDED, _LEAST = 0.5, 0.002
@@ -78,7 +76,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         inclusion=_inclusion(found),
         moved=_moved(found),
         rejected=_rejected(found),
-        excitation=excitation(questioned),
+        excitation=poor_excitation(problem.model, problem.datasets),
         sentence=change_sentence(found, verdict, shrinkage),
         race=_race(found),
         warnings=problem.warnings,
@@ -366,29 +364,6 @@ def _traces(found: StateComparison, verdict: Verdict) -> Traces:
         run_time=np.zeros(0),
         runs={},
     )
-
-
-#: rad. An axis that stays within so much for most of the time is held at one point.
-_ONE_POINT, _MOST_OF_THE_TIME = 0.1, 0.7
-
-
-def excitation(questioned: NewRecordings) -> tuple[str, ...]:
-    """What the recordings in question cannot tell, by how little the axes move."""
-    told = []
-    model, windows = questioned.known.model, questioned.runs.windows
-    for axis, described in model.axes.items():
-        column = names(model.outputs).index(described.angle)
-        angle = windows.target[..., column]
-        middle = np.nanmedian(angle[:, -1]) if np.isfinite(angle).any() else np.nan
-        near = float(np.mean(np.abs(angle[np.isfinite(angle)] - middle) < _ONE_POINT / 2))
-        if near > _MOST_OF_THE_TIME:
-            told.append(
-                f"{axis} is held at one point, {number(float(middle), 2)} rad, for "
-                f"{100 * near:.0f} % of the time: a torque on it shows with its place, sign and "
-                "size, and whether the axis sticks or slides; what makes the torque (a weight, a "
-                "pull, a parameter) does not"
-            )
-    return tuple(told)
 
 
 def change_sentence(

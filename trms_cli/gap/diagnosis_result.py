@@ -35,7 +35,13 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.moved_parameters import moved_parameters
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior
-from trms_cli.gap.problem import CandidateEffect, GapProblem, Parts, diagnosed_recordings
+from trms_cli.gap.problem import (
+    CandidateEffect,
+    GapProblem,
+    Parts,
+    diagnosed_recordings,
+    poor_excitation,
+)
 from trms_cli.gap.race import Race
 from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, smoothed_forces
@@ -107,6 +113,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         shrink=shrinkage.shrink,
         next_experiment=_advice(stages, unseen) if problem.advise else None,
         inclusion=inclusion(posterior.probabilities),
+        excitation=poor_excitation(problem.model, problem.datasets),
         moved=moved,
         rejected=rejected_effects(stages.race, posterior, stages.candidates, stages.beside, unseen),
         sentence=sentence(posterior, causes, where, shrinkage, moved, law),

@@ -256,7 +256,9 @@ def _before_and_after(diagnosis: DiagnosisResult) -> report.Section | None:
     at_horizon, whole = _gap_tables(diagnosis, corrected)
     runs = None if diagnosis.traces is None else run_chart(diagnosis.traces)
     blocks = [block for block in (at_horizon, chart, runs, whole) if block is not None]
-    text = "On a part of the recordings that was sealed: nothing was fitted or chosen on it."
+    text = "On a part of the recordings that was sealed: nothing was fitted to it."
+    if diagnosis.against:
+        text += " Which difference it is was chosen on the whole."
     if not corrected:
         text += " No cause was added, so the refitted model is all there is to show."
     return report.Section("Before and after", [text], blocks)

@@ -380,9 +380,9 @@ def _where_words(diagnosis: DiagnosisResult) -> str:
         return "No place stands out: a free force at any of them closes next to nothing."
     text = (
         f"**{wording.gap_share(first.share)}** of the gap lies in the "
-        f"{place_name(first.location)} (95 % interval: {wording.gap_interval(first.ci95)}). Shares "
-        "are of what forces at all places together explain of the refitted model's one-step "
-        "errors, not of the errors of free runs."
+        f"{place_name(first.location)} (95 % interval: {wording.gap_interval(first.ci95)}). "
+        "Causes count by their probabilities, each where it acts; what has no name by what forces "
+        "at each place explain of the refitted model's one-step errors, not of free runs."
     )
     rivals = [
         place_name(place.location)

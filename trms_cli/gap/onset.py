@@ -41,7 +41,7 @@ def diagnose_onset(
     """A diagnosis of what began within the recordings; None where nothing clearly did."""
     recorded = [thin_dataset(with_noise(dataset)) for dataset in problem.datasets]
     for share in _FIRST:
-        cuts = [max(round(share * len(d)), round(_LEAST / d.sample_time)) for d in recorded]
+        cuts = [max(int(share * len(d)), round(_LEAST / d.sample_time)) for d in recorded]
         if any(2 * cut > len(d) for cut, d in zip(cuts, recorded, strict=True)):
             return None
         try:

@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.core.wording import number
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.quantisation import Quantisation
@@ -42,7 +43,7 @@ class GapProblem:
     #: Recordings of the rig in a known state, with which the others are compared
     against: tuple[Dataset, ...] = ()
     block: Annotated[float, Meta(gt=0)] = 10.0  #: s, of the blocks that are fitted and compared
-    #: Share of the recordings that nothing is chosen on and the shrink is measured on
+    #: Share of the recordings that nothing is fitted to and the shrink is measured on
     sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25
     effort: Effort = "normal"
     seed: Annotated[int, Meta(ge=0)] = 0
@@ -80,6 +81,35 @@ _PRECISION = 2e-4
 _RIPPLE = 1.4
 #: Blocks that must be left to fit: fewer cannot be compared in pairs.
 _FEWEST_BLOCKS = 4
+
+
+#: rad. An axis that stays within so much for most of the time is held at one point.
+_ONE_POINT, _MOST_OF_THE_TIME = 0.1, 0.7
+
+
+def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...]:
+    """What recordings cannot tell, by how little the axes move."""
+    found = []
+    for name, axis in model.axes.items():
+        measured = [
+            d.measurements[:, i]
+            for d in datasets
+            for i, output in enumerate(d.outputs)
+            if output.name == axis.angle
+        ]
+        angle = np.concatenate(measured) if measured else np.zeros(0)
+        angle = angle[np.isfinite(angle)]
+        if not len(angle):
+            continue
+        middle = float(np.median(angle))
+        near = float(np.mean(np.abs(angle - middle) < _ONE_POINT / 2))
+        if near > _MOST_OF_THE_TIME:
+            found.append(
+                f"{name} is held at one point, {number(middle, 2)} rad, for {100 * near:.0f} % "
+                "of the time: a torque on it shows with its place, sign and size, and whether the "
+                "axis sticks or slides; what makes it (a weight, a pull, a parameter) does not"
+            )
+    return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """How far a correction closes the gap on what was kept aside, and how sure that is.
 
-What is told is measured on the sealed part, on which nothing was fitted and nobody chose. A part of
-few blocks does not tell its own scatter: then the blocks that were fitted are sealed in turn, each
-with the parameters that the other blocks alone would have, and what sealed parts of that length
-scatter by is what such blocks, drawn anew, do.
+What is told is measured on the sealed part, on which nothing was fitted. A part of few blocks does
+not tell its own scatter: then the blocks that were fitted are sealed in turn, each with the
+parameters that the other blocks alone would give, and the interval is a bootstrap of as many blocks
+as the sealed part has, drawn from all of them.
 """
 
 from collections.abc import Mapping, Sequence

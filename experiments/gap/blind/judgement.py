@@ -262,12 +262,12 @@ def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | Non
     files = [folder / name for name in (REFIT, CORRECTED)]
     if not all(file.is_file() for file in files):
         return None
-    if not answer.named:
+    if _content(files[0]) == _content(files[1]):
         return FreshResult(shrink=None, worse=())  # nothing was added
     refit, corrected = (_errors(file, recording) for file in files)
     worse = tuple(c for c in refit if corrected[c] > _WORSE * refit[c])
     told = [c for c in refit if c in answer.floors]
-    if not told:
+    if not (told and answer.named):
         return FreshResult(shrink=None, worse=worse)
     floors = np.array([answer.floors[c] for c in told])
     before, after = (
@@ -276,6 +276,12 @@ def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | Non
     )
     shrink = min(1 - (after - 1) / (before - 1), 1.0) if before > _LEAST_GAP else None
     return FreshResult(shrink=shrink, worse=worse)
+
+
+def _content(file: Path) -> list[str]:
+    """Lines of a model's file but for its comments."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if not line.startswith("#")]
 
 
 def _errors(file: Path, recording: Path) -> dict[str, float]:

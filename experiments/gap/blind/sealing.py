@@ -133,7 +133,7 @@ def _opened(
 ) -> OpenedKey:
     content = document["key"]
     references = content.get("reference_files", {})
-    names = (*content["files"], *references, *content["cases"])
+    names = (*content["files"], *references, *content.get("fresh_files", {}), *content["cases"])
     if any(not _NAME.fullmatch(name) for name in names):
         raise ValueError("a recording's name leads elsewhere")
     commitment = _commitment(document["salt"], content)
@@ -146,14 +146,10 @@ def _opened(
     sealed = [(RECORDINGS, *entry) for entry in content["files"].items()]
     sealed += [(REFERENCES, *entry) for entry in references.items()]
     for place, name, digest in sealed:
-        recording = folder / place / f"{name}.csv"
-        if not recording.is_file() or _sha256(recording.read_text(encoding="utf-8")) != digest:
-            raise RecordingError(
-                "this recording is not the one that was sealed",
-                where=str(recording),
-                remedy="make the set again from its seed",
-            )
+        _as_sealed(folder / place / f"{name}.csv", digest)
     fresh = file.parent / FRESH
+    for name, digest in content.get("fresh_files", {}).items() if fresh.is_dir() else ():
+        _as_sealed(fresh / f"{name}.csv", digest)
     return OpenedKey(
         set_name=content["set"],
         seed=content["seed"],
@@ -162,6 +158,15 @@ def _opened(
         fresh=fresh if fresh.is_dir() else None,
         commitment=commitment,
     )
+
+
+def _as_sealed(recording: Path, digest: str) -> None:
+    if not recording.is_file() or _sha256(recording.read_text(encoding="utf-8")) != digest:
+        raise RecordingError(
+            "this recording is not the one that was sealed",
+            where=str(recording),
+            remedy="make the set again from its seed",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
