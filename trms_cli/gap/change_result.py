@@ -39,9 +39,10 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
     questioned, known = found.questioned, found.questioned.known
     best = found.judged[0]
     changed = verdict in ("effect", "parameters_only", "undecided")
-    values = {
+    before = {
         f.name: f.prior_mean + d * f.scale for f, d in zip(known.free, known.moved, strict=True)
     }
+    values = dict(before)
     if verdict == "parameters_only" and best.began is None:
         values[best.difference.name] += float(best.value[0])
     added = _added(found, verdict, causes)
@@ -81,7 +82,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         race=_race(found),
         warnings=problem.warnings,
         effort=problem.effort,
-        refit=values,
+        refit=before,
         residual=_residual(added),
         evidence={
             "gains": {

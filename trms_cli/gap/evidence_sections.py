@@ -257,7 +257,7 @@ def _before_and_after(diagnosis: DiagnosisResult) -> report.Section | None:
     runs = None if diagnosis.traces is None else run_chart(diagnosis.traces)
     blocks = [block for block in (at_horizon, chart, runs, whole) if block is not None]
     text = "On a part of the recordings that was sealed: nothing was fitted to it."
-    if diagnosis.against:
+    if diagnosis.against or any(cause.onset for cause in diagnosis.causes):
         text += " Which difference it is was chosen on the whole."
     if not corrected:
         text += " No cause was added, so the refitted model is all there is to show."

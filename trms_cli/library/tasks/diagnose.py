@@ -372,7 +372,7 @@ def write_models(
         words = "the nominal model with its parameters refitted, and nothing added"
     corrected = folder / CORRECTED_NAME
     plain = cause is None and not residual
-    values = refit if plain else fitted
+    values = {} if diagnosis.verdict == "no_gap" else fitted or refit
     _write(
         request, origin, cause, values, deviations, corrected, corrected_words(diagnosis), residual
     )
@@ -409,7 +409,9 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
     if applied is not None:
         named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
         open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
-        return f"the nominal model refitted together with {named}{open_}"
+        of_change = diagnosis.against or applied.onset
+        begun = "fitted to the known state" if of_change else "refitted together"
+        return f"the nominal model {begun} with {named}{open_}"
     if diagnosis.against and diagnosis.residual:
         named = " with ".join(diagnosis.residual)
         return f"the model fitted to the known state with {named}, which stands in for what pulls"
