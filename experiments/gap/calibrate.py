@@ -29,7 +29,7 @@ from scipy.optimize import minimize
 
 from experiments.gap.blind.cases import Case as Rig
 from experiments.gap.blind.judgement import right_causes
-from experiments.gap.cross_validation import cross_validated, folds_of, tables
+from experiments.gap.cross_validation import LEAST, cross_validated, folds_of, tables
 from experiments.gap.features_file import FeaturesFile, Line, line_of
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.gap.belief import Calibration, Features, alternatives, calibration, probabilities_of
@@ -63,8 +63,6 @@ _AT_MOST_PRIOR = (
     "parameters.rest",
     "effect.worse",
 )
-#: Belief that is always left for what was not thought of.
-_LEAST = 1e-3
 #: Effects that the belief does not weigh: rounding is told by other marks.
 _APART = ("quantisation",)
 #: Quantile of the errors of equations, over rigs without an effect, that counts as usual.
@@ -85,9 +83,11 @@ def right_answers(truth: Mapping[str, Any]) -> frozenset[tuple[str, ...]]:
 def features_of(evidence: Mapping[str, Any]) -> Features:
     """As a diagnosis keeps them: each field of :class:`Features` that the evidence has."""
     wanted = get_type_hints(Features)
-    return Features(
-        **{name: _value(evidence[name], of) for name, of in wanted.items() if name in evidence}
-    )
+    known = {name: _value(evidence[name], of) for name, of in wanted.items() if name in evidence}
+    for name in ("errors", "raw_error", "refit_error"):  # a run that diverged: JSON has no infinity
+        if name in known:
+            known[name] = np.nan_to_num(known[name], nan=np.inf)
+    return Features(**known)
 
 
 def _value(kept: Any, wanted: Any) -> Any:
@@ -109,7 +109,7 @@ def loss(weights: Mapping[str, float], cases: Sequence[Case]) -> float:
     for features, right in cases:
         believed = probabilities_of(features, weights)
         named = sum(believed.get(answer, 0.0) for answer in right)
-        total -= np.log(_LEAST + (1 - _LEAST) * named)
+        total -= np.log(LEAST + (1 - LEAST) * named)
     return total / max(len(cases), 1)
 
 
@@ -137,10 +137,10 @@ def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, 
             odds = np.exp(logits - logits.max())
             p = odds / odds.sum()
             named = float(p[right].sum())
-            believed = _LEAST + (1 - _LEAST) * named
+            believed = LEAST + (1 - LEAST) * named
             total -= float(np.log(believed))
             of_right = np.where(right, p, 0.0) - named * p
-            slope = slope - (1 - _LEAST) / believed * (of_right @ table)
+            slope = slope - (1 - LEAST) / believed * (of_right @ table)
         return total, slope
 
     bounds = [

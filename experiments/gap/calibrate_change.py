@@ -22,7 +22,7 @@ from scipy.special import expit, logit, logsumexp
 
 from experiments.gap.blind.judgement import right_causes
 from experiments.gap.calibrate import write_constants
-from experiments.gap.cross_validation import LEAST, cross_validated, folds_of, tables
+from experiments.gap.cross_validation import LEAST, Belief, cross_validated, folds_of, tables
 from experiments.gap.features_file import FeaturesFile, Line
 from trms_cli.gap.belief import calibration, change_probabilities
 
@@ -43,9 +43,6 @@ PRIOR: Mapping[str, float] = {
 _WIDTH = 1.0
 #: Rounding is told by the steps of the sensor, not by gains.
 _APART = "_quantisation"
-
-#: What is known of a rig, and which causes are right.
-Belief = Mapping[tuple[str, ...], float]
 
 
 @dataclass(frozen=True)
@@ -118,11 +115,16 @@ def _inward(name: str, x: float) -> float:
 
 
 def weighed(lines: Sequence[Line]) -> list[Line]:
-    """Those that were compared with a known state."""
+    """Those that were compared with a known state.
+
+    What is told to have begun within a recording is compared, too, but only where it is clear.
+    """
     return [
         line
         for line in lines
-        if "gains" in line.evidence and not any(e.endswith(_APART) for e in line.case.effects)
+        if line.case.kind == "against"
+        and "gains" in line.evidence
+        and not any(e.endswith(_APART) for e in line.case.effects)
     ]
 
 

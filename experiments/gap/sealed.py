@@ -31,8 +31,7 @@ def row(name: str, found: dict[str, Any]) -> str:
     if any("." in key for key in found["causes"][0]["parameters"]) and shrink.get("fraction"):
         low, high = shrink["ci95"] or (float("nan"), float("nan"))
         closed = f"{100 * shrink['fraction']:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
-    seconds = found["seconds"]
-    time = seconds.get("total", sum(seconds.values()))
+    time = sum(found["seconds"].values())
     cells = (name, found["verdict"], *causes, ", ".join(where) or "–", closed, f"{time:.0f} s")
     return "| " + " | ".join(cells) + " |\n"
 

@@ -10,7 +10,7 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
-from trms_cli.gap.differences import NewRecordings
+from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence
 from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.problem import GapProblem, applicable_candidates
@@ -52,9 +52,7 @@ def of(known: KnownState, dataset):
 
 
 def test_parameters_of_the_known_state_are_fitted(known):
-    values = dict(zip([f.name for f in known.free], known.model.parameters.values, strict=False))
     fitted = {f.name: known.model.parameters[f.name].value for f in known.free}
-    assert set(values) == set(fitted)
     assert fitted["k_fvp"] == pytest.approx(1.66e-5, rel=0.03)
     assert fitted["k_oh"] == pytest.approx(0.011, rel=0.1)
 
@@ -63,7 +61,6 @@ def test_another_recording_of_the_same_state_is_no_change(known):
     found = of(known, begins({}, 0.0, values=VALUES, seconds=20.0, seed=13))
     assert found.verdict == "no_change"
     assert found.causes[0].effects == ("no_change",)
-    assert sum(cause.probability for cause in found.causes) == pytest.approx(1.0)
     assert not found.where
     assert len(found.against) == 2
     assert all(row.corrected == row.refit for rows in found.gap.values() for row in rows.values())
@@ -176,10 +173,77 @@ def test_recordings_that_differ_more_among_themselves_foretell_less():
     assert apart.sizes.white == pytest.approx(0.1, rel=0.3)
 
 
+def test_runs_of_a_single_second_have_no_onset(known):
+    """Pieces of a second, as a recording cut at its gaps leaves: there is no time to begin in."""
+    whole = begins({}, 0.0, values=VALUES, seconds=20.0, seed=18)
+    second = round(1.0 / whole.sample_time)
+    pieces = [whole.part(k * second, (k + 1) * second) for k in range(5, 17)]
+    found = compare_with(known, pieces, CANDIDATES, {})
+    assert all(j.onset is None for j in found.judged)
+    assert found.unchanged > 0.5
+
+
+def test_what_diverges_at_every_size_is_no_difference(known):
+    questioned = NewRecordings.of(known, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)])
+    runaway = effect("yaw_coulomb_friction", torque=0.004)
+    candidates, _ = applicable_candidates(MODEL, {"yaw_coulomb_friction": runaway})
+
+    def names_of(runs: ShortRuns) -> set[str]:
+        found = differences(replace(questioned, runs=runs), candidates)
+        return {d.name for d in found}
+
+    assert "yaw_coulomb_friction" in names_of(questioned.runs)
+    original = ShortRuns.forces
+
+    def diverging(self, p, starts=None):
+        made = original(self, p, starts)
+        if len(p) > len(MODEL.parameters.values):  # with an effect
+            made.force[3] = np.inf
+        return made
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ShortRuns, "forces", diverging)
+        left = names_of(questioned.runs)
+    assert "yaw_coulomb_friction" not in left and "k_oh" in left
+
+
+def test_of_parameters_that_are_likelier_together_the_likeliest_is_the_answer(known):
+    """A torque may be first, and two parameters that are alike outweigh it together."""
+    found = compared(
+        known, begins({}, 0.0, values={**VALUES, "l_cb": 0.235}, seconds=20.0, seed=19)
+    )
+    order = [j.difference.name for j in found.judged]
+    torque = order.index("pitch_disturbance")
+    first = [j for j in found.judged if j.difference.kind == "parameter"][:2]
+    judged = (found.judged[torque], *first)
+    made = replace(
+        found,
+        judged=judged,
+        gains=np.array([60.0, 59.0, 59.0]),
+        probabilities=np.array([0.36, 0.32, 0.31]),
+        unchanged=0.005,
+        unnamed=0.005,
+        alike=(1, 2),
+    )
+    dataset = known.runs.windows.datasets[0]
+    problem = GapProblem(
+        model=MODEL,
+        model_name="newtonian",
+        datasets=(dataset,),
+        candidates={},
+        against=known.runs.windows.datasets,
+    )
+    result = change_result(problem, made)
+    assert result.verdict == "parameters_only"
+    name = first[0].difference.name
+    assert f"another {name}" in result.sentence
+    changed = result.parameters[name].fitted - result.refit[name]
+    assert changed == pytest.approx(first[0].value[0]) or first[0].began is not None
+
+
 def test_nothing_that_is_seen_leaves_evidence_as_it_is(known):
     questioned = NewRecordings.of(known, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)])
     evidence = ChangeEvidence(questioned)
     none = np.zeros((1, *questioned.forces.force.shape))
     found, _, _ = evidence.of(none, none)
     assert found[0] == pytest.approx(evidence.unchanged)
-    assert replace(questioned).forces is questioned.forces

@@ -158,7 +158,7 @@ def test_a_residual_is_no_candidate_unless_it_is_asked_for():
 
 
 @pytest.mark.parametrize("place", ["pitch_moment", "yaw_moment", "main_motor", "pitch_sensor"])
-def test_every_term_is_finite_and_none_stands_twice(place):
+def test_no_term_stands_twice(place):
     found = term_names(MODEL, place)
     assert len(found) == len(set(found)) > 20
 

@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from experiments.gap.calibrate import features_of, fit_weights, loss, right_answers, usual_shares
 from tests.gap.diagnosis_case import diagnosis
 from trms_cli.core.findings import json_data
-from trms_cli.gap.belief import Features, calibration, probabilities_of
+from trms_cli.gap.belief import (
+    Features,
+    calibration,
+    change_probabilities,
+    change_worth,
+    probabilities_of,
+)
 from trms_cli.gap.diagnosis import Cause, SizeEstimate
 from trms_cli.library.tasks.diagnose import applied_cause
 
@@ -78,6 +84,35 @@ def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
     assert of_a(1.2) < of_a(0.6) < of_a(0.0)
     # a little is chance, a help to all channels is told by the errors, and unknown is unknown
     assert of_a(0.05) == of_a(-0.5) == of_a(np.nan) == of_a(0.0)
+
+
+def test_a_model_whose_free_runs_diverge_is_no_better_than_the_worst():
+    weights = calibration().weights
+    bad = replace(features(), raw_error=50.0, refit_error=50.0)
+    gone = replace(features(), raw_error=np.inf, refit_error=np.inf)
+    assert probabilities_of(gone, weights) == probabilities_of(bad, weights)
+    told = json_data(replace(gone, errors=np.array([np.inf, 2.0, 1.0])))
+    assert features_of(told).errors.tolist() == [np.inf, 2.0, 1.0]
+    assert features_of(told).raw_error == np.inf
+
+
+def test_nothing_changed_is_held_against_what_recordings_of_one_state_gain():
+    kinds = ["effect", "effect", "parameter"]
+    constants = calibration().change
+
+    def unchanged(gain, usual):
+        gains = np.array([gain, 0.0, 0.0])
+        each, none, other = change_probabilities(kinds, gains, -5.0, usual, constants)
+        assert each.sum() + none + other == pytest.approx(1.0)
+        assert each[0] >= each[1]
+        return none
+
+    assert unchanged(3.0, (4.0, 2.0)) > 0.5 > unchanged(200.0, (4.0, 2.0))
+    # what recordings of one state gain among themselves is no change
+    assert unchanged(40.0, (35.0, 50.0)) > unchanged(40.0, (1.0, 2.0))
+    worth = change_worth(kinds, np.zeros(3), constants)
+    # a kind's belief is shared among its members
+    assert np.exp(worth[:2]).sum() == pytest.approx(constants["effect"])
 
 
 def test_the_fit_of_the_constants_finds_honest_ones():

@@ -86,8 +86,8 @@ def test_the_trace_of_the_cause_points_at_the_residual(friction):
     gains = {name: friction.tight.best(name)[0] for name in NAMES}
     assert max(gains, key=gains.__getitem__) == "yaw_coulomb_friction"
     assert gains["main_input_delay"] < 0.1 * gains["yaw_coulomb_friction"]
-    for name in NAMES:
-        assert 0.0 <= friction.signatures.absorbed(name) <= 1.0
+    # a refit can do little of what friction does
+    assert friction.signatures.absorbed("yaw_coulomb_friction") < 0.9
     # Delay and lag leave nearly the same trace.
     assert friction.tight.alike("main_input_delay", "main_actuator_lag") > 0.9
     assert friction.tight.alike("main_input_delay", "yaw_coulomb_friction") < 0.5
@@ -187,7 +187,6 @@ def test_a_cause_with_a_state_of_its_own_is_told_whole():
     assert found.causes[0].effects == ("yaw_cable_hysteresis",)
     assert found.verdict == "effect"
     assert found.traces is not None and "yaw_moment" in found.traces.explained
-    assert sum(cause.probability for cause in found.causes) == pytest.approx(1.0)
     assert found.where[0].location == "yaw_moment"
     assert found.inclusion["yaw_cable_hysteresis"] == pytest.approx(found.causes[0].probability)
     assert [row.effect for row in found.rejected] == ["pitch_quadratic_damping"]

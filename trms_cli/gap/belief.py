@@ -58,12 +58,13 @@ class Features:
     sizes: FloatArray  #: (k,) array; number of sizes that each competitor's effects have
     #: (k,) array; how unusual each competitor's sizes are, nats; see ``CandidateEffect.surprise``
     surprises: FloatArray
-    errors: FloatArray  #: (k,) array; of free runs of each competitor; NaN where not measured
+    #: (k,) array; of free runs of each competitor; those that were not made are the refit's
+    errors: FloatArray
     #: (k,) array; share of the refit's gap that each competitor closes on the sealed part, over all
     #: channels; NaN where not measured, or nothing to close
     closed: FloatArray = field(default_factory=lambda: np.zeros(0))
     #: (k,) array; logarithm of the factor by which each competitor errs more than the refit, in the
-    #: channel where it fares worst, on the sealed part; NaN where not measured
+    #: channel that suffers most, on the sealed part; NaN where not measured
     harms: FloatArray = field(default_factory=lambda: np.zeros(0))
     raw_error: float = np.nan  #: Of free runs of the model as it was
     refit_error: float = np.nan  #: Of free runs of the refit
@@ -214,7 +215,8 @@ def _of_score(score: float) -> dict[str, float]:
 
 
 def _of_error(ratio: float) -> float:
-    return float(np.log(np.clip(ratio, 1.0, _WORST))) if np.isfinite(ratio) else 0.0
+    """Of a run that diverged as of the worst; of one that was not made, nothing."""
+    return 0.0 if np.isnan(ratio) else float(np.log(np.clip(ratio, 1.0, _WORST)))
 
 
 def probabilities_of(
@@ -231,8 +233,6 @@ def probabilities_of(
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-#: Kinds of differences, each of which has its own share of belief.
-CHANGE_KINDS = ("effect", "torque", "parameter")
 #: nats. Largest gain of a change that is thought of: gains are log-uniform up to it.
 _LARGEST_GAIN = 1000.0
 #: nats by which a change that gains nothing is less likely than one of the least gain.

@@ -27,6 +27,7 @@ from trms_cli.gap.problem import (
     applicable_candidates,
     thin_dataset,
     with_noise,
+    without_contacts,
 )
 from trms_cli.identification.dataset import Dataset
 
@@ -53,6 +54,8 @@ class StateComparison:
     alike: tuple[int, ...]  #: Those that are not told from the first
     candidates: Mapping[str, CandidateEffect]  #: Effects that were tried
     left_out: Mapping[str, str]  #: Why other effects cannot be the cause here
+    #: s; where in their recordings those in question begin; empty: with them
+    begins: tuple[float, ...] = ()
 
 
 def compare(
@@ -63,7 +66,10 @@ def compare(
     ``watch``: told the share that is done and what is being done.
     """
     against, recorded = (
-        [thin_dataset(with_noise(dataset)) for dataset in datasets]
+        [
+            without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
+            for d in datasets
+        ]
         for datasets in (problem.against, problem.datasets)
     )
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)

@@ -37,14 +37,14 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
     verdict = _verdict(found)
     causes = _causes(found)
     questioned, known = found.questioned, found.questioned.known
-    best = found.judged[0]
+    best = _answer(found, verdict)
     changed = verdict in ("effect", "parameters_only", "undecided")
     before = {
         f.name: f.prior_mean + d * f.scale for f, d in zip(known.free, known.moved, strict=True)
     }
-    values = dict(before)
+    change = {}
     if verdict == "parameters_only" and best.began is None:
-        values[best.difference.name] += float(best.value[0])
+        change[best.difference.name] = (float(best.value[0]), float(best.sd[0]))
     added = _added(found, verdict, causes)
     shrinkage = change_shrinkage(problem, found, added)
     return DiagnosisResult(
@@ -63,10 +63,10 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         parameters={
             f.name: FittedParameter(
                 prior=float(problem.model.parameters[f.name].value),
-                fitted=values[f.name],
-                sd=float(sd * f.scale),
+                fitted=before[f.name] + change.get(f.name, (0.0, 0.0))[0],
+                sd=float(np.hypot(sd * f.scale, change.get(f.name, (0.0, 0.0))[1])),
                 unit=f.unit,
-                moved=float(moved),
+                moved=float(moved + change.get(f.name, (0.0, 0.0))[0] / f.scale),
             )
             for f, moved, sd in zip(known.free, known.moved, known.sd, strict=True)
         },
@@ -78,7 +78,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         moved=_moved(found),
         rejected=_rejected(found),
         excitation=poor_excitation(problem.model, problem.datasets),
-        sentence=change_sentence(found, verdict, shrinkage),
+        sentence=change_sentence(found, verdict, _known_words(problem), shrinkage),
         race=_race(found),
         warnings=problem.warnings,
         effort=problem.effort,
@@ -105,6 +105,22 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
 
 def _group(found: StateComparison) -> list[int]:
     return [0, *found.alike]
+
+
+def _answer(found: StateComparison, verdict: Verdict) -> DifferenceScore:
+    """The difference that a verdict is of: the likeliest, or the likeliest parameter."""
+    group = [found.judged[k] for k in _group(found)]
+    if verdict == "parameters_only":
+        return next(j for j in group if j.difference.kind == "parameter")
+    return group[0]
+
+
+def _known_words(problem: GapProblem) -> str:
+    """What the recordings in question are compared with."""
+    count = len(problem.against)
+    if not count:
+        return "the beginning of the recording" + ("s" if len(problem.datasets) > 1 else "")
+    return f"the known state ({count} recording{'s' if count > 1 else ''})"
 
 
 def _verdict(found: StateComparison) -> Verdict:
@@ -154,7 +170,7 @@ def _added(
     found: StateComparison, verdict: Verdict, causes: Sequence[Cause]
 ) -> DifferenceScore | None:
     """What the corrected model has beyond the known state's."""
-    best = found.judged[0]
+    best = _answer(found, verdict)
     if verdict == "parameters_only":
         return best if best.began is None else None
     if verdict not in ("effect", "undecided"):
@@ -346,8 +362,9 @@ def _race(found: StateComparison) -> tuple[RaceEntry, ...]:
 def _traces(found: StateComparison, verdict: Verdict) -> Traces:
     runs = found.questioned.runs
     first = runs.recording == 0
-    best = found.judged[0]
+    best = _answer(found, verdict)
     known = found.questioned.known
+    begin = found.begins[0] if found.begins else 0.0
     force, explained = {}, {}
     for e, equation in enumerate(runs.equations):
         values = found.questioned.forces.force[first, e]
@@ -358,7 +375,7 @@ def _traces(found: StateComparison, verdict: Verdict) -> Traces:
         if verdict in ("effect", "parameters_only", "undecided"):
             explained[equation.location] = -best.change[first, e]
     return Traces(
-        force_time=runs.begin[first] + runs.length / 2,
+        force_time=begin + runs.begin[first] + runs.length / 2,
         force=force,
         force_unit={e.location: e.unit for e in runs.equations},
         explained=explained,
@@ -368,12 +385,10 @@ def _traces(found: StateComparison, verdict: Verdict) -> Traces:
 
 
 def change_sentence(
-    found: StateComparison, verdict: Verdict, shrinkage: Shrinkage | None = None
+    found: StateComparison, verdict: Verdict, known: str, shrinkage: Shrinkage | None = None
 ) -> str:
-    """What a colleague would say."""
-    count = len(found.questioned.known.runs.windows.datasets)
-    known = f"the known state ({count} recording{'s' if count > 1 else ''})"
-    best = found.judged[0]
+    """What a colleague would say; ``known``: what was compared with."""
+    best = _answer(found, verdict)
     place = listing([readable(p) for p in best.difference.locations], "and")
     if verdict == "no_change":
         return (
@@ -393,7 +408,7 @@ def change_sentence(
         since = f", since {best.began.time_s:.1f} s ({low:.1f} to {high:.1f} s)"
     group = _group(found)
     together = float(found.probabilities[group].sum())
-    others = [_name(found.judged[k]) for k in group[1:]]
+    others = [_name(found.judged[k]) for k in group if found.judged[k] is not best]
     text = f"Against {known} the {place} differs{since}: {_name(best)}"
     sizes = _told_sizes(best)
     text += f" ({sizes})" if sizes else ""

@@ -1,6 +1,6 @@
 """The diagnosis: nine stages in a row, each of which hands plain data to the next.
 
-    admit → divide → refit → separate → is there a gap? → where → which → how far → how sure
+    admit and divide → refit → separate → race → where → is there a gap? → how far → how sure
 
 See ``docs/diagnose.md`` for what each stage does and why.
 """
@@ -61,6 +61,10 @@ class _Watch:
             spent = self.seconds.get(self._stage, 0.0) + time.perf_counter() - self._begun
             self.seconds[self._stage] = spent
 
+    def rounded(self) -> dict[str, float]:
+        """Seconds by stage."""
+        return {name: round(value, 3) for name, value in self.seconds.items()}
+
     def tell_whole(self, share: float, message: str) -> bool:
         """Note how far the diagnosis is, where it has stages of its own."""
         if not self._progress.update(share, float("nan"), message):
@@ -92,8 +96,9 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         from trms_cli.gap.change import compare
         from trms_cli.gap.change_result import change_result
 
-        watch.enter("refit")
-        return change_result(problem, compare(problem, watch.tell_whole))
+        begun = time.perf_counter()
+        result = change_result(problem, compare(problem, watch.tell_whole))
+        return replace(result, seconds={"comparison": round(time.perf_counter() - begun, 3)})
     watch.enter("refit")
     quick = problem.effort == "quick"
     parts = divide(
@@ -147,7 +152,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         watch.enter("onset")
         began = diagnose_onset(problem, watch.tell)
         if began is not None:
-            return began
+            watch.leave()
+            return replace(began, seconds=watch.rounded())
         watch.enter("how far")
     sealed = sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
@@ -155,8 +161,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     found = (race, place, forces, tests, posterior, sealed, beside)
     result = result_of(StageResults(problem, parts, candidates, left_out, *found))
     watch.leave()
-    seconds = {name: round(value, 3) for name, value in watch.seconds.items()}
-    return replace(result, seconds=seconds)
+    return replace(result, seconds=watch.rounded())
 
 
 #: Nats that the likeliest cause may owe to forces without a name before a part of the recordings is

@@ -18,6 +18,8 @@ Verdict = Literal["effect", "parameters_only", "no_gap", "no_change", "none_of_t
 NO_EFFECT = ("no_gap", "no_change", "parameters_only", "none_of_these")
 #: Probability and share below which a cause and a place are not worth a line.
 LEAST = 0.01
+#: A channel whose error grows by more than this factor is worse.
+WORSE = 1.02
 #: s; the horizon that stands for all: this, or the longest that there is below.
 _HORIZON = 2.0
 #: Where a gap can lie, from the command to the sensor.
@@ -261,7 +263,7 @@ class DiagnosisResult:
     race: tuple[RaceEntry, ...] = ()  #: best first
     description: tuple[str, ...] = ()  #: of an unnamed force: equation, region, band, memory
     warnings: tuple[str, ...] = ()  #: of the recordings and of the refit
-    worse: tuple[str, ...] = ()  #: channels that the correction made worse by over 2 %
+    worse: tuple[str, ...] = ()  #: channels that the correction made worse at 2 s
     effort: str = "normal"  #: quick, normal, thorough
     seconds: Mapping[str, float] = field(default_factory=dict)  #: by stage
     #: Parameters of the nominal model refitted without any cause, for ``refit_model.yaml``.

@@ -161,14 +161,13 @@ def _residual(stages: StageResults) -> tuple[dict[str, dict[str, Any]], tuple[st
 def _where(stages: StageResults) -> tuple[LocationShare, ...]:
     """Each place's share of the gap: by the causes where they are named, else by disturbances."""
     place, posterior, candidates = stages.place, stages.posterior, stages.candidates
-    seed = stages.race.refit.structure.problem.seed
-    random = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+    random = np.random.default_rng(np.random.SeedSequence([stages.problem.seed, 1]))
     m = place.together.size
     residual = _residual_places(posterior)
     whole = _shares(posterior.probabilities, place.share(), candidates, residual)
     drawn = [
         _shares(p, place.share(random.integers(0, m, m)), candidates, residual)
-        for p in posterior.resampled[:100]
+        for p in posterior.resampled
     ]
     listed = []
     for location, share in sorted(whole.items(), key=lambda item: -item[1]):
@@ -479,4 +478,4 @@ def _runs(
         }
         for i, signal in enumerate(dataset.outputs)
     }
-    return np.asarray(time - time[0] + float(time[0])), runs
+    return np.asarray(time), runs

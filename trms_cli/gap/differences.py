@@ -74,8 +74,17 @@ def differences(
 ) -> Iterator[Difference]:
     """Everything that may have changed, simulated along the recordings in question.
 
-    ``only``: names of those that are wanted; None: all.
+    What diverges at every size is left out. ``only``: names of those that are wanted; None: all.
     """
+    return (d for d in _every_difference(questioned, candidates, only, jobs) if d.families)
+
+
+def _every_difference(
+    questioned: NewRecordings,
+    candidates: Mapping[str, CandidateEffect],
+    only: Collection[str] | None,
+    jobs: int,
+) -> Iterator[Difference]:
     known, runs = questioned.known, questioned.runs
     for axis, described in known.model.axes.items():
         name = f"{axis}_disturbance"
@@ -116,7 +125,8 @@ def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
     family = _family(steps[:, None], 0, log_prior, made, questioned.forces)
     moments = np.abs(family.change).sum(axis=(0, 1))
     location = runs.equations[int(np.argmax(np.nan_to_num(moments)))].location
-    return Difference(f.name, "parameter", ("change",), (f.unit,), (location,), (family,))
+    families = _normalised([family])
+    return Difference(f.name, "parameter", ("change",), (f.unit,), (location,), families)
 
 
 #: Changes of a parameter that are tried, in deviations of its prior, and the deviation of what is

@@ -168,7 +168,7 @@ class _Trial(NamedTuple):
 def judge(
     evidence: ChangeEvidence, difference: Difference, *, finely: bool = False
 ) -> DifferenceScore:
-    """ChangeEvidence of a difference, with its most probable size and onset.
+    """Evidence of a difference, with its most probable size and onset.
 
     ``finely``: onsets are tried in steps of a tenth of a second about the most probable one.
     """
@@ -180,6 +180,8 @@ def judge(
         found = evidence.of(family.change, family.slope)
         value, part, sd = (v[None] for v in found)
         always.append(_Trial(family, onsets[:0], value + family.prior + _ALWAYS, part, sd))
+        if not len(onsets):  # runs of a single second
+            continue
         coarse = _gated(evidence, family, onsets, gates, step / whole)
         begins.append(coarse)
         if finely and coarse.log.size:

@@ -10,6 +10,7 @@ from trms_cli.core import wording
 from trms_cli.gap.diagnosis import (
     LEAST,
     NO_EFFECT,
+    WORSE,
     DiagnosisResult,
     FittedParameter,
     GapTest,
@@ -289,7 +290,7 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, report.Cell]]:
     for channel, gaps in diagnosis.gap.items():
         for horizon, gap in gaps.items():
             unit, scale = wording.small_unit(gap.unit)
-            mark: report.Judgement = "bad" if gap.corrected > 1.02 * gap.refit else ""
+            mark: report.Judgement = "bad" if gap.corrected > WORSE * gap.refit else ""
             yield {
                 "output": wording.with_unit(wording.signal(channel), unit),
                 _LENGTH: f"{float(horizon):g}",

@@ -12,6 +12,7 @@ from trms_cli.core import wording
 from trms_cli.core.invocation import program
 from trms_cli.gap.diagnosis import (
     LEAST,
+    WORSE,
     Cause,
     DiagnosisResult,
     Rejected,
@@ -58,7 +59,9 @@ def findings(
     warnings = [text for text in diagnosis.warnings if text not in remarks]
     if diagnosis.worse:
         worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
-        warnings.insert(0, f"the correction made {worse} worse, by over 2 % at 2 s")
+        warnings.insert(
+            0, f"the correction made {worse} worse, by over {100 * (WORSE - 1):.0f} % at 2 s"
+        )
     return report.Findings(
         title=f"Diagnosis: {headline(diagnosis)}",
         lead=[text for text in lead if text],

@@ -119,7 +119,6 @@ class Flexible:
     location: str  #: Equation whose missing force it was begun with
     #: Share of that force, squared, that it foretells on blocks that it was not fitted to, 0 to 1
     foretold: float
-    trend: float  #: Share of that force that a trend in time explains beside the terms
 
     @property
     def score(self) -> float:
@@ -229,18 +228,16 @@ def _fitted(
     if other in forces and before is not None and before.foretold < _NOTHING:
         location, other, before = other, "", None
     values, shares = dict(refit.values), refit.metric.shares.copy()
-    trend = 0.0
     if other.endswith("sensor"):
         chosen = [motion.candidate(other, _READING)]
     else:
         places = [location, *([other] if other else [])]
         chosen = [motion.candidate(place, _size(forces[place])) for place in places]
         for place in places:
-            started, foretold, drift = motion.regressed(place, forces[place])
+            started, foretold = motion.regressed(place, forces[place])
             values |= started
             at = [c.location for c in refit.metric.discrepancy.channels].index(place)
             shares[at] *= np.sqrt(np.clip(1 - foretold, 0.05, 1.0))
-            trend = drift if place == location else trend
         if before is not None:
             values |= before.fitted.values
     structure = refit.structure.with_effects(*chosen)
@@ -268,7 +265,7 @@ def _fitted(
             tolerance=_TOLERANCE,
             with_evidence=turn + 1 == _TURNS,
         )
-    return Flexible(fitted, location, foretold_share(refit, fitted, location), trend)
+    return Flexible(fitted, location, foretold_share(refit, fitted, location))
 
 
 def _relevant(fitted: FittedModel, metric: Metric) -> tuple[dict[str, float], FloatArray]:
@@ -395,13 +392,11 @@ class _Motion:
         )
         return CandidateEffect(name, effect, (place,), free, np.zeros((0, len(names))), False)
 
-    def regressed(
-        self, location: str, record: ForceRecord
-    ) -> tuple[dict[str, float], float, float]:
+    def regressed(self, location: str, record: ForceRecord) -> tuple[dict[str, float], float]:
         """Coefficients that fit the smoothed force, by name.
 
-        With them the share of it that they foretell on held-out blocks, and the share that a trend
-        in time explains beside them.
+        With them the share of it that they foretell on held-out blocks. A trend in time stands
+        beside them.
         """
         columns = self.terms(location)
         stride = max(1, round(1.0 / (_RATE * record.sample_time)))
@@ -418,10 +413,9 @@ class _Motion:
         gram = both.T @ both + penalty * len(force) * np.eye(both.shape[1])
         weights = np.linalg.solve(gram, both.T @ force)
         own = weights[: phi.shape[1]]
-        drift = trends @ weights[phi.shape[1] :]
         name = name_of(location)
         found = {f"{name}.{term}": float(w) for term, w in zip(columns, own, strict=True)}
-        return found, 1 - min(errors) / energy, float(drift @ drift) / energy
+        return found, 1 - min(errors) / energy
 
 
 def _trends(record: ForceRecord) -> FloatArray:

@@ -98,6 +98,8 @@ def free_run_errors(
             squared = _squared(model, rollout, dataset, begins[inside], samples, starts[inside])
             for name, column in zip(names(dataset.outputs), squared.T, strict=True):
                 seen = ~np.isnan(column)
+                if not seen.any():  # a sensor that died before
+                    continue
                 errors = HorizonErrors(column[seen], block_of[inside][seen])
                 found.setdefault(name, {}).setdefault(horizon, []).append(errors)
     return {

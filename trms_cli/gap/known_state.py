@@ -58,7 +58,9 @@ def known_state(
             right -= seen.slopes.T @ weighed[:, -1]
         sd = np.sqrt(np.diag(np.linalg.inv(total)))
         step = np.linalg.solve(total, right) - moved
-        moved = _bounded(free, moved + step * min(1.0, _LONGEST / max(np.abs(step).max(), 1e-12)))
+        moved = _bounded(
+            free, moved + step * min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-12))
+        )
     fitted = with_values(model, _values(free, moved))
     forces = runs.forces(fitted.parameters.values)
     slopes = _slopes(runs, fitted, free, forces)

@@ -24,8 +24,10 @@ from trms_cli.gap.problem import (
     applicable_candidates,
     thin_dataset,
     with_noise,
+    without_contacts,
 )
 from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import names
 
 #: Shares of each recording that are taken for the known state, one after the other while the look
 #: leaves it open, and their least length in s.
@@ -33,13 +35,20 @@ _FIRST, _LEAST = (0.25, 0.5), 10.0
 #: Probability that nothing changed: from which the look ends, up to which effects are tried, and up
 #: to which something is told.
 _CALM, _LOOKED_AT, _TOLD = 0.75, 0.5, 0.05
+#: Probability that something else changed, up to which something is told.
+_OTHER = 0.5
 
 
 def diagnose_onset(
     problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
 ) -> DiagnosisResult | None:
     """A diagnosis of what began within the recordings; None where nothing clearly did."""
-    recorded = [thin_dataset(with_noise(dataset)) for dataset in problem.datasets]
+    recorded = [
+        without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
+        for d in problem.datasets
+    ]
+    if len({names(d.outputs) for d in recorded}) > 1:
+        return None  # each is compared with what is known of all
     for share in _FIRST:
         cuts = [max(int(share * len(d)), round(_LEAST / d.sample_time)) for d in recorded]
         if any(2 * cut > len(d) for cut, d in zip(cuts, recorded, strict=True)):
@@ -48,7 +57,7 @@ def diagnose_onset(
             look, found = _compared(problem, recorded, cuts, watch)
         except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
             return None  # a look that fails is no reason to lose a diagnosis
-        clear = found is not None and found.unchanged < _TOLD and found.unnamed < _LOOKED_AT
+        clear = found is not None and found.unchanged < _TOLD and found.unnamed < _OTHER
         if clear and found is not None and found.judged[0].began is not None:
             times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
             result = change_result(problem, _later(found, times))
@@ -70,12 +79,16 @@ def _compared(
     first = [d.part(0, cut) for d, cut in zip(recorded, cuts, strict=True)]
     rest = [d.part(cut, len(d)) for d, cut in zip(recorded, cuts, strict=True)]
     known = known_state(problem.model, nominal_parameters(problem.model), first)
-    look = compare_with(known, rest, {}, {})
+    look = compare_with(known, rest, {}, {}, watch=lambda share, said: watch(share / 2, said))
     watch(0.5, "since when")
     if look.unchanged > _LOOKED_AT:
         return look, None
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
-    return look, compare_with(known, rest, candidates, left_out, problem.jobs)
+
+    def later(share: float, said: str) -> bool:
+        return watch(0.5 + share / 2, said)
+
+    return look, compare_with(known, rest, candidates, left_out, problem.jobs, later)
 
 
 def _later(found: StateComparison, times: list[float]) -> StateComparison:
@@ -88,4 +101,4 @@ def _later(found: StateComparison, times: list[float]) -> StateComparison:
             low, high = onset.ci95
             onset = Onset(time_s=onset.time_s + by, ci95=(low + by, high + by))
         judged.append(replace(j, onset=onset))
-    return replace(found, judged=tuple(judged))
+    return replace(found, judged=tuple(judged), begins=tuple(times))

@@ -303,9 +303,7 @@ def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
     signs = race.tight
     known = sorted(set(signs.names))
     for name in best.names:
-        alike = [
-            n for n in known if n != name and n in signs.names and signs.alike(name, n) > _ALIKE
-        ]
+        alike = [n for n in known if n != name and signs.alike(name, n) > _ALIKE]
         members = [name, *dict.fromkeys((*(group if len(best.names) == 1 else ()), *alike))]
         if len(members) > 1:
             pairs.append(tuple(members))

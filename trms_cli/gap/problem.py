@@ -141,7 +141,7 @@ def divide(
     total = sum(dataset.duration for dataset in whole)
     if len(whole) >= _SEVERAL:
         whole = tuple(with_noise(dataset) for dataset in whole)
-        count = max(1, round(share * len(whole)))
+        count = min(max(1, round(share * len(whole))), len(whole) - 1)
         kept = len(whole) - count
         fitted = whole[:kept]
         sealed = tuple((i, 0, len(whole[i])) for i in range(kept, len(whole)))
@@ -167,7 +167,10 @@ def divide(
             where="real",
             remedy="record at least 20 s, better 120 s; or give several recordings of the rig",
         )
-    fitted = tuple(_without_contacts(dataset, block, stops) for dataset in fitted)
+    fitted, whole = (
+        tuple(without_contacts(dataset, block, stops) for dataset in datasets)
+        for datasets in (fitted, whole)
+    )
     return Parts(fitted, whole, sealed, block)
 
 
@@ -183,7 +186,8 @@ def _newest(datasets: Sequence[Dataset], most: float) -> tuple[Dataset, ...]:
     return tuple(kept)
 
 
-def _without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]) -> Dataset:
+def without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]) -> Dataset:
+    """Nothing measured from a contact with a stop to the end of its block (s)."""
     samples = max(2, round(block / dataset.sample_time))
     touching = np.zeros(len(dataset), dtype=bool)
     for i, signal in enumerate(dataset.outputs):

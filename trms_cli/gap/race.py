@@ -173,7 +173,7 @@ class _Search:
         shares = refit.metric.shares
         tight = np.maximum(FLOOR, shares / _TIGHTER)
         self._middle = replace(refit.metric, shares=np.sqrt(tight * shares))
-        #: Nats that a pair has to say more than one effect alone, in one metric
+        #: Score of the best effect alone, in one metric: a pair that says less is no answer
         self._least = -np.inf
 
     def alone(self, signs: Sequence[Signatures]) -> list[FittedModel]:
@@ -187,7 +187,8 @@ class _Search:
         def single(name: str) -> FittedModel:
             candidate = self._candidates[name]
             structure = self._refit.structure.with_effects(candidate)
-            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in (signs[0], signs[-1])]
+            known = [sign for sign in (signs[0], signs[-1]) if len(sign.rows(name))]
+            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in known]
             more = _other_frequencies(candidate, signs[0], 0.3)
             return self._once(
                 f"single {name}", structure, lambda: self._found(structure, sizes, more=more)
@@ -392,9 +393,9 @@ def short_list(
         for sign in signs
     ]
     chosen: list[str] = []
-    for places in zip(*orders, strict=True):
+    for places in zip_longest(*orders):
         for name in places:
-            if name not in chosen and len(chosen) < count:
+            if name is not None and name not in chosen and len(chosen) < count:
                 chosen.append(name)
     return chosen
 

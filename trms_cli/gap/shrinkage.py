@@ -14,7 +14,7 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.competing_model import FittedModel
-from trms_cli.gap.diagnosis import Gap, Shrink
+from trms_cli.gap.diagnosis import WORSE, Gap, Shrink
 from trms_cli.gap.free_runs import (
     Errors,
     HorizonErrors,
@@ -28,12 +28,10 @@ from trms_cli.simulation.rollout import Rollout
 
 #: Floors. Free runs that err by less are as good as those of a rig without a gap.
 _AT_FLOOR = 1.25
-#: A channel that errs by so many times more is ruined, by whatever more.
-_RUINED = 100.0
+#: Times that. A channel that errs by so much, or whose runs diverge, is ruined.
+_RUINED = 1000.0
 #: Resamples of blocks, and how far a refit has to stand above the floor for a gap to shrink.
-_RESAMPLES, _LEAST_GAP = 400, 1.05
-#: A channel that loses more than this of its error is worse.
-_WORSE = 1.02
+_RESAMPLES, LEAST_GAP = 400, 1.05
 #: s. The horizon at which a channel is judged worse, and that a sentence tells.
 TOLD_AT = "2.0"
 
@@ -103,8 +101,8 @@ def harm(before: Errors, after: Errors, floor: Errors, stray: Mapping[str, float
         longest = max(by_horizon)
         least = _AT_FLOOR * float(np.hypot(floor[channel][longest].rms, stray[channel]))
         if least > 0:
-            grown = max(after[channel][longest].rms, least) / max(by_horizon[longest].rms, least)
-            found.append(float(np.log(np.fmin(grown, _RUINED))))
+            one, other = (e[channel][longest].rms / least for e in (before, after))
+            found.append(float(np.log(np.clip(other, 1.0, _RUINED) / np.clip(one, 1.0, _RUINED))))
     return max(found, default=float("nan"))
 
 
@@ -121,7 +119,7 @@ def closed_share(before: Errors, after: Errors, floor: Errors) -> float:
         np.sqrt(np.mean([(e[c][at].rms / floor[c][at].rms) ** 2 for c in seen]))
         for e in (before, after)
     )
-    if not reference > _LEAST_GAP:
+    if not reference > LEAST_GAP:
         return float("nan")
     return float(np.clip(1 - (left - 1) / (reference - 1), -1.0, 1.0))
 
@@ -171,7 +169,7 @@ def measure_shrinkage(
     worse = tuple(
         channel
         for channel, table in gap.items()
-        if TOLD_AT in table and table[TOLD_AT].corrected > _WORSE * table[TOLD_AT].refit
+        if TOLD_AT in table and table[TOLD_AT].corrected > WORSE * table[TOLD_AT].refit
     )
     return Shrinkage(gap, shrink, worse)
 
@@ -187,6 +185,7 @@ class _Pair:
     @classmethod
     def of(cls, before: HorizonErrors, after: HorizonErrors, floor: float) -> "_Pair":
         squares = np.stack([before.squared, after.squared]) / floor**2
+        squares = np.minimum(squares, _DIVERGED**2)  # infinite where a run diverged
         return cls(squares, before.block, np.ones(len(before.block), dtype=bool))
 
     def beside(self, turns: "_Pair") -> "_Pair":
@@ -198,6 +197,8 @@ class _Pair:
         )
 
 
+#: Floors. Error of a run that diverged.
+_DIVERGED = 1e6
 #: Number of the first block that was sealed in turn.
 _IN_TURN = 1_000_000
 
@@ -221,7 +222,7 @@ def _pooled(parts: Sequence[_Pair], seed: int) -> Shrink:
         with np.errstate(all="ignore"):
             means = (weights @ sums) / (counts @ weights)[:, None]
             refit, corrected = np.sqrt(np.mean(means, axis=0))
-            if not refit > _LEAST_GAP:
+            if not refit > LEAST_GAP:
                 return np.nan
             # below the floor by chance is no more than all of the gap
             return float(min(1 - (corrected - 1) / (refit - 1), 1.0))

@@ -86,8 +86,10 @@ class Signatures:
         return np.flatnonzero([other == name for other in self.names])
 
     def best(self, name: str) -> tuple[float, int]:
-        """Largest gain of an effect, nats, and its row."""
+        """Largest gain of an effect, nats, and its row; (0, −1) where none could be simulated."""
         rows = self.rows(name)
+        if not len(rows):
+            return 0.0, -1
         row = int(rows[np.argmax(self.gain[rows])])
         return float(self.gain[row]), row
 
@@ -117,7 +119,7 @@ class Signatures:
     def alike(self, one: str, other: str) -> float:
         """Largest cosine between traces of two effects, at the sizes that they share best."""
         block = self.cosine[np.ix_(self.rows(one), self.rows(other))]
-        return float(np.max(np.abs(block)))
+        return float(np.max(np.abs(block), initial=0.0))
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ _FREEDOM = 6.0
 
 
 class ErrorSizes(NamedTuple):
-    """ErrorSizes of the parts of one equation's standing error."""
+    """Sizes of the parts of one equation's standing error."""
 
     white: float  #: σ_w, in the force's unit
     slow: float
@@ -56,17 +56,6 @@ class ForceSeries:
     slopes: FloatArray  #: (m, n_f) array; per prior standard deviation of each parameter
     recording: IntArray  #: (m,) array
     time: FloatArray  #: (m,) array; s
-
-    def joined(self, other: "ForceSeries") -> "ForceSeries":
-        """With the windows of other recordings after these."""
-        later = other.recording + (self.recording.max() + 1 if len(self.recording) else 0)
-        return ForceSeries(
-            np.concatenate([self.force, other.force]),
-            np.concatenate([self.seen, other.seen]),
-            np.vstack([self.slopes, other.slopes]),
-            np.concatenate([self.recording, later]),
-            np.concatenate([self.time, other.time]),
-        )
 
     def only(self, rows: BoolArray) -> "ForceSeries":
         """Some of the windows."""

@@ -13,8 +13,9 @@ from experiments.gap.blind.cases import Case
 from experiments.gap.blind.refit import dataset_of
 from experiments.gap.blind.truths import TRUTHS, same_equation
 from trms_cli.effects.model_file import load_model
-from trms_cli.gap.diagnosis import NO_EFFECT, SCHEMA
+from trms_cli.gap.diagnosis import NO_EFFECT, SCHEMA, WORSE
 from trms_cli.gap.free_runs import free_run_errors
+from trms_cli.gap.shrinkage import LEAST_GAP
 
 #: Sizes that the rigs' laws and the library's share: the cable's memory follows another law, a
 #: disturbance is drawn.
@@ -238,8 +239,6 @@ def _onset(causes: Sequence[Mapping[str, Any]]) -> float | None:
 
 #: Files of a diagnosis: the nominal model refitted, and with the cause.
 CORRECTED, REFIT = "corrected_model.yaml", "refit_model.yaml"
-#: A channel that errs by so much more is worse; a refit so near the floor leaves nothing to shrink.
-_WORSE, _LEAST_GAP = 1.02, 1.05
 
 
 def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | None:
@@ -265,7 +264,7 @@ def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | Non
     if _content(files[0]) == _content(files[1]):
         return FreshResult(shrink=None, worse=())  # nothing was added
     refit, corrected = (_errors(file, recording) for file in files)
-    worse = tuple(c for c in refit if corrected[c] > _WORSE * refit[c])
+    worse = tuple(c for c in refit if corrected[c] > WORSE * refit[c])
     told = [c for c in refit if c in answer.floors]
     if not (told and answer.named):
         return FreshResult(shrink=None, worse=worse)
@@ -274,7 +273,7 @@ def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | Non
         float(np.sqrt(np.mean((np.array([e[c] for c in told]) / floors) ** 2)))
         for e in (refit, corrected)
     )
-    shrink = min(1 - (after - 1) / (before - 1), 1.0) if before > _LEAST_GAP else None
+    shrink = min(1 - (after - 1) / (before - 1), 1.0) if before > LEAST_GAP else None
     return FreshResult(shrink=shrink, worse=worse)
 
 
