@@ -299,9 +299,10 @@ def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRe
     n = discrepancy.trajectory.x.shape[-1]
     inside = windows.inside
     states = discrepancy.trajectory.x[..., : model.n_x]
-    time = windows.first[:, None] * windows.sample_time + windows.sample_time * np.arange(
-        inside.shape[1]
-    )
+    # as recorded: what is fitted of a recording may begin within it
+    recorded = np.concatenate([d.time for d in structure.problem.datasets])
+    sample = windows.first[:, None] + np.arange(inside.shape[1])
+    time = recorded[np.minimum(sample, len(recorded) - 1)]
     starts = np.cumsum([0, *(len(d) for d in structure.problem.datasets)])
     recording = np.searchsorted(starts, windows.first, side="right") - 1
     motion = _motion(model, states, windows.commands, windows.sample_time)
@@ -312,8 +313,7 @@ def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRe
         records[channel.location] = ForceRecord(
             location=channel.location,
             unit=channel.unit,
-            time=time[inside]
-            - starts[recording][:, None].repeat(inside.shape[1], 1)[inside] * windows.sample_time,
+            time=time[inside],
             recording=np.broadcast_to(recording[:, None], inside.shape)[inside],
             force=x[..., n + i][inside],
             sd=np.sqrt(variance[..., n + i][inside]),

@@ -116,7 +116,9 @@ class ShortRuns:
         first = max(3, round(_SETTLED / self.windows.sample_time))
         for _ in range(_CORRECTIONS if rotors else 0):
             with np.errstate(all="ignore"):
-                away = self.windows.residuals(p, starts).r[:, :first].mean(axis=1)
+                seen = self.windows.measured[:, :first]
+                away = self.windows.residuals(p, starts).r[:, :first].sum(axis=1)
+                away /= np.maximum(seen.sum(axis=1), 1)
             for e in rotors:
                 row = self.model.state_index(self.model.outputs[e.output].name)
                 starts[:, row] -= np.nan_to_num(away[:, e.output])
