@@ -29,7 +29,7 @@ from trms_cli.identification.greybox.objective import (
     Quadratic,
     huber_roots,
     huber_squares,
-    triangles,
+    triangles_of_products,
 )
 from trms_cli.identification.greybox.windows import Residuals, Windows
 from trms_cli.identification.problem import (
@@ -138,7 +138,7 @@ class InnovationObjective(PosteriorObjective):
             np.multiply(white[..., :-1], roots, out=rows[..., :own])
             np.multiply(drift, roots, out=rows[..., own:-1])
             np.multiply(white[..., -1:], roots, out=rows[..., -1:])
-            small = triangles(rows.reshape(m, -1, rows.shape[-1]))
+            small = triangles_of_products(rows.reshape(m, -1, rows.shape[-1]))
             made = np.zeros((m, small.shape[1], self.windows.n_x + len(theta) + 1))
             made[..., :own], made[..., -1] = small[..., :own], small[..., -1]
             for j, taken in enumerate(self.metric.drift.near):

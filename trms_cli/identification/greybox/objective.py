@@ -180,6 +180,28 @@ def triangles(rows: FloatArray) -> FloatArray:
     return _triangle(rows)
 
 
+def triangles_of_products(rows: FloatArray) -> FloatArray:
+    """The same factors from the windows' products AᵀA, in a quarter of the time.
+
+    What a column has beyond the others is lost below 1e-7 of its length: enough where all have
+    priors, and where what is far below these does not matter.
+    """
+    products = np.swapaxes(rows, 1, 2) @ rows
+    length = np.sqrt(np.einsum("mii->mi", products))
+    scale = np.where(length > 0, length, 1.0)
+    products /= scale[:, :, None] * scale[:, None, :]
+    products += _LOST**2 * np.eye(rows.shape[2])
+    try:
+        factors = np.swapaxes(np.linalg.cholesky(products), 1, 2) * scale[:, None, :]
+    except np.linalg.LinAlgError:
+        return triangles(rows)
+    return np.asarray(factors)
+
+
+#: Length, as a share of a column's, below which it may be the sum of others.
+_LOST = 1e-7
+
+
 def eliminate_starts(quadratic: Quadratic, damping: float) -> ReducedQuadratic:
     """Eliminate the starts.
 
