@@ -1,6 +1,7 @@
 """From scores to probabilities, and the constants fitted to rigs whose truth is known."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from experiments.gap.calibrate import features_of, fit_weights, loss, right_answers, usual_shares
 from tests.gap.diagnosis_case import diagnosis
+from tests.gap.recorded import effect
 from trms_cli.core.findings import json_data
 from trms_cli.gap.belief import (
     Features,
@@ -18,7 +20,10 @@ from trms_cli.gap.belief import (
     probabilities_of,
 )
 from trms_cli.gap.diagnosis import Cause, SizeEstimate
+from trms_cli.gap.posterior import merged, special_cases
+from trms_cli.gap.problem import applicable_candidates
 from trms_cli.library.tasks.diagnose import applied_cause
+from trms_cli.models.newtonian import Newtonian
 
 NAMES = (("a",), ("b",), ("a", "b"))
 
@@ -84,6 +89,44 @@ def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
     assert of_a(1.2) < of_a(0.6) < of_a(0.0)
     # a little is chance, a help to all channels is told by the errors, and unknown is unknown
     assert of_a(0.05) == of_a(-0.5) == of_a(np.nan) == of_a(0.0)
+
+
+def test_scores_that_come_from_a_few_blocks_count_less():
+    def of_a(deviation):
+        made = features(behind=900.0, scores=(600.0, 0.0, 0.0))
+        made = replace(made, deviations=np.array([deviation, 1.0, 1.0]), blocks=5.0)
+        return probabilities_of(made, calibration().weights)["a",]
+
+    # 600 ± 40 nats are what a likelihood scatters by, 600 ± 300 nats are one block's
+    assert of_a(0.0) == of_a(40.0) > 0.999
+    assert of_a(40.0) > of_a(200.0) > of_a(300.0) > of_a(500.0)
+    assert 1 - of_a(500.0) > 20 * (1 - of_a(200.0))
+
+
+def test_stribeck_friction_without_an_excess_is_coulomb_friction():
+    model = Newtonian()
+    both = {n: effect(n) for n in ("yaw_stribeck_friction", "yaw_coulomb_friction")}
+    candidates, _ = applicable_candidates(model, both)
+
+    def entry(excess, *names):
+        """A stand-in for a fit."""
+        chosen = tuple(candidates[n] for n in names)
+        values = {"yaw_stribeck_friction.excess": excess}
+        return SimpleNamespace(
+            names=names, structure=SimpleNamespace(effects=chosen), values=values
+        )
+
+    coulomb = entry(0.0, "yaw_coulomb_friction")
+    stribeck, small = (entry(e, "yaw_stribeck_friction") for e in (0.5, 0.05))
+    told = {("yaw_stribeck_friction",): 0.6, ("yaw_coulomb_friction",): 0.3, ("no_gap",): 0.1}
+    assert special_cases([stribeck, coulomb], candidates) == {}
+    found = merged(told, special_cases([small, coulomb], candidates))
+    assert found == {("yaw_coulomb_friction",): pytest.approx(0.9), ("no_gap",): 0.1}
+    # beside a torque from outside as alone; and where it was not fitted it keeps its name
+    beside = {("yaw_disturbance", "yaw_stribeck_friction"): 1.0}
+    special = special_cases([small, coulomb], candidates)
+    assert merged(beside, special) == {("yaw_coulomb_friction", "yaw_disturbance"): 1.0}
+    assert special_cases([small], candidates) == {}
 
 
 def test_a_model_whose_free_runs_diverge_is_no_better_than_the_worst():

@@ -10,12 +10,13 @@ without creep, of second order while the axis turns.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.effect import Effect, EffectContext, resisting_impulse
 from trms_cli.models.parameters import Parameter
 
@@ -26,6 +27,13 @@ _SLOWEST = 1e-3
 @dataclass(frozen=True, kw_only=True)
 class StribeckFriction(Effect):
     """Stribeck friction; with no excess it is Coulomb friction, bit for bit."""
+
+    #: Bristles alone hold a tenth more at rest than they resist in motion
+    special_case: ClassVar[tuple[type[Effect], str, float] | None] = (
+        CoulombFriction,
+        "excess",
+        0.2,
+    )
 
     axis: Literal["pitch", "yaw"]
     torque: NotNegative  #: F_c, N m: friction of the turning axis

@@ -10,7 +10,7 @@ nuisances are drawn and whose truth is known (``calibration.json``, with the com
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 
@@ -90,6 +90,9 @@ _REST = 8.5
 #: nats a measured value. Gain of a refit that hardly counts: errors of one step fall by half a
 #: percent. That it is significant says nothing: in a long recording the least gain is.
 _GAIN = 0.005
+#: Times the square of its signal-to-noise ratio over blocks that a score counts for, in nats, at
+#: most. Two is the theory's, for blocks that are excited alike.
+_SCATTER = 6.0
 #: nats. Scores beyond so many count by their logarithm as well.
 _BEND = 10.0
 #: Share of the best competitor's score that the flexible one is taken to have where it was not
@@ -108,6 +111,7 @@ _WORST = 50.0
 
 def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
     """Features of each alternative by name, of the order of one; what is not named is zero."""
+    features = _tempered(features)
     gain = max(features.gained, 0.0) / (_GAIN * features.samples)
     rest = float(_rest(features.behind))
     bettered = _of_error(features.raw_error) - _of_error(features.refit_error)
@@ -174,6 +178,25 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
         "none.flexible": float(was_fitted),
     }
     return rows
+
+
+def _tempered(features: Features) -> Features:
+    """Scores count less where they come from a few of the blocks.
+
+    A log likelihood ratio of S nats between right laws has a variance of 2 S, so that S is about
+    twice the square of its own signal-to-noise ratio. Where the blocks scatter by much more than
+    their excitation explains, the likelihood is no likelihood, and all scores are taken for shares
+    of it (quasi-likelihood: McCullagh 1983, Annals of Statistics 11).
+    """
+    finite = np.isfinite(features.scores)
+    if not (finite.any() and len(features.deviations)):
+        return features
+    best = int(np.argmax(np.where(finite, features.scores, -np.inf)))
+    score, deviation = float(features.scores[best]), float(features.deviations[best])
+    if not (score > 0 and deviation > 0):
+        return features
+    share = min(1.0, _SCATTER * score / deviation**2)
+    return replace(features, scores=share * features.scores, flexible=share * features.flexible)
 
 
 def _left(features: Features, behind: float) -> float:

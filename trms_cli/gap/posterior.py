@@ -246,9 +246,11 @@ def posterior_of(
         remembered = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
         features = replace(features, foretold=float(np.fmax(features.foretold, remembered)))
     coarse = coarse_sensor(problem, candidates)
+    special = special_cases(race.entries, candidates)
 
     def believed(those: Features) -> dict[tuple[str, ...], float]:
-        return _with_coarse_sensor(probabilities_of(those, constants.weights), coarse)
+        found = merged(probabilities_of(those, constants.weights), special)
+        return _with_coarse_sensor(found, coarse)
 
     probabilities = believed(features)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
@@ -310,6 +312,57 @@ def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
     if len(best.names) > 1 and group:
         pairs.append((*best.names, *dict.fromkeys(group)))
     return tuple(pairs)
+
+
+def special_cases(
+    entries: Sequence[FittedModel], candidates: Mapping[str, CandidateEffect]
+) -> dict[tuple[str, ...], tuple[str, ...]]:
+    """Causes that others are at the sizes that were fitted, by those others' effects.
+
+    Stribeck friction with hardly an excess at rest is Coulomb friction, which then has to be among
+    what was fitted.
+    """
+    fitted = {entry.names for entry in entries}
+    found = {}
+    for entry in entries:
+        names_ = (_as_told(c, entry.values, candidates) for c in entry.structure.effects)
+        other = tuple(sorted(names_))
+        if other != entry.names and other in fitted:
+            found[entry.names] = other
+    return found
+
+
+def _as_told(
+    candidate: CandidateEffect,
+    values: Mapping[str, float],
+    candidates: Mapping[str, CandidateEffect],
+) -> str:
+    """Name of the effect that a candidate is at the values that were fitted."""
+    if candidate.effect.special_case is None:
+        return candidate.name
+    other, size, least = candidate.effect.special_case
+    if values[f"{candidate.name}.{size}"] >= least:
+        return candidate.name
+    alike = [
+        name
+        for name, c in candidates.items()
+        if type(c.effect) is other and c.locations == candidate.locations
+    ]
+    return alike[0] if alike else candidate.name
+
+
+def merged(
+    probabilities: Mapping[tuple[str, ...], float],
+    special: Mapping[tuple[str, ...], tuple[str, ...]],
+) -> dict[tuple[str, ...], float]:
+    """Each cause's probability given to the one that it is a special case of, descending."""
+    found: dict[tuple[str, ...], float] = {}
+    for names_, probability in probabilities.items():
+        part = simulated_part(names_)
+        beside = [n for n in names_ if n not in part]
+        own = tuple(sorted((*special.get(part, part), *beside)))
+        found[own] = found.get(own, 0.0) + probability
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]) -> str:
