@@ -240,8 +240,17 @@ def test_models_run_on_a_recording_that_nobody_saw(recording, tmp_path, better, 
     if better:
         assert found.shrink is not None
         assert found.shrink > 0.9
+    # what names no effect shrinks nothing, but may make a channel worse all the same
+    unnamed = on_fresh(answer("none_of_these", verdict="none_of_these"), tmp_path, recording)
+    assert unnamed is not None
+    assert unnamed.shrink is None
+    assert set(unnamed.worse) == set(found.worse)
+    same = tmp_path / "same"
+    same.mkdir()
+    for name, comment in (("corrected_model.yaml", "# one\n"), ("refit_model.yaml", "# other\n")):
+        (same / name).write_text(comment + plain, encoding="utf-8")
     nothing = answer("no_gap", verdict="no_gap")
-    assert on_fresh(nothing, tmp_path, recording) == FreshResult(shrink=None, worse=())
+    assert on_fresh(nothing, same, recording) == FreshResult(shrink=None, worse=())
     assert on_fresh(answer(FRICTION), tmp_path / "none", recording) is None
 
 
