@@ -1,11 +1,13 @@
 """Which parameters moved: against all subsets counted out, and the words for a change."""
 
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from trms_cli.gap import moved_parameters as moved
+from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.moved_parameters import change_in_words, gravity_in_words, sampled_moves
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
@@ -54,6 +56,18 @@ def test_the_one_that_moved_is_found_with_its_size_and_what_was_not_seen_says_no
     assert np.all(np.delete(found.probability, 2) < 0.15)
     assert found.mean[2] == pytest.approx(-3.0, abs=4 * found.sd[2])
     assert found.probability[5] == pytest.approx(moved._BEFORE, abs=1e-6)
+
+
+def test_a_parameter_that_the_parabola_takes_beyond_its_bound_is_at_it() -> None:
+    """A viscous friction below zero is none, and ends no diagnosis."""
+    free = tuple(p for p in nominal_parameters(MODEL) if p.name in ("B_mr", "k_tvp"))
+    scales = np.array([p.scale for p in free])
+    covariance = np.diag((0.9 * scales) ** 2)  # little is known but by the priors
+    theta = np.array([0.3 * p.prior_mean for p in free])
+    fit = SimpleNamespace(theta=theta, evidence=SimpleNamespace(covariance=covariance))
+    refit = SimpleNamespace(fit=fit, structure=SimpleNamespace(problem=SimpleNamespace(free=free)))
+    found = {m.parameter: m for m in moved.moved_parameters(refit, MODEL, 0.0)}  # type: ignore[arg-type]
+    assert found["B_mr"].change == -MODEL.parameters["B_mr"].value
 
 
 def test_a_change_in_words() -> None:

@@ -72,7 +72,10 @@ def moved_parameters(
     for k, i in enumerate(inside):
         if moves.probability[k] < _LEAST:
             continue
-        parameter, change = model.parameters[free[i].name], float(moves.mean[k] * scales[i])
+        parameter = model.parameters[free[i].name]
+        # the parabola knows no bounds
+        value = parameter.value + float(moves.mean[k] * scales[i])
+        change = float(np.clip(value, free[i].lower, free[i].upper)) - parameter.value
         found.append(
             MovedParameter(
                 parameter=parameter.name,
