@@ -41,8 +41,14 @@ FloatArray = npt.NDArray[np.float64]
 #: whole; the two were chosen by that.)
 _PRIOR, _WIDTH = Path(__file__).with_name("prior_weights.json"), 2.0
 #: A better score never speaks against a competitor, and a lead of two hundred nats decides; nor
-#: does a worse free run speak for one.
-_AT_LEAST = {"score": 0.075, "score.bend": 0.0}
+#: does a worse free run speak for one. Other parameters that gain some hundred nats are likelier
+#: than no gap, and than an effect that gains nothing.
+_AT_LEAST = {
+    "score": 0.075,
+    "score.bend": 0.0,
+    "parameters.constant": -3.9,
+    "parameters.error": -1.5,
+}
 _NEVER_ABOVE = (
     "effect.rest",
     "effect.error",
@@ -54,7 +60,7 @@ _NEVER_ABOVE = (
 #: What is left over, and what other parameters gain, speaks against no gap (and against parameters
 #: alone) at least as it does before any rig: a handful of nulls with large nuisances must not make
 #: hundreds of nats no gap. Nor may a cause be believed that makes free runs worse: simulated rigs
-#: hardly have such, real ones do.
+#: hardly have such, real ones do; or one that explains nothing but free runs.
 _AT_MOST_PRIOR = (
     "no_gap.rest",
     "no_gap.gain",
@@ -62,6 +68,7 @@ _AT_MOST_PRIOR = (
     "no_gap.error",
     "parameters.rest",
     "effect.worse",
+    "effect.constant",
 )
 #: Effects that the belief does not weigh: rounding is told by other marks.
 _APART = ("quantisation",)

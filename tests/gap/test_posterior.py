@@ -162,7 +162,7 @@ def test_the_fit_of_the_constants_finds_honest_ones():
     """Cases are drawn from other constants; those are less surprised after a fit."""
     random = np.random.default_rng(1)
     own = calibration().weights
-    truth = {**own, "score": 0.05, "effect.count": -2.0, "none.constant": -3.0}
+    truth = {**own, "score": 0.05, "effect.further": -2.0, "none.constant": -3.0}
     cases = []
     for _ in range(120):
         drawn = features(
@@ -175,7 +175,7 @@ def test_the_fit_of_the_constants_finds_honest_ones():
         names = list(believed)
         right = names[random.choice(len(names), p=list(believed.values()))]
         cases.append((drawn, frozenset({right})))
-    wrong = {**truth, "score": 0.3, "effect.count": -0.8, "none.constant": -8.0}
+    wrong = {**truth, "score": 0.3, "effect.further": -0.8, "none.constant": -8.0}
     found = fit_weights(wrong, cases)
     assert loss(found, cases) < loss(wrong, cases) - 0.3
     assert loss(found, cases) < loss(truth, cases) + 0.1
