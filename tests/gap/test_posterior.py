@@ -94,7 +94,7 @@ def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
 def test_scores_that_come_from_a_few_blocks_count_less():
     def of_a(deviation):
         made = features(behind=900.0, scores=(600.0, 0.0, 0.0))
-        made = replace(made, deviations=np.array([deviation, 1.0, 1.0]), blocks=5.0)
+        made = replace(made, deviations=np.array([deviation, 1.0, 1.0]))
         return probabilities_of(made, calibration().weights)["a",]
 
     # 600 ± 40 nats are what a likelihood scatters by, 600 ± 300 nats are one block's

@@ -28,7 +28,7 @@ class Calibration:
     usual_shares: Mapping[str, float] = field(default_factory=dict)
     #: What is believed of a change before it is seen, see :func:`change_probabilities`
     change: Mapping[str, float] = field(default_factory=dict)
-    command: str = ""  #: That makes the file again
+    command: str = ""  #: That fits the weights again
 
     def usual(self, location: str) -> float:
         """Error of an equation of a rig without a gap."""
@@ -60,9 +60,6 @@ class Features:
     surprises: FloatArray
     #: (k,) array; of free runs of each competitor; those that were not made are the refit's
     errors: FloatArray
-    #: (k,) array; share of the refit's gap that each competitor closes on the sealed part, over all
-    #: channels; NaN where not measured, or nothing to close
-    closed: FloatArray = field(default_factory=lambda: np.zeros(0))
     #: (k,) array; logarithm of the factor by which each competitor errs more than the refit, in the
     #: channel that suffers most, on the sealed part; NaN where not measured
     harms: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -78,11 +75,9 @@ class Features:
     flexible: float = np.nan  #: Score of the flexible competitor; NaN: it was not fitted
     #: Share of the missing force that it, or a regression on it, foretells on held-out blocks
     foretold: float = np.nan
-    coefficients: float = np.nan  #: Number of its coefficients that the data decide
     samples: float = 2e4  #: Number of measured values that were fitted
     #: (k,) array; standard error of each competitor's score, from its scatter over blocks
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
-    blocks: float = np.nan  #: Number of blocks
 
 
 #: nats. Discrepancy beyond the usual that hardly counts.

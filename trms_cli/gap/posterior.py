@@ -21,7 +21,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
-from trms_cli.gap.shrinkage import SealedRuns, closed_share, farthest_error, harm
+from trms_cli.gap.shrinkage import SealedRuns, farthest_error, harm
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 
@@ -101,13 +101,12 @@ def features_of(
 
     refit_error = error(refit.model, plain)
     errors = np.full(len(race.entries), refit_error)
-    closed, harms = np.full((2, len(race.entries)), np.nan)
+    harms = np.full(len(race.entries), np.nan)
     before = runs.errors(refit.model, plain)
     for i, entry in enumerate(race.entries[:_RUN]):
         rollout = entry.structure.windows.rollout
         after = runs.errors(entry.model, rollout)
         errors[i] = farthest_error(after, floor, stray)
-        closed[i] = closed_share(before, after, floor)
         harms[i] = harm(before, after, floor, stray)
     return Features(
         gained=own - float(refit.raw.predictive.sum()),
@@ -120,19 +119,16 @@ def features_of(
             [sum(s.surprise(e.values) for s in e.structure.effects) for e in race.entries]
         ),
         errors=errors,
-        closed=closed,
         harms=harms,
         raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
         flexible=np.nan if flexible is None else flexible.score - own,
         foretold=np.nan if flexible is None else flexible.foretold,
-        coefficients=np.nan if flexible is None else flexible.effective,
         samples=float(refit.structure.windows.measured.sum()),
         deviations=np.array(
             [_deviation(e.fit.predictive - refit.fit.predictive) for e in race.entries]
         ),
-        blocks=float(len(refit.structure.windows)),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import WORSE, Gap, Shrink
 from trms_cli.gap.free_runs import (
@@ -106,24 +106,6 @@ def harm(before: Errors, after: Errors, floor: Errors, stray: Mapping[str, float
     return max(found, default=float("nan"))
 
 
-def closed_share(before: Errors, after: Errors, floor: Errors) -> float:
-    """Share of what errors exceed the floor by, over all channels at :data:`TOLD_AT`, that is gone.
-
-    At most 1, and NaN where there is hardly anything to close.
-    """
-    at = float(TOLD_AT)
-    seen = [channel for channel in before if at in before[channel]]
-    if not seen:
-        return float("nan")
-    reference, left = (
-        np.sqrt(np.mean([(e[c][at].rms / floor[c][at].rms) ** 2 for c in seen]))
-        for e in (before, after)
-    )
-    if not reference > LEAST_GAP:
-        return float("nan")
-    return float(np.clip(1 - (left - 1) / (reference - 1), -1.0, 1.0))
-
-
 def measure_shrinkage(
     problem: GapProblem,
     parts: Parts,
@@ -179,21 +161,19 @@ class _Pair:
     """Squared errors of a channel at a horizon before and after, in floors squared."""
 
     squares: FloatArray  #: (2, m) array
-    block: IntArray  #: (m,) array of int
-    sealed: BoolArray  #: (m,) array of bool; of blocks that nothing was fitted to
+    block: IntArray  #: (m,) array of int; from :data:`_IN_TURN` on those that were fitted
 
     @classmethod
     def of(cls, before: HorizonErrors, after: HorizonErrors, floor: float) -> "_Pair":
         squares = np.stack([before.squared, after.squared]) / floor**2
         squares = np.minimum(squares, _DIVERGED**2)  # infinite where a run diverged
-        return cls(squares, before.block, np.ones(len(before.block), dtype=bool))
+        return cls(squares, before.block)
 
     def beside(self, turns: "_Pair") -> "_Pair":
-        """With blocks that were sealed in turn, whose numbers begin at :data:`_IN_TURN`."""
+        """With blocks that were sealed in turn."""
         return _Pair(
             np.hstack([self.squares, turns.squares]),
             np.concatenate([self.block, turns.block + _IN_TURN]),
-            np.concatenate([self.sealed, ~turns.sealed]),
         )
 
 
