@@ -259,20 +259,26 @@ def write_constants(constants: Calibration) -> None:
         replace_whole(path, text.encode())
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Fit, tell, and write on request."""
+def parser_of(module: str, description: str | None) -> argparse.ArgumentParser:
+    """What every fit to features is asked."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.gap.calibrate",
-        description=__doc__,
+        prog=f"python -m experiments.gap.{module}",
+        description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("sources", nargs="*", type=Path)
-    parser.add_argument(
-        "--blind", nargs=2, type=Path, action="append", default=[], metavar=("KEY", "DIAGNOSES")
-    )
+    parser.add_argument("sources", nargs="*", type=Path, help="folders of experiments.gap.simulate")
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true", help="make the fit the package's")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fit, tell, and write on request."""
+    parser = parser_of("calibrate", __doc__)
+    parser.add_argument(
+        "--blind", nargs=2, type=Path, action="append", default=[], metavar=("KEY", "DIAGNOSES")
+    )
     parser.add_argument(
         "--usual",
         action="store_true",

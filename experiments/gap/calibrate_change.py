@@ -9,22 +9,20 @@ before there were rigs to fit to, within a factor of two or three: a few dozen r
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
-from scipy.special import expit, logit, logsumexp
+from scipy.special import expit, logit
 
 from experiments.gap.blind.judgement import right_causes
-from experiments.gap.calibrate import write_constants
+from experiments.gap.calibrate import parser_of, write_constants
 from experiments.gap.cross_validation import LEAST, Belief, cross_validated, folds_of, tables
 from experiments.gap.features_file import FeaturesFile, Line
-from trms_cli.gap.belief import calibration, change_probabilities
+from trms_cli.gap.belief import calibration, change_probabilities, unnamed_gain
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -59,13 +57,12 @@ class ChangeFeatures:
     def of(cls, line: Line) -> ChangeFeatures:
         """Of a line of a features file."""
         evidence = line.evidence
-        free = np.array(list(evidence["free_force"].values()))
         gains = evidence["gains"]
         return cls(
             names=tuple(gains),
             kinds=tuple(entry["kind"] for entry in gains.values()),
             gains=np.array([entry["nats"] for entry in gains.values()]),
-            unnamed=float(logsumexp(free) - np.log(len(free))),
+            unnamed=unnamed_gain(np.array(list(evidence["free_force"].values()))),
             usual=tuple(evidence["usual_gains"]),
         )
 
@@ -143,15 +140,7 @@ def study(lines: Sequence[Line], folds: int, seed: int) -> tuple[dict[str, float
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit, tell, and write on request."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.gap.calibrate_change",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("sources", nargs="+", type=Path)
-    parser.add_argument("--folds", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", action="store_true", help="make the fit the package's")
+    parser = parser_of("calibrate_change", __doc__)
     given = parser.parse_args(argv)
     lines = [line for source in given.sources for line in FeaturesFile(source).lines()]
     if len(weighed(lines)) < given.folds:

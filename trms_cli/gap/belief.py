@@ -258,6 +258,11 @@ _LARGEST_GAIN = 1000.0
 _NO_GAIN = 3.0
 
 
+def unnamed_gain(by_equation: FloatArray) -> float:
+    """nats that a force without a name gains, on whichever equation, (e,) array of each."""
+    return float(np.logaddexp.reduce(by_equation) - np.log(len(by_equation)))
+
+
 def change_worth(
     kinds: Sequence[str], nats: FloatArray, constants: Mapping[str, float]
 ) -> FloatArray:

@@ -13,10 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.gap.belief import calibration, change_probabilities, change_worth
+from trms_cli.gap.belief import calibration, change_probabilities, change_worth, unnamed_gain
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
@@ -103,7 +102,7 @@ def compare_with(
     free = evidence.free_force() - evidence.unchanged
     watch(0.85, "between recordings of the known state")
     gains = np.array([j.evidence for j in judged]) - evidence.unchanged
-    unnamed = float(logsumexp(free) - np.log(len(free)))
+    unnamed = unnamed_gain(free)
     usual = _usual_gains(known, candidates, judged)
     kinds = [j.difference.kind for j in judged]
     probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, usual, constants)

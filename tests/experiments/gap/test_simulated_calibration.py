@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments.gap import calibrate_change
 from experiments.gap import simulate as study
 from experiments.gap.blind.cases import Case, plan
 from experiments.gap.blind.judgement import right_causes
 from experiments.gap.calibrate import calibrating, features_of, told_belief
 from experiments.gap.calibrate import main as calibrate
+from experiments.gap.calibrate_change import PRIOR, ChangeFeatures, believed
+from experiments.gap.calibrate_change import fit as fit_change
 from experiments.gap.cross_validation import cross_validated, folds_of, judged, strata_of, tables
 from experiments.gap.features_file import FeaturesFile, Line
 from experiments.gap.simulate import Simulation, simulate
@@ -209,3 +212,38 @@ def test_what_is_right_for_each_kind():
     assert ("none_of_these",) in right_causes(Case(kind="null", imperfect=True))
     assert right_causes(Case(kind="null")) == (("no_gap",),)
     assert (FRICTION,) in right_causes(Case(kind="unexcited", effects=friction))
+
+
+def test_beliefs_of_changes_are_fitted_to_rigs_that_changed_or_did_not(capsys):
+    """Rigs whose recordings of one state gain much teach that a gain is no change."""
+    random = np.random.default_rng(2)
+    cases = []
+    for k in range(40):
+        changed = k % 2 == 0
+        gains = random.exponential(40.0, 3) + (200.0 if changed else 0.0) * np.array([1, 0, 0])
+        known = ChangeFeatures(
+            names=("a", "b", "p"),
+            kinds=("effect", "effect", "parameter"),
+            gains=gains,
+            unnamed=-20.0,
+            usual=tuple(random.exponential(40.0, 2)),
+        )
+        cases.append((known, frozenset({("a",) if changed else ("no_change",)})))
+    constants = fit_change(cases)
+
+    def surprise(by):
+        return -np.mean([np.log(sum(believed(k, by).get(c, 0.0) for c in r)) for k, r in cases])
+
+    assert surprise(constants) < surprise(PRIOR) - 0.05
+    assert constants["usual_gain"] > PRIOR["usual_gain"]
+    belief = believed(cases[0][0], constants)
+    assert sum(belief.values()) == pytest.approx(1.0)
+    assert set(belief) == {("a",), ("b",), ("parameters_only",), ("no_change",), ("none_of_these",)}
+    # and from the features that lie in the repository
+    folder = Path(calibrate_change.__file__).with_name("features") / "calibration"
+    assert calibrate_change.main([str(folder)]) == 0
+    printed = capsys.readouterr().out
+    assert "rigs were compared" in printed and "usual_gain" in printed
+    with pytest.raises(SystemExit, match="2"):
+        calibrate_change.main([])
+    assert "too few" in capsys.readouterr().err
