@@ -17,6 +17,7 @@ from trms_cli.gap.belief import (
     calibration,
     change_probabilities,
     change_worth,
+    own_feature,
     probabilities_of,
 )
 from trms_cli.gap.diagnosis import Cause, SizeEstimate
@@ -236,6 +237,44 @@ def test_the_least_gain_of_a_long_recording_is_no_gap():
         found = probabilities_of(case, weights)
         assert found["no_gap",] < probabilities_of(null, weights)["no_gap",]
         assert found["parameters_only",] > found["no_gap",]
+
+
+def test_a_torque_that_hardly_changes_is_doubted():
+    def torque(memory):
+        case = replace(
+            features(behind=900.0, scores=(20.0, 10.0, 20.0), behinds=(890.0,) * 3),
+            outside={"yaw": np.full(4, 0.0)},
+            foretold=0.0,
+            memory={"yaw": memory},
+        )
+        return probabilities_of(case, calibration().weights)["yaw_disturbance",]
+
+    # a sensor that drifts and a spring that ages look like that; three seconds are as good as one
+    assert torque(1.0) == torque(3.0) > torque(8.0) > torque(25.0)
+    assert torque(25.0) < 0.5 * torque(1.0)
+
+
+def test_a_force_without_a_name_that_explains_hardly_any_of_the_gap_is_no_answer():
+    def unnamed(behind):
+        case = replace(
+            features(behind=behind, scores=(20.0, 10.0, 20.0), behinds=(0.0,) * 3), flexible=60.0
+        )
+        return probabilities_of(case, calibration().weights)["none_of_these",]
+
+    # sixty nats are much of a hundred, and nothing of ten thousand that a torque explains
+    assert unnamed(10000.0) < 0.1 * unnamed(100.0)
+
+
+def test_an_effect_that_every_rig_mimics_is_believed_less():
+    weights = dict(calibration().weights)
+    case = features(behind=300.0, scores=(40.0, 40.0, 42.0))
+    before = probabilities_of(case, weights)
+    after = probabilities_of(case, {**weights, own_feature("a"): -2.0})
+    lost = np.log(after["a",] / after["b",]) - np.log(before["a",] / before["b",])
+    assert lost == pytest.approx(-2.0)
+    # of each effect of a pair
+    together = np.log(after["a", "b"] / after["a",]) - np.log(before["a", "b"] / before["a",])
+    assert together == pytest.approx(0.0)
 
 
 def test_a_torque_that_an_error_of_the_sensor_explains_as_well_is_doubted():

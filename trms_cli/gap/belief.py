@@ -17,6 +17,7 @@ from importlib.resources import files
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.gap.diagnosis import NO_EFFECT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +73,8 @@ class Features:
     sensor: Mapping[str, float] = field(default_factory=dict)
     #: Size of a torque from outside over that of what acts on its axis
     force: Mapping[str, float] = field(default_factory=dict)
+    #: Time over which the missing moment of an axis forgets itself, s; not of each axis
+    memory: Mapping[str, float] = field(default_factory=dict)
     flexible: float = np.nan  #: Score of the flexible competitor; NaN: it was not fitted
     #: Share of the missing force that it, or a regression on it, foretells on held-out blocks
     foretold: float = np.nan
@@ -93,6 +96,11 @@ _BEND = 10.0
 #: Share of the best competitor's score that the flexible one is taken to have where it was not
 #: fitted: it reaches a true cause nearly, and leaves a wrong one far behind.
 _UNFITTED = 0.5
+#: Share of what the refit owes to forces without a name from which on the flexible competitor is
+#: an explanation: a beam that a torque moves gains it a hundredth.
+_EXPLAINS = 0.1
+#: s. A torque from outside that forgets itself within is as usual as any.
+_SLOW = 4.0
 #: Share of what a torque explains that its sensor explains too, and a little more.
 _WHOLE = 1.01
 #: What the name of a torque from outside ends in.
@@ -102,6 +110,15 @@ DISTURBANCE = "_disturbance"
 _BY_CHANCE, _HARMED = 0.1, 1.5
 #: Floors. Free runs worse than this are all alike.
 _WORST = 50.0
+
+
+def own_feature(effect: str) -> str:
+    """Name of the feature that alternatives with an effect have.
+
+    Some effects are mimicked by what every rig does (damping whose law is of a slightly other
+    form), others by nothing, or they show by a handful of nats at any size.
+    """
+    return f"own.{effect}"
 
 
 def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
@@ -146,10 +163,12 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
     owed = dict(zip(features.names, features.behinds, strict=True))
     for axis, behinds in features.outside.items():
         disturbance = f"{axis}{DISTURBANCE}"
-        # play in an encoder looks like a torque, but one that is larger than all that acts there
+        # play in an encoder looks like a torque, but one that is larger than all that acts there; a
+        # sensor that drifts and a spring that ages look like one that hardly changes
         doubtful = {
             "disturbance.sensor": -float(np.log(_WHOLE - min(features.sensor.get(axis, 0.0), 1.0))),
             "disturbance.force": float(np.log1p(features.force.get(axis, 0.0))),
+            "disturbance.memory": float(np.log(max(features.memory.get(axis, 0.0) / _SLOW, 1.0))),
         }
         # a torque that explains nothing is no answer
         if features.behind - behinds[0] > _REST:
@@ -164,15 +183,21 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
                 joined = tuple(sorted((*name, disturbance)))
                 row = {k: v for k, v in rows[name].items() if k != "effect.error"}
                 row |= {"effect.rest": _left(features, behind), "disturbance": 1.0}
+                # terms that foretell what the other effect leaves foretell the torque
+                share = max(owed[name], 0.0) / max(features.behind, 1e-9)
+                row["disturbance.foretold"] = foretold * min(share, 1.0)
                 rows[joined] = row | doubtful
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
-        **_of_score(max(features.flexible, 0.0) if was_fitted else _UNFITTED * best),
+        **_of_score(_of_flexible(features) if was_fitted else _UNFITTED * best),
         "none.constant": 1.0,
         "none.rest": rest,
         "none.foretold": foretold,
         "none.flexible": float(was_fitted),
     }
+    for name, row in rows.items():
+        if name[0] not in NO_EFFECT:
+            row |= {own_feature(effect): 1.0 for effect in name}
     return rows
 
 
@@ -193,6 +218,12 @@ def _tempered(features: Features) -> Features:
         return features
     share = min(1.0, _SCATTER * score / deviation**2)
     return replace(features, scores=share * features.scores, flexible=share * features.flexible)
+
+
+def _of_flexible(features: Features) -> float:
+    """Score of the flexible competitor, less where it explains hardly any of the gap."""
+    score, owed = max(features.flexible, 0.0), max(features.behind, 0.0)
+    return score * min(1.0, score / (_EXPLAINS * owed)) if owed > 0 else score
 
 
 def _left(features: Features, behind: float) -> float:
@@ -243,10 +274,11 @@ def probabilities_of(
 ) -> dict[tuple[str, ...], float]:
     """Probability of each competitor, and of ``no_gap``, ``parameters_only``, ``none_of_these``.
 
-    Descending. ``weights``: by feature.
+    Descending. ``weights``: by feature; of an effect's own zero where it has none.
     """
     rows = alternatives(features)
-    logits = np.array([sum(weights[k] * v for k, v in row.items()) for row in rows.values()])
+    known = {own_feature(effect): 0.0 for names in rows for effect in names} | dict(weights)
+    logits = np.array([sum(known[k] * v for k, v in row.items()) for row in rows.values()])
     odds = np.exp(logits - logits.max())
     found = dict(zip(rows, (odds / odds.sum()).tolist(), strict=True))
     return dict(sorted(found.items(), key=lambda item: -item[1]))

@@ -32,7 +32,7 @@ from trms_cli.gap.discrepancy import input_channels
 from trms_cli.gap.flexible import node_of, short_law
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.moved_parameters import moved_parameters
+from trms_cli.gap.moved_parameters import WORTH_TELLING, moved_parameters
 from trms_cli.gap.next_experiment import advise
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import (
@@ -47,7 +47,7 @@ from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, smoothed_forces
 from trms_cli.gap.sentence import LEAST_ALIKE, sentence
 from trms_cli.gap.shrinkage import SealedComparison
-from trms_cli.gap.signatures import Signatures
+from trms_cli.gap.signatures import VISIBLE, Signatures
 from trms_cli.identification.free_runs import simulated_windows
 
 #: Causes less probable than this are not listed.
@@ -256,15 +256,11 @@ def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
     }
 
 
-#: Probability of other parameters from which it is told which.
-_WORTH_TELLING = 0.05
-
-
 def _moved_parameters(stages: StageResults) -> tuple[MovedParameter, ...]:
     """Which parameters moved, where they may be what differs."""
     problem, posterior = stages.problem, stages.posterior
     likely = posterior.probabilities.get(("parameters_only",), 0.0)
-    if posterior.verdict != "parameters_only" and likely < _WORTH_TELLING:
+    if posterior.verdict != "parameters_only" and likely < WORTH_TELLING:
         return ()
     pitch = [
         float(np.nanmean(d.measurements[:, i]))
@@ -400,18 +396,16 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
 
 def why_not_testable(race: Race, candidate: CandidateEffect) -> str:
     """Why recordings say nothing on an effect."""
-    signs = race.signatures
-    rows = signs.rows(candidate.name)
-    raw = float(np.sqrt(np.max(signs.energy[rows])))
-    absorbed = signs.absorbed(candidate.name)
-    if raw < 5.0:
+    raw, left = race.signatures.most_visible(candidate.name)
+    if raw < VISIBLE:
         return (
             "what it does was not excited: at several times its typical size it would change the "
             f"outputs by {raw:.1f} standard deviations of the noise"
         )
     return (
-        f"the nominal parameters can do {100 * absorbed:.1f} % of what it does within their "
-        "priors, and the rest is below the noise"
+        f"at several times its typical size it would change the outputs by {raw:.0f} standard "
+        f"deviations of the noise, but by {left:.1f} only that the nominal parameters cannot do as "
+        "well within their priors"
     )
 
 

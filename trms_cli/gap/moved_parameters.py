@@ -24,6 +24,8 @@ from trms_cli.gap.diagnosis import MovedParameter
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
 
+#: Probability of other parameters from which it is told which.
+WORTH_TELLING = 0.05
 #: Prior standard deviations by which parameters that have not moved, and those that have, stray.
 _STAYED, _MOVED = 0.25, 2.5
 #: Probability of each to have moved, before the recordings.

@@ -20,7 +20,7 @@ from trms_cli.gap.problem import CandidateEffect
 #: Windows whose columns are whitened at a time.
 _AT_ONCE = 12
 #: Standard deviations of its projected trace at which an effect counts as visible.
-_VISIBLE = 5.0
+VISIBLE = 5.0
 
 
 #: Traces nearer to each other than this cosine make no pair.
@@ -93,11 +93,15 @@ class Signatures:
         row = int(rows[np.argmax(self.gain[rows])])
         return float(self.gain[row]), row
 
-    def absorbed(self, name: str) -> float:
-        """Share of the trace that a refit would take, of the row that is absorbed least."""
+    def most_visible(self, name: str) -> tuple[float, float]:
+        """Standard deviations of the noise that an effect's trace has, and has after projection.
+
+        Of its row of which most is left.
+        """
         rows = self.rows(name)
-        energy = np.maximum(self.energy[rows], 1e-12)
-        return float(np.clip(1 - np.max(self.left[rows] / energy), 0.0, 1.0))
+        row = rows[np.argmax(self.left[rows])]
+        energy, left = float(self.energy[row]), float(self.left[row])
+        return float(np.sqrt(energy)), float(np.sqrt(min(max(left, 0.0), energy)))
 
     def least_size(self, name: str) -> float | None:
         """Smallest value of the first size that would show, None where none of those tried does.
@@ -110,10 +114,10 @@ class Signatures:
             size, length = abs(self.sizes[row][0]), np.sqrt(max(self.left[row], 0.0))
             if size > 0 and length > 0:
                 found.append((size, length))
-        visible = [(size, length) for size, length in found if length >= _VISIBLE]
+        visible = [(size, length) for size, length in found if length >= VISIBLE]
         if visible:
             size, length = min(visible)
-            return float(size * _VISIBLE / length)
+            return float(size * VISIBLE / length)
         return None
 
     def alike(self, one: str, other: str) -> float:
