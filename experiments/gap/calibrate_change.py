@@ -63,7 +63,7 @@ class ChangeFeatures:
             kinds=tuple(entry["kind"] for entry in gains.values()),
             gains=np.array([entry["nats"] for entry in gains.values()]),
             unnamed=unnamed_gain(np.array(list(evidence["free_force"].values()))),
-            usual=tuple(evidence["usual_gains"]),
+            usual=tuple(max(0.0, *gained.values()) for gained in evidence["usual"]),
         )
 
 

@@ -25,14 +25,19 @@ def begins(
     seconds: float = 40.0,
     seed: int = 1,
 ) -> Dataset:
-    """A recording in open loop on which effects act from ``onset`` (s) on, others ``always``."""
+    """A recording in open loop on which effects act from ``onset`` (s) on, others ``always``.
+
+    With an onset of zero they act before the first sample, too.
+    """
+    if onset <= 0:
+        always, effects = {**(always or {}), **effects}, {}
     before, after = (
         extend_model(Newtonian(), e) for e in (dict(always or {}), {**(always or {}), **effects})
     )
     for rig in (before, after):
         rig.parameters = rig.parameters.replaced(dict(values or {}))
     count, settling = round(seconds / STEP), round(10.0 / STEP)
-    cut = max(1, round(onset / STEP))
+    cut = max(1, round(onset / STEP)) if onset > 0 else count
     commands = 0.7 * rich_excitation([seed], count, STEP)[0]
     commands[:, 0] += 0.35
     held = np.repeat(commands[:1], settling, axis=0)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
-from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
-from trms_cli.gap.evidence import ChangeEvidence
+from trms_cli.gap.evidence import ChangeEvidence, judge
 from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import ForceSeries, StandingError
+from trms_cli.gap.unnamed_force import by_equation, with_random_torque
 from trms_cli.models.newtonian import Newtonian
 
 from .changed import begins
@@ -128,21 +128,72 @@ def test_the_missing_force_of_a_run_is_the_torque_that_acts():
     assert np.std(force[1]) > 3 * np.std(force[0])
 
 
-def test_a_sensor_that_is_off_shows_in_what_gravity_does():
+@pytest.mark.parametrize(
+    ("name", "size", "value", "near"),
+    [
+        # gravity tells it, and what is constant may be the recording's own offset
+        ("pitch_sensor_bias", "bias", -0.06, 0.025),
+        ("pitch_sensor_delay", "delay", 0.06, 0.01),
+        ("yaw_sensor_delay", "delay", 0.06, 0.015),
+    ],
+)
+def test_a_sensor_that_went_wrong_is_found_with_its_size(known, name, size, value, near):
+    wrong = {name: effect(name, **{size: value})}
+    dataset = begins(wrong, 0.0, values=VALUES, seconds=20.0, seed=16)
+    tried = {n: effect(n) for n in (name, "yaw_coulomb_friction", "main_input_delay")}
+    candidates, _ = applicable_candidates(MODEL, tried)
+    found = compare_with(known, [dataset], candidates, {})
+    gains = dict(zip((j.difference.name for j in found.judged), found.gains, strict=True))
+    assert max(gains, key=gains.__getitem__) == name
+    assert gains[name] > 12.0
+    (score,) = (j for j in found.judged if j.difference.name == name)
+    assert score.value[0] == pytest.approx(value, abs=near)
+
+
+def test_a_sensor_whose_error_is_undone_leaves_the_beam_where_it_is():
+    """Angle, rate and momenta are those of the corrected recording, not of the biased one."""
     bias = {"pitch_sensor_bias": effect("pitch_sensor_bias", bias=0.05)}
-    dataset = begins(bias, 0.0, seconds=20.0, seed=16)
-    plain, biased = ShortRuns(MODEL, [dataset]), ShortRuns(extend_model(MODEL, bias), [dataset])
-    starts = plain.starts(MODEL.parameters.values)
-    p = biased.model.parameters.values
-    pitch = MODEL.state_index("alpha_v")
-    shown = biased.shown_at(p, starts)
-    np.testing.assert_allclose(shown[:, pitch], starts[:, pitch] - 0.05)
-    others = np.arange(starts.shape[1]) != pitch
-    np.testing.assert_array_equal(shown[:, others], starts[:, others])
-    at = [e.location for e in plain.equations].index("pitch_moment")
-    missing = plain.forces(MODEL.parameters.values).force[:, at]
-    explained = biased.forces(p, shown).force[:, at]
-    assert abs(np.median(explained)) < 0.1 * abs(np.median(missing))
+    right, wrong = (begins(e, 0.0, seconds=20.0, seed=16) for e in ({}, bias))
+    p = MODEL.parameters.values
+    shifted = wrong.measurements - [0.05 if s.name == "alpha_v" else 0.0 for s in wrong.outputs]
+    undone = ShortRuns(MODEL, [replace(wrong, measurements=shifted)]).forces(p).force
+    missing = [ShortRuns(MODEL, [dataset]).forces(p).force for dataset in (right, wrong)]
+    spread = [float(np.sqrt(np.mean(force[:, 0] ** 2))) for force in (*missing, undone)]
+    assert spread[2] < 1.3 * spread[0] < 0.5 * spread[1]
+
+
+def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(known):
+    dataset = begins({}, 0.0, values=VALUES, seconds=60.0, seed=16)
+    questioned = NewRecordings.of(known, [dataset])
+    runs = questioned.runs
+    pitch = [e.location for e in runs.equations].index("pitch_moment")
+    random = np.random.default_rng(3)
+    forgets = np.zeros(len(runs))
+    for k in range(1, len(runs)):
+        forgets[k] = np.exp(-1.0) * forgets[k - 1] + 0.9 * random.standard_normal()
+    angle = questioned.starts[:, MODEL.state_index("alpha_v")]
+    found = {}
+    extras = {"none": 0.0 * angle, "torque": 5e-3 * forgets, "law": 8e-3 * np.sin(25 * angle)}
+    for name, extra in extras.items():
+
+        class Pulled(KnownState):
+            def series(self, runs, forces, extra=extra):
+                made = list(super().series(runs, forces))
+                made[pitch] = replace(made[pitch], force=made[pitch].force + extra)
+                return tuple(made)
+
+        evidence = ChangeEvidence(replace(questioned, known=Pulled(**vars(known))))
+        torque = next(differences(evidence.questioned, {}, only={"pitch_disturbance"}))
+        score = with_random_torque(evidence, judge(evidence, torque))
+        law = by_equation(evidence)[pitch] - evidence.unchanged
+        found[name] = (score.evidence - evidence.unchanged, law, score)
+    assert max(found["none"][:2]) < 3.0
+    gain, law, score = found["torque"]
+    assert gain > law + 10.0 and gain > 30.0
+    assert score.varies and score.onset is None
+    assert score.value[0] == pytest.approx(5e-3, rel=0.5)
+    gain, law, _ = found["law"]
+    assert law > gain + 10.0 and law > 30.0
 
 
 def test_a_gate_opens_at_its_onset():
@@ -165,7 +216,8 @@ def test_recordings_that_differ_more_among_themselves_foretell_less():
 
     def series(force: np.ndarray) -> ForceSeries:
         seen = np.ones(len(force), dtype=bool)
-        return ForceSeries(force, seen, np.zeros((len(force), 0)), recording, time)
+        first = np.diff(recording, prepend=-1) != 0
+        return ForceSeries(force, seen, np.zeros((len(force), 0)), recording, time, first)
 
     alike = StandingError.fit(series(noise), 1.0)
     apart = StandingError.fit(series(noise + offsets[recording]), 1.0)

@@ -15,6 +15,7 @@ from typing import ClassVar, get_type_hints
 
 import casadi as ca
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.models.dry_friction import SPEEDS, apply_dry_friction, axis_of, moment_index
 from trms_cli.models.model import Model, RigAxis, Signal, Window, index_of, names
@@ -222,6 +223,27 @@ class SensorEffect(Effect):
 
     def check(self, model: Model) -> None:
         self.row(model)
+
+    def undone(
+        self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
+    ) -> FloatArray | None:
+        """What the channel would have shown without the effect; None: the effect cannot be undone.
+
+        Parameters
+        ----------
+        recorded : (n,) array
+            Of the channel, in its unit, NaN where missing.
+        step : float
+            s, between samples.
+        sizes : mapping
+            Values of :meth:`parameters`.
+
+        Returns
+        -------
+        (n,) array or None
+            NaN where the recording does not tell.
+        """
+        return None
 
     def added(self, at: EffectContext, y: ca.SX, value: ca.SX) -> ca.SX:
         """The measured outputs with something added to the channel."""

@@ -1,11 +1,13 @@
 """Bias of an angle sensor: the encoder's zero is not where the beam is level, ``y = α + b``."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import casadi as ca
 from msgspec import Meta
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.effects.effect import EffectContext, SensorEffect
 from trms_cli.models.parameters import Parameter
 
@@ -19,6 +21,11 @@ class SensorBias(SensorEffect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("bias", "rad", (-0.035, 0.035), "bias b"),)
+
+    def undone(
+        self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
+    ) -> FloatArray | None:
+        return recorded - sizes["bias"]
 
     def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
         return self.added(at, y, at.sizes["bias"])

@@ -6,12 +6,15 @@ parabolas in time, of third order in the sample time otherwise, smooth in the de
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import EffectContext, SensorEffect
 from trms_cli.models.model import Signal, Window
@@ -46,6 +49,20 @@ class SensorDelay(SensorEffect):
             return at.shown
         row = self.row(at.model)
         return ca.vertcat(before[row], at.shown[:-1, 0])
+
+    def undone(
+        self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
+    ) -> FloatArray | None:
+        from scipy.interpolate import CubicSpline
+
+        known = np.flatnonzero(np.isfinite(recorded))
+        if len(known) < 4:
+            return np.full_like(recorded, np.nan)
+        later = np.arange(len(recorded)) + sizes["delay"] / step
+        # what was not measured, and what would have been shown after the end, stays unknown
+        between = np.clip(np.searchsorted(known, later), 1, len(known) - 1)
+        told = (known[between] - known[between - 1] <= 1) & (later <= known[-1])
+        return np.where(told, CubicSpline(known, recorded[known])(later), np.nan)
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
         row = self.row(at.model)

@@ -28,12 +28,16 @@ from trms_cli.gap.problem import (
     with_noise,
     without_contacts,
 )
+from trms_cli.gap.standing import StandingError
+from trms_cli.gap.unnamed_force import by_equation, with_random_torque
 from trms_cli.identification.dataset import Dataset
 
 #: Nats of belief behind the best within which a difference is judged finely, and how many at most.
 _NEAR, _FINALISTS = 9.0, 8
 #: Effects that are tried between the recordings of the known state, besides all else.
 _TRIED = 6
+#: A force without a name among the gains.
+UNNAMED = "unnamed"
 #: Differences that add the same to the missing forces, by the cosine, cannot be told apart.
 _ALIKE = 0.97
 
@@ -45,7 +49,9 @@ class StateComparison:
     questioned: NewRecordings
     judged: tuple[DifferenceScore, ...]  #: Descending
     gains: FloatArray  #: (k,) array; nats of each above that nothing changed
-    usual: tuple[float, ...]  #: nats that the best gains where each reference is questioned
+    #: nats that the likeliest differences, and a force without a name, gain where each reference is
+    #: questioned, by name
+    usual: Sequence[Mapping[str, float]]
     probabilities: FloatArray  #: (k,) array; of each
     unchanged: float  #: Probability that nothing changed
     unnamed: float  #: Probability of something else
@@ -91,21 +97,24 @@ def compare_with(
     count = len(known.free) + len(candidates) + 2
     found = []
     for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):
-        found.append(judge(evidence, difference))
+        found.append(with_random_torque(evidence, judge(evidence, difference)))
         watch(0.2 + 0.5 * k / count, difference.name)
     constants = calibration().change
     found, worth = _in_order(found, constants)
     near = [j for j, w in zip(found, worth, strict=True) if w > worth[0] - _NEAR][:_FINALISTS]
     watch(0.75, "when")
-    finely = [judge(evidence, j.difference, finely=True) for j in near]
+    finely = [
+        with_random_torque(evidence, judge(evidence, j.difference, finely=True)) for j in near
+    ]
     judged, worth = _in_order([*finely, *found[len(near) :]], constants)
-    free = evidence.free_force() - evidence.unchanged
+    free = by_equation(evidence) - evidence.unchanged
     watch(0.85, "between recordings of the known state")
     gains = np.array([j.evidence for j in judged]) - evidence.unchanged
     unnamed = unnamed_gain(free)
     usual = _usual_gains(known, candidates, judged)
     kinds = [j.difference.kind for j in judged]
-    probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, usual, constants)
+    best = [max(0.0, *gained.values()) for gained in usual]
+    probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, best, constants)
     alike = tuple(
         k
         for k, j in enumerate(judged)
@@ -138,20 +147,32 @@ def _in_order(
 
 def _usual_gains(
     known: KnownState, candidates: Mapping[str, CandidateEffect], judged: Sequence[DifferenceScore]
-) -> tuple[float, ...]:
-    """Nats that the best difference gains where each recording of the known state is questioned."""
-    found = []
+) -> list[dict[str, float]]:
+    """Nats that differences gain, by name, where each recording of the known state is questioned.
+
+    A force without a name is among them: ``unnamed``.
+    """
     effects = [j.difference.name for j in judged if j.difference.kind == "effect"]
     others = [j.difference.name for j in judged if j.difference.kind != "effect"]
     wanted = {*effects[:_TRIED], *others}
+    found = []
     for k, dataset in enumerate(known.runs.windows.datasets):
+        # as if the recording had never been seen: sizes of the standing error are of the others
         rest = tuple(
-            replace(e, reference=e.reference.only(e.reference.recording != k)) for e in known.errors
+            StandingError.fit(
+                e.reference.only(e.reference.recording != k),
+                e.scale,
+                max(e.sessions - 1, 1),
+                begin=e.sizes,
+            )
+            for e in known.errors
         )
         evidence = ChangeEvidence(NewRecordings.of(replace(known, errors=rest), [dataset]))
-        tried = [
-            judge(evidence, difference).evidence
+        gains = {
+            difference.name: with_random_torque(evidence, judge(evidence, difference)).evidence
+            - evidence.unchanged
             for difference in differences(evidence.questioned, candidates, only=wanted)
-        ]
-        found.append(max(0.0, max(tried, default=0.0) - evidence.unchanged))
-    return tuple(found)
+        }
+        free = by_equation(evidence) - evidence.unchanged
+        found.append({**gains, UNNAMED: unnamed_gain(free)})
+    return found

@@ -25,6 +25,7 @@ from trms_cli.gap.diagnosis import (
     Verdict,
 )
 from trms_cli.gap.evidence import DifferenceScore
+from trms_cli.gap.moved_parameters import WORTH_TELLING
 from trms_cli.gap.problem import GapProblem, diagnosed_recordings, poor_excitation
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
 
@@ -86,10 +87,13 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         residual=_residual(added),
         evidence={
             "gains": {
-                j.difference.name: {"kind": j.difference.kind, "nats": float(gain)}
+                j.difference.name: {
+                    "kind": j.difference.kind,
+                    "nats": float(gain),
+                }
                 for j, gain in zip(found.judged, found.gains, strict=True)
             },
-            "usual_gains": list(found.usual),
+            "usual": [dict(gained) for gained in found.usual],
             "free_force": {
                 e.location: float(g)
                 for e, g in zip(questioned.runs.equations, found.by_equation, strict=True)
@@ -292,7 +296,7 @@ def _moved(found: StateComparison) -> tuple[MovedParameter, ...]:
         if j.difference.kind == "parameter"
     ]
     total = sum(p for _, p in rows)
-    if total < _LEAST:
+    if total < WORTH_TELLING:
         return ()
     model = found.questioned.known.model
     made = []
@@ -431,7 +435,8 @@ def _name(j: DifferenceScore) -> str:
     if kind == "parameter":
         return f"another {j.difference.name}"
     if kind == "torque":
-        return f"a constant torque on {j.difference.name.split('_')[0]}"
+        sort = "a torque that varies at random" if j.varies else "a constant torque"
+        return f"{sort} on {j.difference.name.split('_')[0]}"
     return readable(j.difference.name)
 
 

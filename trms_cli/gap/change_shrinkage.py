@@ -43,6 +43,8 @@ def change_shrinkage(
 def _corrected(found: StateComparison, parts: Parts, added: DifferenceScore) -> Model | None:
     """The known state's model with the difference, of sizes that the sealed part has no say in."""
     known = found.questioned.known
+    if added.varies:  # nothing foretells it
+        return known.model
     if added.began is not None:
         within = parts.fitted[added.recording] if added.recording < len(parts.fitted) else None
         if within is None or within.duration - added.began.time_s < _LEAST_AFTER:
@@ -50,7 +52,10 @@ def _corrected(found: StateComparison, parts: Parts, added: DifferenceScore) -> 
     name = added.difference.name
     evidence = ChangeEvidence(NewRecordings.of(known, parts.fitted))
     again = differences(evidence.questioned, found.candidates, only={name})
-    score = judge(evidence, next(d for d in again if d.name == name))
+    difference = next(iter(again), None)
+    if difference is None:  # it diverges there
+        return None
+    score = judge(evidence, difference)
     if added.difference.kind == "parameter":
         value = known.model.parameters[name].value + float(score.value[0])
         return with_values(known.model, {name: value})
@@ -62,7 +67,7 @@ def _corrected(found: StateComparison, parts: Parts, added: DifferenceScore) -> 
 
 def stand_in(score: DifferenceScore) -> ConstantTorque | None:
     """What a model has in place of a torque from outside; None for any other difference."""
-    if score.difference.kind != "torque":
+    if score.difference.kind != "torque" or score.varies:
         return None
     axis = score.difference.name.split("_")[0]
     return ConstantTorque(axis=axis, torque=float(score.value[0]))  # type: ignore[arg-type]

@@ -1,6 +1,6 @@
 """What may have changed, one thing at a time, simulated along the recordings in question."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -10,13 +10,14 @@ from scipy.special import logsumexp
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.effects.constant_torque import ConstantTorque
-from trms_cli.effects.effect import Effect
+from trms_cli.effects.effect import Effect, SensorEffect
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.gap.known_state import KnownState
 from trms_cli.gap.problem import CandidateEffect, is_amplitude, variants
 from trms_cli.gap.short_runs import MissingForces, ShortRuns
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
+from trms_cli.models.model import names
 from trms_cli.models.parameters import Parameter
 
 
@@ -123,7 +124,9 @@ def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
     between = (steps[1:] + steps[:-1]) / 2
     log_prior = np.log(np.diff(steps)) - 0.5 * (between / (_WIDTH * f.scale)) ** 2
     family = _family(steps[:, None], 0, log_prior, made, questioned.forces)
-    moments = np.abs(family.change).sum(axis=(0, 1))
+    # equations of other units are compared by what each errs by in any second
+    white = np.array([e.sizes.white for e in questioned.known.errors])
+    moments = np.abs(family.change).sum(axis=(0, 1)) / white
     location = runs.equations[int(np.argmax(np.nan_to_num(moments)))].location
     families = _normalised([family])
     return Difference(f.name, "parameter", ("change",), (f.unit,), (location,), families)
@@ -143,26 +146,75 @@ def _of_effect(
     locations: tuple[str, ...],
     kind: Literal["effect", "torque"],
 ) -> Difference:
-    model = ExtendedModel(questioned.known.model, name, effect)
-    runs = ShortRuns(model, questioned.runs.windows.datasets, like=questioned.runs)
     own = effect.parameters()
-    p = model.parameters.values
-    # without states or memory of its own, it begins where the model beneath does
-    same = runs.windows.rollout.n_x == questioned.runs.windows.rollout.n_x
-    starts = questioned.starts if same else None
+    simulated = _undone(questioned, effect) or _simulated(questioned, name, effect)
     families = []
     for shape, at in _shapes(own):
         grid = _grid(own[at])
         rows = np.tile(shape, (len(grid), 1))
         rows[:, at] = grid
-        made = []
-        for row in rows:
-            p[-len(own) :] = row
-            made.append(runs.forces(p, starts if starts is None else runs.shown_at(p, starts)))
+        made = [simulated(row) for row in rows]
         equal = np.zeros(len(grid) - 1)
         families.append(_family(rows, at, equal, made, questioned.forces))
     labels, units = tuple(q.name for q in own), tuple(q.unit for q in own)
     return Difference(name, kind, labels, units, locations, _normalised(families))
+
+
+def _simulated(
+    questioned: NewRecordings, name: str, effect: Effect
+) -> Callable[[FloatArray], MissingForces]:
+    """Missing forces with an effect in the model, by its sizes (n_s,)."""
+    model = ExtendedModel(questioned.known.model, name, effect)
+    runs = ShortRuns(model, questioned.runs.windows.datasets, like=questioned.runs)
+    p = model.parameters.values
+    # without states or memory of its own, it begins where the model beneath does
+    same = runs.windows.rollout.n_x == questioned.runs.windows.rollout.n_x
+    starts = questioned.starts if same else None
+
+    def forces(sizes: FloatArray) -> MissingForces:
+        p[-len(sizes) :] = sizes
+        return runs.forces(p, starts)
+
+    return forces
+
+
+def _undone(
+    questioned: NewRecordings, effect: Effect
+) -> Callable[[FloatArray], MissingForces] | None:
+    """Missing forces where a sensor's error is taken out of the recordings, by its sizes (n_s,).
+
+    Runs begin where measurements say: what a sensor that is late or biased shows is no start of
+    the beam's. None where the effect is none of a sensor, or its error cannot be undone.
+    """
+    known, runs = questioned.known, questioned.runs
+    if not isinstance(effect, SensorEffect):
+        return None
+    channel = known.model.outputs[effect.row(known.model)].name
+    labels = [q.name for q in effect.parameters()]
+
+    def corrected(dataset: Dataset, sizes: Mapping[str, float]) -> Dataset | None:
+        if channel not in names(dataset.outputs):
+            return dataset
+        undone = effect.undone(dataset.output(channel), dataset.sample_time, sizes)
+        if undone is None:
+            return None
+        measurements = dataset.measurements.copy()
+        measurements[:, names(dataset.outputs).index(channel)] = undone
+        return replace(dataset, measurements=measurements)
+
+    def forces(sizes: FloatArray) -> MissingForces:
+        of = dict(zip(labels, sizes.tolist(), strict=True))
+        datasets = [corrected(dataset, of) for dataset in runs.windows.datasets]
+        again = ShortRuns(known.model, [d for d in datasets if d is not None], like=runs)
+        made = again.forces(known.model.parameters.values)
+        # the last samples of a recording have no later ones: nothing is said there
+        unknown = np.isnan(made.force)
+        return MissingForces(np.where(unknown, questioned.forces.force, made.force), made.held)
+
+    first = {q.name: q.value for q in effect.parameters()}
+    if any(corrected(dataset, first) is None for dataset in runs.windows.datasets):
+        return None
+    return forces
 
 
 def _shapes(parameters: Sequence[Parameter]) -> list[tuple[FloatArray, int]]:
@@ -184,7 +236,8 @@ def _grid(parameter: Parameter) -> FloatArray:
     one = np.geomspace(least / 5, most * 2.5, _AMPLITUDES)
     both = low < 0 or parameter.lower < 0
     grid = np.concatenate([-one[::-1], one]) if both else one
-    return np.asarray(grid[(grid >= parameter.lower) & (grid <= parameter.upper)])
+    within = np.unique(np.clip(grid, parameter.lower, parameter.upper))
+    return np.asarray(within[within != 0.0])
 
 
 #: Amplitudes of an effect that are simulated, to one side.

@@ -1,12 +1,11 @@
 """How probable a change is: what it leaves of the missing forces, against the standing error."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
@@ -28,6 +27,7 @@ class DifferenceScore:
     onset: Onset | None  #: Where that is the more probable
     recording: int  #: In which it begins
     change: FloatArray  #: (m, e) array; what it then adds to the missing forces
+    varies: bool = False  #: A torque that varies at random, of which ``value`` is the deviation
 
     @property
     def evidence(self) -> float:
@@ -50,10 +50,17 @@ _ALWAYS, _BEGINS = float(np.log(0.6)), float(np.log(0.4))
 class _Law:
     """What one choice of the standing error's sizes foretells of all equations."""
 
+    number: int  #: Of the choice
     log_weight: float  #: nats; belief in the sizes
     whitener: tuple[FloatArray, ...]  #: By equation: (m_e, m_e) arrays
-    z: FloatArray  #: (n,) array; innovations of all equations with nothing changed
-    constant: float  #: nats; of the density
+    parts: tuple[FloatArray, ...]  #: By equation: (m_e,) arrays; innovations with nothing changed
+    constants: tuple[float, ...]  #: nats; of each equation's density
+
+    @cached_property
+    def densities(self) -> FloatArray:
+        """(e,) array; log density of each equation's forces with nothing changed, nats."""
+        both = zip(self.constants, self.parts, strict=True)
+        return np.array([constant - robust(z).sum() for constant, z in both])
 
 
 class ChangeEvidence:
@@ -66,34 +73,71 @@ class ChangeEvidence:
         self.questioned = questioned
         self.known, self.runs, self.forces = questioned.known, questioned.runs, questioned.forces
         self.series = self.known.series(self.runs, self.forces)
-        self._rows = [np.isfinite(self.forces.force[:, e]) for e in range(len(self.series))]
-        self._laws = self._of_laws([0.0] * len(self.series))
-        self.unchanged = float(self._density(self._laws))
+        #: By equation: (m,) arrays of bool; where something was measured
+        self.rows = [np.isfinite(self.forces.force[:, e]) for e in range(len(self.series))]
+        #: By equation: what was measured of it
+        self.own = [s.only(rows) for s, rows in zip(self.series, self.rows, strict=True)]
+        self._laws = self._of_laws()
+        found = [law.log_weight + law.densities.sum() for law in self._laws]
+        self.unchanged = float(logsumexp(found))
 
-    def _of_laws(self, more: Sequence[FloatArray | float]) -> list[_Law]:
-        own = [series.only(rows) for series, rows in zip(self.series, self._rows, strict=True)]
+    def _of_laws(self) -> list[_Law]:
         by_equation = [
-            list(error.predictions(series, extra))
-            for error, series, extra in zip(self.known.errors, own, more, strict=True)
+            list(error.predictions(own))
+            for error, own in zip(self.known.errors, self.own, strict=True)
         ]
         laws = []
-        for together in zip(*by_equation, strict=True):
-            inverse = tuple(
-                solve_triangular(p.factor, np.eye(len(p.mean)), lower=True) for p in together
-            )
+        for number, together in enumerate(zip(*by_equation, strict=True)):
             z = [
-                w @ (series.force - p.mean)
-                for w, series, p in zip(inverse, own, together, strict=True)
+                p.whitener @ (own.force - p.mean) for own, p in zip(self.own, together, strict=True)
             ]
-            constant = -sum(float(np.log(np.diag(p.factor)).sum()) for p in together)
-            weight = sum(p.log_weight for p in together)
-            laws.append(_Law(weight, inverse, np.concatenate(z), constant))
+            laws.append(
+                _Law(
+                    number,
+                    # the factors are those of the recording, not of each of its equations
+                    together[0].log_weight,
+                    tuple(p.whitener for p in together),
+                    tuple(z),
+                    tuple(p.constant for p in together),
+                )
+            )
         total = logsumexp([law.log_weight for law in laws])
         kept = [replace(law, log_weight=law.log_weight - total) for law in laws]
         return [law for law in kept if law.log_weight > _NEGLIGIBLE]
 
-    def _density(self, laws: Sequence[_Law]) -> float:
-        found = [law.log_weight + law.constant - robust(law.z).sum() for law in laws]
+    def with_covariance(self, e: int, covariance: FloatArray) -> float:
+        """Log evidence of a further force on an equation, (m_e, m_e) its covariance."""
+        known = {law.number: law for law in self._laws}
+        error, own = self.known.errors[e], self.own[e]
+        found = [
+            law.log_weight
+            + law.densities.sum()
+            - law.densities[e]
+            + made.constant
+            - robust(made.whitener @ (own.force - made.mean)).sum()
+            for law, made in zip(
+                known.values(), error.predictions(own, covariance, known), strict=True
+            )
+        ]
+        return float(logsumexp(found))
+
+    def with_columns(self, e: int, columns: FloatArray, size: float) -> float:
+        """Log evidence of a force that is a sum of columns (m_e, k), coefficients N(0, size²).
+
+        Laplace's approximation about the most probable coefficients.
+        """
+        found = []
+        for law in self._laws:
+            white, z = law.whitener[e] @ columns, law.parts[e]
+            part: FloatArray = np.zeros(columns.shape[1])
+            for _ in range(_REWEIGHED):
+                weight = robust_weight(z + white @ part)[:, None]
+                curvature = white.T @ (weight * white) + np.eye(len(part)) / size**2
+                part = np.asarray(-np.linalg.solve(curvature, white.T @ (weight[:, 0] * z)))
+            cost = robust(z + white @ part).sum() + 0.5 * part @ part / size**2
+            occam = 0.5 * np.linalg.slogdet(size**2 * curvature)[1]
+            others = law.densities.sum() - law.densities[e]
+            found.append(law.log_weight + others + law.constants[e] - cost - occam)
         return float(logsumexp(found))
 
     def of(self, change: FloatArray, slope: FloatArray) -> tuple[FloatArray, ...]:
@@ -102,55 +146,51 @@ class ChangeEvidence:
         Returns the log evidence, the most probable part and its standard deviation, (k,) arrays.
         """
         found, parts, spreads = [], [], []
+        moved = self._moved(change, slope)
         for law in self._laws:
-            begin = law.z[:, None] + self._whitened(law, change)
-            added = self._whitened(law, slope)
+            z = np.concatenate([law.parts[e] for e in moved])
+            begin = z[:, None] + self._whitened(law, change, moved)
+            added = self._whitened(law, slope, moved)
+            others = law.densities.sum() - law.densities[moved].sum()
+            constant = others + sum(law.constants[e] for e in moved)
             part = np.full(len(change), 0.5)
             for _ in range(_REWEIGHED):
                 weight = robust_weight(begin + part * added)
-                curvature = np.maximum(np.sum(weight * added**2, axis=0), 1e-12)
-                part = np.clip(-np.sum(weight * added * begin, axis=0) / curvature, 0.0, 1.0)
+                weight *= added
+                curvature = np.maximum(np.einsum("nk,nk->k", weight, added), 1e-12)
+                part = np.clip(-np.einsum("nk,nk->k", weight, begin) / curvature, 0.0, 1.0)
             cost = robust(begin + part * added).sum(axis=0)
             spread = 1 / np.sqrt(curvature)
             occam = np.minimum(np.log(np.sqrt(2 * np.pi) * spread), 0.0)
-            found.append(law.log_weight + law.constant - cost + occam)
+            found.append(law.log_weight + constant - cost + occam)
             parts.append(part)
             spreads.append(spread)
         best = np.argmax(found, axis=0)[None]
         chosen = [np.take_along_axis(np.array(v), best, 0)[0] for v in (parts, spreads)]
         return (np.asarray(logsumexp(found, axis=0)), *chosen)
 
-    def _whitened(self, law: _Law, change: FloatArray) -> FloatArray:
-        """Changes (k, m, e) of the missing forces as innovations, (n, k)."""
-        both = enumerate(zip(law.whitener, self._rows, strict=True))
-        return np.concatenate([w @ change[:, rows, e].T for e, (w, rows) in both])
+    def _moved(self, *changes: FloatArray) -> list[int]:
+        """Equations on which changes (k, m, e) act at all: most act on one or two."""
+        white = np.array([error.sizes.white for error in self.known.errors])
+        largest = np.max([np.abs(c).max(axis=(0, 1), initial=0.0) for c in changes], axis=0)
+        acts = largest > _UNSEEN * white
+        return [int(e) for e in np.flatnonzero(acts)] or [int(np.argmax(largest / white))]
+
+    def _whitened(self, law: _Law, change: FloatArray, equations: Sequence[int]) -> FloatArray:
+        """Changes (k, m, e) of the missing forces of some equations as innovations, (n, k)."""
+        return np.concatenate([law.whitener[e] @ change[:, self.rows[e], e].T for e in equations])
 
     def alike(self, one: DifferenceScore, other: DifferenceScore) -> float:
         """Cosine between what two differences add, as innovations."""
         law = max(self._laws, key=lambda law: law.log_weight)
-        a, b = self._whitened(law, np.stack([one.change, other.change])).T
+        a, b = self._whitened(law, np.stack([one.change, other.change]), range(len(self.rows))).T
         return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-12))
 
-    def free_force(self) -> FloatArray:
-        """Of a force without a name on each equation alone, (e,) nats."""
-        found = np.zeros(len(self.series))
-        for e, (series, rows) in enumerate(zip(self.series, self._rows, strict=True)):
-            own, scale = series.only(rows), self.known.errors[e].scale
-            apart = np.abs(own.time[:, None] - own.time)
-            same = own.recording[:, None] == own.recording
-            values = []
-            for size, time in itertools.product(_FREE_SIZES, _FREE_TIMES):
-                more: list[FloatArray | float] = [0.0] * len(self.series)
-                more[e] = (size * scale) ** 2 * np.exp(-apart / time) * same
-                values.append(self._density(self._of_laws(more)))
-            found[e] = logsumexp(values) - np.log(len(values))
-        return found
 
-
-#: Sizes of a force without a name, as shares of what acts there, and its times in s.
-_FREE_SIZES, _FREE_TIMES = (0.1, 0.3, 1.0), (3.0, 30.0)
 #: nats; less probable sizes of the standing error are left out.
 _NEGLIGIBLE = -4.0
+#: Share of what an equation errs by in any second below which a change does not act on it.
+_UNSEEN = 1e-3
 #: Rounds of robust least squares for a part.
 _REWEIGHED = 5
 

@@ -35,6 +35,8 @@ def known_state(
 ) -> KnownState:
     """Fit the parameters to recordings of the known state, and learn the standing error."""
     free = tuple(f for f in free if f.prior_sd)
+    # pieces of one recording share its day
+    sessions = len({dataset.sha256 or str(i) for i, dataset in enumerate(references)})
     if len(references) == 1:  # how much its halves differ stands for how much recordings do
         whole = references[0]
         half = len(whole) // 2
@@ -47,7 +49,7 @@ def known_state(
         slopes = _slopes(runs, fitted, free, forces)
         series = _series(runs, forces, slopes, moved)
         errors = tuple(
-            StandingError.fit(s, _scale(slopes[:, e], moved, free)) for e, s in enumerate(series)
+            StandingError.fit(s, _scale(s, moved, free), sessions) for e, s in enumerate(series)
         )
         total, right = np.eye(len(free)), np.zeros(len(free))
         for error in errors:
@@ -65,7 +67,7 @@ def known_state(
     forces = runs.forces(fitted.parameters.values)
     slopes = _slopes(runs, fitted, free, forces)
     errors = tuple(
-        StandingError.fit(s, _scale(slopes[:, e], moved, free))
+        StandingError.fit(s, _scale(s, moved, free), sessions)
         for e, s in enumerate(_series(runs, forces, slopes, moved))
     )
     return KnownState(fitted, free, moved, sd, errors, runs)
@@ -112,7 +114,14 @@ def _series(
         quiet = forces.held[:, e] & (np.abs(force) < _QUIET * usual)
         centred = force - slopes[:, e] @ moved
         made.append(
-            ForceSeries(centred, seen[:, e] & ~quiet, slopes[:, e], runs.recording, runs.begin)
+            ForceSeries(
+                centred,
+                seen[:, e] & ~quiet,
+                slopes[:, e],
+                runs.recording,
+                runs.begin,
+                ~runs.windows.follows,
+            )
         )
     return tuple(made)
 
@@ -121,10 +130,17 @@ def _series(
 _QUIET = 4.0
 
 
-def _scale(slopes: FloatArray, moved: FloatArray, free: Sequence[FreeParameter]) -> float:
-    """What acts in an equation: the largest contribution of a parameter, its root mean square."""
+def _scale(series: ForceSeries, moved: FloatArray, free: Sequence[FreeParameter]) -> float:
+    """What acts in an equation: the largest contribution of a parameter, its root mean square.
+
+    Of an equation without a free parameter, what it lacks.
+    """
+    seen = series.only(series.seen)
+    if not len(seen.force):
+        return 1e-9
     values = np.array(
         [(f.prior_mean + d * f.scale) / f.scale for f, d in zip(free, moved, strict=True)]
     )
-    parts = np.abs(slopes * values).max(axis=1, initial=0.0)
-    return float(max(np.sqrt(np.mean(parts**2)), 1e-9))
+    parts = np.abs(seen.slopes * values).max(axis=1, initial=0.0)
+    missing = seen.force + seen.slopes @ moved
+    return float(max(np.sqrt(np.mean(parts**2)), np.sqrt(np.mean(missing**2)), 1e-9))

@@ -17,7 +17,6 @@ force that it lacks in each of them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -86,7 +85,9 @@ class ShortRuns:
     ) -> None:
         self.model = model
         problem = FitProblem(model=model, datasets=tuple(datasets), window_length=length, jobs=1)
-        self.windows = windows = Windows(problem, with_parameters=False)
+        known = like.windows.rollout if like is not None and like.model is model else None
+        windows = Windows(problem, with_parameters=False, rollout=known)
+        self.windows: Windows = windows
         measured = {name for dataset in datasets for name in names(dataset.outputs)}
         self.equations = observable_equations(model, sorted(measured))
         step, count = windows.sample_time, windows.inside.shape[1]
@@ -123,25 +124,6 @@ class ShortRuns:
                 row = self.model.state_index(self.model.outputs[e.output].name)
                 starts[:, row] -= np.nan_to_num(away[:, e.output])
         return starts
-
-    def shown_at(self, p: FloatArray, starts: FloatArray) -> FloatArray:
-        """Starts at which the sensors show the angles of others, (m, n_x).
-
-        An encoder that is off by a degree shows the measured angle where the axis is elsewhere.
-        """
-        angles = [e.output for e in self.equations if e.order == 2]
-        rows = [self.model.state_index(self.model.outputs[i].name) for i in angles]
-        count = len(starts)
-        commands = self.windows.commands[:, 0]
-        shown = self._measure.map(count)(starts.T, commands.T, np.tile(p[:, None], count))
-        moved = starts.copy()
-        moved[:, rows] += starts[:, rows] - np.asarray(ca.DM(shown).full().T)[:, angles]
-        return moved
-
-    @cached_property
-    def _measure(self) -> ca.Function:
-        x, u, p, _ = self.model.symbols()
-        return ca.Function("shown", [x, u, p], [self.model.measurement(x, u, p)])
 
     def forces(self, p: FloatArray, starts: FloatArray | None = None) -> MissingForces:
         """With all parameters at ``p``, (n_p,), from known starts (m, n_x) or estimated ones."""

@@ -14,7 +14,7 @@ predictions are averaged.
 A further recording is then foretold, with all of its covariance, before it is looked at.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -33,6 +33,9 @@ _OF_PRIORS, _OF_PRIORS_BETWEEN = (0.1, 1.0), (0.3, 0.7)
 #: Factors about the most likely sizes that those of a further recording may have, and the standard
 #: deviation of their logarithm: recordings of one state differ by more than a few of them show.
 _FACTORS, _VARIES = (1.0, 2.0, 4.0), 0.6
+#: Times the variance that the force of a recording's first window has: the rate that it begins with
+#: is read off samples on one side alone.
+_ONE_SIDED = 10.0
 #: Degrees of freedom of the innovations' density: a push of the hand is over within seconds.
 _FREEDOM = 6.0
 
@@ -56,6 +59,7 @@ class ForceSeries:
     slopes: FloatArray  #: (m, n_f) array; per prior standard deviation of each parameter
     recording: IntArray  #: (m,) array
     time: FloatArray  #: (m,) array; s
+    first: BoolArray  #: (m,) array; whether a window is the first of its recording
 
     def only(self, rows: BoolArray) -> "ForceSeries":
         """Some of the windows."""
@@ -69,6 +73,7 @@ def covariance(series: ForceSeries, sizes: ErrorSizes) -> FloatArray:
     common = series.slopes @ series.slopes.T
     own = sizes.offset**2 + sizes.slow**2 * np.exp(-apart / SLOW) + sizes.between**2 * common
     white = sizes.white**2 + sizes.of_priors**2 * np.sum(series.slopes**2, axis=1)
+    white = white * np.where(series.first, _ONE_SIDED, 1.0)
     return np.asarray(common + np.where(together, own, 0.0) + np.diag(white))
 
 
@@ -96,7 +101,10 @@ class ForcePrediction:
 
     log_weight: float  #: Belief in the sizes, nats
     mean: FloatArray  #: (m,) array
-    factor: FloatArray  #: (m, m) array; lower Cholesky factor of the covariance
+    #: (m, m) array; symmetric root of the inverse covariance: what is constant stays spread over
+    #: all windows, where innovations one after the other would have it in the first
+    whitener: FloatArray
+    constant: float  #: nats; of the density
 
 
 @dataclass(frozen=True)
@@ -106,12 +114,20 @@ class StandingError:
     reference: ForceSeries  #: Seen windows of the recordings of the known state
     scale: float  #: What acts in the equation, in the force's unit
     sizes: ErrorSizes  #: Most likely
+    sessions: int = 1  #: Recordings of the known state that are not parts of one
 
     @classmethod
-    def fit(cls, reference: ForceSeries, scale: float) -> "StandingError":
+    def fit(
+        cls,
+        reference: ForceSeries,
+        scale: float,
+        sessions: int = 1,
+        begin: ErrorSizes | None = None,
+    ) -> "StandingError":
         """The most likely sizes, given recordings of the known state.
 
-        ``scale``: What acts in the equation, in the force's unit.
+        ``scale``: What acts in the equation, in the force's unit. ``begin``: sizes at which the
+        search begins; None: those that are believed before.
         """
         from scipy.optimize import minimize  # 0.4 s to import
 
@@ -125,28 +141,29 @@ class StandingError:
 
         found = minimize(
             cost,
-            centres,
+            centres if begin is None else np.log(begin),
             method="L-BFGS-B",
             bounds=[(c - 6, c + 6) for c in centres],
             options={"maxiter": 40},
         )
-        return cls(seen, scale, ErrorSizes(*np.exp(found.x)))
+        return cls(seen, scale, ErrorSizes(*np.exp(found.x)), sessions)
 
     def predictions(
-        self, series: ForceSeries, more: FloatArray | float = 0.0
+        self, series: ForceSeries, more: FloatArray | float = 0.0, only: Collection[int] = ()
     ) -> Iterator[ForcePrediction]:
         """Of further recordings, for several sizes of what differs between recordings and slowly.
 
         The windows of ``series`` that are not seen are foretold as well. ``more``: covariance of a
-        further force on them.
+        further force on them. ``only``: which of the sizes; empty: all.
         """
         own = series.slopes @ self.reference.slopes.T
         known = cho_factor(covariance(self.reference, self.sizes), lower=True)
         mean = own @ cho_solve(known, self.reference.force)
         taken = own @ cho_solve(known, own.T)
-        count = len(np.unique(self.reference.recording))
-        spread = _VARIES * np.sqrt(1 + 2 / max(count, 1))
-        for offset, slow in product(_FACTORS, _FACTORS):
+        spread = _VARIES * np.sqrt(1 + 2 / max(self.sessions, 1))
+        for number, (offset, slow) in enumerate(product(_FACTORS, _FACTORS)):
+            if only and number not in only:
+                continue
             sizes = ErrorSizes(
                 self.sizes.white,
                 self.sizes.slow * slow,
@@ -156,8 +173,10 @@ class StandingError:
             )
             weight = -0.5 * float(np.sum((np.log([offset, slow]) / spread) ** 2))
             left = covariance(series, sizes) - taken
-            factor = np.linalg.cholesky((left + left.T) / 2 + more)
-            yield ForcePrediction(weight, mean, np.asarray(factor))
+            size, turn = np.linalg.eigh((left + left.T) / 2 + more)
+            size = np.maximum(size, 1e-12 * size[-1:])
+            whitener = (turn / np.sqrt(size)) @ turn.T
+            yield ForcePrediction(weight, mean, whitener, -0.5 * float(np.log(size).sum()))
 
 
 def _beliefs(scale: float) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,117 @@
+"""Forces on an equation that no difference of a model makes: at random, or by a law without a name.
+
+A torque from outside that varies is foretold by nothing but its own recent past: an
+Ornstein–Uhlenbeck process of some deviation σ and time τ, of which each window has the mean. A law
+that nobody wrote down is a smooth function of one quantity of the rig (an angle, a rate, a rotor's
+speed, a command) or of the time: a sum of bumps with normal coefficients, coarse or fine. Each is
+integrated over its sizes, so that what can be anything is not believed for that.
+"""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from trms_cli.core.arrays import FloatArray
+from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore
+
+#: s. Times over which a torque from outside forgets itself.
+_TIMES = (0.3, 1.0, 3.0)
+#: Deviations of a force, from what an equation errs by in any second to what acts there.
+_SIZES = 5
+#: Bumps over the range of a quantity, and s between bumps over the time.
+_COARSE, _FINE, _APART = 6, 18, 8.0
+
+
+def by_equation(evidence: ChangeEvidence) -> FloatArray:
+    """Log evidence of a law without a name on each equation alone, (e,) nats."""
+    found = []
+    for e, rows in enumerate(evidence.rows):
+        bases = [basis[rows] for basis in _bases(evidence)]
+        values = [
+            evidence.with_columns(e, basis, size)
+            for basis, size in itertools.product(bases, _sizes(evidence, e))
+        ]
+        found.append(logsumexp(values) - np.log(len(values)))
+    return np.array(found)
+
+
+def with_random_torque(evidence: ChangeEvidence, score: DifferenceScore) -> DifferenceScore:
+    """A constant torque's score with that of one that varies at random, each with half the belief.
+
+    The other ones come back as they are.
+    """
+    if score.difference.kind != "torque":
+        return score
+    locations = [equation.location for equation in evidence.runs.equations]
+    e = locations.index(score.difference.locations[0])
+    own = evidence.own[e]
+    apart = np.where(
+        own.recording[:, None] == own.recording, np.abs(own.time[:, None] - own.time), np.inf
+    )
+    trials = list(itertools.product(_sizes(evidence, e), _TIMES))
+    length = evidence.runs.length
+    logs = [
+        evidence.with_covariance(e, size**2 * _averaged(apart / length, time / length))
+        for size, time in trials
+    ]
+    varying = float(logsumexp(logs) - np.log(len(logs)))
+    half = np.log(0.5)
+    joined = replace(score, always=float(np.logaddexp(score.always, varying) + half))
+    joined = replace(joined, begins=score.begins + half)
+    if varying <= score.evidence:
+        return joined
+    weights = np.exp(np.array(logs) - max(logs))
+    sizes = np.array([size for size, _ in trials])
+    mean = float(weights @ sizes / weights.sum())
+    spread = float(np.sqrt(weights @ (sizes - mean) ** 2 / weights.sum()))
+    # what it adds is the missing force itself, but for what every second lacks
+    change = np.zeros_like(score.change)
+    change[:, e] = -np.nan_to_num(evidence.forces.force[:, e])
+    return replace(
+        joined,
+        value=np.array([mean]),
+        sd=np.array([spread]),
+        onset=None,
+        change=change,
+        varies=True,
+    )
+
+
+def _sizes(evidence: ChangeEvidence, e: int) -> FloatArray:
+    error = evidence.known.errors[e]
+    least = min(float(error.sizes.white), 0.3 * error.scale)
+    return np.geomspace(least, error.scale, _SIZES)
+
+
+def _averaged(apart: FloatArray, time: float) -> FloatArray:
+    """Covariance of means over windows of unit length, of a process of unit variance.
+
+    ``apart``: (m, m) array; between the beginnings of windows, in lengths. ``time``: the same unit.
+    """
+    lost = 1 - np.exp(-1 / time)
+    near = 2 * time * (1 - time * lost)
+    far = time**2 * lost**2 * np.exp((1 - np.maximum(apart, 1.0)) / time)
+    return np.where(apart < 0.5, near, far)
+
+
+def _bases(evidence: ChangeEvidence) -> list[FloatArray]:
+    """Bumps over each quantity, (m, k) arrays."""
+    runs, starts = evidence.runs, evidence.questioned.starts
+    commands = runs.windows.commands.mean(axis=1)
+    found = []
+    for values in (*starts.T, *commands.T):
+        low, high = np.quantile(values, [0.02, 0.98])
+        if not high > low:
+            continue
+        found += [_bumps(values, low, high, count) for count in (_COARSE, _FINE)]
+    order = np.arange(len(runs), dtype=float)
+    count = max(3, round(len(runs) * runs.length / _APART))
+    return [*found, _bumps(order, 0.0, order[-1], count)]
+
+
+def _bumps(values: FloatArray, low: float, high: float, count: int) -> FloatArray:
+    centres = np.linspace(low, high, count)
+    width = (high - low) / (count - 1)
+    return np.exp(-0.5 * ((np.clip(values, low, high)[:, None] - centres) / width) ** 2)
