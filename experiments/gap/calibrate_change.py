@@ -22,7 +22,13 @@ from experiments.gap.blind.judgement import right_causes
 from experiments.gap.calibrate import parser_of, write_constants
 from experiments.gap.cross_validation import LEAST, Belief, cross_validated, folds_of, tables
 from experiments.gap.features_file import FeaturesFile, Line
-from trms_cli.gap.belief import calibration, change_probabilities, unnamed_gain
+from trms_cli.gap.belief import (
+    UNNAMED,
+    calibration,
+    change_probabilities,
+    unnamed_gain,
+    usual_gains,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -36,7 +42,7 @@ PRIOR: Mapping[str, float] = {
     "parameter": 0.1,
     "nat": 0.35,
     "believed": 2.0,
-    "usual_gain": 5.0,
+    "usual_gain": 8.0,
 }
 _WIDTH = 1.0
 #: Rounding is told by the steps of the sensor, not by gains.
@@ -57,13 +63,14 @@ class ChangeFeatures:
     def of(cls, line: Line) -> ChangeFeatures:
         """Of a line of a features file."""
         evidence = line.evidence
-        gains = evidence["gains"]
+        gains = {name: entry["nats"] for name, entry in evidence["gains"].items()}
+        unnamed = unnamed_gain(np.array(list(evidence["free_force"].values())))
         return cls(
             names=tuple(gains),
-            kinds=tuple(entry["kind"] for entry in gains.values()),
-            gains=np.array([entry["nats"] for entry in gains.values()]),
-            unnamed=unnamed_gain(np.array(list(evidence["free_force"].values()))),
-            usual=tuple(max(0.0, *gained.values()) for gained in evidence["usual"]),
+            kinds=tuple(entry["kind"] for entry in evidence["gains"].values()),
+            gains=np.array(list(gains.values())),
+            unnamed=unnamed,
+            usual=usual_gains({**gains, UNNAMED: unnamed}, evidence["usual"]),
         )
 
 

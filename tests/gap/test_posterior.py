@@ -19,6 +19,7 @@ from trms_cli.gap.belief import (
     change_worth,
     own_feature,
     probabilities_of,
+    usual_gains,
 )
 from trms_cli.gap.diagnosis import Cause, SizeEstimate
 from trms_cli.gap.posterior import merged, special_cases
@@ -157,6 +158,14 @@ def test_nothing_changed_is_held_against_what_recordings_of_one_state_gain():
     worth = change_worth(kinds, np.zeros(3), constants)
     # a kind's belief is shared among its members
     assert np.exp(worth[:2]).sum() == pytest.approx(constants["effect"])
+
+
+def test_only_what_gains_between_recordings_of_one_state_is_usual():
+    between = [{"lag": 60.0, "friction": 2.0}, {"lag": 20.0}]
+    assert usual_gains({"lag": 70.0, "friction": 30.0}, between) == (60.0, 20.0)
+    # a lag that differs from day to day is a quarter of a reason to doubt a friction
+    assert usual_gains({"lag": 10.0, "friction": 30.0}, between) == (15.0, 5.0)
+    assert usual_gains({"friction": 30.0}, [{"friction": -3.0}]) == (0.0,)
 
 
 def test_the_fit_of_the_constants_finds_honest_ones():

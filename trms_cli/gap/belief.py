@@ -290,6 +290,34 @@ _LARGEST_GAIN = 1000.0
 _NO_GAIN = 3.0
 
 
+#: What a force without a name gains is among gains under this name.
+UNNAMED = "unnamed"
+#: Share for which the gain of any other difference between recordings of one state counts.
+_OF_OTHERS = 0.25
+
+
+def usual_gains(
+    gains: Mapping[str, float], between: Sequence[Mapping[str, float]]
+) -> tuple[float, ...]:
+    """nats that the best of some differences gains between recordings of one state.
+
+    Where drives differ from day to day, a friction that never gained anything is not doubted for
+    it, or by a share alone: recordings so few have not shown all by which they differ.
+
+    Parameters
+    ----------
+    gains : mapping
+        nats of each difference, and of :data:`UNNAMED`, in the recordings in question.
+    between : sequence of mapping
+        The same where each recording of the known state is questioned; not of each difference.
+    """
+    best = max(gains, key=gains.__getitem__)
+    return tuple(
+        max(0.0, gained.get(best, 0.0), _OF_OTHERS * max(gained.values(), default=0.0))
+        for gained in between
+    )
+
+
 def unnamed_gain(by_equation: FloatArray) -> float:
     """nats that a force without a name gains, on whichever equation, (e,) array of each."""
     return float(np.logaddexp.reduce(by_equation) - np.log(len(by_equation)))

@@ -15,7 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.gap.belief import calibration, change_probabilities, change_worth, unnamed_gain
+from trms_cli.gap.belief import (
+    UNNAMED,
+    calibration,
+    change_probabilities,
+    change_worth,
+    unnamed_gain,
+    usual_gains,
+)
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
@@ -36,8 +43,6 @@ from trms_cli.identification.dataset import Dataset
 _NEAR, _FINALISTS = 9.0, 8
 #: Effects that are tried between the recordings of the known state, besides all else.
 _TRIED = 6
-#: A force without a name among the gains.
-UNNAMED = "unnamed"
 #: Differences that add the same to the missing forces, by the cosine, cannot be told apart.
 _ALIKE = 0.97
 
@@ -113,7 +118,8 @@ def compare_with(
     unnamed = unnamed_gain(free)
     usual = _usual_gains(known, candidates, judged)
     kinds = [j.difference.kind for j in judged]
-    best = [max(0.0, *gained.values()) for gained in usual]
+    named = {j.difference.name: gain for j, gain in zip(judged, gains.tolist(), strict=True)}
+    best = usual_gains({**named, UNNAMED: unnamed}, usual)
     probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, best, constants)
     alike = tuple(
         k
