@@ -162,6 +162,22 @@ def test_a_sensor_whose_error_is_undone_leaves_the_beam_where_it_is():
     assert spread[2] < 1.3 * spread[0] < 0.5 * spread[1]
 
 
+def test_an_encoder_that_slips_is_found_with_its_moment(known):
+    slips = {"yaw_sensor_bias": effect("yaw_sensor_bias", bias=0.033)}
+    dataset = begins(slips, 15.4, values=VALUES, seconds=30.0, seed=17)
+    candidates, _ = applicable_candidates(
+        MODEL, {n: effect(n) for n in ("yaw_sensor_bias", "yaw_coulomb_friction")}
+    )
+    found = compare_with(known, [dataset], candidates, {})
+    first = found.judged[0]
+    assert first.difference.name == "yaw_sensor_bias"
+    # one window shows it: by how much, and since which of its samples, go together
+    assert first.value[0] == pytest.approx(0.033, abs=0.01)
+    assert first.began is not None
+    assert first.began.time_s == pytest.approx(15.4, abs=0.2)
+    assert found.gains[0] > 15.0 > found.gains[1] + 10.0
+
+
 def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(known):
     dataset = begins({}, 0.0, values=VALUES, seconds=60.0, seed=16)
     questioned = NewRecordings.of(known, [dataset])

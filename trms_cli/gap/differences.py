@@ -40,6 +40,15 @@ class NewRecordings:
 
 
 @dataclass(frozen=True)
+class SensorJump:
+    """What the window in which a sensor goes wrong shows, by the sample from which on it does."""
+
+    equation: int
+    change: FloatArray  #: (k, m, c) array; added to its force, as of :class:`DifferenceFamily`
+    slope: FloatArray  #: (k, m, c) array
+
+
+@dataclass(frozen=True)
 class DifferenceFamily:
     """A difference in one shape, by stretches of its amplitude between values that are simulated.
 
@@ -52,6 +61,7 @@ class DifferenceFamily:
     prior: FloatArray  #: (k,) array; log prior
     change: FloatArray  #: (k, m, e) array
     slope: FloatArray  #: (k, m, e) array
+    jump: SensorJump | None = None  #: Where it is a sensor's; None: a force that begins
 
 
 @dataclass(frozen=True)
@@ -147,7 +157,8 @@ def _of_effect(
     kind: Literal["effect", "torque"],
 ) -> Difference:
     own = effect.parameters()
-    simulated = _undone(questioned, effect) or _simulated(questioned, name, effect)
+    undone = _Undone.of(questioned, effect)
+    simulated = undone.forces if undone else _simulated(questioned, name, effect)
     families = []
     for shape, at in _shapes(own):
         grid = _grid(own[at])
@@ -155,7 +166,8 @@ def _of_effect(
         rows[:, at] = grid
         made = [simulated(row) for row in rows]
         equal = np.zeros(len(grid) - 1)
-        families.append(_family(rows, at, equal, made, questioned.forces))
+        family = _family(rows, at, equal, made, questioned.forces)
+        families.append(undone.jumping(family) if undone else family)
     labels, units = tuple(q.name for q in own), tuple(q.unit for q in own)
     return Difference(name, kind, labels, units, locations, _normalised(families))
 
@@ -178,43 +190,76 @@ def _simulated(
     return forces
 
 
-def _undone(
-    questioned: NewRecordings, effect: Effect
-) -> Callable[[FloatArray], MissingForces] | None:
-    """Missing forces where a sensor's error is taken out of the recordings, by its sizes (n_s,).
+@dataclass(frozen=True)
+class _Undone:
+    """A sensor's error, taken out of the recordings.
 
     Runs begin where measurements say: what a sensor that is late or biased shows is no start of
-    the beam's. None where the effect is none of a sensor, or its error cannot be undone.
+    the beam's.
     """
-    known, runs = questioned.known, questioned.runs
-    if not isinstance(effect, SensorEffect):
-        return None
-    channel = known.model.outputs[effect.row(known.model)].name
-    labels = [q.name for q in effect.parameters()]
 
-    def corrected(dataset: Dataset, sizes: Mapping[str, float]) -> Dataset | None:
-        if channel not in names(dataset.outputs):
-            return dataset
-        undone = effect.undone(dataset.output(channel), dataset.sample_time, sizes)
-        if undone is None:
+    questioned: NewRecordings
+    effect: SensorEffect
+    output: int  #: Position of its channel in the model's ``y``
+    labels: tuple[str, ...]  #: Of its sizes
+
+    @classmethod
+    def of(cls, questioned: NewRecordings, effect: Effect) -> "_Undone | None":
+        """None where the effect is none of a sensor, or its error cannot be undone."""
+        if not isinstance(effect, SensorEffect):
             return None
-        measurements = dataset.measurements.copy()
-        measurements[:, names(dataset.outputs).index(channel)] = undone
-        return replace(dataset, measurements=measurements)
+        parameters = effect.parameters()
+        labels = tuple(q.name for q in parameters)
+        made = cls(questioned, effect, effect.row(questioned.known.model), labels)
+        sizes = np.array([q.value for q in parameters])
+        return None if None in made._corrected(sizes) else made
 
-    def forces(sizes: FloatArray) -> MissingForces:
-        of = dict(zip(labels, sizes.tolist(), strict=True))
-        datasets = [corrected(dataset, of) for dataset in runs.windows.datasets]
-        again = ShortRuns(known.model, [d for d in datasets if d is not None], like=runs)
-        made = again.forces(known.model.parameters.values)
+    def _corrected(self, sizes: FloatArray) -> list[Dataset | None]:
+        of = dict(zip(self.labels, sizes.tolist(), strict=True))
+        channel = self.questioned.known.model.outputs[self.output].name
+        found: list[Dataset | None] = []
+        for dataset in self.questioned.runs.windows.datasets:
+            if channel not in names(dataset.outputs):
+                found.append(dataset)
+                continue
+            undone = self.effect.undone(dataset.output(channel), dataset.sample_time, of)
+            measurements = dataset.measurements.copy()
+            if undone is not None:
+                measurements[:, names(dataset.outputs).index(channel)] = undone
+            found.append(None if undone is None else replace(dataset, measurements=measurements))
+        return found
+
+    def _runs(self, sizes: FloatArray) -> ShortRuns:
+        datasets = [d for d in self._corrected(sizes) if d is not None]
+        known = self.questioned.known.model
+        return ShortRuns(known, datasets, like=self.questioned.runs)
+
+    def forces(self, sizes: FloatArray) -> MissingForces:
+        """Missing forces without the error, by its sizes (n_s,)."""
+        made = self._runs(sizes).forces(self.questioned.known.model.parameters.values)
         # the last samples of a recording have no later ones: nothing is said there
         unknown = np.isnan(made.force)
-        return MissingForces(np.where(unknown, questioned.forces.force, made.force), made.held)
+        return MissingForces(np.where(unknown, self.questioned.forces.force, made.force), made.held)
 
-    first = {q.name: q.value for q in effect.parameters()}
-    if any(corrected(dataset, first) is None for dataset in runs.windows.datasets):
-        return None
-    return forces
+    def jumping(self, family: DifferenceFamily) -> DifferenceFamily:
+        """With what the window shows in which the error begins."""
+        runs = self.questioned.runs
+        equation = next((k for k, e in enumerate(runs.equations) if e.output == self.output), None)
+        if equation is None:
+            return family
+        target = runs.windows.target[..., self.output]
+        low, high = (
+            np.array(
+                [
+                    runs.jumps(
+                        self._runs(sizes).windows.target[..., self.output] - target, equation
+                    )
+                    for sizes in values
+                ]
+            ).reshape(len(values), *target.shape)
+            for values in (family.low, family.high)
+        )
+        return replace(family, jump=SensorJump(equation, low, high - low))
 
 
 def _shapes(parameters: Sequence[Parameter]) -> list[tuple[FloatArray, int]]:

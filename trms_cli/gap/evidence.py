@@ -10,7 +10,12 @@ from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.diagnosis import Onset
-from trms_cli.gap.differences import Difference, DifferenceFamily, NewRecordings
+from trms_cli.gap.differences import (
+    Difference,
+    DifferenceFamily,
+    NewRecordings,
+    SensorJump,
+)
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import robust, robust_weight
 
@@ -268,12 +273,28 @@ def _gated(
     share: float,
 ) -> _Trial:
     """A family from some onsets on; ``share``: prior of each onset."""
-    change, slope = (
-        (gates[:, None] * v).reshape(-1, *gates.shape[1:]) for v in (family.change, family.slope)
-    )
+    change, slope = (gates[:, None] * v for v in (family.change, family.slope))
+    if family.jump is not None:
+        _put_jumps(evidence.runs, onsets, family.jump, change, slope)
+    change, slope = (v.reshape(-1, *gates.shape[1:]) for v in (change, slope))
     shape = len(gates), len(family.prior)
     value, part, sd = (v.reshape(shape) for v in evidence.of(change, slope))
     return _Trial(family, onsets, value + family.prior + _BEGINS + np.log(share), part, sd)
+
+
+def _put_jumps(
+    runs: ShortRuns, onsets: FloatArray, jump: SensorJump, change: FloatArray, slope: FloatArray
+) -> None:
+    """In each onset's window, of changes (t, k, m, e), what a sensor that jumps there shows."""
+    step = runs.windows.sample_time
+    for t, (recording, time) in enumerate(onsets):
+        within = (runs.recording == recording) & (runs.begin < time)
+        within &= time < runs.begin + runs.length
+        for j in np.flatnonzero(within):
+            sample = min(int(np.ceil((time - runs.begin[j]) / step)), jump.change.shape[2] - 1)
+            for v, seen in ((change, jump.change), (slope, jump.slope)):
+                v[t, :, j] = 0.0
+                v[t, :, j, jump.equation] = seen[:, j, sample]
 
 
 def _most_probable(trials: Sequence[_Trial], recording: int, at: float) -> Onset:

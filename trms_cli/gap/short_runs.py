@@ -139,6 +139,16 @@ class ShortRuns:
         still = np.ptp(late, axis=1) < _HELD
         return MissingForces(force, still & np.array([e.order == 2 for e in self.equations]))
 
+    def jumps(self, shift: FloatArray, equation: int) -> FloatArray:
+        """What a shift of an equation's output from some sample on adds to its force, (m, c).
+
+        ``shift``: (m, c) array; of the measured output, by window and sample. Where a sensor jumps
+        the run has begun already, and the force of a moment is all that the window shows.
+        """
+        weighed = self._weights[equation] * np.nan_to_num(shift)
+        later = np.cumsum(weighed[:, ::-1], axis=1)[:, ::-1]
+        return later / self._gain[:, [equation]]
+
     def gate(self, onset: FloatArray) -> FloatArray:
         """Share of a unit force from an onset on that each window shows, (k, m, e).
 
