@@ -174,7 +174,8 @@ def test_an_encoder_that_slips_is_found_with_its_moment(known):
     # one window shows it: by how much, and since which of its samples, go together
     assert first.value[0] == pytest.approx(0.033, abs=0.01)
     assert first.began is not None
-    assert first.began.time_s == pytest.approx(15.4, abs=0.2)
+    # a run's force is the same for two moments in it
+    assert first.began.time_s == pytest.approx(15.4, abs=0.5)
     assert found.gains[0] > 15.0 > found.gains[1] + 10.0
 
 
@@ -208,6 +209,7 @@ def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(known):
     assert gain > law + 10.0 and gain > 30.0
     assert score.varies and score.onset is None
     assert score.value[0] == pytest.approx(5e-3, rel=0.5)
+    assert score.difference.labels == ("deviation",)
     gain, law, _ = found["law"]
     assert law > gain + 10.0 and law > 30.0
 

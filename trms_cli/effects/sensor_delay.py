@@ -59,9 +59,11 @@ class SensorDelay(SensorEffect):
         if len(known) < 4:
             return np.full_like(recorded, np.nan)
         later = np.arange(len(recorded)) + sizes["delay"] / step
-        # what was not measured, and what would have been shown after the end, stays unknown
+        # what was not measured, and what is shown before the first sample or after the last, stays
+        # unknown
         between = np.clip(np.searchsorted(known, later), 1, len(known) - 1)
-        told = (known[between] - known[between - 1] <= 1) & (later <= known[-1])
+        told = known[between] - known[between - 1] <= 1
+        told &= (later >= known[0]) & (later <= known[-1])
         return np.where(told, CubicSpline(known, recorded[known])(later), np.nan)
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:

@@ -73,7 +73,7 @@ class Features:
     sensor: Mapping[str, float] = field(default_factory=dict)
     #: Size of a torque from outside over that of what acts on its axis
     force: Mapping[str, float] = field(default_factory=dict)
-    #: Time over which the missing moment of an axis forgets itself, s; not of each axis
+    #: Correlation time of the missing moment of each axis that a torque may act on, s
     memory: Mapping[str, float] = field(default_factory=dict)
     flexible: float = np.nan  #: Score of the flexible competitor; NaN: it was not fitted
     #: Share of the missing force that it, or a regression on it, foretells on held-out blocks
@@ -123,7 +123,7 @@ def own_feature(effect: str) -> str:
 
 def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
     """Features of each alternative by name, of the order of one; what is not named is zero."""
-    features = _tempered(features)
+    features = _tempered(replace(features, flexible=_of_flexible(features)))
     gain = max(features.gained, 0.0) / (_GAIN * features.samples)
     rest = float(_rest(features.behind))
     bettered = _of_error(features.raw_error) - _of_error(features.refit_error)
@@ -189,7 +189,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
                 rows[joined] = row | doubtful
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
-        **_of_score(_of_flexible(features) if was_fitted else _UNFITTED * best),
+        **_of_score(features.flexible if was_fitted else _UNFITTED * best),
         "none.constant": 1.0,
         "none.rest": rest,
         "none.foretold": foretold,
@@ -221,7 +221,9 @@ def _tempered(features: Features) -> Features:
 
 
 def _of_flexible(features: Features) -> float:
-    """Score of the flexible competitor, less where it explains hardly any of the gap."""
+    """Score of the flexible competitor, less where it explains hardly any of the gap; NaN as it."""
+    if np.isnan(features.flexible):
+        return features.flexible
     score, owed = max(features.flexible, 0.0), max(features.behind, 0.0)
     return score * min(1.0, score / (_EXPLAINS * owed)) if owed > 0 else score
 
@@ -348,7 +350,8 @@ def change_probabilities(
     the best gain of a further one is Lomax distributed. Those of a change are log-uniform.
 
     ``gains``, (k,) array: nats above that nothing changed. ``unnamed``: of a force without a name.
-    ``usual``: nats that the best gains where each recording of the known state is questioned.
+    ``usual``: nats that what is best here gains where each recording of the known state is
+    questioned (:func:`usual_gains`).
     ``constants``: beliefs ``unchanged``, ``unnamed`` and of each kind; ``nat``, of how much belief
     a nat is worth among differences; ``believed`` and ``usual_gain``.
     """

@@ -54,9 +54,9 @@ class StateComparison:
     questioned: NewRecordings
     judged: tuple[DifferenceScore, ...]  #: Descending
     gains: FloatArray  #: (k,) array; nats of each above that nothing changed
-    #: nats that the likeliest differences, and a force without a name, gain where each reference is
-    #: questioned, by name
-    usual: Sequence[Mapping[str, float]]
+    #: nats that parameters, torques, the likeliest effects and a force without a name gain where
+    #: each reference is questioned, by name
+    between: Sequence[Mapping[str, float]]
     probabilities: FloatArray  #: (k,) array; of each
     unchanged: float  #: Probability that nothing changed
     unnamed: float  #: Probability of something else
@@ -116,11 +116,11 @@ def compare_with(
     watch(0.85, "between recordings of the known state")
     gains = np.array([j.evidence for j in judged]) - evidence.unchanged
     unnamed = unnamed_gain(free)
-    usual = _usual_gains(known, candidates, judged)
+    between = _usual_gains(known, candidates, judged, jobs)
     kinds = [j.difference.kind for j in judged]
     named = {j.difference.name: gain for j, gain in zip(judged, gains.tolist(), strict=True)}
-    best = usual_gains({**named, UNNAMED: unnamed}, usual)
-    probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, best, constants)
+    usual = usual_gains({**named, UNNAMED: unnamed}, between)
+    probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, usual, constants)
     alike = tuple(
         k
         for k, j in enumerate(judged)
@@ -130,7 +130,7 @@ def compare_with(
         questioned,
         tuple(judged),
         gains,
-        usual,
+        between,
         probabilities,
         unchanged,
         other,
@@ -152,7 +152,10 @@ def _in_order(
 
 
 def _usual_gains(
-    known: KnownState, candidates: Mapping[str, CandidateEffect], judged: Sequence[DifferenceScore]
+    known: KnownState,
+    candidates: Mapping[str, CandidateEffect],
+    judged: Sequence[DifferenceScore],
+    jobs: int,
 ) -> list[dict[str, float]]:
     """Nats that differences gain, by name, where each recording of the known state is questioned.
 
@@ -163,6 +166,8 @@ def _usual_gains(
     wanted = {*effects[:_TRIED], *others}
     found = []
     for k, dataset in enumerate(known.runs.windows.datasets):
+        if not np.isfinite(dataset.measurements).any():
+            continue  # it lies in a contact with a stop throughout
         # as if the recording had never been seen: sizes of the standing error are of the others
         rest = tuple(
             StandingError.fit(
@@ -177,7 +182,7 @@ def _usual_gains(
         gains = {
             difference.name: with_random_torque(evidence, judge(evidence, difference)).evidence
             - evidence.unchanged
-            for difference in differences(evidence.questioned, candidates, only=wanted)
+            for difference in differences(evidence.questioned, candidates, only=wanted, jobs=jobs)
         }
         free = by_equation(evidence) - evidence.unchanged
         found.append({**gains, UNNAMED: unnamed_gain(free)})

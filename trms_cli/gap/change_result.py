@@ -93,7 +93,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
                 }
                 for j, gain in zip(found.judged, found.gains, strict=True)
             },
-            "usual": [dict(gained) for gained in found.usual],
+            "usual": [dict(gained) for gained in found.between],
             "free_force": {
                 e.location: float(g)
                 for e, g in zip(questioned.runs.equations, found.by_equation, strict=True)
@@ -114,8 +114,9 @@ def _group(found: StateComparison) -> list[int]:
 def _answer(found: StateComparison, verdict: Verdict) -> DifferenceScore:
     """The difference that a verdict is of: the likeliest, or the likeliest parameter."""
     group = [found.judged[k] for k in _group(found)]
-    if verdict == "parameters_only":
-        return next(j for j in group if j.difference.kind == "parameter")
+    if verdict in ("effect", "parameters_only"):
+        wanted = verdict == "parameters_only"
+        return next(j for j in group if (j.difference.kind == "parameter") == wanted)
     return group[0]
 
 

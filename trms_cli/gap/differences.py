@@ -121,6 +121,8 @@ def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
     at = model.parameters.names.index(f.name)
     steps = np.array([-x for x in reversed(_CHANGES)] + list(_CHANGES)) * f.scale
     steps = steps[(p[at] + steps > f.lower) & (p[at] + steps < f.upper)]
+    if len(steps) < 2:  # its bounds leave no room
+        return Difference(f.name, "parameter", ("change",), (f.unit,), (), ())
     starts: FloatArray | None = None
     made: list[MissingForces] = []
     for step in steps:

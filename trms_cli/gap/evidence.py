@@ -110,6 +110,12 @@ class ChangeEvidence:
         kept = [replace(law, log_weight=law.log_weight - total) for law in laws]
         return [law for law in kept if law.log_weight > _NEGLIGIBLE]
 
+    @cached_property
+    def onsets(self) -> tuple[FloatArray, float, FloatArray]:
+        """Onsets that are tried first (t, 2), the time in s that each stands for, their gates."""
+        onsets, step = _onsets(self.runs)
+        return onsets, step, _gates(self.runs, onsets)
+
     def with_covariance(self, e: int, covariance: FloatArray) -> float:
         """Log evidence of a further force on an equation, (m_e, m_e) its covariance."""
         known = {law.number: law for law in self._laws}
@@ -217,9 +223,8 @@ def judge(
 
     ``finely``: onsets are tried in steps of a tenth of a second about the most probable one.
     """
-    onsets, step = _onsets(evidence.runs)
+    onsets, step, gates = evidence.onsets
     whole = len(onsets) * step
-    gates = _gates(evidence.runs, onsets)
     always, begins = [], []
     for family in difference.families:
         found = evidence.of(family.change, family.slope)
@@ -247,7 +252,14 @@ def judge(
     if len(best.onsets):
         recording = int(best.onsets[t, 0])
         onset = _most_probable(begins, recording, float(best.onsets[t, 1]))
-    gates = _gates(evidence.runs, best.onsets[t : t + 1]) if onset else np.ones((1, 1, 1))
+    shape = replace(family, change=family.change[[k]], slope=family.slope[[k]])
+    if family.jump is not None:
+        jump = family.jump
+        shape = replace(shape, jump=replace(jump, change=jump.change[[k]], slope=jump.slope[[k]]))
+    change, slope = shape.change, shape.slope
+    if onset is not None:
+        at = best.onsets[t : t + 1]
+        change, slope = (v[0] for v in _from(evidence.runs, shape, at, _gates(evidence.runs, at)))
     return DifferenceScore(
         difference,
         _together(always),
@@ -256,7 +268,7 @@ def judge(
         sd,
         onset,
         recording,
-        gates[0] * (family.change[k] + part * family.slope[k]),
+        (change + part * slope)[0],
     )
 
 
@@ -273,13 +285,21 @@ def _gated(
     share: float,
 ) -> _Trial:
     """A family from some onsets on; ``share``: prior of each onset."""
-    change, slope = (gates[:, None] * v for v in (family.change, family.slope))
-    if family.jump is not None:
-        _put_jumps(evidence.runs, onsets, family.jump, change, slope)
+    change, slope = _from(evidence.runs, family, onsets, gates)
     change, slope = (v.reshape(-1, *gates.shape[1:]) for v in (change, slope))
     shape = len(gates), len(family.prior)
     value, part, sd = (v.reshape(shape) for v in evidence.of(change, slope))
     return _Trial(family, onsets, value + family.prior + _BEGINS + np.log(share), part, sd)
+
+
+def _from(
+    runs: ShortRuns, family: DifferenceFamily, onsets: FloatArray, gates: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What a family adds from each onset on, change and slope, (t, k, m, e) each."""
+    change, slope = (gates[:, None] * v for v in (family.change, family.slope))
+    if family.jump is not None:
+        _put_jumps(runs, onsets, family.jump, change, slope)
+    return change, slope
 
 
 def _put_jumps(
@@ -291,7 +311,8 @@ def _put_jumps(
         within = (runs.recording == recording) & (runs.begin < time)
         within &= time < runs.begin + runs.length
         for j in np.flatnonzero(within):
-            sample = min(int(np.ceil((time - runs.begin[j]) / step)), jump.change.shape[2] - 1)
+            into = int(np.ceil((time - runs.begin[j]) / step - 1e-9))
+            sample = min(into, jump.change.shape[2] - 1)
             for v, seen in ((change, jump.change), (slope, jump.slope)):
                 v[t, :, j] = 0.0
                 v[t, :, j, jump.equation] = seen[:, j, sample]

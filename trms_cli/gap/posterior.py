@@ -234,7 +234,11 @@ def posterior_of(
             for axis in known
         },
         force={axis: sizes[f"{axis}_moment"] for axis in known},
-        memory={axis: _memory(forces[f"{axis}_moment"]) for axis in known},
+        memory={
+            axis: record.correlation_time(record.force)
+            for axis in known
+            for record in (forces[f"{axis}_moment"],)
+        },
     )
     if known and features.behind > 0:
         axis = max(known, key=lambda axis: shares[f"{axis}_moment"])
@@ -273,11 +277,6 @@ def posterior_of(
     return Posterior(
         probabilities, verdict, best, corrected, confusable, features, resampled, flexible
     )
-
-
-def _memory(missing: ForceRecord) -> float:
-    """Time over which a missing force forgets itself, s."""
-    return missing.correlation_time(missing.force)
 
 
 def _verdict(

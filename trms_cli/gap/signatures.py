@@ -96,11 +96,10 @@ class Signatures:
     def most_visible(self, name: str) -> tuple[float, float]:
         """Standard deviations of the noise that an effect's trace has, and has after projection.
 
-        Of its row of which most is left.
+        Each of the size at which it is largest.
         """
         rows = self.rows(name)
-        row = rows[np.argmax(self.left[rows])]
-        energy, left = float(self.energy[row]), float(self.left[row])
+        energy, left = float(self.energy[rows].max()), float(self.left[rows].max())
         return float(np.sqrt(energy)), float(np.sqrt(min(max(left, 0.0), energy)))
 
     def least_size(self, name: str) -> float | None:

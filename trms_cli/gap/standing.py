@@ -10,8 +10,7 @@ with δ ~ N(0, Λ) the parameters' deviations from their priors and J what they 
 β_r ~ N(0, ρ_b² Λ) and b_r ~ N(0, σ_b²) of each recording; s(t) an Ornstein–Uhlenbeck process. How
 large they are is learnt from the recordings of the known state. A further recording has sizes of
 its own about these (three recordings say little of how much a fourth may differ), over which
-predictions are averaged.
-A further recording is then foretold, with all of its covariance, before it is looked at.
+predictions are averaged: it is predicted, with all of its covariance, before it is looked at.
 """
 
 from collections.abc import Collection, Iterator

@@ -26,14 +26,15 @@ _COARSE, _FINE, _APART = 6, 18, 8.0
 
 def by_equation(evidence: ChangeEvidence) -> FloatArray:
     """Log evidence of a law without a name on each equation alone, (e,) nats."""
-    found = []
+    found, bases = [], _bases(evidence)
     for e, rows in enumerate(evidence.rows):
-        bases = [basis[rows] for basis in _bases(evidence)]
         values = [
-            evidence.with_columns(e, basis, size)
+            evidence.with_columns(e, basis[rows], size)
             for basis, size in itertools.product(bases, _sizes(evidence, e))
         ]
-        found.append(logsumexp(values) - np.log(len(values)))
+        # of a single window nothing can be a law
+        known = logsumexp(values) - np.log(len(values)) if values else evidence.unchanged
+        found.append(known)
     return np.array(found)
 
 
@@ -66,15 +67,15 @@ def with_random_torque(evidence: ChangeEvidence, score: DifferenceScore) -> Diff
     sizes = np.array([size for size, _ in trials])
     mean = float(weights @ sizes / weights.sum())
     spread = float(np.sqrt(weights @ (sizes - mean) ** 2 / weights.sum()))
-    # what it adds is the missing force itself, but for what every second lacks
-    change = np.zeros_like(score.change)
-    change[:, e] = -np.nan_to_num(evidence.forces.force[:, e])
+    # nothing foretells it, so that nothing is drawn beside the force that is missing
+    difference = replace(score.difference, labels=("deviation",))
     return replace(
         joined,
+        difference=difference,
         value=np.array([mean]),
         sd=np.array([spread]),
         onset=None,
-        change=change,
+        change=np.zeros_like(score.change),
         varies=True,
     )
 
@@ -106,9 +107,11 @@ def _bases(evidence: ChangeEvidence) -> list[FloatArray]:
         if not high > low:
             continue
         found += [_bumps(values, low, high, count) for count in (_COARSE, _FINE)]
-    order = np.arange(len(runs), dtype=float)
-    count = max(3, round(len(runs) * runs.length / _APART))
-    return [*found, _bumps(order, 0.0, order[-1], count)]
+    if len(runs) > 1:
+        order = np.arange(len(runs), dtype=float)
+        count = max(3, round(len(runs) * runs.length / _APART))
+        found.append(_bumps(order, 0.0, order[-1], count))
+    return found
 
 
 def _bumps(values: FloatArray, low: float, high: float, count: int) -> FloatArray:
