@@ -263,15 +263,15 @@ def test_a_torque_that_hardly_changes_is_doubted():
     assert torque(25.0) < 0.5 * torque(1.0)
 
 
-def test_a_force_without_a_name_that_explains_hardly_any_of_the_gap_is_no_answer():
-    def unnamed(behind):
-        case = replace(
-            features(behind=behind, scores=(20.0, 10.0, 20.0), behinds=(0.0,) * 3), flexible=60.0
-        )
-        return probabilities_of(case, calibration().weights)["none_of_these",]
+def test_a_force_without_a_name_that_explains_hardly_any_of_the_gap_speaks_for_a_torque_as_well():
+    def odds(flexible):
+        case = replace(pulled(), flexible=flexible)
+        found = probabilities_of(case, calibration().weights)
+        return np.log(found["yaw_disturbance",] / found["none_of_these",])
 
-    # sixty nats are much of a hundred, and nothing of ten thousand that a torque explains
-    assert unnamed(10000.0) < 0.1 * unnamed(100.0)
+    # sixty nats are nothing of nine thousand that a torque explains, six hundred are much
+    assert odds(60.0) == pytest.approx(odds(5.0), abs=1.0)
+    assert odds(600.0) < odds(60.0) - 10.0
 
 
 def test_an_effect_that_every_rig_mimics_is_believed_less():

@@ -97,7 +97,7 @@ _BEND = 10.0
 #: fitted: it reaches a true cause nearly, and leaves a wrong one far behind.
 _UNFITTED = 0.5
 #: Share of what the refit owes to forces without a name from which on the flexible competitor is
-#: an explanation: a beam that a torque moves gains it a hundredth.
+#: an explanation of its own: a beam that a torque moves gains it a hundredth.
 _EXPLAINS = 0.1
 #: s. A torque from outside that forgets itself within is as usual as any.
 _SLOW = 4.0
@@ -123,7 +123,7 @@ def own_feature(effect: str) -> str:
 
 def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
     """Features of each alternative by name, of the order of one; what is not named is zero."""
-    features = _tempered(replace(features, flexible=_of_flexible(features)))
+    features = _tempered(features)
     gain = max(features.gained, 0.0) / (_GAIN * features.samples)
     rest = float(_rest(features.behind))
     bettered = _of_error(features.raw_error) - _of_error(features.refit_error)
@@ -173,6 +173,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
         # a torque that explains nothing is no answer
         if features.behind - behinds[0] > _REST:
             rows[disturbance,] = {
+                **_of_score(_of_moved_beam(features)),
                 "effect.rest": _left(features, behinds[0]),
                 "disturbance": 1.0,
                 "disturbance.foretold": foretold,
@@ -189,7 +190,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
                 rows[joined] = row | doubtful
     was_fitted = not np.isnan(features.flexible)
     rows["none_of_these",] = {
-        **_of_score(features.flexible if was_fitted else _UNFITTED * best),
+        **_of_score(max(features.flexible, 0.0) if was_fitted else _UNFITTED * best),
         "none.constant": 1.0,
         "none.rest": rest,
         "none.foretold": foretold,
@@ -220,12 +221,16 @@ def _tempered(features: Features) -> Features:
     return replace(features, scores=share * features.scores, flexible=share * features.flexible)
 
 
-def _of_flexible(features: Features) -> float:
-    """Score of the flexible competitor, less where it explains hardly any of the gap; NaN as it."""
+def _of_moved_beam(features: Features) -> float:
+    """Score of the flexible competitor that a torque from outside accounts for, nats.
+
+    A beam that a torque moves shows some dependence on its own angle: what explains hardly any of
+    the gap speaks for a torque as much as for a law without a name.
+    """
     if np.isnan(features.flexible):
-        return features.flexible
+        return 0.0
     score, owed = max(features.flexible, 0.0), max(features.behind, 0.0)
-    return score * min(1.0, score / (_EXPLAINS * owed)) if owed > 0 else score
+    return score * (1 - min(1.0, score / (_EXPLAINS * owed))) if owed > 0 else 0.0
 
 
 def _left(features: Features, behind: float) -> float:
