@@ -30,7 +30,14 @@ from scipy.optimize import minimize
 
 from experiments.gap.blind.cases import Case as Rig
 from experiments.gap.blind.judgement import right_causes
-from experiments.gap.cross_validation import LEAST, cross_validated, folds_of, tables
+from experiments.gap.cross_validation import (
+    LEAST,
+    VERY_SURE,
+    cross_validated,
+    folds_of,
+    sure_and_wrong,
+    tables,
+)
 from experiments.gap.features_file import FeaturesFile, Line, line_of
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.gap.belief import (
@@ -254,6 +261,8 @@ def study(
             f"{folds} folds": beliefs,
         },
     )
+    text += f"\nTold with {VERY_SURE} and more, and not right ({folds} folds):\n\n"
+    text += sure_and_wrong([line.name for line in weighed], rigs, rights, beliefs)
     nulls = [
         line.evidence["shares"]
         for line in lines

@@ -178,6 +178,23 @@ def tables(
     return "\n".join(lines) + "\n"
 
 
+def sure_and_wrong(
+    names: Sequence[str],
+    cases: Sequence[Case],
+    rights: Sequence[frozenset[Causes]],
+    beliefs: Sequence[Belief],
+) -> str:
+    """Markdown: answers of :data:`VERY_SURE` and more that are not right, a line each."""
+    lines = ["| rig | kind | has | likeliest | p |", "|---|---|---|---|---|"]
+    for name, case, right, belief in zip(names, cases, rights, beliefs, strict=True):
+        cause, probability = max(belief.items(), key=lambda item: item[1])
+        if probability >= VERY_SURE and cause not in right:
+            has = " + ".join(case.effects) or "–"
+            cells = (name, case.kind, has, " + ".join(cause), f"{probability:.2f}")
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
 def _figure(e: Estimate) -> str:
     if e.value is None:
         return "–"

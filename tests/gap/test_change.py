@@ -15,7 +15,7 @@ from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import ForceSeries, StandingError
-from trms_cli.gap.unnamed_force import by_equation, with_random_torque
+from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
 from trms_cli.models.newtonian import Newtonian
 
 from .changed import begins
@@ -150,15 +150,15 @@ def test_a_sensor_that_went_wrong_is_found_with_its_size(known, name, size, valu
     assert score.value[0] == pytest.approx(value, abs=near)
 
 
-def test_a_sensor_whose_error_is_undone_leaves_the_beam_where_it_is():
+def test_a_sensor_whose_error_is_corrected_leaves_the_beam_where_it_is():
     """Angle, rate and momenta are those of the corrected recording, not of the biased one."""
     bias = {"pitch_sensor_bias": effect("pitch_sensor_bias", bias=0.05)}
     right, wrong = (begins(e, 0.0, seconds=20.0, seed=16) for e in ({}, bias))
     p = MODEL.parameters.values
     shifted = wrong.measurements - [0.05 if s.name == "alpha_v" else 0.0 for s in wrong.outputs]
-    undone = ShortRuns(MODEL, [replace(wrong, measurements=shifted)]).forces(p).force
+    corrected = ShortRuns(MODEL, [replace(wrong, measurements=shifted)]).forces(p).force
     missing = [ShortRuns(MODEL, [dataset]).forces(p).force for dataset in (right, wrong)]
-    spread = [float(np.sqrt(np.mean(force[:, 0] ** 2))) for force in (*missing, undone)]
+    spread = [float(np.sqrt(np.mean(force[:, 0] ** 2))) for force in (*missing, corrected)]
     assert spread[2] < 1.3 * spread[0] < 0.5 * spread[1]
 
 
@@ -202,7 +202,7 @@ def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(known):
         evidence = ChangeEvidence(replace(questioned, known=Pulled(**vars(known))))
         torque = next(differences(evidence.questioned, {}, only={"pitch_disturbance"}))
         score = with_random_torque(evidence, judge(evidence, torque))
-        law = by_equation(evidence)[pitch] - evidence.unchanged
+        law = law_evidence(evidence)[pitch] - evidence.unchanged
         found[name] = (score.evidence - evidence.unchanged, law, score)
     assert max(found["none"][:2]) < 3.0
     gain, law, score = found["torque"]

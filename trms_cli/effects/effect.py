@@ -224,10 +224,10 @@ class SensorEffect(Effect):
     def check(self, model: Model) -> None:
         self.row(model)
 
-    def undone(
+    def inverse(
         self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
     ) -> FloatArray | None:
-        """What the channel would have shown without the effect; None: the effect cannot be undone.
+        """The inverse of the effect: what the channel shows without it; None: there is none.
 
         Parameters
         ----------

@@ -22,7 +22,7 @@ class SensorBias(SensorEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("bias", "rad", (-0.035, 0.035), "bias b"),)
 
-    def undone(
+    def inverse(
         self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
     ) -> FloatArray | None:
         return recorded - sizes["bias"]

@@ -50,7 +50,7 @@ class SensorDelay(SensorEffect):
         row = self.row(at.model)
         return ca.vertcat(before[row], at.shown[:-1, 0])
 
-    def undone(
+    def inverse(
         self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
     ) -> FloatArray | None:
         from scipy.interpolate import CubicSpline
@@ -62,9 +62,9 @@ class SensorDelay(SensorEffect):
         # what was not measured, and what is shown before the first sample or after the last, stays
         # unknown
         between = np.clip(np.searchsorted(known, later), 1, len(known) - 1)
-        told = known[between] - known[between - 1] <= 1
-        told &= (later >= known[0]) & (later <= known[-1])
-        return np.where(told, CubicSpline(known, recorded[known])(later), np.nan)
+        inside = known[between] - known[between - 1] <= 1
+        inside &= (later >= known[0]) & (later <= known[-1])
+        return np.where(inside, CubicSpline(known, recorded[known])(later), np.nan)
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
         row = self.row(at.model)

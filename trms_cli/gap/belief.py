@@ -173,7 +173,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
         # a torque that explains nothing is no answer
         if features.behind - behinds[0] > _REST:
             rows[disturbance,] = {
-                **_of_score(_of_moved_beam(features)),
+                **_of_score(_due_to_torque(features)),
                 "effect.rest": _left(features, behinds[0]),
                 "disturbance": 1.0,
                 "disturbance.foretold": foretold,
@@ -221,7 +221,7 @@ def _tempered(features: Features) -> Features:
     return replace(features, scores=share * features.scores, flexible=share * features.flexible)
 
 
-def _of_moved_beam(features: Features) -> float:
+def _due_to_torque(features: Features) -> float:
     """Score of the flexible competitor that a torque from outside accounts for, nats.
 
     A beam that a torque moves shows some dependence on its own angle: what explains hardly any of

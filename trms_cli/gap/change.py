@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.gap.belief import (
     UNNAMED,
     calibration,
@@ -36,7 +37,7 @@ from trms_cli.gap.problem import (
     without_contacts,
 )
 from trms_cli.gap.standing import StandingError
-from trms_cli.gap.unnamed_force import by_equation, with_random_torque
+from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
 from trms_cli.identification.dataset import Dataset
 
 #: Nats of belief behind the best within which a difference is judged finely, and how many at most.
@@ -98,12 +99,25 @@ def compare_with(
 ) -> StateComparison:
     """The same with the known state at hand."""
     questioned = NewRecordings.of(known, recorded)
+    if not questioned.runs.equations:
+        raise ConfigurationError(
+            "no angle of an axis and no speed of a rotor is measured on both sides",
+            where="against",
+            remedy="compare recordings that have the channels of the model's outputs",
+        )
     evidence = ChangeEvidence(questioned)
     count = len(known.free) + len(candidates) + 2
     found = []
     for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):
         found.append(with_random_torque(evidence, judge(evidence, difference)))
         watch(0.2 + 0.5 * k / count, difference.name)
+    if not found:
+        raise ConfigurationError(
+            "there is nothing that may have changed: no parameter has a prior, no axis is measured "
+            "and no candidate acts on this model",
+            where="candidates",
+            remedy="name effects, or give parameters priors",
+        )
     constants = calibration().change
     found, worth = _in_order(found, constants)
     near = [j for j, w in zip(found, worth, strict=True) if w > worth[0] - _NEAR][:_FINALISTS]
@@ -112,7 +126,7 @@ def compare_with(
         with_random_torque(evidence, judge(evidence, j.difference, finely=True)) for j in near
     ]
     judged, worth = _in_order([*finely, *found[len(near) :]], constants)
-    free = by_equation(evidence) - evidence.unchanged
+    free = law_evidence(evidence) - evidence.unchanged
     watch(0.85, "between recordings of the known state")
     gains = np.array([j.evidence for j in judged]) - evidence.unchanged
     unnamed = unnamed_gain(free)
@@ -184,6 +198,6 @@ def _usual_gains(
             - evidence.unchanged
             for difference in differences(evidence.questioned, candidates, only=wanted, jobs=jobs)
         }
-        free = by_equation(evidence) - evidence.unchanged
+        free = law_evidence(evidence) - evidence.unchanged
         found.append({**gains, UNNAMED: unnamed_gain(free)})
     return found

@@ -87,10 +87,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         residual=_residual(added),
         evidence={
             "gains": {
-                j.difference.name: {
-                    "kind": j.difference.kind,
-                    "nats": float(gain),
-                }
+                j.difference.name: {"kind": j.difference.kind, "nats": float(gain)}
                 for j, gain in zip(found.judged, found.gains, strict=True)
             },
             "usual": [dict(gained) for gained in found.between],
@@ -178,7 +175,9 @@ def _added(
     best = _answer(found, verdict)
     if verdict == "parameters_only":
         return best if best.began is None else None
-    if verdict not in ("effect", "undecided"):
+    if verdict == "effect":
+        return best
+    if verdict != "undecided":
         return None
     by_name = {j.difference.name: j for j in found.judged if j.difference.kind != "parameter"}
     return by_name.get(causes[0].effects[0])

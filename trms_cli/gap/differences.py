@@ -159,8 +159,8 @@ def _of_effect(
     kind: Literal["effect", "torque"],
 ) -> Difference:
     own = effect.parameters()
-    undone = _Undone.of(questioned, effect)
-    simulated = undone.forces if undone else _simulated(questioned, name, effect)
+    inverse = _SensorInverse.of(questioned, effect)
+    simulated = inverse.forces if inverse else _simulated(questioned, name, effect)
     families = []
     for shape, at in _shapes(own):
         grid = _grid(own[at])
@@ -169,7 +169,7 @@ def _of_effect(
         made = [simulated(row) for row in rows]
         equal = np.zeros(len(grid) - 1)
         family = _family(rows, at, equal, made, questioned.forces)
-        families.append(undone.jumping(family) if undone else family)
+        families.append(inverse.jumping(family) if inverse else family)
     labels, units = tuple(q.name for q in own), tuple(q.unit for q in own)
     return Difference(name, kind, labels, units, locations, _normalised(families))
 
@@ -193,7 +193,7 @@ def _simulated(
 
 
 @dataclass(frozen=True)
-class _Undone:
+class _SensorInverse:
     """A sensor's error, taken out of the recordings.
 
     Runs begin where measurements say: what a sensor that is late or biased shows is no start of
@@ -206,8 +206,8 @@ class _Undone:
     labels: tuple[str, ...]  #: Of its sizes
 
     @classmethod
-    def of(cls, questioned: NewRecordings, effect: Effect) -> "_Undone | None":
-        """None where the effect is none of a sensor, or its error cannot be undone."""
+    def of(cls, questioned: NewRecordings, effect: Effect) -> "_SensorInverse | None":
+        """None where the effect is none of a sensor, or has no inverse."""
         if not isinstance(effect, SensorEffect):
             return None
         parameters = effect.parameters()
@@ -224,11 +224,11 @@ class _Undone:
             if channel not in names(dataset.outputs):
                 found.append(dataset)
                 continue
-            undone = self.effect.undone(dataset.output(channel), dataset.sample_time, of)
+            without = self.effect.inverse(dataset.output(channel), dataset.sample_time, of)
             measurements = dataset.measurements.copy()
-            if undone is not None:
-                measurements[:, names(dataset.outputs).index(channel)] = undone
-            found.append(None if undone is None else replace(dataset, measurements=measurements))
+            if without is not None:
+                measurements[:, names(dataset.outputs).index(channel)] = without
+            found.append(None if without is None else replace(dataset, measurements=measurements))
         return found
 
     def _runs(self, sizes: FloatArray) -> ShortRuns:

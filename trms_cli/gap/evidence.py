@@ -120,7 +120,7 @@ class ChangeEvidence:
         """Log evidence of a further force on an equation, (m_e, m_e) its covariance."""
         known = {law.number: law for law in self._laws}
         error, own = self.known.errors[e], self.own[e]
-        found = [
+        logs = [
             law.log_weight
             + law.densities.sum()
             - law.densities[e]
@@ -130,14 +130,14 @@ class ChangeEvidence:
                 known.values(), error.predictions(own, covariance, known), strict=True
             )
         ]
-        return float(logsumexp(found))
+        return float(logsumexp(logs))
 
     def with_columns(self, e: int, columns: FloatArray, size: float) -> float:
         """Log evidence of a force that is a sum of columns (m_e, k), coefficients N(0, size²).
 
         Laplace's approximation about the most probable coefficients.
         """
-        found = []
+        logs = []
         for law in self._laws:
             white, z = law.whitener[e] @ columns, law.parts[e]
             part: FloatArray = np.zeros(columns.shape[1])
@@ -148,8 +148,8 @@ class ChangeEvidence:
             cost = robust(z + white @ part).sum() + 0.5 * part @ part / size**2
             occam = 0.5 * np.linalg.slogdet(size**2 * curvature)[1]
             others = law.densities.sum() - law.densities[e]
-            found.append(law.log_weight + others + law.constants[e] - cost - occam)
-        return float(logsumexp(found))
+            logs.append(law.log_weight + others + law.constants[e] - cost - occam)
+        return float(logsumexp(logs))
 
     def of(self, change: FloatArray, slope: FloatArray) -> tuple[FloatArray, ...]:
         """Of changes of the missing forces with any part, 0 to 1, of a slope, (k, m, e) each.

@@ -81,6 +81,11 @@ def _winner(diagnosis: DiagnosisResult) -> RaceEntry | None:
     return max(named, key=lambda entry: entry.score, default=None)
 
 
+def compared_with_a_state(diagnosis: DiagnosisResult) -> bool:
+    """Whether scores are log evidence above that nothing changed, and not held-out predictions."""
+    return any(entry.effects == ("no_change",) for entry in diagnosis.race)
+
+
 def _race(diagnosis: DiagnosisResult) -> report.Section | None:
     if not diagnosis.race:
         return None
@@ -94,10 +99,17 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
     if best is None:
         return "No candidate ran."
     name = cause_name(best.effects)
-    text = (
-        f"{name[0].upper()}{name[1:]} foretells held-out blocks {_apart(best)} than the refitted "
-        "model."
-    )
+    if compared_with_a_state(diagnosis):
+        way = "more" if best.score >= 0 else "less"
+        text = (
+            f"{name[0].upper()}{name[1:]} is {abs(best.score):.0f} nats {way} probable, by what is "
+            "recorded, than that nothing changed."
+        )
+    else:
+        text = (
+            f"{name[0].upper()}{name[1:]} foretells held-out blocks {_apart(best)} than the "
+            "refitted model."
+        )
     others = [e for e in diagnosis.race if _is_effect(e.effects) and e is not best]
     second = max(others, key=lambda entry: entry.score, default=None)
     if second is not None:
@@ -165,14 +177,22 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
             for e in kept
         ],
     )
+    compared = compared_with_a_state(diagnosis)
     axis = draw.Axis(
-        "held-out log density above the refitted model", "nats", (1.05 * low, 1.04 * top)
+        "log evidence above that nothing changed"
+        if compared
+        else "held-out log density above the refitted model",
+        "nats",
+        (1.05 * low, 1.04 * top),
     )
     return draw.Chart(
         "race",
         [draw.Panel(axis, draw.Axis(""), [bars])],
-        "How much better each candidate, fitted together with the model's parameters, foretells "
-        "blocks that it was not fitted to, one step ahead; whiskers: one standard error.",
+        "How much more probable the missing forces are with each difference than with none, "
+        "averaged over its sizes and onsets."
+        if compared
+        else "How much better each candidate, fitted together with the model's parameters, "
+        "foretells blocks that it was not fitted to, one step ahead; whiskers: one standard error.",
         columns=1,
         width=_WIDTH,
         height=0.8 + 0.27 * len(kept),

@@ -22,7 +22,7 @@ from trms_cli.gap.diagnosis import (
     likeliest,
     shown_horizon,
 )
-from trms_cli.gap.evidence_sections import evidence_sections
+from trms_cli.gap.evidence_sections import compared_with_a_state, evidence_sections
 from trms_cli.gap.wording import OTHERS, cause_name, place_name, size_text, size_unit, sizes
 
 #: Probability from which causes without a row are told together.
@@ -325,16 +325,21 @@ def _rejected(diagnosis: DiagnosisResult) -> list[report.Section]:
         ),
         report.Column("at most", bound),
     ]
+    compared = compared_with_a_state(diagnosis)
     caption = (
-        "Nats: held-out log density above the refitted model, of those that were fitted. At most: "
-        "its first size lies below that with 95 %, beside the answer (of what is not told apart "
-        "from it: alone)."
+        "Nats: log evidence above that nothing changed."
+        if compared
+        else "Nats: held-out log density above the refitted model, of those that were fitted. At "
+        "most: its first size lies below that with 95 %, beside the answer (of what is not told "
+        "apart from it: alone)."
     )
     near = [item for item in diagnosis.rejected if item.score is not None][:_MOST_CAUSES]
     rest = [item for item in diagnosis.rejected if item not in near]
     sections = []
     if near:
-        text = "The nearest of the other suspects, each fitted together with the parameters."
+        text = "The nearest of the other suspects, " + (
+            "each alone." if compared else "each fitted together with the parameters."
+        )
         rows = report.table(near, columns, caption, on_screen=False)
         sections.append(report.Section("Why not the others", [text], [rows]))
     if rest:

@@ -1,10 +1,10 @@
 """Forces on an equation that no difference of a model makes: at random, or by a law without a name.
 
-A torque from outside that varies is foretold by nothing but its own recent past: an
-Ornstein–Uhlenbeck process of some deviation σ and time τ, of which each window has the mean. A law
-that nobody wrote down is a smooth function of one quantity of the rig (an angle, a rate, a rotor's
-speed, a command) or of the time: a sum of bumps with normal coefficients, coarse or fine. Each is
-integrated over its sizes, so that what can be anything is not believed for that.
+A torque from outside that varies is predicted by nothing but its own recent past: an
+Ornstein–Uhlenbeck process of some deviation σ and correlation time τ, of which each window has the
+mean. A law that nobody wrote down is a smooth function of one quantity of the rig (a state, a
+command) or of the time: a sum of Gaussian radial basis functions with normal coefficients, coarse
+or fine. Each is integrated over its sizes, so that what can be anything is not believed for that.
 """
 
 import itertools
@@ -16,17 +16,17 @@ from scipy.special import logsumexp
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore
 
-#: s. Times over which a torque from outside forgets itself.
+#: s. Correlation times of a torque from outside.
 _TIMES = (0.3, 1.0, 3.0)
 #: Deviations of a force, from what an equation errs by in any second to what acts there.
 _SIZES = 5
-#: Bumps over the range of a quantity, and s between bumps over the time.
+#: Basis functions over the range of a quantity, and s between those over the time.
 _COARSE, _FINE, _APART = 6, 18, 8.0
 
 
-def by_equation(evidence: ChangeEvidence) -> FloatArray:
+def law_evidence(evidence: ChangeEvidence) -> FloatArray:
     """Log evidence of a law without a name on each equation alone, (e,) nats."""
-    found, bases = [], _bases(evidence)
+    evidences, bases = [], _bases(evidence)
     for e, rows in enumerate(evidence.rows):
         values = [
             evidence.with_columns(e, basis[rows], size)
@@ -34,8 +34,8 @@ def by_equation(evidence: ChangeEvidence) -> FloatArray:
         ]
         # of a single window nothing can be a law
         known = logsumexp(values) - np.log(len(values)) if values else evidence.unchanged
-        found.append(known)
-    return np.array(found)
+        evidences.append(known)
+    return np.array(evidences)
 
 
 def with_random_torque(evidence: ChangeEvidence, score: DifferenceScore) -> DifferenceScore:
@@ -98,23 +98,23 @@ def _averaged(apart: FloatArray, time: float) -> FloatArray:
 
 
 def _bases(evidence: ChangeEvidence) -> list[FloatArray]:
-    """Bumps over each quantity, (m, k) arrays."""
+    """Radial basis functions of each quantity, (m, k) arrays."""
     runs, starts = evidence.runs, evidence.questioned.starts
     commands = runs.windows.commands.mean(axis=1)
-    found = []
+    bases = []
     for values in (*starts.T, *commands.T):
         low, high = np.quantile(values, [0.02, 0.98])
         if not high > low:
             continue
-        found += [_bumps(values, low, high, count) for count in (_COARSE, _FINE)]
+        bases += [_radial_basis(values, low, high, count) for count in (_COARSE, _FINE)]
     if len(runs) > 1:
         order = np.arange(len(runs), dtype=float)
         count = max(3, round(len(runs) * runs.length / _APART))
-        found.append(_bumps(order, 0.0, order[-1], count))
-    return found
+        bases.append(_radial_basis(order, 0.0, order[-1], count))
+    return bases
 
 
-def _bumps(values: FloatArray, low: float, high: float, count: int) -> FloatArray:
+def _radial_basis(values: FloatArray, low: float, high: float, count: int) -> FloatArray:
     centres = np.linspace(low, high, count)
     width = (high - low) / (count - 1)
     return np.exp(-0.5 * ((np.clip(values, low, high)[:, None] - centres) / width) ** 2)
