@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from experiments.gap.blind.judgement import FreshResult, JudgedCase, answer_of, on_fresh
-from experiments.gap.blind.measures import Row, Table, Target
+from experiments.gap.blind.measures import VERY_SURE, Row, Table, Target
 from experiments.gap.blind.sealing import OpenedKey
 from experiments.gap.blind.severity import LEVELS
-from experiments.gap.blind.statistics import Estimate
+from experiments.gap.blind.statistics import Estimate, share
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 
@@ -131,7 +131,9 @@ def markdown(document: Mapping[str, Any]) -> str:
     lines.append(_line("recordings without a diagnosis", "", *map(str, missing)))
     for name, method in methods.items():
         lines += ["", f"### {name}: exact, by effect", "", *_by_effect(method["by_effect"])]
-        lines += ["", f"### {name}: what was said", "", *_confusions(method["confusions"])]
+        cases = list(method["judged"].values())
+        lines += ["", f"### {name}: right, by kind", "", *_by_kind(cases)]
+        lines += ["", f"### {name}: what was missed", "", *_missed(cases)]
         lines += ["", f"### {name}: reliability", "", *_bins(method["reliability"]["bins"])]
     return "\n".join(lines) + "\n"
 
@@ -187,6 +189,7 @@ def _row(row: Row) -> dict[str, Any]:
 def _facts(j: JudgedCase) -> dict[str, Any]:
     return {
         "kind": j.case.kind,
+        "label": j.label,
         "truth": sorted(j.case.effects),
         "severity": dict(j.case.severity),
         "duration_s": j.case.duration,
@@ -238,12 +241,29 @@ def _of(estimate: Mapping[str, Any] | Estimate | None) -> str:
     return f"{round(e['value'] * e['count'])} of {e['count']}"
 
 
-def _confusions(confusions: Mapping[str, Mapping[str, int]]) -> list[str]:
-    lines = [_line("the rig has", "said"), _line("---", "---")]
-    for truth, row in confusions.items():
-        said = ", ".join(f"{name} {n}" if n > 1 else name for name, n in row.items())
-        lines.append(_line(truth, said))
+def _by_kind(cases: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = [_line("kind", "rigs", "right", f"said with {VERY_SURE} and more", "right of these")]
+    lines.append(_line(*["---"] * 5))
+    for kind in sorted({case["kind"] for case in cases}):
+        right = [c["right"] for c in cases if c["kind"] == kind]
+        sure = [c["right"] for c in cases if c["kind"] == kind and c["probability"] >= VERY_SURE]
+        lines.append(_line(kind, str(len(right)), _share(right), str(len(sure)), _share(sure)))
     return lines
+
+
+def _share(hits: Sequence[bool]) -> str:
+    return _cell({**asdict(share(hits)), "unit": "%", "reached": None})
+
+
+def _missed(cases: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Cases whose likeliest cause is not the truth: what they have, and what was said instead."""
+    rows: dict[tuple[str, str], list[str]] = {}
+    for case in sorted(cases, key=lambda c: -c["probability"]):
+        if not case["right"]:
+            said = f"{'+'.join(case['first'])} ({case['probability']:.2f})"
+            rows.setdefault((case["kind"], case["label"]), []).append(said)
+    lines = [_line("kind", "the rig has", "likeliest cause (probability)"), _line(*["---"] * 3)]
+    return lines + [_line(*key, ", ".join(said)) for key, said in sorted(rows.items())]
 
 
 def _bins(bins: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -12,7 +12,10 @@ from experiments.gap.blind.drivers import rich_excitation
 from experiments.gap.blind.judgement import Answer, FreshResult, JudgedCase, answer_of, on_fresh
 from experiments.gap.blind.measures import Table, Target, table
 from experiments.gap.blind.recording import Recording, csv_of
+from experiments.gap.blind.sealing import OpenedKey
 from experiments.gap.blind.statistics import calibration_error, quantile, reliability, share
+from experiments.gap.blind.verdicts import document_of as score_document
+from experiments.gap.blind.verdicts import markdown
 from tests.gap.diagnosis_case import CHANNELS, diagnosis
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.coulomb_friction import CoulombFriction
@@ -318,3 +321,28 @@ def test_calibration_is_a_row_with_an_interval() -> None:
     hit = p > 0.4
     whole = reliability(p.tolist(), hit.tolist()).calibration_error
     assert calibration_error(p, hit) == pytest.approx(whole)
+
+
+def test_what_was_missed_is_shown_by_kind() -> None:
+    cases = [
+        judged(case("single", FRICTION), answer(FRICTION, probability=0.95), "a"),
+        judged(case("single", DELAY), answer(LAG, probability=0.91), "b"),
+        judged(case("single", DELAY), answer(FRICTION, probability=0.5), "c"),
+        judged(case("null"), answer("no_gap", verdict="no_gap", probability=0.6), "d"),
+    ]
+    key = OpenedKey(
+        set_name="small",
+        seed=7,
+        commitment="0" * 64,
+        cases={j.name: j.case for j in cases},
+        files={},
+        fresh=None,
+    )
+    page = markdown(score_document(key, {"trms": table(cases)}, {"trms": cases}))
+    rows = [line.split(" | ") for line in page.splitlines()]
+    assert ["| single", DELAY, f"{LAG} (0.91), {FRICTION} (0.50) |"] in rows
+    by_kind = next(row for row in rows if row[0] == "| single")
+    assert (by_kind[1], by_kind[3]) == ("3", "2")
+    assert by_kind[2].startswith("33.3 %")
+    assert by_kind[4].startswith("50.0 %")
+    assert sum(row[0] == "| null" for row in rows) == 1
