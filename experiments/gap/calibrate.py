@@ -102,11 +102,6 @@ _LEAST_USUAL = 0.01
 Case = tuple[Features, frozenset[tuple[str, ...]]]
 
 
-def right_answers(truth: Mapping[str, Any]) -> frozenset[tuple[str, ...]]:
-    """Entries of the posterior that are right for a case of a blind set's key."""
-    return frozenset(right_causes(convert(dict(truth), Rig)))
-
-
 def features_of(evidence: Mapping[str, Any]) -> Features:
     """As a diagnosis keeps them: each field of :class:`Features` that the evidence has."""
     wanted = get_type_hints(Features)

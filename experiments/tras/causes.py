@@ -3,7 +3,8 @@
 What ``trms diagnose real=closed_loop.csv model=tras data.command_delay=1`` fits one to three
 effects with, given more of them: each set of ``study.yaml`` by the same metric, its score over the
 refit's, the parameters that lie beyond two deviations of their priors, and free runs of 6 s on the
-sealed quarter, driven by the measured rotor speeds.
+sealed quarter, driven by the measured rotor speeds. ``--model`` shows the free runs of models that
+nothing is fitted of: ``tras``, the maker's values, or the ``corrected_model.yaml`` of a diagnosis.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.tras.study import errors, read_study
+from trms_cli.effects.model_file import load_model
 from trms_cli.gap.competing_model import (
     FittedModel,
     ModelStructure,
@@ -41,6 +43,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the study and print its table."""
     parser = argparse.ArgumentParser(prog="python -m experiments.tras.causes", description=__doc__)
     parser.add_argument("folder", type=Path, help="closed_loop.csv")
+    parser.add_argument(
+        "--model", nargs="+", default=[], metavar="MODEL", help="names or files; nothing is fitted"
+    )
     given = parser.parse_args(argv)
     if not (given.folder / "closed_loop.csv").is_file():
         print(f"skipped: there is no closed_loop.csv in {given.folder}", file=sys.stderr)
@@ -51,6 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     model = Tras()
     datasets = tuple(load_datasets(str(given.folder / "closed_loop.csv"), model, options))
     parts = divide(datasets, causes["block"], causes["sealed"], model.stops)
+    if given.model:
+        print("| model | pitch, yaw: from before | start fitted |\n|---|---|---|")
+        for name in given.model:
+            found = free_runs_of(load_model(name), parts, settings)
+            print(f"| {name} | {' | '.join(_errors_of(found))} |", flush=True)
+        return 0
     candidates, _ = applicable_candidates(model, candidates_of(["all"], model).effects)
     nominal = refit(model, nominal_parameters(model), parts.fitted, parts.block)
     centre = about_priors(nominal) or nominal
@@ -114,6 +125,14 @@ def free_runs_of(model: Model, parts: Parts, settings: Mapping[str, Any]) -> dic
     return errors(DrivenModel(model, driven), sealed, settings)
 
 
+def _errors_of(found: Mapping[str, Any]) -> list[str]:
+    """mrad, of pitch and yaw, by how the windows start."""
+    return [
+        ", ".join(f"{1e3 * found[angle][kind]:.3g}" for angle in ("alpha_v", "alpha_h"))
+        for kind in ("estimated", "fitted")
+    ]
+
+
 def _row(
     fitted: FittedModel,
     nominal: Refit,
@@ -121,11 +140,7 @@ def _row(
     settings: Mapping[str, Any],
     held: Mapping[str, float],
 ) -> str:
-    found = free_runs_of(fitted.model, parts, settings)
-    before, own = (
-        ", ".join(f"{1e3 * found[angle][kind]:.3g}" for angle in ("alpha_v", "alpha_h"))
-        for kind in ("estimated", "fitted")
-    )
+    before, own = _errors_of(free_runs_of(fitted.model, parts, settings))
     usual = {p.name: p for p in nominal.structure.problem.free}
     far = {
         name: (fitted.values[name] - p.prior_mean) / p.prior_sd

@@ -471,6 +471,34 @@ class TestWhole:
         assert "data:image" not in page
 
 
+@pytest.mark.slow
+def test_what_changed_is_told_against_recordings_of_a_known_state(trms, lab):
+    """The same rig before its yaw had friction, driven by other commands."""
+    for seed in ("7", "8"):
+        other = ("controller.u_v.seed=3", f"controller.u_h.seed={seed}")
+        trms("run", *RECORD, *EXCITED, *other, f"out=before{seed}")
+        trms("export", f"before{seed}/run.mcap", "--out", f"before{seed}.csv")
+    known = "against=[before7.csv,before8.csv]"
+    few = f"candidates=[{FRICTION},main_input_delay,yaw_quantisation]"
+    done = trms("diagnose", "real=rig.csv", known, few, "out=changed")
+    document = read(lab / "changed" / "diagnosis.json")
+    assert document["verdict"] == "effect"
+    assert document["causes"][0]["effects"] == [FRICTION]
+    assert document["causes"][0]["parameters"][f"{FRICTION}.torque"]["value"] == pytest.approx(
+        0.005, rel=0.15
+    )
+    assert [len(document[key]) for key in ("recordings", "against")] == [1, 2]
+    assert document["shrink"]["all"]["2.0"]["fraction"] > 0.5
+    assert {"main_input_delay", "yaw_quantisation"} <= {r["effect"] for r in document["rejected"]}
+    assert all(row["se"] is None for row in document["race"])
+    assert document["sentence"] in " ".join(done.stdout.split())
+    assert FRICTION in corrected(lab, "changed")["effects"]
+    runs_with(trms, "changed")
+    # a third recording of the state before has not changed
+    trms("diagnose", "real=before8.csv", "against=before7.csv", few, "out=same", "page=false")
+    assert read(lab / "same" / "diagnosis.json")["verdict"] == "no_change"
+
+
 def test_a_recording_is_not_compared_with_itself(lab):
     done = in_process(lab, "diagnose", "real=rig.csv", "against=rig.csv", "out=itself", code=2)
     assert "among the recordings in question" in done.said

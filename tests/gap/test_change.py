@@ -12,6 +12,7 @@ from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, judge
 from trms_cli.gap.known_state import KnownState, known_state
+from trms_cli.gap.onset import diagnose_onset
 from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import ForceSeries, StandingError
@@ -116,6 +117,35 @@ def test_friction_that_begins_is_told_with_its_onset(known):
     assert onset is not None
     assert onset.time_s == pytest.approx(15.3, abs=1.0)
     assert onset.ci95[0] <= onset.time_s <= onset.ci95[1]
+
+
+def onset_problem(onset: float, effects) -> GapProblem:
+    """A recording of 60 s that is diagnosed by itself."""
+    dataset = begins(effects, onset, values=VALUES, seconds=60.0, seed=21)
+    return GapProblem(
+        model=MODEL,
+        model_name="newtonian",
+        datasets=(dataset,),
+        candidates={n: c.effect for n, c in CANDIDATES.items()},
+    )
+
+
+@pytest.mark.slow
+def test_what_begins_within_a_recording_is_told_against_its_beginning():
+    rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
+    found = diagnose_onset(onset_problem(33.0, rubbing))
+    assert found is not None
+    assert found.verdict == "effect"
+    assert found.causes[0].effects == ("yaw_coulomb_friction",)
+    assert found.causes[0].onset is not None
+    # counted from the recording's own beginning, not from where its rest begins
+    assert found.causes[0].onset.time_s == pytest.approx(33.0, abs=1.0)
+    low, high = found.causes[0].onset.ci95
+    assert low <= found.causes[0].onset.time_s <= high
+    assert not found.against
+    assert any("the first 15 s, taken for the known state" in text for text in found.warnings)
+    # friction throughout is in both parts
+    assert diagnose_onset(onset_problem(0.0, rubbing)) is None
 
 
 def test_the_missing_force_of_a_run_is_the_torque_that_acts():
@@ -304,9 +334,17 @@ def test_of_parameters_that_are_likelier_together_the_likeliest_is_the_answer(kn
         against=known.runs.windows.datasets,
     )
     result = change_result(problem, made)
+    coarse, _ = applicable_candidates(MODEL, {"yaw_quantisation": effect("yaw_quantisation")})
+    rounded = replace(made, candidates={**made.candidates, **coarse})
     assert result.verdict == "parameters_only"
     name = first[0].difference.name
     assert f"another {name}" in result.sentence
+    # which parameter, in physical words; what was not reckoned is null
+    told = next(m for m in result.moved if m.parameter == name)
+    assert told.words.startswith("gravity moment of the beam")
+    assert "g at the nose would" in told.words or "g less at the nose would" in told.words
+    assert all(row.se is None and row.moved is None for row in result.race)
+    assert "yaw_quantisation" in {row.effect for row in change_result(problem, rounded).rejected}
     changed = result.parameters[name].fitted - result.refit[name]
     assert changed == pytest.approx(first[0].value[0]) or first[0].began is not None
 

@@ -80,8 +80,10 @@ def test_a_detent_is_foretold_and_put_into_a_formula(detent):
     sizes = dict(flexible.effects["yaw_residual_force"].terms)
     assert max(sizes, key=lambda name: abs(sizes[name])) == "yaw_angle_sine_8"
     assert sizes["yaw_angle_sine_8"] == pytest.approx(0.0015, rel=0.1)
-    # Priors leave few of the 66 coefficients.
-    assert flexible.effective < 20
+    # Priors leave few of the 66 coefficients: those that the data decide.
+    own = zip(flexible.fitted.structure.problem.free, flexible.fitted.fit.sd, strict=False)
+    decided = sum(1 - (sd / p.prior_sd) ** 2 for p, sd in own if "." in p.name)
+    assert decided < 20
     (law,) = short_law(nominal, flexible, forces)
     assert "sin(8 α_h" in law and "N m" in law
 

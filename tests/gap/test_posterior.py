@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.gap.calibrate import features_of, fit_weights, loss, right_answers, usual_shares
+from experiments.gap.blind.cases import Case
+from experiments.gap.blind.judgement import right_causes
+from experiments.gap.calibrate import features_of, fit_weights, loss, usual_shares
 from tests.gap.diagnosis_case import diagnosis
 from tests.gap.recorded import effect
 from trms_cli.core.findings import json_data
@@ -192,10 +194,10 @@ def test_the_fit_of_the_constants_finds_honest_ones():
 
 
 def test_what_is_right_for_each_kind_of_case():
-    assert right_answers({"kind": "null"}) == {("no_gap",)}
-    assert right_answers({"kind": "offset"}) == {("parameters_only",)}
-    assert right_answers({"kind": "outside", "effects": {"x": {}}}) == {("none_of_these",)}
-    assert right_answers({"kind": "pair", "effects": {"b": {}, "a": {}}}) == {("a", "b")}
+    assert right_causes(Case(kind="null")) == (("no_gap",),)
+    assert right_causes(Case(kind="offset")) == (("parameters_only",),)
+    assert right_causes(Case(kind="outside", effects={"x": {}})) == (("none_of_these",),)
+    assert right_causes(Case(kind="pair", effects={"b": {}, "a": {}})) == (("a", "b"),)
     # Usual errors are those that rigs without an effect seldom exceed.
     nulls = [{"pitch_moment": 0.01 * k} for k in range(1, 11)]
     assert usual_shares(nulls)["pitch_moment"] == pytest.approx(0.091, abs=0.001)

@@ -474,3 +474,11 @@ def test_the_sentence_tells_the_share_that_is_closed(fraction, words):
     gap = Gap(raw=0.1, refit=0.1, corrected=0.002, floor=0.0015, unit="rad")
     said = said_of("effect", gap, Shrink(fraction=fraction, ci95=(0.991, 1.2)))
     assert said.endswith(words)
+
+
+def test_what_a_named_cause_leaves_is_told_where_it_is_much():
+    shrink = Shrink(fraction=0.6, ci95=(0.5, 0.7))
+    much = Gap(raw=0.1, refit=0.1, corrected=0.02, floor=0.002, unit="rad")
+    words = "It is not all: over 2 s yaw is still off by 20 mrad, 10 times what"
+    assert words in said_of("effect", much, shrink)
+    assert "not all" not in said_of("effect", replace(much, corrected=5e-3), shrink)

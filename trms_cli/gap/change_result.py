@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from trms_cli.core.wording import gap_share, listing, number, readable, small_unit, unit
+from trms_cli.core.wording import gap_share, listing, number, readable
 from trms_cli.effects.constant_torque import ConstantTorque
 from trms_cli.gap.change import StateComparison
 from trms_cli.gap.change_shrinkage import change_shrinkage, stand_in
@@ -25,9 +25,15 @@ from trms_cli.gap.diagnosis import (
     Verdict,
 )
 from trms_cli.gap.evidence import DifferenceScore
-from trms_cli.gap.moved_parameters import WORTH_TELLING
-from trms_cli.gap.problem import GapProblem, diagnosed_recordings, poor_excitation
+from trms_cli.gap.moved_parameters import WORTH_TELLING, change_in_words
+from trms_cli.gap.problem import (
+    GapProblem,
+    diagnosed_recordings,
+    mean_pitch,
+    poor_excitation,
+)
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
+from trms_cli.gap.wording import sizes
 
 #: Probability from which a verdict is given, and below which a cause is not told.
 _DECIDED, _LEAST = 0.5, 0.002
@@ -48,6 +54,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         change[best.difference.name] = (float(best.value[0]), float(best.sd[0]))
     added = _added(found, verdict, causes)
     shrinkage = change_shrinkage(problem, found, added)
+    remarks = [remark for d in (*problem.datasets, *problem.against) for remark in d.remarks]
     return DiagnosisResult(
         recordings=diagnosed_recordings(problem.datasets),
         against=diagnosed_recordings(problem.against),
@@ -76,12 +83,12 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         worse=shrinkage.worse if shrinkage else (),
         next_experiment=_next(problem, found) if changed and problem.advise else None,
         inclusion=_inclusion(found),
-        moved=_moved(found),
+        moved=_moved(found, mean_pitch(problem.datasets)),
         rejected=_rejected(found),
         excitation=poor_excitation(problem.model, problem.datasets),
         sentence=change_sentence(found, verdict, _known_words(problem), shrinkage),
         race=_race(found),
-        warnings=problem.warnings,
+        warnings=(*problem.warnings, *dict.fromkeys(remarks)),
         effort=problem.effort,
         refit=before,
         residual=_residual(added),
@@ -289,7 +296,7 @@ def _inclusion(found: StateComparison) -> dict[str, float]:
     }
 
 
-def _moved(found: StateComparison) -> tuple[MovedParameter, ...]:
+def _moved(found: StateComparison, pitch: float) -> tuple[MovedParameter, ...]:
     rows = [
         (j, float(p))
         for j, p in zip(found.judged, found.probabilities, strict=True)
@@ -303,18 +310,15 @@ def _moved(found: StateComparison) -> tuple[MovedParameter, ...]:
     for j, p in rows:
         if p / total < 0.02:
             continue
-        name, change = j.difference.name, float(j.value[0])
-        value = model.parameters[name].value
-        what = model.parameters[name].description or name
-        by = f"{100 * change / value:+.0f} %" if value else f"{change:+.3g} {j.difference.units[0]}"
+        name, change, sd = j.difference.name, float(j.value[0]), float(j.sd[0])
         made.append(
             MovedParameter(
                 parameter=name,
                 probability=p / total,
                 change=change,
-                sd=float(j.sd[0]),
+                sd=sd,
                 unit=j.difference.units[0],
-                words=f"{what}: {by}",
+                words=change_in_words(model, model.parameters[name], change, pitch, sd),
             )
         )
     return tuple(sorted(made, key=lambda m: -m.probability))
@@ -338,23 +342,29 @@ def _rejected(found: StateComparison) -> tuple[Rejected, ...]:
                 effect=j.difference.name, score=gain, size=size, upper_bound=None, reason=reason
             )
         )
+    judged = {j.difference.name for j in found.judged}
+    unjudged = {
+        name: "no simulation with it stays finite"
+        if candidate.simulated
+        else "rounding is not compared: diagnose the recording without against"
+        for name, candidate in found.candidates.items()
+        if name not in judged
+    }
     rows += [
         Rejected(effect=name, score=None, size=None, upper_bound=None, reason=why)
-        for name, why in found.left_out.items()
+        for name, why in {**unjudged, **found.left_out}.items()
     ]
     return tuple(rows)
 
 
 def _race(found: StateComparison) -> tuple[RaceEntry, ...]:
     best = max(float(found.gains.max()), 1e-9)
-    rows = [RaceEntry(effects=("no_change",), score=0.0, se=0.0, explained=0.0, moved=0.0)]
+    rows = [RaceEntry(effects=("no_change",), score=0.0, explained=0.0)]
     rows += [
         RaceEntry(
             effects=(j.difference.name,),
             score=gain,
-            se=0.0,
             explained=float(np.clip(gain / best, 0.0, 1.0)),
-            moved=0.0,
             parameters=_sizes(j),
         )
         for j, gain in zip(found.judged, found.gains.tolist(), strict=True)
@@ -373,8 +383,8 @@ def _traces(found: StateComparison, verdict: Verdict) -> Traces:
     for e, equation in enumerate(runs.equations):
         values = found.questioned.forces.force[first, e]
         force[equation.location] = np.nan_to_num(values)
-        sizes = known.errors[e].sizes
-        sd = float(np.hypot(sizes.white, np.hypot(sizes.slow, sizes.offset)))
+        own = known.errors[e].sizes
+        sd = float(np.hypot(own.white, np.hypot(own.slow, own.offset)))
         force[f"{equation.location}.sd"] = np.full(len(values), sd)
         if verdict in ("effect", "parameters_only", "undecided"):
             explained[equation.location] = -best.change[first, e]
@@ -414,8 +424,8 @@ def change_sentence(
     together = float(found.probabilities[group].sum())
     others = [_name(found.judged[k]) for k in group if found.judged[k] is not best]
     text = f"Against {known} the {place} differs{since}: {_name(best)}"
-    sizes = _told_sizes(best)
-    text += f" ({sizes})" if sizes else ""
+    told = sizes(dict(list(_sizes(best).items())[:1]))
+    text += f" ({told})" if told else ""
     if others:
         text += f", or what these recordings do not tell from it, {listing(others, 'or')}"
     text += f", with probability {together:.2f}"
@@ -438,13 +448,3 @@ def _name(j: DifferenceScore) -> str:
         sort = "a torque that varies at random" if j.varies else "a constant torque"
         return f"{sort} on {j.difference.name.split('_')[0]}"
     return readable(j.difference.name)
-
-
-def _told_sizes(j: DifferenceScore) -> str:
-    first = next(iter(_sizes(j).items()), None)
-    if first is None:
-        return ""
-    label, size = first
-    small, scale = small_unit(size.unit)
-    spread = f" ± {number(scale * size.sd, 2)}" if size.sd > 0 else ""
-    return f"{label.split('.', 1)[1]} {number(scale * size.value)}{spread} {unit(small)}".strip()

@@ -205,11 +205,12 @@ class RaceEntry:
     #: Empty for the refitted model without any; ``flexible`` for a residual force without a name
     effects: tuple[str, ...]
     score: float  #: held-out log predictive density, nats above the refitted model
-    se: float  #: its standard error over blocks
+    se: float | None = None  #: its standard error over blocks; None where none was reckoned
     #: 0 to 1; its score, over the nats that the refit owes to discrepancies or the best gains: a
     #: share of the gap in one-step errors, not of that in free runs
     explained: float
-    moved: float  #: Largest move of a nominal parameter, in prior standard deviations
+    #: Largest move of a nominal parameter, in prior standard deviations; None: all were held
+    moved: float | None = None
     #: Fitted sizes.
     parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)
 

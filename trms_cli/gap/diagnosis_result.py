@@ -40,6 +40,7 @@ from trms_cli.gap.problem import (
     GapProblem,
     Parts,
     diagnosed_recordings,
+    mean_pitch,
     poor_excitation,
 )
 from trms_cli.gap.race import Race
@@ -262,13 +263,7 @@ def _moved_parameters(stages: StageResults) -> tuple[MovedParameter, ...]:
     likely = posterior.probabilities.get(("parameters_only",), 0.0)
     if posterior.verdict != "parameters_only" and likely < WORTH_TELLING:
         return ()
-    pitch = [
-        float(np.nanmean(d.measurements[:, i]))
-        for d in problem.datasets
-        for i, signal in enumerate(d.outputs)
-        if signal.name == "alpha_v"
-    ]
-    about = float(np.mean(pitch)) if pitch else 0.0
+    about = mean_pitch(problem.datasets)
     return moved_parameters(stages.race.refit, problem.model, about, problem.seed)
 
 

@@ -122,7 +122,7 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
             text += f" Above it is {name} by {-apart:.0f} nats, which has more to adjust."
     flexible = next((e for e in diagnosis.race if tuple(e.effects) == ("flexible",)), None)
     if flexible is not None:
-        if flexible.score > best.score + 2 * (flexible.se + best.se):
+        if flexible.score > best.score + 2 * (_se(flexible) + _se(best)):
             text += " **A force without a name does clearly better**: something else is missing."
         elif flexible.score <= best.score:
             text += " A force without a name, free to be anything, does no better."
@@ -132,7 +132,12 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
 def _apart(entry: RaceEntry) -> str:
     """A score above the refitted model's: ``12 ± 3 nats better``."""
     way = "better" if entry.score >= 0 else "worse"
-    return f"{abs(entry.score):.0f} ± {entry.se:.0f} nats {way}"
+    spread = "" if entry.se is None else f" ± {entry.se:.0f}"
+    return f"{abs(entry.score):.0f}{spread} nats {way}"
+
+
+def _se(entry: RaceEntry) -> float:
+    return entry.se or 0.0
 
 
 def _result(entry: RaceEntry) -> str:
@@ -153,7 +158,7 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
         else set()
     )
     hardly = _hardly_testable(diagnosis)
-    top = max([e.score + (e.se if _is_effect(e.effects) else 0.0) for e in kept] + [1.0])
+    top = max([e.score + (_se(e) if _is_effect(e.effects) else 0.0) for e in kept] + [1.0])
     low = min(0.0, max(min((e.score for e in kept), default=0.0), -0.25 * top))
 
     def colour(entry: RaceEntry) -> draw.Colour:
@@ -167,7 +172,10 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
         [cause_name(e.effects) if e.effects != ("no_gap",) else "as it was" for e in kept],
         [max(e.score, low) for e in kept],
         [colour(e) for e in kept],
-        [e.se if _is_effect(e.effects) and e.score >= low else np.nan for e in kept],
+        [
+            e.se if e.se is not None and _is_effect(e.effects) and e.score >= low else np.nan
+            for e in kept
+        ],
         [
             "not significantly different from the best"
             if e.effects in alike
@@ -502,7 +510,7 @@ def _hardly_testable(diagnosis: DiagnosisResult) -> dict[str, RaceEntry]:
 
 def _beats_no_effect(entry: RaceEntry) -> bool:
     """Whether a competitor does better than no effect by more than chance."""
-    return entry.score > max(_LEVEL, 2 * entry.se)
+    return entry.score > max(_LEVEL, 2 * _se(entry))
 
 
 def _not_told(diagnosis: DiagnosisResult) -> report.Section | None:

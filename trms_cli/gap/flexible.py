@@ -131,13 +131,6 @@ class Flexible:
         return tuple(at for c in self.fitted.structure.effects for at in c.locations)
 
     @cached_property
-    def effective(self) -> float:
-        """Number of coefficients that the data decide, and not their priors."""
-        sd = self.fitted.fit.sd
-        own = [(i, p) for i, p in enumerate(self.fitted.structure.problem.free) if "." in p.name]
-        return float(sum(1 - (sd[i] / p.prior_sd) ** 2 for i, p in own if p.prior_sd))
-
-    @cached_property
     def effects(self) -> dict[str, Residual]:
         """The fitted residuals as effects of a model, by name."""
         values = self.fitted.values

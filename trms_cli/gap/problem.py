@@ -87,6 +87,17 @@ _FEWEST_BLOCKS = 4
 _ONE_POINT, _MOST_OF_THE_TIME = 0.1, 0.7
 
 
+def mean_pitch(datasets: Sequence[Dataset]) -> float:
+    """rad, about which recordings were made; zero where none has the pitch angle."""
+    pitch = [
+        float(np.nanmean(d.measurements[:, i]))
+        for d in datasets
+        for i, signal in enumerate(d.outputs)
+        if signal.name == "alpha_v"
+    ]
+    return float(np.mean(pitch)) if pitch else 0.0
+
+
 def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...]:
     """What recordings cannot tell, by how little the axes move."""
     found = []

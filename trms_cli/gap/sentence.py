@@ -14,6 +14,8 @@ LEAST_ALIKE = 0.01
 _MOVED_TOLD = 3
 #: Times the floor from which on a refitted model is said to leave something unexplained.
 _MUCH = 5.0
+#: The same of a corrected model over the longest free runs, which show what a cause leaves.
+_STILL = 3.0
 #: Times the floor up to which a model without a gap is at it.
 _LITTLE = 1.2
 
@@ -76,7 +78,7 @@ def sentence(
     others = sorted((alike & likely) - set(top.effects))
     if others:
         text += f". These recordings do not tell it from {_effects(others, 'or')}"
-    return text + "."
+    return text + "." + _still_missing(shrinkage)
 
 
 def _sure(probability: float) -> str:
@@ -100,6 +102,20 @@ def _left_over(shrinkage: Shrinkage) -> str:
     )
 
 
+def _still_missing(shrinkage: Shrinkage) -> str:
+    """What the corrected model still lacks on the sealed part, where that is much."""
+    at = max((h for gaps in shrinkage.gap.values() for h in gaps), key=float, default=TOLD_AT)
+    worst, ratio = _farthest(shrinkage, "corrected", at)
+    if ratio < _STILL:
+        return ""
+    gap = shrinkage.gap[worst][at]
+    small, scale = small_unit(gap.unit)
+    return (
+        f" It is not all: over {number(float(at))} s {signal(worst)} is still off by "
+        f"{quantity(scale * gap.corrected, small)}, {ratio:.0f} times what the noise explains."
+    )
+
+
 def _above_floor(shrinkage: Shrinkage) -> str:
     """By how much free runs of a model without a gap err beyond the noise, and why it is none.
 
@@ -119,12 +135,12 @@ def _above_floor(shrinkage: Shrinkage) -> str:
     return f"{text} ({errors}): do not rely on this, and record longer."
 
 
-def _farthest(shrinkage: Shrinkage, model: str) -> tuple[str, float]:
-    """The channel whose free runs of 2 s lie farthest above the floor, and how many times."""
+def _farthest(shrinkage: Shrinkage, model: str, at: str = TOLD_AT) -> tuple[str, float]:
+    """The channel whose free runs lie farthest above the floor, and how many times."""
     ratios = {
-        channel: getattr(gaps[TOLD_AT], model) / gaps[TOLD_AT].floor
+        channel: getattr(gaps[at], model) / gaps[at].floor
         for channel, gaps in shrinkage.gap.items()
-        if TOLD_AT in gaps and gaps[TOLD_AT].floor > 0
+        if at in gaps and gaps[at].floor > 0
     }
     worst = max(ratios, key=lambda channel: ratios[channel], default="")
     return worst, ratios.get(worst, 0.0)

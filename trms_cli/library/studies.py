@@ -165,7 +165,7 @@ class Diagnosis(StudyResult):
 
     @property
     def verdict(self) -> str:
-        """``effect``, ``effects``, ``parameters``, ``none_of_these``, ``no_gap``, …"""
+        """An effect, other parameters, no gap, no change, none of these, undecided, in a word."""
         return str(self.document["verdict"])
 
     @property

@@ -201,7 +201,7 @@ def _recorded(asked: SetRequest) -> _Made:
     fresh: dict[str, str] = {}
     if asked.fresh:
         second = Timing(duration=asked.fresh, sample_time=asked.timing.sample_time)
-        again, others = record(cases, second, asked.seed, fresh=True)
+        again, others = record(cases, second, asked.seed, jobs=asked.jobs, fresh=True)
         texts = [csv_of(case, other) for case, other in zip(again, others, strict=True)]
         fresh = dict(zip(names, texts, strict=True))
     return _Made(cases=driven, recordings=recordings, references=references, fresh=fresh)
