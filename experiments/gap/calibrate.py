@@ -41,6 +41,8 @@ from experiments.gap.cross_validation import (
 from experiments.gap.features_file import FeaturesFile, Line, line_of
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.gap.belief import (
+    LAPSE,
+    LAPSE_TEMPERATURE,
     Calibration,
     Features,
     alternatives,
@@ -65,7 +67,7 @@ _OFTEN, _OWN_WIDTH = 10, 1.0
 _AT_LEAST = {
     "score": 0.075,
     "score.bend": 0.0,
-    "parameters.constant": -3.9,
+    "parameters.constant": -3.8,
     "parameters.error": -1.5,
 }
 _NEVER_ABOVE = (
@@ -158,12 +160,15 @@ def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, 
         total, slope = 0.5 * float(away @ away), away / width
         for table, right in tables:
             logits = table @ w
-            odds = np.exp(logits - logits.max())
-            p = odds / odds.sum()
-            named = float(p[right].sum())
+            named, of_right = 0.0, np.zeros(len(logits))
+            for part, temperature in ((1 - LAPSE, 1.0), (LAPSE, LAPSE_TEMPERATURE)):
+                odds = np.exp((logits - logits.max()) / temperature)
+                p = odds / odds.sum()
+                own = float(p[right].sum())
+                named += part * own
+                of_right += part / temperature * (np.where(right, p, 0.0) - own * p)
             believed = LEAST + (1 - LEAST) * named
             total -= float(np.log(believed))
-            of_right = np.where(right, p, 0.0) - named * p
             slope = slope - (1 - LEAST) / believed * (of_right @ table)
         return total, slope
 

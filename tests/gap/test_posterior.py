@@ -14,6 +14,7 @@ from experiments.gap.calibrate import features_of, fit_weights, loss, usual_shar
 from tests.gap.diagnosis_case import diagnosis
 from tests.gap.recorded import effect
 from trms_cli.core.findings import json_data
+from trms_cli.gap import belief
 from trms_cli.gap.belief import (
     Features,
     calibration,
@@ -21,6 +22,7 @@ from trms_cli.gap.belief import (
     change_worth,
     own_feature,
     probabilities_of,
+    shares_of,
     usual_gains,
 )
 from trms_cli.gap.diagnosis import Cause, SizeEstimate
@@ -95,7 +97,9 @@ def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
     assert of_a(0.05) == of_a(-0.5) == of_a(np.nan) == of_a(0.0)
 
 
-def test_scores_that_come_from_a_few_blocks_count_less():
+def test_scores_that_come_from_a_few_blocks_count_less(monkeypatch):
+    monkeypatch.setattr(belief, "LAPSE", 0.0)
+
     def of_a(deviation):
         made = features(behind=900.0, scores=(600.0, 0.0, 0.0))
         made = replace(made, deviations=np.array([deviation, 1.0, 1.0]))
@@ -276,7 +280,19 @@ def test_a_force_without_a_name_that_explains_hardly_any_of_the_gap_speaks_for_a
     assert odds(600.0) < odds(60.0) - 10.0
 
 
-def test_an_effect_that_every_rig_mimics_is_believed_less():
+def test_no_lead_makes_certain():
+    """In some rigs features mislead: what is sure by hundreds of nats is more so than by thirty."""
+    shares = {lead: shares_of(np.array([lead, 0.0, 0.0])) for lead in (10.0, 30.0, 300.0)}
+    assert 0.9 < shares[10.0][0] < 0.99 < shares[30.0][0] < 0.999 < shares[300.0][0]
+    for share in shares.values():
+        assert share.sum() == pytest.approx(1.0)
+    # an order is never changed
+    logits = np.array([3.0, 2.9, -40.0, 0.0])
+    assert list(np.argsort(shares_of(logits))) == list(np.argsort(logits))
+
+
+def test_an_effect_that_every_rig_mimics_is_believed_less(monkeypatch):
+    monkeypatch.setattr(belief, "LAPSE", 0.0)
     weights = dict(calibration().weights)
     case = features(behind=300.0, scores=(40.0, 40.0, 42.0))
     before = probabilities_of(case, weights)

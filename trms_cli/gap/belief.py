@@ -99,6 +99,10 @@ _UNFITTED = 0.5
 #: Share of what the refit owes to forces without a name from which on the flexible competitor is
 #: an explanation of its own: a beam that a torque moves gains it a hundredth.
 _EXPLAINS = 0.1
+#: Share of rigs in which features mislead, and by what leads are divided there. Of values between
+#: 0.03 and 0.12, 5 and 20 whose log loss over folds of the rigs of ``calibration`` is about the
+#: least (0.803 to 0.808; 0.827 without) those with a small calibration error.
+LAPSE, LAPSE_TEMPERATURE = 0.08, 10.0
 #: s. A torque from outside that forgets itself within is as usual as any.
 _SLOW = 4.0
 #: Share of what a torque explains that its sensor explains too, and a little more.
@@ -286,9 +290,23 @@ def probabilities_of(
     rows = alternatives(features)
     known = {own_feature(effect): 0.0 for names in rows for effect in names} | dict(weights)
     logits = np.array([sum(known[k] * v for k, v in row.items()) for row in rows.values()])
-    odds = np.exp(logits - logits.max())
-    found = dict(zip(rows, (odds / odds.sum()).tolist(), strict=True))
+    found = dict(zip(rows, shares_of(logits).tolist(), strict=True))
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def shares_of(logits: FloatArray) -> FloatArray:
+    """Probabilities (k,) of alternatives by the logarithms of their odds, (k,) array.
+
+    In some rigs features mislead, by whatever they lead: there a lead counts by a tenth. Without
+    that what is told with 0.99 and more is wrong in one of twenty rigs.
+    """
+    plain, doubted = (_softmax(logits / temperature) for temperature in (1.0, LAPSE_TEMPERATURE))
+    return (1 - LAPSE) * plain + LAPSE * doubted
+
+
+def _softmax(logits: FloatArray) -> FloatArray:
+    odds = np.exp(logits - logits.max())
+    return np.asarray(odds / odds.sum())
 
 
 #: nats. Largest gain of a change that is thought of: gains are log-uniform up to it.
