@@ -24,10 +24,12 @@ def begins(
     values: Mapping[str, float] | None = None,
     seconds: float = 40.0,
     seed: int = 1,
+    precise: bool = False,
 ) -> Dataset:
     """A recording in open loop on which effects act from ``onset`` (s) on, others ``always``.
 
-    With an onset of zero they act before the first sample, too.
+    With an onset of zero they act before the first sample, too. ``precise``: encoders of a
+    thousandth of the usual step, with tachos to match.
     """
     if onset <= 0:
         always, effects = {**(always or {}), **effects}, {}
@@ -50,7 +52,12 @@ def begins(
         second = Rollout(after, STEP)
         state = _joined(after, before, second, ends[0], commands[cut])
         parts.append(second.outputs(commands, [cut], [count - cut], state[None]).y)
-    measured, sd = sensed(before, np.vstack(parts), np.random.default_rng(seed))
+    random = np.random.default_rng(seed)
+    if precise:
+        sd = np.array([5e-6, 5e-6, 0.02, 0.02])
+        measured = np.vstack(parts) + sd * random.standard_normal((count, 4))
+    else:
+        measured, sd = sensed(before, np.vstack(parts), random)
     return dataset_of(before, commands, measured, sd, step=STEP)
 
 

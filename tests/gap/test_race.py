@@ -24,6 +24,7 @@ from trms_cli.gap.signatures import effect_traces
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
 
+from .changed import begins
 from .recorded import effect, recording
 
 NAMES = ("yaw_coulomb_friction", "yaw_quadratic_damping", "main_input_delay", "main_actuator_lag")
@@ -192,3 +193,14 @@ def test_a_cause_with_a_state_of_its_own_is_told_whole():
     assert found.inclusion["yaw_cable_hysteresis"] == pytest.approx(found.causes[0].probability)
     assert [row.effect for row in found.rejected] == ["pitch_quadratic_damping"]
     assert "yaw_cable_hysteresis" not in {row.effect for row in found.not_testable}
+
+
+def test_weak_friction_is_found_with_precise_sensors():
+    """A search that trusts five microradians goes astray where friction is a tenth of the usual."""
+    rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.0004)}
+    seen = begins(rig, 0.0, values={"k_fvp": 1.66e-5}, seconds=50.0, seed=5, precise=True)
+    found = raced(with_noise(seen))
+    best = max(found.entries, key=lambda entry: entry.fit.score)
+    assert best.names == ("yaw_coulomb_friction",)
+    assert best.values["yaw_coulomb_friction.torque"] == pytest.approx(0.0004, rel=0.05)
+    assert best.fit.score > found.refit.fit.score + 50
