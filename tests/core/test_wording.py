@@ -46,7 +46,7 @@ def test_what_is_shown_is_within_the_deviation_and_reads_back_to_its_digits(valu
 @pytest.mark.parametrize(
     ("share", "text"),
     [(0.0, "0 %"), (1.0, "100 %"), (0.9999, "over 99 %"), (1e-9, "under 1 %"), (0.456, "46 %"),
-     (-0.1, "−10 %"), (4.56, "456 %"), (math.nan, "–"), (None, "–")],
+     (-0.1, "−10 %"), (-0.003, "0 %"), (4.56, "456 %"), (math.nan, "–"), (None, "–")],
 )  # fmt: skip
 def test_a_share_is_never_rounded_to_all_or_nothing(share, text):
     assert wording.percent(share) == text

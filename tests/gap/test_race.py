@@ -14,6 +14,7 @@ from trms_cli.gap.problem import (
     GapProblem,
     applicable_candidates,
     divide,
+    poor_excitation,
     quantum_of,
     variants,
     with_noise,
@@ -193,6 +194,18 @@ def test_a_cause_with_a_state_of_its_own_is_told_whole():
     assert found.inclusion["yaw_cable_hysteresis"] == pytest.approx(found.causes[0].probability)
     assert [row.effect for row in found.rejected] == ["pitch_quadratic_damping"]
     assert "yaw_cable_hysteresis" not in {row.effect for row in found.not_testable}
+
+
+def test_axes_that_are_held_are_told_in_one_sentence():
+    moving = recording({}, seconds=20.0)
+    assert poor_excitation(MODEL, [moving]) == ()
+    yaw = moving.measurements.copy()
+    yaw[:, 1] = 0.3
+    (one,) = poor_excitation(MODEL, [replace(moving, measurements=yaw)])
+    assert one.startswith("yaw is held at one point (0.3 rad for 100 % of the time): a torque")
+    yaw[:, 0] = -0.5
+    (both,) = poor_excitation(MODEL, [replace(moving, measurements=yaw)])
+    assert both.startswith("pitch and yaw are each held at one point (−0.5 rad for 100 % of")
 
 
 def test_weak_friction_is_found_with_precise_sensors():

@@ -107,7 +107,8 @@ def percent(share: float | None, decimals: int = 0) -> str:
         return f"over {100 - step:.{decimals}f} %"
     if share > 0 and round(value, decimals) == 0:
         return f"under {step:.{decimals}f} %"
-    return f"{value:.{decimals}f} %".replace("-", "−")
+    # a little below nothing is nothing
+    return f"{round(value, decimals) + 0.0:.{decimals}f} %".replace("-", "−")
 
 
 def interval(low: float, high: float, unit_text: str = "", digits: int = 3) -> str:

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.wording import number
+from trms_cli.core.wording import listing, number
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.quantisation import Quantisation
@@ -100,7 +100,7 @@ def mean_pitch(datasets: Sequence[Dataset]) -> float:
 
 def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...]:
     """What recordings cannot tell, by how little the axes move."""
-    found = []
+    held: dict[str, str] = {}
     for name, axis in model.axes.items():
         measured = [
             d.measurements[:, i]
@@ -115,12 +115,15 @@ def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...
         middle = float(np.median(angle))
         near = float(np.mean(np.abs(angle - middle) < _ONE_POINT / 2))
         if near > _MOST_OF_THE_TIME:
-            found.append(
-                f"{name} is held at one point, {number(middle, 2)} rad, for {100 * near:.0f} % "
-                "of the time: a torque on it shows with its place, sign and size, and whether the "
-                "axis sticks or slides; what makes it (a weight, a pull, a parameter) does not"
-            )
-    return tuple(found)
+            held[name] = f"{number(middle, 2)} rad for {100 * near:.0f} % of the time"
+    if not held:
+        return ()
+    are = "is held at one point" if len(held) == 1 else "are each held at one point"
+    return (
+        f"{listing(list(held))} {are} ({', '.join(held.values())}): a torque on such an axis shows "
+        "with its place, sign and size, and whether the axis sticks or slides; what makes it (a "
+        "weight, a pull, a parameter) does not",
+    )
 
 
 @dataclass(frozen=True)
