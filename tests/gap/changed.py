@@ -25,17 +25,21 @@ def begins(
     seconds: float = 40.0,
     seed: int = 1,
     precise: bool = False,
+    ends: bool = False,
 ) -> Dataset:
     """A recording in open loop on which effects act from ``onset`` (s) on, others ``always``.
 
     With an onset of zero they act before the first sample, too. ``precise``: encoders of a
-    thousandth of the usual step, with tachos to match.
+    thousandth of the usual step, with tachos to match. ``ends``: they act until then, and not from
+    then on.
     """
     if onset <= 0:
         always, effects = {**(always or {}), **effects}, {}
     before, after = (
         extend_model(Newtonian(), e) for e in (dict(always or {}), {**(always or {}), **effects})
     )
+    if ends:
+        before, after = after, before
     for rig in (before, after):
         rig.parameters = rig.parameters.replaced(dict(values or {}))
     count, settling = round(seconds / STEP), round(10.0 / STEP)

@@ -17,6 +17,7 @@ from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import ForceSeries, StandingError
 from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
+from trms_cli.library.tasks.diagnose import applied_cause
 from trms_cli.models.newtonian import Newtonian
 
 from .changed import begins
@@ -119,9 +120,9 @@ def test_friction_that_begins_is_told_with_its_onset(known):
     assert onset.ci95[0] <= onset.time_s <= onset.ci95[1]
 
 
-def onset_problem(onset: float, effects) -> GapProblem:
+def onset_problem(onset: float, effects, ends: bool = False) -> GapProblem:
     """A recording of 60 s that is diagnosed by itself."""
-    dataset = begins(effects, onset, values=VALUES, seconds=60.0, seed=21)
+    dataset = begins(effects, onset, values=VALUES, seconds=60.0, seed=21, ends=ends)
     return GapProblem(
         model=MODEL,
         model_name="newtonian",
@@ -146,6 +147,22 @@ def test_what_begins_within_a_recording_is_told_against_its_beginning():
     assert any("the first 15 s, taken for the known state" in text for text in found.warnings)
     # friction throughout is in both parts
     assert diagnose_onset(onset_problem(0.0, rubbing)) is None
+
+
+@pytest.mark.slow
+def test_what_ends_within_a_recording_is_told_against_its_end():
+    rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
+    problem = onset_problem(27.0, rubbing, ends=True)
+    found = diagnose_onset(problem)
+    assert found is not None
+    assert found.verdict == "effect"
+    assert found.causes[0].effects == ("yaw_coulomb_friction",)
+    onset = found.causes[0].onset
+    assert onset is not None and onset.ends
+    assert onset.time_s == pytest.approx(27.0, abs=1.0)
+    assert "until" in found.sentence and "the end of the recording" in found.sentence
+    # the rig is without it now, and nothing was kept aside
+    assert applied_cause(found) is None and not found.gap
 
 
 def test_the_missing_force_of_a_run_is_the_torque_that_acts():

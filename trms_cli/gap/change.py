@@ -96,8 +96,13 @@ def compare_with(
     left_out: Mapping[str, str],
     jobs: int = 1,
     watch: Callable[[float, str], bool] = lambda share, message: True,
+    *,
+    ends: bool = False,
 ) -> StateComparison:
-    """The same with the known state at hand."""
+    """The same with the known state at hand.
+
+    ``ends``: whether what differs may end within the recordings, and not begin.
+    """
     questioned = NewRecordings.of(known, recorded)
     if not questioned.runs.equations:
         raise ConfigurationError(
@@ -105,7 +110,7 @@ def compare_with(
             where="against",
             remedy="compare recordings that have the channels of the model's outputs",
         )
-    evidence = ChangeEvidence(questioned)
+    evidence = ChangeEvidence(questioned, ends=ends)
     count = len(known.free) + len(candidates) + 2
     found = []
     for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):

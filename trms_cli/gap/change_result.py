@@ -52,8 +52,10 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
     change = {}
     if verdict == "parameters_only" and best.began is None:
         change[best.difference.name] = (float(best.value[0]), float(best.sd[0]))
-    added = _added(found, verdict, causes)
-    shrinkage = change_shrinkage(problem, found, added)
+    # of what has ended the known state is the part that free runs are made on: nothing is left
+    ended = best.began is not None and best.began.ends
+    added = None if ended else _added(found, verdict, causes)
+    shrinkage = None if ended else change_shrinkage(problem, found, added)
     remarks = [remark for d in (*problem.datasets, *problem.against) for remark in d.remarks]
     return DiagnosisResult(
         recordings=diagnosed_recordings(problem.datasets),
@@ -86,7 +88,7 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         moved=_moved(found, mean_pitch(problem.datasets)),
         rejected=_rejected(found),
         excitation=poor_excitation(problem.model, problem.datasets),
-        sentence=change_sentence(found, verdict, _known_words(problem), shrinkage),
+        sentence=change_sentence(found, verdict, _known_words(problem, ended), shrinkage),
         race=_race(found),
         warnings=(*problem.warnings, *dict.fromkeys(remarks)),
         effort=problem.effort,
@@ -124,11 +126,12 @@ def _answer(found: StateComparison, verdict: Verdict) -> DifferenceScore:
     return group[0]
 
 
-def _known_words(problem: GapProblem) -> str:
+def _known_words(problem: GapProblem, ended: bool) -> str:
     """What the recordings in question are compared with."""
     count = len(problem.against)
     if not count:
-        return "the beginning of the recording" + ("s" if len(problem.datasets) > 1 else "")
+        several = "s" if len(problem.datasets) > 1 else ""
+        return f"the {'end' if ended else 'beginning'} of the recording{several}"
     return f"the known state ({count} recording{'s' if count > 1 else ''})"
 
 
@@ -416,14 +419,15 @@ def change_sentence(
             f"Something changed against {known} that is none of the differences tried, with "
             f"probability {found.unnamed:.2f}; it acts mostly on the {where}."
         )
-    since = ""
+    since, differs = "", "differs"
     if best.began is not None:
         low, high = best.began.ci95
-        since = f", since {best.began.time_s:.1f} s ({low:.1f} to {high:.1f} s)"
+        word, differs = ("until", "differed") if best.began.ends else ("since", "differs")
+        since = f", {word} {best.began.time_s:.1f} s ({low:.1f} to {high:.1f} s)"
     group = _group(found)
     together = float(found.probabilities[group].sum())
     others = [_name(found.judged[k]) for k in group if found.judged[k] is not best]
-    text = f"Against {known} the {place} differs{since}: {_name(best)}"
+    text = f"Against {known} the {place} {differs}{since}: {_name(best)}"
     told = sizes(dict(list(_sizes(best).items())[:1]))
     text += f" ({told})" if told else ""
     if others:

@@ -79,10 +79,11 @@ class SizeEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Onset:
-    """When a cause begins within the recordings."""
+    """When a cause begins within the recordings, or ends."""
 
     time_s: float  #: s, from the beginning of the recording that it begins in
     ci95: tuple[float, float]  #: s
+    ends: bool = False  #: Whether it acts until then, and not from then on
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,11 +71,12 @@ class _Law:
 class ChangeEvidence:
     """Log evidence of whatever may have happened to recordings in question.
 
-    Of all windows in which an equation's force was measured, n together.
+    Of all windows in which an equation's force was measured, n together. ``ends``: whether what
+    happened may end within them, and not begin.
     """
 
-    def __init__(self, questioned: NewRecordings) -> None:
-        self.questioned = questioned
+    def __init__(self, questioned: NewRecordings, *, ends: bool = False) -> None:
+        self.questioned, self.ends = questioned, ends
         self.known, self.runs, self.forces = questioned.known, questioned.runs, questioned.forces
         self.series = self.known.series(self.runs, self.forces)
         #: By equation: (m,) arrays of bool; where something was measured
@@ -114,7 +115,15 @@ class ChangeEvidence:
     def onsets(self) -> tuple[FloatArray, float, FloatArray]:
         """Onsets that are tried first (t, 2), the time in s that each stands for, their gates."""
         onsets, step = _onsets(self.runs)
-        return onsets, step, _gates(self.runs, onsets)
+        return onsets, step, self.gates(onsets)
+
+    def gates(self, onsets: FloatArray) -> FloatArray:
+        """Share of a unit force that each window shows if it begins, or ends, at each onset.
+
+        (k, m, e) array.
+        """
+        gates = _gates(self.runs, onsets)
+        return 1.0 - gates if self.ends else gates
 
     def with_covariance(self, e: int, covariance: FloatArray) -> float:
         """Log evidence of a further force on an equation, (m_e, m_e) its covariance."""
@@ -241,7 +250,7 @@ def judge(
             near = near[near[:, 1] > 0]
             same = (onsets[:, 0] == at[0]) & (np.abs(onsets[:, 1] - at[1]) < step * _REACH)
             coarse.log[same] = -np.inf
-            again = _gates(evidence.runs, near)
+            again = evidence.gates(near)
             begins.append(_gated(evidence, family, near, again, fine / whole))
     best = max((*always, *begins), key=lambda trial: np.max(trial.log, initial=-np.inf))
     t, k = np.unravel_index(int(np.argmax(best.log)), best.log.shape)
@@ -252,6 +261,7 @@ def judge(
     if len(best.onsets):
         recording = int(best.onsets[t, 0])
         onset = _most_probable(begins, recording, float(best.onsets[t, 1]))
+        onset = replace(onset, ends=evidence.ends)
     shape = replace(family, change=family.change[[k]], slope=family.slope[[k]])
     if family.jump is not None:
         jump = family.jump
@@ -259,7 +269,7 @@ def judge(
     change, slope = shape.change, shape.slope
     if onset is not None:
         at = best.onsets[t : t + 1]
-        change, slope = (v[0] for v in _from(evidence.runs, shape, at, _gates(evidence.runs, at)))
+        change, slope = (v[0] for v in _from(evidence, shape, at, evidence.gates(at)))
     return DifferenceScore(
         difference,
         _together(always),
@@ -285,7 +295,7 @@ def _gated(
     share: float,
 ) -> _Trial:
     """A family from some onsets on; ``share``: prior of each onset."""
-    change, slope = _from(evidence.runs, family, onsets, gates)
+    change, slope = _from(evidence, family, onsets, gates)
     change, slope = (v.reshape(-1, *gates.shape[1:]) for v in (change, slope))
     shape = len(gates), len(family.prior)
     value, part, sd = (v.reshape(shape) for v in evidence.of(change, slope))
@@ -293,19 +303,24 @@ def _gated(
 
 
 def _from(
-    runs: ShortRuns, family: DifferenceFamily, onsets: FloatArray, gates: FloatArray
+    evidence: ChangeEvidence, family: DifferenceFamily, onsets: FloatArray, gates: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What a family adds from each onset on, change and slope, (t, k, m, e) each."""
+    """What a family adds from each onset on, or until it; change and slope, (t, k, m, e) each."""
     change, slope = (gates[:, None] * v for v in (family.change, family.slope))
     if family.jump is not None:
-        _put_jumps(runs, onsets, family.jump, change, slope)
+        _put_jumps(evidence, onsets, family.jump, change, slope)
     return change, slope
 
 
 def _put_jumps(
-    runs: ShortRuns, onsets: FloatArray, jump: SensorJump, change: FloatArray, slope: FloatArray
+    evidence: ChangeEvidence,
+    onsets: FloatArray,
+    jump: SensorJump,
+    change: FloatArray,
+    slope: FloatArray,
 ) -> None:
     """In each onset's window, of changes (t, k, m, e), what a sensor that jumps there shows."""
+    runs, back = evidence.runs, -1.0 if evidence.ends else 1.0
     step = runs.windows.sample_time
     for t, (recording, time) in enumerate(onsets):
         within = (runs.recording == recording) & (runs.begin < time)
@@ -315,7 +330,7 @@ def _put_jumps(
             sample = min(into, jump.change.shape[2] - 1)
             for v, seen in ((change, jump.change), (slope, jump.slope)):
                 v[t, :, j] = 0.0
-                v[t, :, j, jump.equation] = seen[:, j, sample]
+                v[t, :, j, jump.equation] = back * seen[:, j, sample]
 
 
 def _most_probable(trials: Sequence[_Trial], recording: int, at: float) -> Onset:

@@ -114,6 +114,12 @@ def _since(diagnosis: DiagnosisResult) -> str:
     if first is None or first.onset is None:
         return ""
     onset = first.onset
+    if onset.ends:
+        return (
+            f"It ends {onset.time_s:.1f} s into the recording "
+            f"({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f} s): from then on the model holds "
+            "without it."
+        )
     return (
         f"It begins {onset.time_s:.1f} s into the recording "
         f"({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f} s): before, the model holds without it."
@@ -152,7 +158,7 @@ def _measures(diagnosis: DiagnosisResult) -> Iterator[report.Measure]:
     if first is not None and first.onset is not None:
         onset = first.onset
         note = f"s ({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f}) into the recording"
-        yield report.Measure("since", f"{onset.time_s:.1f}", note=note)
+        yield report.Measure("until" if onset.ends else "since", f"{onset.time_s:.1f}", note=note)
     rows = diagnosis.shrink.get("all", {})
     horizon = shown_horizon(rows)
     shrink = rows.get(horizon)

@@ -1,4 +1,4 @@
-"""Whether something began within the recordings: their first part is the known state then.
+"""Whether something began within the recordings, or ended: a part of them is the known state then.
 
 Most rigs that change do so while they run: a mass is hung on, a cable is caught, a supply sags. The
 first quarter of each recording (where that leaves it open, the first half), with all that its model
@@ -6,6 +6,10 @@ lacks there, is taken for what the rig was like, and the rest is questioned agai
 from the beginning to the end is in both, and is no change. A first look tries parameters and
 constant torques alone, which any cause resembles to some degree; only where it sees something are
 the effects tried.
+
+What ends is questioned against the last part. An effect whose size has a sign of its own (friction
+is never negative) tells the two apart: of a torque, a parameter or a sensor's bias the end is the
+beginning of its opposite, and is told so.
 """
 
 from collections.abc import Callable
@@ -17,7 +21,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
-from trms_cli.gap.diagnosis import DiagnosisResult, Onset
+from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.known_state import known_state
 from trms_cli.gap.problem import (
     GapProblem,
@@ -37,6 +41,8 @@ _FIRST, _LEAST = (0.25, 0.5), 10.0
 _CALM, _LOOKED_AT, _TOLD = 0.75, 0.5, 0.05
 #: Probability that something else changed, up to which something is told.
 _OTHER = 0.5
+#: nats by which an end has to be more probable than a beginning.
+_RATHER_ENDS = 3.0
 
 
 def diagnose_onset(
@@ -55,18 +61,60 @@ def diagnose_onset(
             return None
         try:
             look, found = _compared(problem, recorded, cuts, watch)
+            ended = None if found is None else _ended(problem, recorded, cuts, watch)
         except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
             return None  # a look that fails is no reason to lose a diagnosis
-        clear = found is not None and found.unchanged < _TOLD and found.unnamed < _OTHER
-        if clear and found is not None and found.judged[0].began is not None:
-            times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
-            result = change_result(problem, _later(found, times))
-            told = ", ".join(f"{t:.3g}" for t in times)
-            warning = f"what began is told against the first {told} s, taken for the known state"
-            return replace(result, warnings=(*result.warnings, warning))
+        times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
+        told = ", ".join(f"{t:.3g}" for t in times)
+        if ended is not None and _clear(ended) and _rather(ended, found):
+            return _with_warning(
+                change_result(problem, ended),
+                f"what ended is told against the last {told} s, taken for the known state",
+            )
+        if found is not None and _clear(found):
+            return _with_warning(
+                change_result(problem, _later(found, times)),
+                f"what began is told against the first {told} s, taken for the known state",
+            )
         if look.unchanged > _CALM:
             return None
     return None
+
+
+def _clear(found: StateComparison) -> bool:
+    """Whether something changed, at a moment, and has a name."""
+    known = found.unchanged < _TOLD and found.unnamed < _OTHER
+    return known and found.judged[0].began is not None
+
+
+def _rather(ended: StateComparison, began: StateComparison | None) -> bool:
+    """Whether an effect that ends explains more than anything that begins."""
+    if ended.judged[0].difference.kind != "effect":
+        return False
+    return began is None or float(ended.gains[0] - began.gains[0]) > _RATHER_ENDS
+
+
+def _with_warning(result: DiagnosisResult, warning: str) -> DiagnosisResult:
+    return replace(result, warnings=(*result.warnings, warning))
+
+
+def _ended(
+    problem: GapProblem,
+    recorded: list[Dataset],
+    cuts: list[int],
+    watch: Callable[[float, str], bool],
+) -> StateComparison:
+    """The beginnings of recordings against their last parts."""
+    pairs = list(zip(recorded, cuts, strict=True))
+    last = [d.part(len(d) - cut, len(d)) for d, cut in pairs]
+    before = [d.part(0, len(d) - cut) for d, cut in pairs]
+    known = known_state(problem.model, nominal_parameters(problem.model), last)
+    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
+
+    def later(share: float, said: str) -> bool:
+        return watch(0.65 + 0.35 * share, said)
+
+    return compare_with(known, before, candidates, left_out, problem.jobs, later, ends=True)
 
 
 def _compared(
@@ -79,14 +127,14 @@ def _compared(
     first = [d.part(0, cut) for d, cut in zip(recorded, cuts, strict=True)]
     rest = [d.part(cut, len(d)) for d, cut in zip(recorded, cuts, strict=True)]
     known = known_state(problem.model, nominal_parameters(problem.model), first)
-    look = compare_with(known, rest, {}, {}, watch=lambda share, said: watch(share / 2, said))
-    watch(0.5, "since when")
+    look = compare_with(known, rest, {}, {}, watch=lambda share, said: watch(0.3 * share, said))
+    watch(0.3, "since when")
     if look.unchanged > _LOOKED_AT:
         return look, None
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
 
     def later(share: float, said: str) -> bool:
-        return watch(0.5 + share / 2, said)
+        return watch(0.3 + 0.35 * share, said)
 
     return look, compare_with(known, rest, candidates, left_out, problem.jobs, later)
 
@@ -99,6 +147,6 @@ def _later(found: StateComparison, times: list[float]) -> StateComparison:
         if onset is not None:
             by = times[j.recording]
             low, high = onset.ci95
-            onset = Onset(time_s=onset.time_s + by, ci95=(low + by, high + by))
+            onset = replace(onset, time_s=onset.time_s + by, ci95=(low + by, high + by))
         judged.append(replace(j, onset=onset))
     return replace(found, judged=tuple(judged), begins=tuple(times))

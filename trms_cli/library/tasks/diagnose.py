@@ -392,6 +392,8 @@ def applied_cause(diagnosis: DiagnosisResult) -> Cause | None:
         return None
     if diagnosis.verdict not in ("effect", "undecided"):
         return None
+    if first.onset is not None and first.onset.ends:
+        return None  # the rig is without it now
     # a torque from outside or a coarse sensor beside it is no part of a model
     fitted = tuple(
         name
@@ -415,6 +417,8 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
     if diagnosis.against and diagnosis.residual:
         named = " with ".join(diagnosis.residual)
         return f"the model fitted to the known state with {named}, which stands in for what pulls"
+    if first is not None and first.onset is not None and first.onset.ends:
+        return f"the model fitted to the end of the recordings, when {first.effects[0]} had ended"
     if diagnosis.verdict == "effect" and first is not None:
         return f"{refit}: {' with '.join(first.effects)} was not fitted, so it is not added"
     if diagnosis.residual:
