@@ -33,7 +33,7 @@ from trms_cli.gap.problem import (
     poor_excitation,
 )
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
-from trms_cli.gap.wording import sizes
+from trms_cli.gap.wording import probability_text, sizes
 
 #: Probability from which a verdict is given, and below which a cause is not told.
 _DECIDED, _LEAST = 0.5, 0.002
@@ -409,7 +409,7 @@ def change_sentence(
     place = listing([readable(p) for p in best.difference.locations], "and")
     if verdict == "no_change":
         return (
-            f"Nothing changed against {known}, with probability {found.unchanged:.2f}: what these "
+            f"Nothing changed against {known}, with probability {probability_text(found.unchanged)}: what these "
             "recordings lack is what those lack, within what they differ among themselves."
         )
     if verdict == "none_of_these":
@@ -417,13 +417,13 @@ def change_sentence(
         where = readable(found.questioned.runs.equations[e].location)
         return (
             f"Something changed against {known} that is none of the differences tried, with "
-            f"probability {found.unnamed:.2f}; it acts mostly on the {where}."
+            f"probability {probability_text(found.unnamed)}; it acts mostly on the {where}."
         )
     since, differs = "", "differs"
     if best.began is not None:
         low, high = best.began.ci95
-        word, differs = ("until", "differed") if best.began.ends else ("since", "differs")
-        since = f", {word} {best.began.time_s:.1f} s ({low:.1f} to {high:.1f} s)"
+        since, differs = (" until", "differed") if best.began.ends else (", since", "differs")
+        since += f" {best.began.time_s:.1f} s ({low:.1f} to {high:.1f} s)"
     group = _group(found)
     together = float(found.probabilities[group].sum())
     others = [_name(found.judged[k]) for k in group if found.judged[k] is not best]
@@ -432,7 +432,7 @@ def change_sentence(
     text += f" ({told})" if told else ""
     if others:
         text += f", or what these recordings do not tell from it, {listing(others, 'or')}"
-    text += f", with probability {together:.2f}"
+    text += f", with probability {probability_text(together)}"
     if verdict == "undecided":
         return (
             f"These recordings do not decide what changed. Likeliest: {text[0].lower()}{text[1:]}."

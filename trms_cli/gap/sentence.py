@@ -6,7 +6,7 @@ from trms_cli.core.wording import gap_share, listing, number, quantity, readable
 from trms_cli.gap.diagnosis import Cause, LocationShare, MovedParameter
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
-from trms_cli.gap.wording import sizes
+from trms_cli.gap.wording import probability_text, sizes
 
 #: Probability from which a cause that is not told apart is worth its name.
 LEAST_ALIKE = 0.01
@@ -34,21 +34,21 @@ def sentence(
     if posterior.verdict == "no_gap":
         return (
             "No gap was found, with probability "
-            f"{_sure(top.probability)}: the model as it is needs neither an effect nor other "
+            f"{probability_text(top.probability)}: the model as it is needs neither an effect nor other "
             "parameters to explain these recordings." + _above_floor(shrinkage)
         )
     if posterior.verdict == "parameters_only":
         which = listing([item.words for item in moved[:_MOVED_TOLD]])
         return (
             "No effect is missing: other values of the parameters explain these recordings, with "
-            f"probability {_sure(top.probability)}"
+            f"probability {probability_text(top.probability)}"
             + (f"; what moved is likeliest the {which}." if which else ".")
             + _left_over(shrinkage)
         )
     if posterior.verdict == "none_of_these":
         return (
             f"Something is missing that is none of the effects known here, with probability "
-            f"{_sure(top.probability)}; it acts mostly on {place}."
+            f"{probability_text(top.probability)}; it acts mostly on {place}."
             + "".join(f" {w}" for w in law[:1])
         )
     if posterior.verdict == "undecided":
@@ -62,7 +62,7 @@ def sentence(
     causes_it = "causes it" if len(top.effects) == 1 else "cause it"
     text = (
         f"The gap lies in {place}, and {_effects(top.effects)} {causes_it}, with probability "
-        f"{_sure(top.probability)}" + (f" ({told})" if told else "")
+        f"{probability_text(top.probability)}" + (f" ({told})" if told else "")
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
@@ -79,11 +79,6 @@ def sentence(
     if others:
         text += f". These recordings do not tell it from {_effects(others, 'or')}"
     return text + "." + _still_missing(shrinkage)
-
-
-def _sure(probability: float) -> str:
-    """A probability that never reads as certain."""
-    return "over 0.99" if probability >= 0.995 else f"{probability:.2f}"
 
 
 def _left_over(shrinkage: Shrinkage) -> str:

@@ -24,6 +24,11 @@ def cause_name(effects: Sequence[str]) -> str:
     return plain.get(tuple(effects)) or " with ".join(wording.readable(name) for name in effects)
 
 
+def probability_text(probability: float) -> str:
+    """A probability that never reads as certain: ``0.87``, ``over 0.99``."""
+    return "over 0.99" if probability >= 0.995 else f"{probability:.2f}"
+
+
 def place_name(location: str) -> str:
     """``yaw_moment`` as yaw moment."""
     return location.replace("_", " ")
