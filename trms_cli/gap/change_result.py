@@ -409,8 +409,9 @@ def change_sentence(
     place = listing([readable(p) for p in best.difference.locations], "and")
     if verdict == "no_change":
         return (
-            f"Nothing changed against {known}, with probability {probability_text(found.unchanged)}: what these "
-            "recordings lack is what those lack, within what they differ among themselves."
+            f"Nothing changed against {known}, with probability "
+            f"{probability_text(found.unchanged)}: what these recordings lack is what those lack, "
+            "within what they differ among themselves."
         )
     if verdict == "none_of_these":
         e = int(np.argmax(found.by_equation))

@@ -34,8 +34,8 @@ def sentence(
     if posterior.verdict == "no_gap":
         return (
             "No gap was found, with probability "
-            f"{probability_text(top.probability)}: the model as it is needs neither an effect nor other "
-            "parameters to explain these recordings." + _above_floor(shrinkage)
+            f"{probability_text(top.probability)}: the model as it is needs neither an effect nor "
+            "other parameters to explain these recordings." + _above_floor(shrinkage)
         )
     if posterior.verdict == "parameters_only":
         which = listing([item.words for item in moved[:_MOVED_TOLD]])
