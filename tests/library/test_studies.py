@@ -1,5 +1,6 @@
 """Fits, validations, diagnoses, excitations and studies from Python, and what they hand on."""
 
+import html
 import json
 
 import pytest
@@ -70,7 +71,9 @@ def test_a_study_answers_in_sentences_also_of_objects(here):
     named = stability("margins", controller="lqr", page=False)
     given = stability("margins", controller=build("controller", "lqr"), page=False)
     assert named.results == given.results and named.lead and named.tables[0].attrs["caption"]
-    assert "<table>" in named._repr_html_()
+    shown = named._repr_html_()
+    assert "<table>" in shown
+    assert shown.count(html.escape(named.sentence)) == 1  # it is the heading, and told once
     with pytest.raises(TrmsError):
         stability("margins", page=False)
 

@@ -58,7 +58,8 @@ def _cell(value: Any) -> str:
 def findings(told: Findings, headline: str, paths: Mapping[str, Path | None]) -> str:
     """What a study has to tell, with the tables of a terminal and what was written."""
     parts = [paragraph(headline, bold=True)]
-    parts += [paragraph(sentence.replace("**", "")) for sentence in told.lead]
+    lead = [sentence.replace("**", "") for sentence in told.lead]
+    parts += [paragraph(sentence) for sentence in lead if sentence != headline]
     parts += [paragraph(f"Note: {warning}") for warning in told.warnings]
     for one in told.tables:
         if one.on_screen and one.rows:
