@@ -1,6 +1,5 @@
 """Fits, validations, diagnoses, excitations and studies from Python, and what they hand on."""
 
-import html
 import json
 
 import pytest
@@ -17,6 +16,8 @@ from trms_cli import (
     sweep,
     validate,
 )
+from trms_cli.core.findings import Findings
+from trms_cli.library import html
 
 
 @pytest.fixture(scope="module")
@@ -71,11 +72,17 @@ def test_a_study_answers_in_sentences_also_of_objects(here):
     named = stability("margins", controller="lqr", page=False)
     given = stability("margins", controller=build("controller", "lqr"), page=False)
     assert named.results == given.results and named.lead and named.tables[0].attrs["caption"]
-    shown = named._repr_html_()
-    assert "<table>" in shown
-    assert shown.count(html.escape(named.sentence)) == 1  # it is the heading, and told once
+    assert "<table>" in named._repr_html_()
     with pytest.raises(TrmsError):
         stability("margins", page=False)
+
+
+def test_a_sentence_that_is_the_heading_is_shown_once():
+    shown = html.findings(
+        Findings("Diagnosis", ["It sticks.", "**Sure**: friction."], ()), "It sticks.", {}
+    )
+    assert shown.count("It sticks.") == 1
+    assert "Sure: friction." in shown
 
 
 @pytest.mark.slow
