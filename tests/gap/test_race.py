@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import QUANTUM, TACHO_NOISE
+from trms_cli.gap.beginning import GatedWindows, beginning_at, begins_at, onset_of
 from trms_cli.gap.competing_model import FittedModel, nominal_parameters, refit
 from trms_cli.gap.diagnose import diagnose
 from trms_cli.gap.diagnosis import GapTest
@@ -194,6 +195,56 @@ def test_a_cause_with_a_state_of_its_own_is_told_whole():
     assert found.inclusion["yaw_cable_hysteresis"] == pytest.approx(found.causes[0].probability)
     assert [row.effect for row in found.rejected] == ["pitch_quadratic_damping"]
     assert "yaw_cable_hysteresis" not in {row.effect for row in found.not_testable}
+
+
+def test_friction_that_begins_is_found_with_its_moment_and_size():
+    rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.002)}
+    seen = begins(rubbing, 27.0, values={"k_fvp": 1.66e-5}, seconds=70.0, seed=9)
+    kept: dict[str, object] = {}
+    checkpoint = Checkpoint(keep=lambda everything: kept.update(everything))
+    found = raced(with_noise(seen), checkpoint, effort=Effort(4, 3, 2, 2))
+    best = max(found.entries, key=lambda entry: entry.fit.score)
+    assert best.names == ("yaw_coulomb_friction",)
+    assert begins_at(best) in (2, 3)  # of blocks of ten seconds
+    assert best.values["yaw_coulomb_friction.torque"] == pytest.approx(0.002, rel=0.1)
+    onset = onset_of(best)
+    assert onset is not None and not onset.ends
+    assert onset.time_s == pytest.approx(27.0, abs=0.5)
+    assert onset.ci95[0] <= onset.time_s <= onset.ci95[1]
+    # a race that goes on after its fits were kept ends alike
+    again = raced(with_noise(seen), Checkpoint(kept), effort=Effort(4, 3, 2, 2))
+    scores = [[e.fit.score for e in race.entries] for race in (found, again)]
+    assert scores[1] == pytest.approx(scores[0], abs=1e-3)
+
+
+def test_friction_throughout_has_no_beginning(friction):
+    assert all(begins_at(entry) is None for entry in friction.entries)
+    found = raced(rubbing(), effort=Effort(4, 3, 2, 2))
+    best = max(found.entries, key=lambda entry: entry.fit.score)
+    assert best.names == ("yaw_coulomb_friction",)
+    assert begins_at(best) is None and onset_of(best) is None
+
+
+def test_windows_before_a_beginning_are_those_without_the_effect(friction):
+    """And the slopes of what is simulated from some sample on are those of differences."""
+    entry = friction.entries[0]
+    gated = beginning_at(entry.structure, 2).windows
+    assert isinstance(gated, GatedWindows)
+    p, starts = gated.problem.all_values(entry.fit.theta), entry.fit.starts
+    made = gated.residuals(p, starts, slopes=True)
+    whole, without = (entry.structure.windows.residuals(v, starts) for v in (p, gated.without(p)))
+    assert np.array_equal(made.r[:2], without.r[:2]) and np.array_equal(made.r[2:], whole.r[2:])
+    size = gated.n_x + gated.problem.names.index("yaw_coulomb_friction.torque")
+    assert made.j is not None
+    assert not made.j[:2, ..., size].any() and made.j[2:, ..., size].any()
+    # all of a window with the effect, and none of it
+    r, slopes = gated.joined(2, p, starts, [0, 130, int(gated.count[2])])
+    assert r[0] == pytest.approx(whole.r[2], abs=1e-12)
+    assert r[2] == pytest.approx(without.r[2], abs=1e-12)
+    moved = starts.copy()
+    moved[2, 0] += 1e-6
+    ahead, _ = gated.joined(2, p, moved, [130])
+    assert (ahead[0] - r[1]) / 1e-6 == pytest.approx(slopes[1, ..., 0], abs=1e-3)
 
 
 def test_axes_that_are_held_are_told_in_one_sentence():

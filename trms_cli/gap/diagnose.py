@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.belief import calibration
 from trms_cli.gap.competing_model import Refit, about_priors, nominal_parameters, refit
 from trms_cli.gap.diagnosis import DiagnosisResult
@@ -172,7 +173,8 @@ _OWED, _OWED_SHARE = 30.0, 0.05
 def _unexplained(posterior: Posterior) -> bool:
     """Whether no cause that acts from end to end explains what the refit leaves."""
     features, top = posterior.features, next(iter(posterior.probabilities))
-    if features.behind < _OWED:
+    begins = posterior.corrected is not None and begins_at(posterior.corrected) is not None
+    if features.behind < _OWED or begins:
         return False
     if posterior.verdict in ("none_of_these", "undecided", "parameters_only"):
         return True

@@ -1,7 +1,7 @@
 """What the stages of a diagnosis have found, as one diagnosis: verdict, causes, places, tables."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.core.findings import json_data
 from trms_cli.core.wording import listing
 from trms_cli.gap import free_runs
+from trms_cli.gap.beginning import onset_of
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
@@ -218,15 +219,13 @@ def _causes(stages: StageResults) -> tuple[Cause, ...]:
             effects=effects,
             probability=probability,
             parameters=_sizes(fitted) if (fitted := posterior.fitted(race, effects)) else {},
+            onset=onset_of(fitted) if fitted and probability >= _LEAST_PROBABILITY else None,
         )
         for effects, probability in posterior.probabilities.items()
         if probability >= _LEAST_PROBABILITY or effects[0] in NO_EFFECT
     ]
     total = sum(cause.probability for cause in causes)
-    return tuple(
-        Cause(effects=c.effects, probability=c.probability / total, parameters=c.parameters)
-        for c in causes
-    )
+    return tuple(replace(cause, probability=cause.probability / total) for cause in causes)
 
 
 def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:

@@ -16,6 +16,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.gap.beginning import (
+    beginning_at,
+    begins_at,
+    later_and_better,
+    promised_beginnings,
+)
 from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.discrepancy import FLOOR
 from trms_cli.gap.problem import CandidateEffect, is_amplitude
@@ -30,6 +36,9 @@ _TIGHTER = 3.0
 _HOPELESS = 1.5
 #: Nats of held-out prediction that another effect must add to be taken in.
 _ENTRANCE = 6.0
+#: Nats that an effect must promise, and add, from some moment on beyond what it does throughout:
+#: the moment is one more choice.
+_LATER = 10.0
 #: Nats that an effect must promise beside others for rivals to be tried in its stead: what promises
 #: such a share of it, or has a trace with such a cosine to its own.
 _WORTH_EXCHANGING, _RIVAL, _RIVAL_TRACE = 10.0, 0.5, 0.7
@@ -131,7 +140,10 @@ def run_race(
     search = _Search(refit, candidates, traces, effort, checkpoint or Checkpoint(), jobs, watch)
     everyone = search.alone(signs)
     if everyone and effort.deepest > 1:
+        later = search.later(everyone)
         everyone += search.together(signs, everyone)
+        # from some moment on in place of throughout, where that says clearly more
+        everyone = [later.pop(entry.names, entry) for entry in everyone] + [*later.values()]
     everyone.sort(key=lambda e: -e.fit.score)
     return Race(refit, tuple(everyone), wide, tight)
 
@@ -208,6 +220,36 @@ class _Search:
         entries.sort(key=lambda e: -e.fit.score)
         self._least = max((entry.fit.score for entry in entries), default=-np.inf)
         return self._each(final, entries[: effort.finalists], (0.55, 0.75), "comparing")
+
+    def later(self, alone: Sequence[FittedModel]) -> dict[tuple[str, ...], FittedModel]:
+        """Single effects that begin within the recordings, by their names."""
+        refit, least = self._refit, self._refit.fit.score
+        gains = promised_beginnings(refit, self._traces)
+        chosen = later_and_better(gains, self._traces.names, _LATER, self._effort.finalists)
+        known = {entry.names: entry.fit.score for entry in alone}
+
+        def begun(name: str) -> FittedModel:
+            candidate, (row, window) = self._candidates[name], chosen[name]
+            structure = refit.structure.with_effects(candidate)
+            sizes = _sizes_of_row(candidate, self._traces.sizes[row])
+
+            def search(first: int) -> FittedModel:
+                gated = beginning_at(structure, first)
+                return self._once(
+                    f"from {first} {name}", gated, lambda: self._found(gated, [sizes, sizes])
+                )
+
+            ends = [search(first) for first in sorted({window, max(window - 1, 1)})]
+            best = max(ends, key=lambda e: e.fit.score)
+            key = f"final from {begins_at(best)} {name}"
+            return self._once(key, best.structure, best.in_own_metric)
+
+        made = self._each(begun, list(chosen), (0.75, 0.8), "since when {}")
+        return {
+            entry.names: entry
+            for entry in made
+            if entry.fit.score > max(known.get(entry.names, least), least) + _LATER
+        }
 
     def together(
         self, signs: Sequence[Signatures], alone: Sequence[FittedModel]
@@ -477,6 +519,10 @@ def _other_frequencies(
         chosen.setdefault(float(sign.sizes[row][at]), row)
     others = list(chosen.values())[1 : 1 + _FREQUENCIES]
     return [_scaled_sizes(candidate, sign, row, least) for row in others]
+
+
+def _sizes_of_row(candidate: CandidateEffect, values: FloatArray) -> dict[str, float]:
+    return {free.name: float(v) for free, v in zip(candidate.free, values, strict=True)}
 
 
 def _scaled_sizes(

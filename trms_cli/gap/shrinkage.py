@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import WORSE, Gap, Shrink
 from trms_cli.gap.free_runs import (
@@ -242,7 +243,10 @@ def _in_turn(
     windows = refit.structure.windows
     ends = np.cumsum([len(dataset) for dataset in windows.datasets])
     made: list[list[Errors]] = [[], []]
+    acts = begins_at(corrected) or 0  # before, the corrected model is not the rig's
     for j, (first, count) in enumerate(zip(windows.first, windows.count, strict=True)):
+        if j < acts:
+            continue
         number = int(np.searchsorted(ends, first, side="right"))
         begin = int(first - (ends[number] - len(windows.datasets[number])))
         span = (number, begin, begin + int(count))

@@ -7,7 +7,7 @@ the same trace: before anything is fitted, and without looking at what the rig a
 trajectory about which the noise is propagated.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,10 +45,7 @@ class Signatures:
     @property
     def gain(self) -> FloatArray:
         """Nats by which each row lowers the cost, its change taken up to three times, (k,)."""
-        left = np.maximum(self.left, 1e-12)
-        by = np.clip(self.towards / left, 0.0, 3.0)
-        gain: FloatArray = by * self.towards - 0.5 * by**2 * left
-        return np.maximum(gain, 0.0)
+        return projected_gain(np.maximum(self.left, 1e-12), self.towards)
 
     def pairs(self, least: float) -> list[tuple[float, int, int]]:
         """Pairs of rows of two effects, best first, each pair of effects once.
@@ -173,29 +170,12 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
 
     ``fitted``: the nominal model, or one with an effect: then its sizes are among the parameters.
     """
-    fit, objective, windows = fitted.fit, fitted.objective, fitted.structure.windows
-    point = fit.point
-    residuals = objective.simulated(point, fit.starts, slopes=True)
-    base, slopes = residuals.r, objective.slopes(residuals)
-    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-    scales = np.concatenate([windows.spread, objective.scales])
-    n, n_f, count = windows.n_x, len(point), len(traces.names)
-    total = np.zeros((n_f + count + 1, n_f + count + 1))
-    raw = np.zeros(count)
-    gaps = (fit.starts - objective.centres) / windows.spread
-    for j in range(0, len(windows), _AT_ONCE):
-        rows = slice(j, j + _AT_ONCE)
-        changes = np.moveaxis(traces.changes[:, rows], 0, -1)
-        parts = [slopes[rows] * scales, changes, base[rows][..., None]]
-        white = _part(fitted.metric, rows, np.concatenate(parts, axis=-1))
-        flat = white.reshape(white.shape[0], -1, white.shape[-1])
-        gram = np.swapaxes(flat, 1, 2) @ flat
-        own = gram[:, :n, :n] + np.eye(n)
-        across = gram[:, :n, n:].copy()
-        across[..., -1] += gaps[rows]
-        inner = gram[:, n:, n:] - np.swapaxes(across, 1, 2) @ np.linalg.solve(own, across)
-        total += inner.sum(axis=0)
-        raw += np.einsum("mii->i", gram[:, n + n_f : -1, n + n_f : -1])
+    point, objective = fitted.fit.point, fitted.objective
+    n_f, count = len(point), len(traces.names)
+    total, raw = np.zeros((n_f + count + 1, n_f + count + 1)), np.zeros(count)
+    for products, energies in _products(fitted, traces):
+        total += products.sum(axis=0)
+        raw += energies.sum(axis=0)
     root = objective.precisions * objective.scales
     across = total[:n_f, n_f:].copy()
     across[:, -1] += root * (point - objective.means)
@@ -213,7 +193,49 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
     )
 
 
-def _part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
+def projected_gain(left: FloatArray, towards: FloatArray) -> FloatArray:
+    """Nats by which traces lower the cost, their changes taken up to three times, (k,) array.
+
+    ``left``, ``towards``, (k,) arrays: as of :class:`Signatures`.
+    """
+    by = np.clip(towards / left, 0.0, 3.0)
+    return np.asarray(np.maximum(by * towards - 0.5 * by**2 * left, 0.0))
+
+
+def window_products(fitted: FittedModel, traces: EffectTraces) -> Iterator[FloatArray]:
+    """Inner products, of some windows at a time, freed of what the windows' starts can do.
+
+    (m, q, q) arrays: of the whitened slopes in all that is fitted, scaled, the traces, and the
+    residual; q is the number of all these.
+    """
+    return (products for products, _ in _products(fitted, traces))
+
+
+def _products(fitted: FittedModel, traces: EffectTraces) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """The same, with the squared length of each trace, (m, k) array."""
+    fit, objective, windows = fitted.fit, fitted.objective, fitted.structure.windows
+    residuals = objective.simulated(fit.point, fit.starts, slopes=True)
+    base, slopes = residuals.r, objective.slopes(residuals)
+    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+    scales = np.concatenate([windows.spread, objective.scales])
+    n, n_f = windows.n_x, len(fit.point)
+    gaps = (fit.starts - objective.centres) / windows.spread
+    for j in range(0, len(windows), _AT_ONCE):
+        rows = slice(j, j + _AT_ONCE)
+        changes = np.moveaxis(traces.changes[:, rows], 0, -1)
+        parts = [slopes[rows] * scales, changes, base[rows][..., None]]
+        white = whitened_part(fitted.metric, rows, np.concatenate(parts, axis=-1))
+        flat = white.reshape(white.shape[0], -1, white.shape[-1])
+        gram = np.swapaxes(flat, 1, 2) @ flat
+        own = gram[:, :n, :n] + np.eye(n)
+        across = gram[:, :n, n:].copy()
+        across[..., -1] += gaps[rows]
+        inner = gram[:, n:, n:] - np.swapaxes(across, 1, 2) @ np.linalg.solve(own, across)
+        yield inner, np.einsum("mii->mi", gram[:, n + n_f : -1, n + n_f : -1])
+
+
+def whitened_part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
+    """Innovations of columns (m, c, n_y, k) of some windows."""
     system, filter_ = metric.discrepancy.system, metric.filter_
     part = LinearSystem(system.f[rows], system.h[rows], system.seen[rows], system.r, system.start)
     gains = FilterGains(

@@ -411,8 +411,9 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
     if applied is not None:
         named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
         open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
-        of_change = diagnosis.against or applied.onset
-        begun = "fitted to the known state" if of_change else "refitted together"
+        if applied.onset and not diagnosis.against:
+            return f"the nominal model fitted to the recordings with {named}, which begins in them"
+        begun = "fitted to the known state" if diagnosis.against else "refitted together"
         return f"the nominal model {begun} with {named}{open_}"
     if diagnosis.against and diagnosis.residual:
         named = " with ".join(diagnosis.residual)
