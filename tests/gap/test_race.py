@@ -245,6 +245,16 @@ def test_windows_before_a_beginning_are_those_without_the_effect(friction):
     moved[2, 0] += 1e-6
     ahead, _ = gated.joined(2, p, moved, [130])
     assert (ahead[0] - r[1]) / 1e-6 == pytest.approx(slopes[1, ..., 0], abs=1e-3)
+    # from a sample within a window on: slopes in the size are those of differences, too
+    within = beginning_at(entry.structure, 2, 130).windows
+    inside = within.residuals(p, starts, slopes=True)
+    assert inside.j is not None
+    assert np.array_equal(inside.r[2], r[1]) and np.array_equal(inside.r[3], whole.r[3])
+    more = p.copy()
+    more[gated.problem.model.parameters.names.index("yaw_coulomb_friction.torque")] += 1e-7
+    change = (within.residuals(more, starts).r - inside.r)[2] / 1e-7
+    assert change == pytest.approx(inside.j[2, ..., size], rel=1e-2, abs=1e-2)
+    assert not inside.j[2, :130, :, size].any()
 
 
 def test_axes_that_are_held_are_told_in_one_sentence():

@@ -30,13 +30,15 @@ _TAIL = 0.025
 class GatedWindows(Windows):
     """Windows in the first of which the effects do not act.
 
-    ``whole``: the windows of a model with effects. ``effects``: all of these. ``begins``: number of
-    the first window in which they act.
+    ``whole``: the windows of a model with effects. ``effects``: all of these. ``begins``,
+    ``sample``: number of the window, and of the sample in it, from which on they act.
     """
 
-    def __init__(self, whole: Windows, effects: tuple[CandidateEffect, ...], begins: int) -> None:
+    def __init__(
+        self, whole: Windows, effects: tuple[CandidateEffect, ...], begins: int, sample: int = 0
+    ) -> None:
         self.__dict__.update(whole.__dict__)
-        self.begins = begins
+        self.begins, self.sample = begins, sample
         names, free = whole.problem.model.parameters.names, whole.problem.names
         own = {effect.name: effect.effect.parameters() for effect in effects}
         self._vanishing = [
@@ -45,7 +47,7 @@ class GatedWindows(Windows):
             for i, size in enumerate(sizes)
             if is_amplitude(sizes, i)
         ]
-        self._sizes = [k for k, name in enumerate(free) if name.split(".")[0] in own]
+        self._sizes = [self.n_x + k for k, name in enumerate(free) if name.split(".")[0] in own]
 
     def residuals(self, p: FloatArray, starts: FloatArray, *, slopes: bool = False) -> Residuals:
         """As of :class:`Windows`; slopes in the sizes are zero before the effects begin."""
@@ -57,11 +59,17 @@ class GatedWindows(Windows):
             return np.where(late.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
         r, ends = chosen(acting.r, before.r), chosen(acting.ends, before.ends)
-        if acting.j is None or before.j is None or acting.dends is None or before.dends is None:
-            return Residuals(r, None, ends, None)
-        columns = [self.n_x + k for k in self._sizes]
-        before.j[..., columns] = before.dends[..., columns] = 0.0
-        return Residuals(r, chosen(acting.j, before.j), ends, chosen(acting.dends, before.dends))
+        j = dends = None
+        if before.j is not None and before.dends is not None:
+            assert acting.j is not None and acting.dends is not None
+            before.j[..., self._sizes] = before.dends[..., self._sizes] = 0.0
+            j, dends = chosen(acting.j, before.j), chosen(acting.dends, before.dends)
+        if self.sample:
+            own, slope = self.joined(self.begins, p, starts, [self.sample])
+            r[self.begins] = own[0]
+            if j is not None:
+                j[self.begins] = slope[0]
+        return Residuals(r, j, ends, dends)
 
     def without(self, p: FloatArray) -> FloatArray:
         """All parameters with sizes at which the effects vanish, (n_p,) array."""
@@ -74,31 +82,42 @@ class GatedWindows(Windows):
     ) -> tuple[FloatArray, FloatArray]:
         """Window ``j`` if the effects begin at some of its samples.
 
-        Residuals (k, c, n_y), and their slopes in the window's start (k, c, n_y, n_x).
+        Residuals (k, c, n_y), and their slopes in the window's start and in all that is free
+        (k, c, n_y, n_x + n_f). What is remembered of the commands before is taken as it is.
         """
         first, count, n = int(self.first[j]), int(self.count[j]), self.n_x
         without = self.without(p)
         begin = self.with_memory(without, starts)[j : j + 1]
+        n_all, wide = begin.shape[1], n + len(self.rollout.free)
         y = np.zeros((len(samples), *self.target.shape[1:]))
-        slopes = np.zeros((*y.shape, n))
+        slopes = np.zeros((*y.shape, wide))
         for k, sample in enumerate(samples):
-            x, moved = begin, np.eye(begin.shape[1])[:, :n]
+            x, moved = begin, np.eye(n_all, wide)
+            moved[:, n:] = 0.0
             for at, end, values in ((0, sample, without), (sample, count, p)):
-                if end > at:
-                    made = self.rollout.sensitivities(
-                        self._commands, [first + at], [end - at], x, values
-                    )
-                    y[k, at:end] = made.y
-                    slopes[k, at:end] = made.dy[..., : len(moved)] @ moved
-                    x, moved = made.ends, made.dends[0, :, : len(moved)] @ moved
+                if end <= at:
+                    continue
+                made = self.rollout.sensitivities(
+                    self._commands, [first + at], [end - at], x, values
+                )
+                direct, after = made.dy[..., n_all:], made.dends[0, :, n_all:]
+                if values is without:
+                    own = [i - n for i in self._sizes]
+                    direct[..., own] = after[..., own] = 0.0
+                y[k, at:end] = made.y
+                slopes[k, at:end] = made.dy[..., :n_all] @ moved
+                slopes[k, at:end, :, n:] += direct
+                x, moved = made.ends, made.dends[0, :, :n_all] @ moved
+                moved[:, n:] += after
         seen = self.measured[j]
         return np.where(seen, y - self.target[j], 0.0), np.where(seen[..., None], slopes, 0.0)
 
 
-def beginning_at(structure: ModelStructure, window: int) -> ModelStructure:
-    """A structure whose effects act from a window on."""
+def beginning_at(structure: ModelStructure, window: int, sample: int = 0) -> ModelStructure:
+    """A structure whose effects act from a sample of a window on."""
     made = copy.copy(structure)
-    made.windows = GatedWindows(structure.windows, structure.effects, window)
+    whole = structure.windows
+    made.windows = GatedWindows(whole, structure.effects, window, sample)
     return made
 
 
@@ -138,45 +157,63 @@ def promised_beginnings(fitted: FittedModel, traces: EffectTraces) -> FloatArray
 def onset_of(fitted: FittedModel) -> Onset | None:
     """When the effects of a fit begin, of the windows about the first in which they act.
 
-    Flat over the moment before the recordings. None where they act throughout.
+    None where they act throughout.
     """
     windows = fitted.structure.windows
     if not isinstance(windows, GatedWindows):
         return None
-    begins, step = windows.begins, windows.sample_time
+    samples, log = _moments(fitted, windows)
+    start = _beginning_of_recording(windows, windows.begins)
+    at, share = (samples - start) * windows.sample_time, np.exp(log - log.max())
+    order = np.argsort(at, kind="stable")
+    cumulated = np.cumsum(share[order]) / share.sum()
+    low, high = (float(at[order][np.searchsorted(cumulated, q)]) for q in (_TAIL, 1 - _TAIL))
+    best, reach = float(at[int(np.argmax(log))]), _STEP / 2
+    return Onset(time_s=best, ci95=(min(low, best) - reach, max(high, best) + reach))
+
+
+def at_its_moment(fitted: FittedModel, whole: ModelStructure) -> ModelStructure:
+    """The structure whose effects begin where a fit, from some window on, has them begin.
+
+    ``whole``: the same with the effects throughout.
+    """
+    windows = fitted.structure.windows
+    assert isinstance(windows, GatedWindows)
+    samples, log = _moments(fitted, windows)
+    moment = int(samples[int(np.argmax(log))])
+    window = int(np.searchsorted(windows.first, moment, side="right")) - 1
+    return beginning_at(whole, window, moment - int(windows.first[window]))
+
+
+def _moments(fitted: FittedModel, windows: GatedWindows) -> tuple[FloatArray, FloatArray]:
+    """Samples, of all recordings in a row, and the log likelihood of each as the moment."""
     p = windows.problem.all_values(fitted.fit.theta)
-    near = [j for j in (begins - 1, begins) if 0 <= j < len(windows)]
-    if len(near) == 2 and not windows.follows[begins]:
-        near = [begins]  # the window before is of another recording
-    every = max(1, round(_STEP / step))
+    near = [windows.begins]
+    if windows.begins and windows.follows[windows.begins]:
+        near.insert(0, windows.begins - 1)
+    after = windows.begins + 1
+    if after < len(windows) and windows.follows[after]:
+        near.append(after)
+    every = max(1, round(_STEP / windows.sample_time))
     drift = fitted.metric.drift.columns @ fitted.fit.gains
-    times: list[float] = []
+    moments: list[int] = []
     by_window: dict[int, FloatArray] = {}
     for j in near:
         samples = [*range(0, int(windows.count[j]), every), int(windows.count[j])]
         r, slopes = windows.joined(j, p, fitted.fit.starts, samples)
-        columns = np.concatenate([slopes * windows.spread, (r + drift[j])[..., None]], axis=-1)
+        own = slopes[..., : windows.n_x] * windows.spread
+        columns = np.concatenate([own, (r + drift[j])[..., None]], axis=-1)
         flat = np.moveaxis(columns, 0, -2).reshape(1, *r.shape[1:], -1)
         white = whitened_part(fitted.metric, slice(j, j + 1), flat)
         white = np.moveaxis(white.reshape(-1, len(samples), columns.shape[-1]), 1, 0)
         gap = (fitted.fit.starts[j] - fitted.objective.centres[j]) / windows.spread
         by_window[j] = _with_best_start(white, gap)
-        times += [(int(windows.first[j]) + s) * step for s in samples]
-    # while it begins in one window, the one before is without it, and the one after has it
-    log = np.concatenate(
-        [
-            -by_window[j] - sum(by_window[i][-1 if i < j else 0] for i in near if i != j)
-            for j in near
-        ]
-    )
-    start = _beginning_of_recording(windows, begins) * step
-    at, share = np.array(times) - start, np.exp(log - log.max())
-    order = np.argsort(at, kind="stable")
-    cumulated = np.cumsum(share[order]) / share.sum()
-    low, high = (float(at[order][np.searchsorted(cumulated, q)]) for q in (_TAIL, 1 - _TAIL))
-    best = float(at[int(np.argmax(log))])
-    reach = every * step / 2
-    return Onset(time_s=best, ci95=(min(low, best) - reach, max(high, best) + reach))
+        moments += [int(windows.first[j]) + s for s in samples]
+    # while it begins in one window, those before are without it, and those after have it
+    log = [
+        -by_window[j] - sum(by_window[i][-1 if i < j else 0] for i in near if i != j) for j in near
+    ]
+    return np.array(moments, dtype=float), np.concatenate(log)
 
 
 def _with_best_start(white: FloatArray, gap: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.gap.beginning import (
+    at_its_moment,
     beginning_at,
     begins_at,
     later_and_better,
@@ -36,9 +37,9 @@ _TIGHTER = 3.0
 _HOPELESS = 1.5
 #: Nats of held-out prediction that another effect must add to be taken in.
 _ENTRANCE = 6.0
-#: Nats that an effect must promise, and add, from some moment on beyond what it does throughout:
-#: the moment is one more choice.
-_LATER = 10.0
+#: Nats that an effect must promise from some moment on beyond what any does throughout, and that it
+#: must add then beyond itself: the moment is one more choice.
+_PROMISES_LATER, _LATER = 4.0, 8.0
 #: Nats that an effect must promise beside others for rivals to be tried in its stead: what promises
 #: such a share of it, or has a trace with such a cosine to its own.
 _WORTH_EXCHANGING, _RIVAL, _RIVAL_TRACE = 10.0, 0.5, 0.7
@@ -225,7 +226,9 @@ class _Search:
         """Single effects that begin within the recordings, by their names."""
         refit, least = self._refit, self._refit.fit.score
         gains = promised_beginnings(refit, self._traces)
-        chosen = later_and_better(gains, self._traces.names, _LATER, self._effort.finalists)
+        chosen = later_and_better(
+            gains, self._traces.names, _PROMISES_LATER, self._effort.finalists
+        )
         known = {entry.names: entry.fit.score for entry in alone}
 
         def begun(name: str) -> FittedModel:
@@ -241,8 +244,17 @@ class _Search:
 
             ends = [search(first) for first in sorted({window, max(window - 1, 1)})]
             best = max(ends, key=lambda e: e.fit.score)
+            exact = at_its_moment(best, structure)
             key = f"final from {begins_at(best)} {name}"
-            return self._once(key, best.structure, best.in_own_metric)
+
+            def final() -> FittedModel:
+                point = [(best.fit.theta, best.fit.starts)]
+                moved = exact.fit(
+                    self._middle, point, centres=best.centres, gains=best.fit.gains, iterations=8
+                )
+                return moved.in_own_metric()
+
+            return self._once(key, exact, final)
 
         made = self._each(begun, list(chosen), (0.75, 0.8), "since when {}")
         return {
