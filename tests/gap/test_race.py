@@ -197,6 +197,7 @@ def test_a_cause_with_a_state_of_its_own_is_told_whole():
     assert "yaw_cable_hysteresis" not in {row.effect for row in found.not_testable}
 
 
+@pytest.mark.slow
 def test_friction_that_begins_is_found_with_its_moment_and_size():
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.002)}
     seen = begins(rubbing, 27.0, values={"k_fvp": 1.66e-5}, seconds=70.0, seed=9)
