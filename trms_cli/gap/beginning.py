@@ -50,7 +50,10 @@ class GatedWindows(Windows):
         self._sizes = [self.n_x + k for k, name in enumerate(free) if name.split(".")[0] in own]
 
     def residuals(self, p: FloatArray, starts: FloatArray, *, slopes: bool = False) -> Residuals:
-        """As of :class:`Windows`; slopes in the sizes are zero before the effects begin."""
+        """As of :class:`Windows`; slopes in the sizes are zero before the effects begin.
+
+        The end of the window that they begin in is that with them throughout.
+        """
         acting = super().residuals(p, starts, slopes=slopes)
         before = super().residuals(self.without(p), starts, slopes=slopes)
         late = np.arange(len(self)) >= self.begins
@@ -116,8 +119,7 @@ class GatedWindows(Windows):
 def beginning_at(structure: ModelStructure, window: int, sample: int = 0) -> ModelStructure:
     """A structure whose effects act from a sample of a window on."""
     made = copy.copy(structure)
-    whole = structure.windows
-    made.windows = GatedWindows(whole, structure.effects, window, sample)
+    made.windows = GatedWindows(structure.windows, structure.effects, window, sample)
     return made
 
 
@@ -169,7 +171,7 @@ def onset_of(fitted: FittedModel) -> Onset | None:
     cumulated = np.cumsum(share[order]) / share.sum()
     low, high = (float(at[order][np.searchsorted(cumulated, q)]) for q in (_TAIL, 1 - _TAIL))
     best, reach = float(at[int(np.argmax(log))]), _STEP / 2
-    return Onset(time_s=best, ci95=(min(low, best) - reach, max(high, best) + reach))
+    return Onset(time_s=best, ci95=(max(min(low, best) - reach, 0.0), max(high, best) + reach))
 
 
 def at_its_moment(fitted: FittedModel, whole: ModelStructure) -> ModelStructure:

@@ -99,9 +99,9 @@ _UNFITTED = 0.5
 #: Share of what the refit owes to forces without a name from which on the flexible competitor is
 #: an explanation of its own: a beam that a torque moves gains it a hundredth.
 _EXPLAINS = 0.1
-#: Share of rigs in which features mislead, and by what leads are divided there. Of values between
-#: 0.03 and 0.12, 5 and 20 whose log loss over folds of the rigs of ``calibration`` is about the
-#: least (0.803 to 0.808; 0.827 without) those with a small calibration error.
+#: Share of rigs in which features mislead, and by what leads are divided there. Of six pairs, of
+#: 0.03 to 0.12 and 5 to 20, whose log loss over folds of the rigs of ``calibration`` is alike
+#: (0.803 to 0.815; 0.827 without) one of the least with a small calibration error.
 LAPSE, LAPSE_TEMPERATURE = 0.08, 10.0
 #: s. A torque from outside that forgets itself within is as usual as any.
 _SLOW = 4.0
