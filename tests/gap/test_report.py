@@ -476,6 +476,18 @@ def test_the_sentence_tells_the_share_that_is_closed(fraction, words):
     assert said.endswith(words)
 
 
+def test_what_has_ended_is_told_so_and_bounds_only_where_there_are_any():
+    case = diagnosis(**PLAIN)
+    ended = Onset(time_s=31.24, ci95=(30.9, 31.8), ends=True)
+    told = findings(replace(case, causes=(replace(case.causes[0], onset=ended), *case.causes[1:])))
+    assert told.title.endswith("what ended")
+    assert any("It ends 31.2 s into the recording" in sentence for sentence in told.lead)
+    assert "until" in [measure.label for measure in told.measures]
+    rejected = tuple(replace(item, upper_bound=None) for item in case.rejected)
+    why = section(findings(replace(case, rejected=rejected)), "Why not the others")
+    assert all("at most" not in str(block) for block in why.blocks if not isinstance(block, str))
+
+
 def test_what_a_named_cause_leaves_is_told_where_it_is_much():
     shrink = Shrink(fraction=0.6, ci95=(0.5, 0.7))
     much = Gap(raw=0.1, refit=0.1, corrected=0.02, floor=0.002, unit="rad")

@@ -81,6 +81,8 @@ def headline(diagnosis: DiagnosisResult) -> str:
         together = first.probability + sum(c.probability for c in confusable_with(first, diagnosis))
         verb = "is" if together >= _SURE else "is likely" if together >= _LIKELY else "may be"
         lacks = "what changed" if diagnosis.against else "what the model lacks"
+        if first.onset is not None and first.onset.ends:
+            lacks = "what ended"
         return f"{cause_name(first.effects)} {verb} {lacks}"
     return {
         "parameters_only": "other parameters, and no effect, explain the gap",
@@ -329,8 +331,9 @@ def _rejected(diagnosis: DiagnosisResult) -> list[report.Section]:
         report.Column(
             "size if alone", lambda item: "" if item.size is None else size_text(item.size)
         ),
-        report.Column("at most", bound),
     ]
+    if any(item.upper_bound is not None for item in diagnosis.rejected):
+        columns.append(report.Column("at most", bound))
     compared = compared_with_a_state(diagnosis)
     caption = (
         "Nats: log evidence above that nothing changed."
