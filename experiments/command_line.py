@@ -5,14 +5,18 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 from trms_cli.cli import describe_error
 from trms_cli.core.errors import EXIT_INTERRUPTED, ConfigurationError, TrmsError
 from trms_cli.core.threads import ONE_THREAD
+
+Done = TypeVar("Done")
 
 
 def exit_code_of(work: Callable[[], int]) -> int:
@@ -87,3 +91,33 @@ class RunsBar:
 
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
+
+
+def side_by_side(
+    work: Callable[..., Done],
+    tasks: Mapping[str, tuple[Any, ...]],
+    jobs: int,
+    tasks_of_a_process: int,
+) -> Iterator[tuple[str, Future[Done]]]:
+    """Do some tasks at a time in processes of their own; yields each when it is done, by name.
+
+    No more than ``jobs`` are handed in at once: a pool that replaces its processes, so that what
+    tasks leave behind in memory does not pile up, stands still where others wait in its queue
+    (CPython issue 115634). An interrupt, or whoever stops listening, cancels the rest.
+    """
+    # before the processes begin: they load NumPy before anything else is called in them
+    one_thread_each()
+    waiting = list(tasks.items())[::-1]
+    running: dict[Future[Done], str] = {}
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=tasks_of_a_process
+    )
+    try:
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                name, arguments = waiting.pop()
+                running[pool.submit(work, *arguments)] = name
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future
+    finally:
+        pool.shutdown(wait=not running, cancel_futures=True)

@@ -9,13 +9,11 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from experiments.command_line import one_thread_each
+from experiments.command_line import side_by_side
 from experiments.gap.baselines.baseline import Baseline
 from experiments.gap.blind.judgement import CORRECTED, REFIT
 from experiments.gap.blind.run import recordings_of
@@ -30,6 +28,9 @@ from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import free_parameters
 from trms_cli.models.model import Model
+
+#: Recordings that a process answers before another takes its place.
+_TASKS = 20
 
 
 def write_models(answer: DiagnosisResult, problem: GapProblem, folder: Path) -> None:
@@ -226,29 +227,18 @@ def run_baseline(
     folder_out.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
     begun = perf_counter()
-    one_thread_each()
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=20)
-    with pool:
-        told = truth or {}
-        futures = {
-            pool.submit(
-                _answer, name, tuple(told.get(r.stem, ())), r, folder_out, problem_of
-            ): r.stem
-            for r in waiting
-        }
-        try:
-            for done, future in enumerate(as_completed(futures), start=1):
-                stem, problem = futures[future], future.exception()
-                said = str(problem) if isinstance(problem, TrmsError) else repr(problem)
-                if problem is None:
-                    said = future.result()
-                else:
-                    failed[stem] = said
-                minutes = (perf_counter() - begun) / 60
-                tell(f"{done:4d} of {len(waiting)}  {stem}  {said}  {minutes:.1f} min")
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    known = truth or {}
+    tasks = {
+        r.stem: (name, tuple(known.get(r.stem, ())), r, folder_out, problem_of) for r in waiting
+    }
+    for done, (stem, future) in enumerate(side_by_side(_answer, tasks, jobs, _TASKS), start=1):
+        problem = future.exception()
+        if problem is None:
+            said = future.result()
+        else:
+            failed[stem] = said = str(problem) if isinstance(problem, TrmsError) else repr(problem)
+        minutes = (perf_counter() - begun) / 60
+        tell(f"{done:4d} of {len(waiting)}  {stem}  {said}  {minutes:.1f} min")
     return failed
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
@@ -17,7 +16,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from experiments.command_line import one_thread_each
+from experiments.command_line import side_by_side
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.plugins import construct
@@ -94,34 +93,14 @@ def diagnose_all(
 
     Returns why, by name, for those that could not be diagnosed.
     """
-    from multiprocessing import get_context
-
     failed: dict[str, str] = {}
-    if not recordings:
-        return failed
-    waiting = list(reversed(recordings))
-    # before the processes begin: they load NumPy before anything else is called in them
-    one_thread_each()
-    # what recordings leave behind in memory does not pile up
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), max_tasks_per_child=_TASKS)
-    running: dict[Future[str], str] = {}
-    with pool:
-        try:
-            while waiting or running:
-                while waiting and len(running) < jobs:
-                    recording = waiting.pop()
-                    future = pool.submit(_diagnose, recording, out, list(words))
-                    running[future] = recording.stem
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    name = running.pop(future)
-                    problem = future.exception()
-                    said = future.result() if problem is None else _why(problem)
-                    if problem is not None:
-                        failed[name] = said
-                    shown(name, said)
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    tasks = {r.stem: (r, out, list(words)) for r in recordings}
+    for name, future in side_by_side(_diagnose, tasks, jobs, _TASKS):
+        problem = future.exception()
+        said = future.result() if problem is None else _why(problem)
+        if problem is not None:
+            failed[name] = said
+        shown(name, said)
     return failed
 
 
