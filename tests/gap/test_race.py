@@ -218,6 +218,21 @@ def test_friction_that_begins_is_found_with_its_moment_and_size():
     assert scores[1] == pytest.approx(scores[0], abs=1e-3)
 
 
+def test_an_encoder_that_slips_is_found_at_its_moment():
+    """It shows in one sample; the moment missing there makes yaw look as if it were pushed."""
+    slipped = {"yaw_sensor_bias": effect("yaw_sensor_bias", bias=-0.025)}
+    seen = begins(slipped, 23.4, values={"k_fvp": 1.66e-5}, seconds=50.0, seed=4)
+    names = ("yaw_sensor_bias", "pitch_sensor_bias", "yaw_coulomb_friction")
+    found = raced(with_noise(seen), names=names, effort=Effort(2, 2, 0, 2))
+    best = max(found.entries, key=lambda entry: entry.fit.score)
+    assert best.names == ("yaw_sensor_bias",)
+    assert best.values["yaw_sensor_bias.bias"] == pytest.approx(-0.025, rel=0.05)
+    onset = onset_of(best)
+    assert onset is not None
+    assert onset.time_s == pytest.approx(23.4, abs=0.1)
+    assert best.fit.score > found.refit.fit.score + 500
+
+
 def test_friction_throughout_has_no_beginning(friction):
     assert all(begins_at(entry) is None for entry in friction.entries)
     found = raced(rubbing(), effort=Effort(4, 3, 2, 2))

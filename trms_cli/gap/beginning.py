@@ -5,17 +5,21 @@ alone: with the windows before some moment left as they are it promises so many 
 made. What promises clearly more than throughout is fitted: the windows from one on with the effect,
 those before without it, the model's parameters in common. The moment itself follows from the window
 that it lies in, which is simulated without the effect up to some sample and with it from there on.
+An error of a sensor that sets in at once, as of an encoder that slips, shows as a jump within one
+window, where it is looked for at every moment.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.gap.competing_model import FittedModel, ModelStructure
+from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure
 from trms_cli.gap.diagnosis import Onset
 from trms_cli.gap.problem import CandidateEffect, is_amplitude
 from trms_cli.gap.signatures import EffectTraces, projected_gain, whitened_part, window_products
@@ -154,6 +158,90 @@ def promised_beginnings(fitted: FittedModel, traces: EffectTraces) -> FloatArray
         left = np.maximum(length - np.einsum("fk,fk->k", c, solved), 1e-12)
         found.append(projected_gain(left, -(inner - solved.T @ prior)))
     return np.array(found).T
+
+
+#: Largest discrepancy of an equation while jumps are looked for, as a share of what acts there: it
+#: is estimated large where a jump is taken for a blow. Share of what its window lacks more than
+#: others do that a jump has to explain, and nats that it has to.
+_CALM, _OF_WINDOW, _LEAST_JUMP = 0.03, 0.5, 30.0
+
+
+class Jump(NamedTuple):
+    """A sensor's error that sets in at once, as its trace promises it."""
+
+    row: int  #: Of the trace
+    window: int
+    sample: int  #: Of the window
+    factor: float  #: By which the trace's change is to be taken
+    nats: float
+
+
+def promised_jumps(fitted: FittedModel, traces: EffectTraces) -> dict[str, Jump]:
+    """The most promising jump of each effect that shifts a reading once and for all, by name.
+
+    Such an effect shows in the one window in which it begins, and hardly in those after, which
+    begin where the sensor says. ``fitted``: the model without the effects.
+    """
+    calm, windows = calm_metric(fitted.metric), fitted.structure.windows
+    residuals = fitted.objective.simulated(fitted.fit.point, fitted.fit.starts, slopes=True)
+    assert residuals.j is not None
+    slopes = residuals.j[..., : windows.n_x] * windows.spread
+    gaps = (fitted.fit.starts - fitted.objective.centres) / windows.spread
+    found: dict[str, list[tuple[Jump, float]]] = {}
+    for row in _shifts(traces, windows):
+        change = traces.changes[row]
+        for j, count in enumerate(windows.count):
+            samples = np.arange(1, int(count))
+            after = np.arange(change.shape[1])[:, None] >= samples
+            jumped = change[j][..., None] * after[:, None]
+            columns = np.concatenate([slopes[j], residuals.r[j][..., None], jumped], axis=-1)
+            white = whitened_part(calm, slice(j, j + 1), columns[None])[0]
+            left, towards, lacks = _beside_start(white, gaps[j])
+            gain = 0.5 * towards**2 / left
+            best = int(np.argmax(gain))
+            factor = float(towards[best] / left[best])
+            jump = Jump(row, j, int(samples[best]), factor, float(gain[best]))
+            found.setdefault(traces.names[row], []).append((jump, lacks))
+    chosen = {}
+    for name, each in found.items():
+        jump, lacks = max(each, key=lambda item: item[0].nats)
+        usual = float(np.median([other for _, other in each]))
+        if jump.nats > max(_LEAST_JUMP, _OF_WINDOW * (lacks - usual)):
+            chosen[name] = jump
+    return chosen
+
+
+def calm_metric(metric: Metric) -> Metric:
+    """The metric in which jumps are looked for and first fitted."""
+    return replace(metric, shares=np.minimum(metric.shares, _CALM))
+
+
+def _shifts(traces: EffectTraces, windows: Windows) -> list[int]:
+    """A row of each effect that changes readings by the same in every sample."""
+    rows: dict[str, int] = {}
+    for row, change in enumerate(traces.changes):
+        seen = windows.measured & (np.abs(change) > 0)
+        if seen.any() and np.ptp(change[seen]) < 1e-9 * np.abs(change[seen]).max():
+            rows.setdefault(traces.names[row], row)
+    return list(rows.values())
+
+
+def _beside_start(white: FloatArray, gap: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Squared lengths of a window's columns, and their products with what is left over, (k,) each.
+
+    With them half the square of that, nats. All freed of what the window's start can do.
+    ``white``, (c, n_y, n_x + 1 + k) array: slopes in the start, residual, columns. ``gap``, (n_x,)
+    array: of the start from its centre, scaled.
+    """
+    n = len(gap)
+    flat = white.reshape(-1, white.shape[-1])
+    start, z, columns = flat[:, :n], flat[:, n], flat[:, n + 1 :]
+    inverse = np.linalg.inv(start.T @ start + np.eye(n))
+    across, own = start.T @ columns, start.T @ z + gap
+    left = np.einsum("ck,ck->k", columns, columns) - np.einsum("nk,nk->k", across, inverse @ across)
+    towards = columns.T @ z - across.T @ inverse @ own
+    lacks = 0.5 * float(z @ z + gap @ gap - own @ inverse @ own)
+    return np.maximum(left, 1e-12), -towards, lacks
 
 
 def onset_of(fitted: FittedModel) -> Onset | None:

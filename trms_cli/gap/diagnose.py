@@ -18,6 +18,7 @@ from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.diagnosis_result import StageResults, result_of
 from trms_cli.gap.flexible import fit_flexible
 from trms_cli.gap.onset import diagnose_onset
+from trms_cli.gap.other_laws import leads, with_free_laws
 from trms_cli.gap.posterior import Posterior, posterior_of, simulated_part
 from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, run_race
@@ -31,6 +32,7 @@ _BEGINS = {
     "refit": 0.0,
     "separability": 0.08,
     "race": 0.3,
+    "laws": 0.75,
     "where": 0.85,
     "tests": 0.9,
     "how far": 0.92,
@@ -132,6 +134,23 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         jobs=problem.jobs,
         watch=watch.tell,
     )
+    original = problem
+    if not quick:
+        watch.enter("laws")
+        free_laws = with_free_laws(race, unseen)
+        if free_laws is not None:
+            beside_laws = run_race(
+                free_laws.nominal,
+                simulated,
+                traces,
+                EFFORTS[problem.effort],
+                checkpoint=watch.checkpoint.part("laws "),
+                jobs=problem.jobs,
+                watch=watch.tell,
+            )
+            if leads(beside_laws, race):
+                nominal, race = free_laws.nominal, beside_laws
+                problem = replace(problem, model=free_laws.model)
     constants = calibration()
     channels = nominal.metric.discrepancy.channels
     usual = {c.location: constants.usual(c.location) for c in channels}
@@ -151,7 +170,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     if not quick and _unexplained(posterior):
         # a cause that acts in a part of the recordings fits none of them from end to end
         watch.enter("onset")
-        began = diagnose_onset(problem, watch.tell)
+        began = diagnose_onset(original, watch.tell)
         if began is not None:
             watch.leave()
             return replace(began, seconds=watch.rounded())

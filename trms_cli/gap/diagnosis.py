@@ -97,6 +97,16 @@ class Cause:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LawDeparture:
+    """By how much a law of the model is of another form than the rig's."""
+
+    value: float
+    sd: float
+    unit: str
+    words: str  #: as a colleague calls it
+
+
+@dataclass(frozen=True, kw_only=True)
 class MovedParameter:
     """A nominal parameter that may be what differs, alone."""
 
@@ -273,6 +283,9 @@ class DiagnosisResult:
     #: Residuals that the corrected model has where no effect explains the gap: class and arguments
     #: by name, as ``effects`` of a model file has them
     residual: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    #: Departures of the nominal model's own laws, which both fitted models then have, by
+    #: ``<effect>.<size>``; empty where its laws will do
+    laws: Mapping[str, LawDeparture] = field(default_factory=dict)
     #: What the probabilities were made of, for the calibration.
     evidence: Mapping[str, Any] = field(default_factory=dict)
     traces: Traces | None = None  #: for the report alone: not in the file

@@ -35,6 +35,7 @@ from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.moved_parameters import WORTH_TELLING, moved_parameters
 from trms_cli.gap.next_experiment import advise
+from trms_cli.gap.other_laws import departures
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import (
     CandidateEffect,
@@ -127,6 +128,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         effort=problem.effort,
         refit=refit.values,
         residual=residual,
+        laws=departures(posterior.corrected or refit),
         evidence={
             **json_data(posterior.features),
             "shares": shares,

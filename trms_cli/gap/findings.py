@@ -23,7 +23,15 @@ from trms_cli.gap.diagnosis import (
     shown_horizon,
 )
 from trms_cli.gap.evidence_sections import compared_with_a_state, evidence_sections
-from trms_cli.gap.wording import OTHERS, cause_name, place_name, size_text, size_unit, sizes
+from trms_cli.gap.wording import (
+    OTHERS,
+    cause_name,
+    laws_in_words,
+    place_name,
+    size_text,
+    size_unit,
+    sizes,
+)
 
 #: Probability from which causes without a row are told together.
 _REST = 0.0005
@@ -44,6 +52,7 @@ def findings(
     lead = (
         *diagnosis.excitation,  # first: poor excitation limits whatever follows
         diagnosis.sentence,
+        _laws(diagnosis),
         _confidence(diagnosis),
         _since(diagnosis),
         _of_the_refit(diagnosis),
@@ -280,6 +289,21 @@ def _parts(diagnosis: DiagnosisResult) -> list[report.Block]:
         "Of all answers that hold the effect, alone or with others: these need not sum to one."
     )
     return [report.table(listed, columns, caption)]
+
+
+#: Departures of laws that are told.
+_LAWS_TOLD = 3
+
+
+def _laws(diagnosis: DiagnosisResult) -> str:
+    """What the model's own laws err by, where they were refitted with it."""
+    words = laws_in_words(diagnosis.laws)
+    if not words:
+        return ""
+    return (
+        "The model's own laws are of another form than the rig's, and effects are weighed beside "
+        f"laws that were fitted, too: {wording.listing(words[:_LAWS_TOLD])}."
+    )
 
 
 def _moved(diagnosis: DiagnosisResult) -> report.Section | None:

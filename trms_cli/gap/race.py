@@ -6,6 +6,9 @@ partners beside the best, and others in the stead of one of its effects, for a s
 the traces of what acts beside it.
 """
 
+from __future__ import annotations
+
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,8 +23,10 @@ from trms_cli.gap.beginning import (
     at_its_moment,
     beginning_at,
     begins_at,
+    calm_metric,
     later_and_better,
     promised_beginnings,
+    promised_jumps,
 )
 from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.discrepancy import FLOOR
@@ -86,12 +91,18 @@ class Checkpoint:
         keep: Callable[[Mapping[str, Any]], None] = lambda everything: None,
     ) -> None:
         self._points: dict[str, Any] = dict(kept or {})
-        self._keep = keep
+        self._keep, self._prefix = keep, ""
         self._lock = Lock()
+
+    def part(self, prefix: str) -> Checkpoint:
+        """The same for a race beside others, whose keys begin with a prefix."""
+        part = copy.copy(self)
+        part._prefix = self._prefix + prefix
+        return part
 
     def point(self, key: str) -> dict[str, FloatArray] | None:
         """Parameters, starts, gains, sizes of the discrepancy under a key; None: not there yet."""
-        known = self._points.get(key)
+        known = self._points.get(self._prefix + key)
         if known is None:
             return None
         return {name: np.array(values) for name, values in known.items()}
@@ -99,7 +110,7 @@ class Checkpoint:
     def add(self, key: str, fitted: FittedModel) -> None:
         """Note where a search ended."""
         with self._lock:
-            self._points[key] = {
+            self._points[self._prefix + key] = {
                 "theta": fitted.fit.theta.tolist(),
                 "starts": fitted.fit.starts.tolist(),
                 "gains": fitted.fit.gains.tolist(),
@@ -230,8 +241,24 @@ class _Search:
             gains, self._traces.names, _PROMISES_LATER, self._effort.finalists
         )
         known = {entry.names: entry.fit.score for entry in alone}
+        jumps = promised_jumps(refit, self._traces)
+
+        def jumped(name: str) -> FittedModel:
+            candidate, jump = self._candidates[name], jumps[name]
+            gated = beginning_at(refit.structure.with_effects(candidate), jump.window, jump.sample)
+            scaled = self._traces.sizes[jump.row] * jump.factor
+            sizes = _sizes_of_row(candidate, scaled)
+
+            def search() -> FittedModel:
+                points = _points(gated, refit, [sizes, sizes])
+                calm = calm_metric(refit.metric)
+                return _searched(gated, refit, calm, points).in_own_metric()
+
+            return self._once(f"jump {jump.window} {jump.sample} {name}", gated, search)
 
         def begun(name: str) -> FittedModel:
+            if name in jumps:
+                return jumped(name)
             candidate, (row, window) = self._candidates[name], chosen[name]
             structure = refit.structure.with_effects(candidate)
             sizes = _sizes_of_row(candidate, self._traces.sizes[row])
@@ -256,7 +283,9 @@ class _Search:
 
             return self._once(key, exact, final)
 
-        made = self._each(begun, list(chosen), (0.75, 0.8), "since when {}")
+        made = self._each(
+            begun, [*jumps, *(n for n in chosen if n not in jumps)], (0.75, 0.8), "since when {}"
+        )
         return {
             entry.names: entry
             for entry in made

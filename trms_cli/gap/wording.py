@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from trms_cli.core import wording
-from trms_cli.gap.diagnosis import SizeEstimate
+from trms_cli.gap.diagnosis import LawDeparture, SizeEstimate
 
 #: Stands for the causes that have no row of their own.
 OTHERS = ("others",)
@@ -54,3 +54,13 @@ def size_unit(unit: str, value: float) -> tuple[str, float]:
     if abs(value) >= 1:
         return unit, 1.0
     return _SIZES.get(unit) or wording.small_unit(unit)
+
+
+#: Standard deviations from which a departure is worth a word, and the least size.
+_SURE, _LEAST = 3.0, 0.02
+
+
+def laws_in_words(laws: Mapping[str, LawDeparture]) -> list[str]:
+    """Departures that are sure, the surest first."""
+    sure = [law for law in laws.values() if abs(law.value) > max(_SURE * law.sd, _LEAST)]
+    return [law.words for law in sorted(sure, key=lambda law: -abs(law.value) / max(law.sd, 1e-9))]

@@ -31,6 +31,7 @@ from trms_cli.core.trust import allowed_for_now
 from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
+from trms_cli.effects.other_laws import LAWS
 from trms_cli.gap.belief import DISTURBANCE
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult, Worth, likeliest
 from trms_cli.gap.problem import GapProblem
@@ -458,6 +459,10 @@ def _write(
     residual: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
     model, effects = request.problem.model, dict(origin.effects)
+    for name in dict.fromkeys(size.split(".")[0] for size in values):
+        if name in LAWS:
+            model = extend_model(model, {name: LAWS[name]})
+            effects[name] = {}  # of the library, with the values that were fitted
     known = [name for name in values if name in model.parameters]
     free = free_parameters(model.parameters, known) if known else ()
     if cause is not None:

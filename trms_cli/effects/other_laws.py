@@ -1,0 +1,109 @@
+"""Laws of an axis that are of another form than the model's, by the smallest departures.
+
+No rig follows its model's laws to the letter, and what they leave looks like many small causes at
+once. Each term is what the model's own law becomes when its form changes a little, as a share of
+what that law does::
+
+    damping   −c Ω (|Ω|/Ω₀)ᵈ
+    thrust    l F (|ω|/ω₀)ᵉ
+    spring    −k α (1 + h α²)
+    inertia   (1 + i) J Ω̇ = all moments
+
+with ``−c Ω`` the moment that goes with the rate, ``l F`` that of the axis' own rotor and ``−k α``
+what pulls the axis back about its angle, whatever the model has of them. At the rate Ω₀ and the
+speed ω₀ another exponent changes nothing: what it changes there is the coefficient's matter.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import casadi as ca
+from msgspec import Meta
+
+from trms_cli.effects.effect import Effect, EffectContext, axis_of, require_quantities, speed_row
+from trms_cli.models.dry_friction import moment_index
+from trms_cli.models.model import Model
+from trms_cli.models.parameters import Parameter
+
+#: The rotor whose thrust turns an axis, and the speed ω₀ at which another exponent changes nothing.
+_ROTORS = {"pitch": ("main", 200.0), "yaw": ("tail", 300.0)}
+#: rad/s. Ω₀; below these shares of Ω₀ and ω₀ an exponent no longer changes anything.
+_USUAL_RATE, _LEAST_RATE, _LEAST_SPEED = 0.3, 3e-3, 3e-3
+
+#: By how much a law's form may differ.
+Departure = Annotated[float, Meta(ge=-0.6, le=0.6)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherLaws(Effect):
+    """Departures of an axis' laws from the model's."""
+
+    #: It says by how much a model errs, and is no candidate unless it is asked for
+    explains: ClassVar[bool] = False
+    axis: Literal["pitch", "yaw"]
+    damping: Departure = 0.0  #: d, added to the exponent of damping
+    thrust: Departure = 0.0  #: e, added to the exponent of thrust
+    spring: Departure = 0.0  #: h, 1/rad²
+    inertia: Departure = 0.0  #: i, share by which the moment of inertia is larger
+
+    @property
+    def locations(self) -> tuple[str, ...]:
+        return (f"{self.axis}_moment",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        usual, axis, rotor = (-0.1, 0.1), self.axis, _ROTORS[self.axis][0]
+        return (
+            self.size("damping", "1", usual, f"exponent of {axis} damping, beyond the model's"),
+            self.size("thrust", "1", usual, f"exponent of {rotor} thrust, beyond the model's"),
+            self.size("spring", "1/rad^2", usual, f"hardening of what pulls {axis} back"),
+            self.size("inertia", "1", usual, f"share of {axis} inertia beyond the model's"),
+        )
+
+    def check(self, model: Model) -> None:
+        rotor, _ = _ROTORS[self.axis]
+        axis_of(model, self.axis)
+        moment_index(model, self.axis)
+        speed_row(model, rotor)
+        require_quantities(model, f"thrust_{rotor}", f"arm_{rotor}")
+
+    def disturbance(self, at: EffectContext) -> ca.SX:
+        sizes, (rotor, usual_speed) = at.sizes, _ROTORS[self.axis]
+        moment, in_rate, in_angle = _own_laws(at, self.axis)
+        rate, angle = at.rate(self.axis), at.angle(self.axis)
+        thrust = at.quantity(f"arm_{rotor}") * at.quantity(f"thrust_{rotor}")
+        added = in_rate * rate * _departure(rate / _USUAL_RATE, _LEAST_RATE, sizes["damping"])
+        added += thrust * _departure(at.speed(rotor) / usual_speed, _LEAST_SPEED, sizes["thrust"])
+        added += in_angle * angle**3 * sizes["spring"]
+        # with more inertia all moments do less
+        added -= sizes["inertia"] / (1 + sizes["inertia"]) * (moment + added)
+        return at.on(at.axis(self.axis).moment, added)
+
+
+def _departure(ratio: ca.SX, least: float, exponent: ca.SX) -> ca.SX:
+    """By which share a law changes with its exponent."""
+    return ca.exp(exponent * 0.5 * ca.log(ratio**2 + least**2)) - 1
+
+
+def _own_laws(at: EffectContext, axis: str) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """All moments on an axis, N m, and their slopes in its rate and in its angle."""
+    model = at.model
+    x, u, p, w = model.symbols()
+    here = EffectContext(model, x, u, p, w, ca.SX.zeros(0), {})
+    acceleration, mobility = here.accelerations(axis)
+    moment = acceleration / mobility
+    # the rate is moved by the state that a torque on the axis pushes
+    rate = ca.jacobian(here.rate(axis), x)
+    pushed = ca.jacobian(model.dynamics(x, u, p, w), w)[:, moment_index(model, axis)]
+    moved = [i for i in range(model.n_x) if not (rate[i].is_zero() or pushed[i].is_zero())]
+    in_rate = ca.jacobian(moment, x[moved[0]]) / rate[moved[0]] if moved else ca.SX(0)
+    in_angle = ca.jacobian(moment, x[model.state_index(axis_of(model, axis).angle)])
+    known = ca.Function("own_laws", [x, u, p, w], [moment, in_rate, in_angle])
+    return tuple(known(at.x, at.u, at.p, at.w))
+
+
+#: The laws of both axes, as the model has them.
+LAWS: Mapping[str, OtherLaws] = {
+    "pitch_other_laws": OtherLaws(axis="pitch"),
+    "yaw_other_laws": OtherLaws(axis="yaw"),
+}
