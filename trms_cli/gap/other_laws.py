@@ -24,8 +24,9 @@ from trms_cli.models.model import Model
 #: Nats that the best of a race must gain for the model's laws to be doubted at all, that free laws
 #: alone must gain for effects to race beside them, and by which the best there must lead.
 _WORTH_DOUBTING, _FREE, _LEAD = 20.0, 15.0, 8.0
-#: Departure from which on a law is no longer the model's: it stands for something that is missing.
-_PROXY = 0.3
+#: Largest departure of a law that is still the model's, and the share of it from which on one is
+#: taken to go beyond.
+_MOST, _NEAR = 0.2, 0.95
 
 
 @dataclass(frozen=True)
@@ -50,34 +51,29 @@ def with_free_laws(race: Race, unseen: int = 0) -> FreeLaws | None:
     if not laws:
         return None
     model = extend_model(problem.model, {name: laws[name].effect for name in laws})
-    own = [_held(free) for law in laws.values() for free in law.free]
-    made = refit(
-        model,
-        (*problem.free, *own),
-        problem.datasets,
-        problem.window_length,
-        unseen,
-    )
-    worth = made.fit.score > plain.fit.score + _FREE and _plausible(made)
-    return FreeLaws(model, made) if worth else None
-
-
-def _plausible(fitted: FittedModel) -> bool:
-    return all(abs(law.value) < _PROXY for law in departures(fitted).values())
+    free = [_held(size) for law in laws.values() for size in law.free]
+    while free:
+        made = refit(model, (*problem.free, *free), problem.datasets, problem.window_length, unseen)
+        far = {name for name, law in departures(made).items() if abs(law.value) > _NEAR * _MOST}
+        if not far:
+            return FreeLaws(model, made) if made.fit.score > plain.fit.score + _FREE else None
+        # what a law would have to bend so far for is something else, which an effect has to say
+        free = [size for size in free if size.name not in far]
+    return None
 
 
 def _held(free: FreeParameter) -> FreeParameter:
     """A law's departure with its prior: about none, as wide as half of what an effect's is."""
-    return replace(free, start=0.0, prior_mean=0.0, prior_sd=(free.prior_sd or 0.2) / 2)
+    sd = (free.prior_sd or 2 * _MOST) / 2
+    return replace(free, start=0.0, prior_mean=0.0, prior_sd=sd, lower=-_MOST, upper=_MOST)
 
 
 def leads(free: Race, plain: Race) -> bool:
     """Whether the best beside free laws says clearly more than all that raced without."""
-    best, without = (
-        max((race.refit, *race.entries), key=lambda fitted: fitted.fit.score)
-        for race in (free, plain)
+    with_, without = (
+        max((race.refit.fit.score, *(e.fit.score for e in race.entries))) for race in (free, plain)
     )
-    return best.fit.score > without.fit.score + _LEAD and _plausible(best)
+    return with_ > without + _LEAD
 
 
 def departures(fitted: FittedModel) -> dict[str, LawDeparture]:
