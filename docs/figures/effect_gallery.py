@@ -332,6 +332,16 @@ FIGURES = {
         characteristic=sensor_map("alpha_v"),
         measured=True,
     ),
+    "other_laws": EffectFigure(
+        scene=Scene(
+            effect="yaw_other_laws",
+            command=_tail(lambda t: 0.6 * _square(t / 8.0)),
+            duration=40.0,
+            sizes={"damping": 0.3},
+        ),
+        shown="alpha_h",
+        characteristic=against_rate("alpha_h"),
+    ),
 }
 
 
