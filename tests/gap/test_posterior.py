@@ -97,6 +97,19 @@ def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
     assert of_a(0.05) == of_a(-0.5) == of_a(np.nan) == of_a(0.0)
 
 
+def test_a_cause_that_begins_within_the_recordings_is_believed_less():
+    """With a moment to choose, a drive's wander looks like a derating from somewhere on."""
+    throughout = features(gained=5e4, behind=0.1, scores=(33.0, 2.0, 0.0))
+    begins = replace(throughout, begins=np.array([1.0, 0.0, 0.0]))
+    weights = calibration().weights
+    before, after = (probabilities_of(f, weights) for f in (throughout, begins))
+    odds = [p["a",] / p["parameters_only",] for p in (before, after)]
+    assert odds[0] > 1 > odds[1] and odds[1] < 0.2 * odds[0]
+    # where much speaks for it, it is named all the same
+    sure = replace(begins, scores=np.array([150.0, 2.0, 0.0]), behind=500.0)
+    assert probabilities_of(sure, weights)["a",] > 0.8
+
+
 def test_scores_that_come_from_a_few_blocks_count_less(monkeypatch):
     monkeypatch.setattr(belief, "LAPSE", 0.0)
 

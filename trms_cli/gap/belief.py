@@ -64,6 +64,8 @@ class Features:
     #: (k,) array; logarithm of the factor by which each competitor errs more than the refit, in the
     #: channel that suffers most, on the sealed part; NaN where not measured
     harms: FloatArray = field(default_factory=lambda: np.zeros(0))
+    #: (k,) array; one where a competitor's effects begin within the recordings, else zero
+    begins: FloatArray = field(default_factory=lambda: np.zeros(0))
     raw_error: float = np.nan  #: Of free runs of the model as it was
     refit_error: float = np.nan  #: Of free runs of the refit
     #: (k + 1,) arrays by axis; as ``behind`` if a torque from outside acts on it, of the refit and
@@ -162,6 +164,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             "effect.surprise": float(np.log1p(features.surprises[i])),
             "effect.error": _of_error(features.errors[i]),
             "effect.worse": _worse(features, i),
+            "effect.begins": float(features.begins[i]) if i < len(features.begins) else 0.0,
         }
     foretold = 0.0 if np.isnan(features.foretold) else float(np.clip(features.foretold, 0.0, 1.0))
     owed = dict(zip(features.names, features.behinds, strict=True))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.belief import DISTURBANCE, Calibration, Features, probabilities_of
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
@@ -120,6 +121,7 @@ def features_of(
         ),
         errors=errors,
         harms=harms,
+        begins=np.array([float(begins_at(e) is not None) for e in race.entries]),
         raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
