@@ -4,6 +4,7 @@ The rigs share no equation with them, so each holds the other: a sign, a factor 
 wrong in one of the two shows here.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,9 @@ from experiments.gap.blind.rig import Nuisances, RigRecordings, Rigs
 from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
+from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.other_laws import OtherLaws
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
 
@@ -43,13 +46,14 @@ OTHER_LAW = {
 }
 SAME_LAW = 0.03
 #: What a random draw or the encoder decides cannot be compared sample by sample; a residual and a
-#: constant torque are no effects of a rig.
+#: constant torque are no effects of a rig, and other laws are a nuisance of it.
 NOT_COMPARED = (
     "disturbance",
     "quantisation",
     "residual_force",
     "residual_reading",
     "constant_torque",
+    "other_laws",
 )
 
 
@@ -74,18 +78,25 @@ def recorded() -> tuple[np.ndarray, dict[str | None, np.ndarray]]:
             if isinstance(value, (int, float)):
                 sizes.setdefault(f"{name}.{key}", np.zeros(len(names)))[i] = value
     commands = np.repeat(rich_excitation([5], SAMPLES, SAMPLE), len(names), axis=0)
+    measured = with_perfect_sensors(Rigs(nominals(len(names)), sizes, QUIET), commands)
+    return commands[0], dict(zip(names, measured, strict=True))
+
+
+def with_perfect_sensors(rigs: Rigs, commands: np.ndarray) -> np.ndarray:
+    """What rigs measure whose sensors have neither noise nor steps."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rig, "SPEED_NOISE", 0.0)
         patch.setattr(rig, "SPEED_QUANTUM", 1e-9)
         patch.setattr(rig, "PITCH_QUANTUM", 1e-12)
         patch.setattr(rig, "YAW_QUANTUM", 1e-12)
-        rigs = Rigs(nominals(len(names)), sizes, QUIET)
-        run = rigs.run(OpenLoop(commands), SAMPLES * SAMPLE, SAMPLE, settling=0.0)
-    return commands[0], dict(zip(names, run.measured, strict=True))
+        return rigs.run(OpenLoop(commands), SAMPLES * SAMPLE, SAMPLE, settling=0.0).measured
 
 
 def simulated(name: str | None, commands: np.ndarray) -> np.ndarray:
-    effects = {} if name is None else {name: build(LIBRARY[name], name)}
+    return simulated_with({} if name is None else {name: build(LIBRARY[name], name)}, commands)
+
+
+def simulated_with(effects: dict[str, Effect], commands: np.ndarray) -> np.ndarray:
     model = extend_model(Newtonian(), effects)
     discrete = discretise(model, SAMPLE, 4, sensors=True)
     p, start = model.parameters.values, model.rest()
@@ -121,6 +132,26 @@ def test_an_effect_is_the_same_in_both_codes(name: str, recorded: Any) -> None:
     difference = np.sqrt(np.mean(((own - runs[name]) / units) ** 2))
     assert signature > 0.03
     assert difference < OTHER_LAW.get(name, SAME_LAW) * signature
+
+
+def test_laws_of_another_form_are_the_same_in_both_codes() -> None:
+    """Of the rigs of the set ``imperfect``, by the effect that says so of a model."""
+    laws = {"viscous_exponent": 0.85, "thrust_exponent": 0.06, "cable_hardening": -0.05}
+    inertias = {"pitch_inertia": 1.08, "yaw_inertia": 0.92}
+    commands = rich_excitation([5], SAMPLES, SAMPLE)
+    nuisances = replace(QUIET, **laws, **inertias)
+    (measured,) = with_perfect_sensors(Rigs(nominals(1), {}, nuisances), commands)
+    both = {"damping": -0.15, "thrust": 0.06}
+    effects: dict[str, Effect] = {
+        "pitch_other_laws": OtherLaws(axis="pitch", inertia=0.08, **both),
+        "yaw_other_laws": OtherLaws(axis="yaw", spring=-0.05, inertia=-0.08, **both),
+    }
+    plain, own = (simulated_with(e, commands[0]) for e in ({}, effects))
+    units = np.array([0.0015, 0.0015, 1.6, 1.6])
+    signature = np.sqrt(np.mean(((own - plain) / units) ** 2))
+    difference = np.sqrt(np.mean(((own - measured) / units) ** 2))
+    assert signature > 1.0
+    assert difference < 0.05 * signature
 
 
 def run_with(
