@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -16,7 +17,7 @@ from trms_cli.cli import describe_error
 from trms_cli.core.errors import EXIT_INTERRUPTED, ConfigurationError, TrmsError
 from trms_cli.core.threads import ONE_THREAD
 
-Done = TypeVar("Done")
+Result = TypeVar("Result")
 
 
 def exit_code_of(work: Callable[[], int]) -> int:
@@ -94,11 +95,11 @@ class RunsBar:
 
 
 def side_by_side(
-    work: Callable[..., Done],
+    work: Callable[..., Result],
     tasks: Mapping[str, tuple[Any, ...]],
     jobs: int,
     tasks_of_a_process: int,
-) -> Iterator[tuple[str, Future[Done]]]:
+) -> Iterator[tuple[str, Future[Result]]]:
     """Do some tasks at a time in processes of their own; yields each when it is done, by name.
 
     No more than ``jobs`` are handed in at once: a pool that replaces its processes, so that what
@@ -108,16 +109,26 @@ def side_by_side(
     # before the processes begin: they load NumPy before anything else is called in them
     one_thread_each()
     waiting = list(tasks.items())[::-1]
-    running: dict[Future[Done], str] = {}
-    pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=tasks_of_a_process
-    )
+    running: dict[Future[Result], str] = {}
+    pools = [_pool(jobs, tasks_of_a_process)]
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
                 name, arguments = waiting.pop()
-                running[pool.submit(work, *arguments)] = name
+                try:
+                    future = pools[-1].submit(work, *arguments)
+                except BrokenProcessPool:  # a process was killed: what it did is told as failed
+                    pools.append(_pool(jobs, tasks_of_a_process))
+                    future = pools[-1].submit(work, *arguments)
+                running[future] = name
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(future), future
     finally:
-        pool.shutdown(wait=not running, cancel_futures=True)
+        for pool in pools:
+            pool.shutdown(wait=not running, cancel_futures=True)
+
+
+def _pool(jobs: int, tasks_of_a_process: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), max_tasks_per_child=tasks_of_a_process
+    )

@@ -332,9 +332,9 @@ FIGURES = {
         characteristic=sensor_map("alpha_v"),
         measured=True,
     ),
-    "other_laws": EffectFigure(
+    "model_form": EffectFigure(
         scene=Scene(
-            effect="yaw_other_laws",
+            effect="yaw_model_form",
             command=_tail(lambda t: 0.6 * _square(t / 8.0)),
             duration=40.0,
             sizes={"damping": 0.3},

@@ -164,6 +164,8 @@ def promised_beginnings(fitted: FittedModel, traces: EffectTraces) -> FloatArray
 #: is estimated large where a jump is taken for a blow. Share of what its window lacks more than
 #: others do that a jump has to explain, and nats that it has to.
 _CALM, _OF_WINDOW, _LEAST_JUMP = 0.03, 0.5, 30.0
+#: Samples that are tried at a time.
+_AT_ONCE = 128
 
 
 class Jump(NamedTuple):
@@ -191,17 +193,18 @@ def promised_jumps(fitted: FittedModel, traces: EffectTraces) -> dict[str, Jump]
     for row in _shifts(traces, windows):
         change = traces.changes[row]
         for j, count in enumerate(windows.count):
-            samples = np.arange(1, int(count))
-            after = np.arange(change.shape[1])[:, None] >= samples
-            jumped = change[j][..., None] * after[:, None]
-            columns = np.concatenate([slopes[j], residuals.r[j][..., None], jumped], axis=-1)
-            white = whitened_part(calm, slice(j, j + 1), columns[None])[0]
-            left, towards, lacks = _beside_start(white, gaps[j])
-            gain = 0.5 * towards**2 / left
-            best = int(np.argmax(gain))
-            factor = float(towards[best] / left[best])
-            jump = Jump(row, j, int(samples[best]), factor, float(gain[best]))
-            found.setdefault(traces.names[row], []).append((jump, lacks))
+            for first in range(1, int(count), _AT_ONCE):
+                samples = np.arange(first, min(first + _AT_ONCE, int(count)))
+                after = np.arange(change.shape[1])[:, None] >= samples
+                jumped = change[j][..., None] * after[:, None]
+                columns = np.concatenate([slopes[j], residuals.r[j][..., None], jumped], axis=-1)
+                white = whitened_part(calm, slice(j, j + 1), columns[None])[0]
+                left, towards, lacks = _beside_start(white, gaps[j])
+                gain = 0.5 * towards**2 / left
+                best = int(np.argmax(gain))
+                factor = float(towards[best] / left[best])
+                jump = Jump(row, j, int(samples[best]), factor, float(gain[best]))
+                found.setdefault(traces.names[row], []).append((jump, lacks))
     chosen = {}
     for name, each in found.items():
         jump, lacks = max(each, key=lambda item: item[0].nats)

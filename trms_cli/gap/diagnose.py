@@ -1,6 +1,7 @@
-"""The diagnosis: nine stages in a row, each of which hands plain data to the next.
+"""The diagnosis: stages in a row, each of which hands plain data to the next.
 
-    admit and divide → refit → separate → race → where → is there a gap? → how far → how sure
+    admit and divide → refit → separate → race → model form → where → is there a gap?
+        → what it looks like → how sure → how far
 
 See ``docs/diagnose.md`` for what each stage does and why.
 """
@@ -17,8 +18,8 @@ from trms_cli.gap.competing_model import Refit, about_priors, nominal_parameters
 from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.diagnosis_result import StageResults, result_of
 from trms_cli.gap.flexible import fit_flexible
+from trms_cli.gap.model_form import leads, refit_with_free_form
 from trms_cli.gap.onset import diagnose_onset
-from trms_cli.gap.other_laws import leads, with_free_laws
 from trms_cli.gap.posterior import Posterior, posterior_of, simulated_part
 from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, run_race
@@ -32,7 +33,7 @@ _BEGINS = {
     "refit": 0.0,
     "separability": 0.08,
     "race": 0.3,
-    "laws": 0.75,
+    "model form": 0.75,
     "where": 0.85,
     "tests": 0.9,
     "how far": 0.92,
@@ -136,21 +137,24 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     )
     original = problem
     if not quick:
-        watch.enter("laws")
-        free_laws = with_free_laws(race, unseen)
-        if free_laws is not None:
-            beside_laws = run_race(
-                free_laws.nominal,
+        watch.enter("model form")
+        free_form = refit_with_free_form(
+            race, unseen, taken=simulated, watch=lambda message: watch.tell(0.1, message)
+        )
+        if free_form is not None:
+            # traces about the plain refit serve: what is fitted beside free laws is fitted anew
+            beside = run_race(
+                free_form.nominal,
                 simulated,
                 traces,
                 EFFORTS[problem.effort],
-                checkpoint=watch.checkpoint.part("laws "),
+                checkpoint=watch.checkpoint.part(free_form.key),
                 jobs=problem.jobs,
                 watch=watch.tell,
             )
-            if leads(beside_laws, race):
-                nominal, race = free_laws.nominal, beside_laws
-                problem = replace(problem, model=free_laws.model)
+            if leads(beside, race):
+                nominal, race = free_form.nominal, beside
+                problem = replace(problem, model=free_form.model)
     constants = calibration()
     channels = nominal.metric.discrepancy.channels
     usual = {c.location: constants.usual(c.location) for c in channels}
@@ -177,8 +181,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         watch.enter("how far")
     sealed = sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
-    beside = project_traces(posterior.corrected or nominal, traces)
-    found = (race, place, forces, tests, posterior, sealed, beside)
+    left = project_traces(posterior.corrected or nominal, traces)
+    found = (race, place, forces, tests, posterior, sealed, left)
     result = result_of(StageResults(problem, parts, candidates, left_out, *found))
     watch.leave()
     return replace(result, seconds=watch.rounded())

@@ -285,7 +285,7 @@ class DiagnosisResult:
     residual: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     #: Departures of the nominal model's own laws, which both fitted models then have, by
     #: ``<effect>.<size>``; empty where its laws will do
-    laws: Mapping[str, LawDeparture] = field(default_factory=dict)
+    model_form: Mapping[str, LawDeparture] = field(default_factory=dict)
     #: What the probabilities were made of, for the calibration.
     evidence: Mapping[str, Any] = field(default_factory=dict)
     traces: Traces | None = None  #: for the report alone: not in the file

@@ -33,9 +33,9 @@ from trms_cli.gap.discrepancy import input_channels
 from trms_cli.gap.flexible import node_of, short_law
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.model_form import departures
 from trms_cli.gap.moved_parameters import WORTH_TELLING, moved_parameters
 from trms_cli.gap.next_experiment import advise
-from trms_cli.gap.other_laws import departures
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import (
     CandidateEffect,
@@ -94,6 +94,8 @@ def result_of(stages: StageResults) -> DiagnosisResult:
     words = (*law, *words)
     unseen = _not_testable(stages)
     parameters, causes, moved = _parameters(stages), _causes(stages), _moved_parameters(stages)
+    # a model that will do as it is needs no other laws
+    form = {} if posterior.verdict == "no_gap" else departures(posterior.corrected or refit)
     metric = refit.metric
     places = [c.location for c in metric.discrepancy.channels]
     shares = dict(zip(places, metric.shares.tolist(), strict=True))
@@ -119,7 +121,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         excitation=poor_excitation(problem.model, problem.datasets),
         moved=moved,
         rejected=rejected_effects(stages.race, posterior, stages.candidates, stages.beside, unseen),
-        sentence=sentence(posterior, causes, where, shrinkage, moved, law),
+        sentence=sentence(posterior, causes, where, shrinkage, moved, law, other_form=bool(form)),
         tests=stages.tests,
         race=_race(stages),
         description=words,
@@ -128,7 +130,9 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         effort=problem.effort,
         refit=refit.values,
         residual=residual,
-        laws=departures(posterior.corrected or refit),
+        model_form={}
+        if posterior.verdict == "no_gap"
+        else departures(posterior.corrected or refit),
         evidence={
             **json_data(posterior.features),
             "shares": shares,

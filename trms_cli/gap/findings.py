@@ -52,7 +52,7 @@ def findings(
     lead = (
         *diagnosis.excitation,  # first: poor excitation limits whatever follows
         diagnosis.sentence,
-        _laws(diagnosis),
+        _model_form(diagnosis),
         _confidence(diagnosis),
         _since(diagnosis),
         _of_the_refit(diagnosis),
@@ -291,18 +291,18 @@ def _parts(diagnosis: DiagnosisResult) -> list[report.Block]:
     return [report.table(listed, columns, caption)]
 
 
-#: Departures of laws that are told.
-_LAWS_TOLD = 3
+#: Departures of laws that are listed.
+_MOST_LAWS = 3
 
 
-def _laws(diagnosis: DiagnosisResult) -> str:
+def _model_form(diagnosis: DiagnosisResult) -> str:
     """What the model's own laws err by, where they were refitted with it."""
-    words = laws_in_words(diagnosis.laws)
+    words = laws_in_words(diagnosis.model_form)
     if not words:
         return ""
     return (
         "The model's own laws are of another form than the rig's, and effects are weighed beside "
-        f"laws that were fitted, too: {wording.listing(words[:_LAWS_TOLD])}."
+        f"laws that were fitted, too: {wording.listing(words[:_MOST_LAWS])}."
     )
 
 

@@ -274,7 +274,7 @@ def _relevant(fitted: FittedModel, metric: Metric) -> tuple[dict[str, float], Fl
     names = [p.name for p in fitted.structure.problem.free]
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(names):
-        if "." in name:
+        if name.split(".")[0] in fitted.names:
             groups.setdefault(_GROUPED.sub("", name), []).append(i)
     precision = np.asarray(parabola.prior_root**2, dtype=np.float64)
     centre = (objective.means - fit.point) / objective.scales

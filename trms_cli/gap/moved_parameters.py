@@ -19,6 +19,7 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.wording import number, unit
+from trms_cli.effects.model_form import MODEL_FORM
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import MovedParameter
 from trms_cli.models.model import Model
@@ -72,7 +73,7 @@ def moved_parameters(
     moves = sampled_moves(z[inside], covariance[np.ix_(inside, inside)], known[inside], seed)
     found = []
     for k, i in enumerate(inside):
-        if moves.probability[k] < _LEAST:
+        if moves.probability[k] < _LEAST or free[i].name.split(".")[0] in MODEL_FORM:
             continue
         parameter = model.parameters[free[i].name]
         # the parabola knows no bounds

@@ -246,8 +246,7 @@ class _Search:
         def jumped(name: str) -> FittedModel:
             candidate, jump = self._candidates[name], jumps[name]
             gated = beginning_at(refit.structure.with_effects(candidate), jump.window, jump.sample)
-            scaled = self._traces.sizes[jump.row] * jump.factor
-            sizes = _sizes_of_row(candidate, scaled)
+            sizes = _sizes_scaled_by(candidate, self._traces.sizes[jump.row], jump.factor)
 
             def search() -> FittedModel:
                 points = _points(gated, refit, [sizes, sizes])
@@ -570,10 +569,17 @@ def _scaled_sizes(
     candidate: CandidateEffect, sign: Signatures, row: int, least: float
 ) -> dict[str, float]:
     by = float(np.clip(sign.towards[row] / max(sign.left[row], 1e-12), least, 2.0))
+    return _sizes_scaled_by(candidate, sign.sizes[row], by)
+
+
+def _sizes_scaled_by(
+    candidate: CandidateEffect, values: FloatArray, factor: float
+) -> dict[str, float]:
+    """Sizes by name, those that can make the effect vanish scaled, within their bounds."""
     sizes = {}
-    for i, (free, size) in enumerate(zip(candidate.free, sign.sizes[row], strict=True)):
+    for i, (free, size) in enumerate(zip(candidate.free, values, strict=True)):
         scaled = is_amplitude(candidate.effect.parameters(), i)
-        sizes[free.name] = float(np.clip(size * by, free.lower, free.upper) if scaled else size)
+        sizes[free.name] = float(np.clip(size * factor, free.lower, free.upper) if scaled else size)
     return sizes
 
 

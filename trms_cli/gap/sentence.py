@@ -27,8 +27,14 @@ def sentence(
     shrinkage: Shrinkage,
     moved: Sequence[MovedParameter] = (),
     law: Sequence[str] = (),
+    *,
+    other_form: bool = False,
 ) -> str:
-    """What a colleague would say; ``law``: of a residual without a name."""
+    """What a colleague would say.
+
+    ``law``: of a residual without a name. ``other_form``: whether the model's own laws were
+    refitted, too.
+    """
     top = causes[0]
     place = f"the {readable(where[0].location)}" if where else "no single place"
     if posterior.verdict == "no_gap":
@@ -40,7 +46,9 @@ def sentence(
     if posterior.verdict == "parameters_only":
         which = listing([item.words for item in moved[:_MOVED_TOLD]])
         return (
-            "No effect is missing: other values of the parameters explain these recordings, with "
+            "No effect is missing: other values of the parameters"
+            + (" and laws of another form" if other_form else "")
+            + " explain these recordings, with "
             f"probability {probability_text(top.probability)}"
             + (f"; what moved is likeliest the {which}." if which else ".")
             + _left_over(shrinkage)

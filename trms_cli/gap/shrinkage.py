@@ -136,7 +136,7 @@ def measure_shrinkage(
     units = {s.name: s.unit for d in parts.whole for s in d.outputs}
     gap: dict[str, dict[str, Gap]] = {}
     shrink: dict[str, dict[str, Shrink]] = {}
-    pooled: dict[str, list[_Pair]] = {}
+    pooled: dict[str, dict[str, _Pair]] = {}
     for channel, by_horizon in before.items():
         for horizon, reference in by_horizon.items():
             key = repr(float(horizon))
@@ -147,9 +147,11 @@ def measure_shrinkage(
             if turns is not None and horizon in turns[0].get(channel, {}):
                 one, other = (turn[channel][horizon] for turn in turns)
                 own = own.beside(_Pair.of(one, other, floor))
-            pooled.setdefault(key, []).append(own)
+            pooled.setdefault(key, {})[channel] = own
             shrink.setdefault(channel, {})[key] = _pooled([own], [channel], problem.seed)
-    shrink["all"] = {key: _pooled(p, list(before), problem.seed) for key, p in pooled.items()}
+    shrink["all"] = {
+        key: _pooled(list(p.values()), list(p), problem.seed) for key, p in pooled.items()
+    }
     worse = tuple(
         channel
         for channel, table in gap.items()

@@ -153,7 +153,7 @@ def test_the_final_set_has_what_development_lacks() -> None:
 
 def test_every_effect_of_the_library_can_be_a_truth_of_any_severity_within_reason() -> None:
     files = (config_folder() / "effect").glob("*.yaml")
-    apart = ("_residual_", "_constant_torque", "_other_laws")
+    apart = ("_residual_", "_constant_torque", "_model_form")
     options = {file.stem for file in files if not any(word in file.stem for word in apart)}
     assert options == set(LIBRARY)
     assert set(severity.table()) >= set(TRUTHS)

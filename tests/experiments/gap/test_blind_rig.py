@@ -25,7 +25,7 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.other_laws import OtherLaws
+from trms_cli.effects.model_form import ModelForm
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
 
@@ -53,7 +53,7 @@ NOT_COMPARED = (
     "residual_force",
     "residual_reading",
     "constant_torque",
-    "other_laws",
+    "model_form",
 )
 
 
@@ -143,8 +143,8 @@ def test_laws_of_another_form_are_the_same_in_both_codes() -> None:
     (measured,) = with_perfect_sensors(Rigs(nominals(1), {}, nuisances), commands)
     both = {"damping": -0.15, "thrust": 0.06}
     effects: dict[str, Effect] = {
-        "pitch_other_laws": OtherLaws(axis="pitch", inertia=0.08, **both),
-        "yaw_other_laws": OtherLaws(axis="yaw", spring=-0.05, inertia=-0.08, **both),
+        "pitch_model_form": ModelForm(axis="pitch", inertia=0.08, **both),
+        "yaw_model_form": ModelForm(axis="yaw", spring=-0.05, inertia=-0.08, **both),
     }
     plain, own = (simulated_with(e, commands[0]) for e in ({}, effects))
     units = np.array([0.0015, 0.0015, 1.6, 1.6])

@@ -31,7 +31,7 @@ from trms_cli.core.trust import allowed_for_now
 from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
-from trms_cli.effects.other_laws import LAWS
+from trms_cli.effects.model_form import MODEL_FORM
 from trms_cli.gap.belief import DISTURBANCE
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult, Worth, likeliest
 from trms_cli.gap.problem import GapProblem
@@ -370,7 +370,7 @@ def write_models(
         refit, words = {}, "the nominal model: there is no gap, so nothing was refitted"
     else:
         refit = dict(diagnosis.refit) or ({} if cause is not None or residual else fitted)
-        words = "the nominal model with its parameters refitted, and nothing added"
+        words = f"{_refitted(diagnosis)}, and nothing added"
     corrected = folder / CORRECTED_NAME
     plain = cause is None and not residual
     values = {} if diagnosis.verdict == "no_gap" else fitted or refit
@@ -405,10 +405,15 @@ def applied_cause(diagnosis: DiagnosisResult) -> Cause | None:
     return replace(first, effects=fitted) if fitted else None
 
 
+def _refitted(diagnosis: DiagnosisResult) -> str:
+    also = " and the form of its laws" if diagnosis.model_form else ""
+    return f"the nominal model with its parameters{also} refitted"
+
+
 def corrected_words(diagnosis: DiagnosisResult) -> str:
     """What the corrected model is, for the comment in its file."""
     applied, first = applied_cause(diagnosis), likeliest(diagnosis)
-    refit = "the nominal model with its parameters refitted"
+    refit = _refitted(diagnosis)
     if applied is not None:
         named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
         open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
@@ -460,8 +465,8 @@ def _write(
 ) -> None:
     model, effects = request.problem.model, dict(origin.effects)
     for name in dict.fromkeys(size.split(".")[0] for size in values):
-        if name in LAWS:
-            model = extend_model(model, {name: LAWS[name]})
+        if name in MODEL_FORM:
+            model = extend_model(model, {name: MODEL_FORM[name]})
             effects[name] = {}  # of the library, with the values that were fitted
     known = [name for name in values if name in model.parameters]
     free = free_parameters(model.parameters, known) if known else ()

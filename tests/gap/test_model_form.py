@@ -6,7 +6,7 @@ from tests.gap.recorded import effect, recording
 from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.diagnosis import LawDeparture
-from trms_cli.gap.other_laws import departures, leads, with_free_laws
+from trms_cli.gap.model_form import departures, leads, refit_with_free_form
 from trms_cli.gap.problem import applicable_candidates, divide, with_noise
 from trms_cli.gap.race import Effort, Race, run_race
 from trms_cli.gap.signatures import effect_traces
@@ -23,8 +23,8 @@ NAMES = (
 )
 EFFORT = Effort(4, 3, 2, 3)
 LAWS = {
-    "pitch_other_laws": effect("pitch_other_laws", damping=-0.15, thrust=0.06, inertia=0.08),
-    "yaw_other_laws": effect("yaw_other_laws", damping=-0.15, spring=-0.05, inertia=-0.08),
+    "pitch_model_form": effect("pitch_model_form", damping=-0.15, thrust=0.06, inertia=0.08),
+    "yaw_model_form": effect("yaw_model_form", damping=-0.15, spring=-0.05, inertia=-0.08),
 }
 
 
@@ -36,7 +36,7 @@ def raced(rig, seconds=60.0):
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
     traces = effect_traces(nominal, list(found.values()))
     plain = run_race(nominal, found, traces, EFFORT)
-    laws = with_free_laws(plain)
+    laws = refit_with_free_form(plain)
     beside = None if laws is None else run_race(laws.nominal, found, traces, EFFORT)
     return plain, laws, beside
 
@@ -57,12 +57,14 @@ def test_a_cause_is_found_beside_laws_of_another_form():
     told = departures(best(beside))
     known = {f"{n}.{p.name}": p.value for n, law in LAWS.items() for p in law.parameters()}
     assert told.keys() == known.keys()
-    for name in ("pitch_other_laws.inertia", "yaw_other_laws.damping", "yaw_other_laws.spring"):
+    for name in ("pitch_model_form.inertia", "yaw_model_form.damping", "yaw_model_form.spring"):
         law = told[name]
         assert law.value == pytest.approx(known[name], abs=max(4 * law.sd, 0.01))
         assert abs(law.value) > 4 * law.sd
     words = laws_in_words(told)
-    assert any(w.startswith("yaw damping goes with a power 0.1") for w in words)
+    assert any(
+        w.startswith("yaw damping goes with a lower power of the rate (by 0.1") for w in words
+    )
     assert any(w.startswith("yaw is pulled back") and "% less at 1 rad" in w for w in words)
 
 
@@ -72,4 +74,4 @@ def test_laws_that_are_the_model_s_are_left_alone():
     assert laws is None or (beside is not None and not leads(beside, plain))
     assert departures(best(plain)) == {}
     small = LawDeparture(value=0.01, sd=0.001, unit="1", words="hardly")
-    assert laws_in_words({"yaw_other_laws.damping": small}) == []
+    assert laws_in_words({"yaw_model_form.damping": small}) == []

@@ -7,8 +7,12 @@ import pytest
 from tests.gap.recorded import effect
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.model_form import _own_laws
+from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.tras import Tras
 
 MODEL = Newtonian()
 STATE = {"S_v": 0.03, "S_h": -0.02, "alpha_v": 0.3, "alpha_h": 0.8, "omega_v": 150.0}
@@ -37,7 +41,7 @@ def moments(effects: dict[str, Effect] | None = None) -> np.ndarray:
 
 def changed(axis: str, **sizes: float) -> float:
     """By how much a departure changes the moment on its axis, N m."""
-    name = f"{axis}_other_laws"
+    name = f"{axis}_model_form"
     row = ["pitch", "yaw"].index(axis)
     change = moments({name: effect(name, **(NONE | sizes))}) - moments()
     assert change[1 - row] == pytest.approx(0.0, abs=1e-12)
@@ -72,3 +76,21 @@ def test_a_spring_that_hardens_and_damping_of_another_power():
     (rate,) = at_the_state(MODEL, lambda at: [at.rate("yaw")])
     damping = -known["k_oh"] * rate * (abs(rate / 0.3) ** -0.15 - 1)
     assert changed("yaw", damping=-0.15) == pytest.approx(damping, rel=1e-3)
+
+
+@pytest.mark.parametrize("model", [Newtonian(), Tras(), QuanserAero(), Lagrangian()])
+def test_damping_is_what_the_model_has_with_the_beam_at_rest(model):
+    """In motion the moment on yaw goes with the rate of pitch, too, which is no damping."""
+    x, u, p, w = model.symbols()
+    here = EffectContext(model, x, u, p, w, ca.SX.zeros(0), {})
+    for axis in ("pitch", "yaw"):
+        laws = ca.Function("laws", [x, u, p, w], list(_own_laws(here, axis))[1:])
+        found = []
+        for rate in (-0.5, 0.0, 0.5):
+            state = model.rest()
+            state[model.state_index("alpha_v")] = 0.3
+            state[model.state_index("S_v")] = state[model.state_index("S_h")] = rate
+            found.append(laws(state, np.zeros(model.n_u), model.parameters.values, np.zeros(4)))
+        assert float(found[1][0]) < 0
+        for one in found:
+            assert np.array(one) == pytest.approx(np.array(found[1]), rel=1e-9, abs=1e-12)

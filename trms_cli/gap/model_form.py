@@ -2,24 +2,29 @@
 
 Where every law of a model errs by a tenth, three effects that mimic them explain a recording better
 than the one that the rig has. So the nominal model is refitted once more with its laws free
-(:mod:`trms_cli.effects.other_laws`), each held by a prior to what models usually err by, and the
+(:mod:`trms_cli.effects.model_form`), each held by a prior to what models usually err by, and the
 effects race again beside it. The richer world is taken where its best says clearly more than the
 best of the plain one: with few laws off it hardly does, for its score is a held-out one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from trms_cli.core.wording import number
-from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.other_laws import LAWS
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.extended_model import ExtendedModel, extend_model
+from trms_cli.effects.model_form import MODEL_FORM
 from trms_cli.gap.competing_model import FittedModel, Refit, refit
 from trms_cli.gap.diagnosis import LawDeparture
 from trms_cli.gap.problem import applicable_candidates
 from trms_cli.gap.race import Race
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model
+from trms_cli.models.parameters import ParameterSet
 
 #: Nats that the best of a race must gain for the model's laws to be doubted at all, that free laws
 #: alone must gain for effects to race beside them, and by which the best there must lead.
@@ -30,39 +35,74 @@ _MOST, _NEAR = 0.2, 0.95
 
 
 @dataclass(frozen=True)
-class FreeLaws:
-    """The nominal model with its laws free, refitted."""
+class FreeForm:
+    """The nominal model with the form of its laws free, refitted."""
 
     model: Model
     nominal: Refit
 
+    @property
+    def key(self) -> str:
+        """What is kept of a race beside it begins with this."""
+        return f"form {' '.join(departures(self.nominal))} "
 
-def with_free_laws(race: Race, unseen: int = 0) -> FreeLaws | None:
+
+def refit_with_free_form(
+    race: Race,
+    unseen: int = 0,
+    *,
+    taken: Collection[str] = (),
+    watch: Callable[[str], object] = lambda message: None,
+) -> FreeForm | None:
     """The refit with free laws, where it says enough to race again; None: the laws will do.
 
-    ``unseen``: as of :func:`~trms_cli.gap.competing_model.refit`.
+    ``unseen``: as of :func:`~trms_cli.gap.competing_model.refit`. ``taken``: names of candidates,
+    which are no nuisance. ``watch``: told what is being done, may raise to stop.
     """
     plain = race.refit
     best = max((e.fit.score for e in race.entries), default=plain.fit.score)
     if best < plain.fit.score + _WORTH_DOUBTING:
         return None
     problem = plain.structure.problem
-    laws, _ = applicable_candidates(problem.model, LAWS)
+    free_of_them = {name: law for name, law in MODEL_FORM.items() if name not in taken}
+    laws, _ = applicable_candidates(problem.model, free_of_them)
     if not laws:
         return None
-    model = extend_model(problem.model, {name: laws[name].effect for name in laws})
-    free = [_held(size) for law in laws.values() for size in law.free]
+    model = with_effects_beneath_impulses(problem.model, {n: laws[n].effect for n in laws})
+    free = [_with_prior(size) for law in laws.values() for size in law.free]
     while free:
-        made = refit(model, (*problem.free, *free), problem.datasets, problem.window_length, unseen)
-        far = {name for name, law in departures(made).items() if abs(law.value) > _NEAR * _MOST}
-        if not far:
-            return FreeLaws(model, made) if made.fit.score > plain.fit.score + _FREE else None
+        watch("laws of another form")
+        try:
+            made = refit(
+                model, (*problem.free, *free), problem.datasets, problem.window_length, unseen
+            )
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return None  # what cannot be reckoned with is no reason to stop
+        beyond = {name for name, law in departures(made).items() if abs(law.value) > _NEAR * _MOST}
+        if not beyond:
+            return FreeForm(model, made) if made.fit.score > plain.fit.score + _FREE else None
         # what a law would have to bend so far for is something else, which an effect has to say
-        free = [size for size in free if size.name not in far]
+        free = [size for size in free if size.name not in beyond]
     return None
 
 
-def _held(free: FreeParameter) -> FreeParameter:
+def with_effects_beneath_impulses(model: Model, effects: Mapping[str, Effect]) -> Model:
+    """The model with further effects in the order in which a model file would have them.
+
+    Impulses (dry friction) that the model has already act after them.
+    """
+    own: dict[str, Effect] = {}
+    base = model
+    while isinstance(base, ExtendedModel):
+        own = {base.effect_name: base.effect, **own}
+        base = base.base
+    made = extend_model(base, {**own, **effects})
+    known = {p.name: p for p in model.parameters}
+    made.parameters = ParameterSet([known.get(p.name, p) for p in made.parameters])
+    return made
+
+
+def _with_prior(free: FreeParameter) -> FreeParameter:
     """A law's departure with its prior: about none, as wide as half of what an effect's is."""
     sd = (free.prior_sd or 2 * _MOST) / 2
     return replace(free, start=0.0, prior_mean=0.0, prior_sd=sd, lower=-_MOST, upper=_MOST)
@@ -87,7 +127,8 @@ def departures(fitted: FittedModel) -> dict[str, LawDeparture]:
             words=_words(free.name, float(fitted.fit.theta[i]), float(sd[i])),
         )
         for i, free in enumerate(fitted.structure.problem.free)
-        if free.name.split(".")[0] in LAWS
+        if free.name.split(".")[0] in MODEL_FORM
+        and free.name.split(".")[0] not in fitted.names  # that raced for itself
     }
 
 
@@ -97,12 +138,12 @@ def _words(name: str, value: float, sd: float) -> str:
     axis = law.split("_")[0]
     rotor = "main" if axis == "pitch" else "tail"
     more = "more" if value > 0 else "less"
-    power = f"with a power {number(abs(value), 2)} ± {number(sd, 1)}"
-    higher = "higher" if value > 0 else "lower"
+    higher = "a higher power" if value > 0 else "a lower power"
+    by = f"(by {number(abs(value), 2)} ± {number(sd, 1)})"
     share = f"{number(100 * abs(value), 2)} ± {number(100 * sd, 1)} %"
     return {
-        "damping": f"{axis} damping goes {power} {higher} of the rate",
-        "thrust": f"thrust of the {rotor} rotor goes {power} {higher} of its speed",
+        "damping": f"{axis} damping goes with {higher} of the rate {by}",
+        "thrust": f"thrust of the {rotor} rotor goes with {higher} of its speed {by}",
         "spring": f"{axis} is pulled back {share} {more} at 1 rad",
         "inertia": f"{axis} has {share} {more} inertia",
     }[size]

@@ -1,4 +1,4 @@
-"""Laws of an axis that are of another form than the model's, by the smallest departures.
+"""Model form: laws of an axis that are of another form than the model's, by small departures.
 
 No rig follows its model's laws to the letter, and what they leave looks like many small causes at
 once. Each term is what the model's own law becomes when its form changes a little, as a share of
@@ -9,9 +9,10 @@ what that law does::
     spring    −k α (1 + h α²)
     inertia   (1 + i) J Ω̇ = all moments
 
-with ``−c Ω`` the moment that goes with the rate, ``l F`` that of the axis' own rotor and ``−k α``
-what pulls the axis back about its angle, whatever the model has of them. At the rate Ω₀ and the
-speed ω₀ another exponent changes nothing: what it changes there is the coefficient's matter.
+with ``−c`` the slope of the model's moments in the axis' rate and ``−k`` in its angle, both while
+the beam stands still, and ``l F`` the moment of the axis' own rotor. At the rate Ω₀ and the speed
+ω₀ another exponent changes nothing: what it changes there is the coefficient's matter. Impulses
+(dry friction, stops) meet the inertia of the model beneath.
 """
 
 from collections.abc import Mapping
@@ -36,7 +37,7 @@ Departure = Annotated[float, Meta(ge=-0.6, le=0.6)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class OtherLaws(Effect):
+class ModelForm(Effect):
     """Departures of an axis' laws from the model's."""
 
     #: It says by how much a model errs, and is no candidate unless it is asked for
@@ -86,24 +87,34 @@ def _departure(ratio: ca.SX, least: float, exponent: ca.SX) -> ca.SX:
 
 
 def _own_laws(at: EffectContext, axis: str) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """All moments on an axis, N m, and their slopes in its rate and in its angle."""
-    model = at.model
+    """All moments on an axis, N m, and their slopes in its rate and angle with the beam at rest.
+
+    In motion the slope in a rate is that of Coriolis' moment as well.
+    """
+    model, axes = at.model, list(at.model.axes)
     x, u, p, w = model.symbols()
     here = EffectContext(model, x, u, p, w, ca.SX.zeros(0), {})
     acceleration, mobility = here.accelerations(axis)
     moment = acceleration / mobility
-    # the rate is moved by the state that a torque on the axis pushes
-    rate = ca.jacobian(here.rate(axis), x)
-    pushed = ca.jacobian(model.dynamics(x, u, p, w), w)[:, moment_index(model, axis)]
-    moved = [i for i in range(model.n_x) if not (rate[i].is_zero() or pushed[i].is_zero())]
-    in_rate = ca.jacobian(moment, x[moved[0]]) / rate[moved[0]] if moved else ca.SX(0)
+    # rates are affine in the states that torques on the axes push: momenta, or the rates themselves
+    rates = ca.vertcat(*(here.rate(name) for name in axes))
+    torques = [moment_index(model, name) for name in axes]
+    pushed = ca.jacobian(model.dynamics(x, u, p, w), w)[:, torques]
+    in_state = ca.jacobian(rates, x)
+    moved = [i for i in range(model.n_x) if in_state[:, i].nnz() and pushed[i, :].nnz()]
+    per_rate = ca.inv(ca.densify(in_state[:, moved]))
+    still = ca.SX(x)
+    still[moved] = x[moved] - per_rate @ rates
+    in_rate = ca.jacobian(moment, x[moved]) @ per_rate[:, axes.index(axis)]
     in_angle = ca.jacobian(moment, x[model.state_index(axis_of(model, axis).angle)])
-    known = ca.Function("own_laws", [x, u, p, w], [moment, in_rate, in_angle])
-    return tuple(known(at.x, at.u, at.p, at.w))
+    symbols = [x, u, p, w]
+    at_rest = ca.Function("at_rest", symbols, [still])(at.x, at.u, at.p, at.w)
+    slopes = ca.Function("slopes", symbols, [in_rate, in_angle])(at_rest, at.u, at.p, at.w)
+    return ca.Function("moment", symbols, [moment])(at.x, at.u, at.p, at.w), *slopes
 
 
 #: The laws of both axes, as the model has them.
-LAWS: Mapping[str, OtherLaws] = {
-    "pitch_other_laws": OtherLaws(axis="pitch"),
-    "yaw_other_laws": OtherLaws(axis="yaw"),
+MODEL_FORM: Mapping[str, ModelForm] = {
+    "pitch_model_form": ModelForm(axis="pitch"),
+    "yaw_model_form": ModelForm(axis="yaw"),
 }
