@@ -466,7 +466,7 @@ def test_without_a_cause_it_is_told_how_far_free_runs_lie_above_the_floor(
 @pytest.mark.parametrize(
     ("fraction", "words"),
     [
-        (0.9998, "closes over 99 % of the gap at 2 s (99 to 100 %)."),
+        (0.9998, "closes over 99 % of the gap at 2 s (99 to 100 % on another recording)."),
         (-0.2, "closes nothing of the gap at 2 s."),
     ],
 )

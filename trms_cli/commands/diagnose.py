@@ -19,8 +19,8 @@ Holds recordings of a rig against a model and tells where the gap between them l
 that the model lacks causes it, with which confidence, and how far the gap shrinks once the effect
 is added. Leaves a folder with a report (report.html), all figures (diagnosis.json), and the
 corrected model (corrected_model.yaml), which `model=PATH` takes anywhere. Every effect of
-`trms list effect` is a candidate, those in a folder of your own among them. Ctrl-C stops; finished
-stages are kept, and resume=FOLDER goes on after them.
+`trms list effect` that explains something is a candidate, those in a folder of your own among
+them. Ctrl-C stops; finished stages are kept, and resume=FOLDER goes on after them.
 
 examples
   trms diagnose real=rig.csv                                   model=newtonian

@@ -121,15 +121,20 @@ def percent_interval(low: float, high: float, decimals: int = 0) -> str:
     return f"{percent(low, decimals).removesuffix(' %')} to {percent(high, decimals)}"
 
 
-def gap_share(share: float, ends: tuple[float, float] | None = None, of: str = "") -> str:
+def gap_share(
+    share: float, ends: tuple[float, float] | None = None, of: str = "", where: str = ""
+) -> str:
     """A share of a gap: ``91 %``; with `ends` and `of`, ``91 % of the gap (86 to 94 %)``.
+
+    ``where``: what the interval is of, told behind it.
 
     An estimate beyond all of the gap is no more than all of it. An interval that says the same as
     the share is left out.
     """
     text = "none: it grows" if share <= -1 else percent(min(share, 1.0))
     spread = text if ends is None else gap_interval(ends)
-    return f"{text} {of}".rstrip() + (f" ({spread})" if spread != text else "")
+    interval = f" ({spread} {where}".rstrip() + ")"
+    return f"{text} {of}".rstrip() + (interval if spread != text else "")
 
 
 def gap_interval(ends: tuple[float, float]) -> str:

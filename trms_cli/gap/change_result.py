@@ -33,7 +33,7 @@ from trms_cli.gap.problem import (
     poor_excitation,
 )
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
-from trms_cli.gap.wording import probability_text, sizes
+from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 
 #: Probability from which a verdict is given, and below which a cause is not told.
 _DECIDED, _LEAST = 0.5, 0.002
@@ -440,8 +440,8 @@ def change_sentence(
         )
     shrink = shrinkage.shrink["all"].get(TOLD_AT) if shrinkage else None
     if shrink is not None and shrink.fraction is not None and shrink.fraction > 0:
-        closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
-        text += f". Sized without the last part, it closes {closed} there"
+        closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
+        text += f". Sized without the last part, it closes there {closed}"
     return f"{text}."
 
 

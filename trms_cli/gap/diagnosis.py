@@ -184,7 +184,7 @@ class Shrink:
     """``1 − (corrected − floor)/(refit − floor)``; None where there is no gap to shrink."""
 
     fraction: float | None  #: at most 1
-    ci95: tuple[float, float] | None  #: over resampled blocks
+    ci95: tuple[float, float] | None  #: of another recording of the rig
 
 
 @dataclass(frozen=True, kw_only=True)

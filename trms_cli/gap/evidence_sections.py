@@ -300,7 +300,10 @@ def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[report.Tab
     of_all, heads = "", ["output", _LENGTH, "as it was", "refitted", "floor"]
     if corrected:
         heads = [*heads[:-1], "corrected", "floor", *_CLOSED]
-        caption += " Closed: of what the refit left above the floor."
+        caption += (
+            " Closed: of what the refit left above the floor; the interval is what another"
+            " recording of the rig would show."
+        )
         of_all = (
             "Closed: what the correction took from the gap above the floor that the refit left."
         )

@@ -177,8 +177,8 @@ def _measures(diagnosis: DiagnosisResult) -> Iterator[report.Measure]:
         share = wording.gap_share(shrink.fraction)
         ends = share if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
         judgement: report.Judgement = "good" if shrink.fraction > 0.5 else ""
-        note = f"({ends}) " if ends != share else ""
-        note += f"of the errors over {float(horizon):g} s on data kept aside"
+        note = f"of the errors over {float(horizon):g} s on data kept aside"
+        note += f" ({ends} on another recording)" if ends != share else ""
         yield report.Measure("gap closed", share, judgement=judgement, note=note)
     if diagnosis.worth is not None:
         axis, gain = _largest_gain(diagnosis.worth)

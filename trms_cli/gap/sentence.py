@@ -6,7 +6,7 @@ from trms_cli.core.wording import gap_share, listing, number, quantity, readable
 from trms_cli.gap.diagnosis import Cause, LocationShare, MovedParameter
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
-from trms_cli.gap.wording import probability_text, sizes
+from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 
 #: Probability from which a cause that is not told apart is worth its name.
 LEAST_ALIKE = 0.01
@@ -77,7 +77,7 @@ def sentence(
     shrink = shrinkage.shrink.get("all", {}).get(TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
         if shrink.fraction > 0:
-            closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s")
+            closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
             text += f"; on data kept aside, adding it closes {closed}"
         else:
             text += "; on data kept aside, adding it closes nothing of the gap at 2 s"

@@ -1,9 +1,10 @@
 """How far a correction closes the gap on what was kept aside, and how sure that is.
 
-What is told is measured on the sealed part, on which nothing was fitted. A part of few blocks does
-not tell its own scatter: then the blocks that were fitted are sealed in turn, each with the
-parameters that the other blocks alone would give, and the interval is a bootstrap of as many blocks
-as the sealed part has, drawn from all of them.
+What is told is measured on the sealed part, on which nothing was fitted. Its interval is that of
+another recording: a bootstrap of as many blocks as the sealed part has, with errors that differ as
+they do between recordings of a rig. A part of few blocks does not tell its own scatter: then the
+blocks that were fitted are sealed in turn, each with the parameters that the other blocks alone
+would give, and blocks are drawn from all of them.
 """
 
 from collections.abc import Mapping, Sequence

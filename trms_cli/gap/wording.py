@@ -7,6 +7,8 @@ from trms_cli.gap.diagnosis import LawDeparture, SizeEstimate
 
 #: Stands for the causes that have no row of their own.
 OTHERS = ("others",)
+#: What the interval of a shrink is of.
+ELSEWHERE = "on another recording"
 #: Units of sizes besides, and the factors to them.
 _SIZES = {"s": ("ms", 1e3), "kg": ("g", 1e3)}
 
