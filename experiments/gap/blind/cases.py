@@ -16,7 +16,12 @@ import numpy as np
 
 from experiments.gap.blind import severity
 from experiments.gap.blind.nominal import relative_sds
-from experiments.gap.blind.nuisances import draw_duration, draw_nuisances, imperfect_laws
+from experiments.gap.blind.nuisances import (
+    curved_laws,
+    draw_duration,
+    draw_nuisances,
+    imperfect_laws,
+)
 from experiments.gap.blind.sets import SETS, Kind, SetPlan
 from experiments.gap.blind.truths import (
     GROUPS,
@@ -303,8 +308,10 @@ class _Draw:
         if any(effect.endswith("_quantisation") for effect in case.effects):
             for axis in ("pitch", "yaw"):  # of which the other axis has nothing
                 nuisances[f"{axis}_quantum"] = min(nuisances[f"{axis}_quantum"], 1.0)
-        if self._set.imperfect:
+        if self._set.laws == "powers":
             nuisances |= imperfect_laws(random)
+        elif self._set.laws == "curves":
+            nuisances |= curved_laws(random)
         drive, channels = self._watched(case)
         return replace(
             case,
@@ -312,7 +319,7 @@ class _Draw:
             amplitude=round(float(random.uniform(*self._set.amplitude)), 4),
             duration=draw_duration(random),
             nuisances=nuisances,
-            imperfect=self._set.imperfect,
+            imperfect=self._set.laws != "nominal",
             drive=drive,
             channels=channels,
         )

@@ -80,6 +80,16 @@ def imperfect_laws(random: Random, share: float = 1.0) -> dict[str, float]:
     return {name: float(f"{value:.4g}") for name, value in drawn.items()}
 
 
+def curved_laws(random: Random) -> dict[str, float]:
+    """Laws that no other power of the nominal ones describes, and of which it knows nothing.
+
+    Friction, thrust, the cable and the rotors' drag are larger at rest and smaller far out, or the
+    other way round.
+    """
+    sizes = {"viscous_curve": 0.25, "thrust_curve": 0.12, "drag_curve": 0.12, "cable_curve": 0.1}
+    return {name: float(random.choice([-1.0, 1.0])) * size for name, size in sizes.items()}
+
+
 def draw_duration(random: Random) -> float:
     """s: mostly one to two minutes, one in ten 20 to 40 s, one in twenty 5 to 10 minutes."""
     lot = random.uniform()

@@ -37,6 +37,8 @@ SPEED_QUANTUM = 0.4917  #: rad/s
 SPEED_NOISE = 1.6  #: rad/s
 PITCH_STOP, YAW_STOP = 1.05, 2.8  #: rad
 COMMAND_LIMIT = 2.5  #: V
+#: rad/s. Speeds of the rotors at which another law of thrust or drag is equal to the usual one.
+USUAL_SPEED = {"main": 200.0, "tail": 300.0}
 
 
 class Driver(Protocol):
@@ -88,6 +90,12 @@ class Nuisances:
     cable_hardening: float | FloatArray = 0.0
     pitch_inertia: float | FloatArray = 1.0  #: Factor on the moment of inertia alone
     yaw_inertia: float | FloatArray = 1.0  #: Factor on the moment of inertia alone
+    # Laws of the nominal model that no power describes: shares by which each is larger at zero, and
+    # smaller far out, see :func:`_curved`. Equal at 0.3 rad/s, 200 and 300 rad/s, 0.5 rad.
+    viscous_curve: float | FloatArray = 0.0
+    thrust_curve: float | FloatArray = 0.0
+    drag_curve: float | FloatArray = 0.0  #: Of the rotors
+    cable_curve: float | FloatArray = 0.0
 
 
 @dataclass(frozen=True)
@@ -347,7 +355,9 @@ class _Run:
         w_m, w_t, q, r, theta, psi = x
         cos, sin = np.cos(theta), np.sin(theta)
         drag_m = np.where(w_m >= 0, c["k_tvp"], c["k_tvn"]) * w_m * np.abs(w_m)
+        drag_m = drag_m * _curved(w_m, USUAL_SPEED["main"], own.drag_curve)
         drag_t = np.where(w_t >= 0, c["k_thp"], c["k_thn"]) * w_t * np.abs(w_t)
+        drag_t = drag_t * _curved(w_t, USUAL_SPEED["tail"], own.drag_curve)
         rub_m = size("main_rotor_friction", "torque") * np.tanh(w_m / own.rub_speed)
         rub_t = size("tail_rotor_friction", "torque") * np.tanh(w_t / own.rub_speed)
         motor_m = c["kphi"] * (c["k_uv"] * self.v[0] - c["kphi"] * w_m) / c["R"]
@@ -368,6 +378,7 @@ class _Run:
         cable = (
             np.where(psi >= 0, c["k_chp"], c["k_chn"]) * psi * (1 + own.cable_hardening * psi**2)
         )
+        cable = cable * _curved(psi, 0.5, own.cable_curve)
         away = psi - size("yaw_cable_stiffness", "neutral")
         cable = cable + size("yaw_cable_stiffness", "stiffness") * away
         cable = cable + size("yaw_cable_stiffness", "cubic") * away**3
@@ -411,8 +422,9 @@ class _Run:
         size = self.size
         thrust = np.where(w >= 0, ahead, back) * w * np.abs(w)
         if np.any(self.own.thrust_exponent):
-            usual = {"main": 200.0, "tail": 300.0}[rotor]
+            usual = USUAL_SPEED[rotor]
             thrust = thrust * np.maximum(np.abs(w) / usual, 1e-6) ** self.own.thrust_exponent
+        thrust = thrust * _curved(w, USUAL_SPEED[rotor], self.own.thrust_curve)
         exponent = size(f"{rotor}_thrust_curve", "exponent")
         if exponent.any():
             reference = np.maximum(size(f"{rotor}_thrust_curve", "reference"), 1.0)
@@ -426,9 +438,17 @@ class _Run:
 
 def _viscous(rate: FloatArray, own: Nuisances) -> FloatArray:
     """A rate, rad/s, or what stands for it where friction does not grow with its first power."""
-    if np.all(np.equal(own.viscous_exponent, 1.0)):
-        return rate
-    return 0.3 * _power(rate / 0.3, own.viscous_exponent)
+    if np.any(np.not_equal(own.viscous_exponent, 1.0)):
+        rate = 0.3 * _power(rate / 0.3, own.viscous_exponent)
+    return rate * _curved(rate, 0.3, own.viscous_curve)
+
+
+def _curved(x: FloatArray, usual: float, share: float | FloatArray) -> float | FloatArray:
+    """Factor on a law that is larger by a share at zero, and smaller by as much far out."""
+    if not np.any(share):
+        return 1.0
+    size = np.abs(x)
+    return 1 + share * (usual - size) / (usual + size)
 
 
 def _power(x: FloatArray, exponent: float | FloatArray) -> FloatArray:

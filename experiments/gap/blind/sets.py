@@ -37,8 +37,9 @@ class SetPlan:
     #: average, in a direction that the seed decides; 0: about it
     shift: float
     shares: Mapping[Kind, float]  #: Of the kinds
-    #: Whether all rigs have laws that the nominal model has not, with what is drawn on top
-    imperfect: bool = False
+    #: Laws that all rigs have and the nominal model has not, with what is drawn on top: of other
+    #: powers, or that no power describes
+    laws: Literal["nominal", "powers", "curves"] = "nominal"
 
 
 _DEVELOPMENT = SetPlan(
@@ -109,7 +110,13 @@ SETS: Mapping[str, SetPlan] = {
     "imperfect": replace(
         _DEVELOPMENT,
         cases=120,
-        imperfect=True,
+        laws="powers",
         shares={"null": 20, "single": 50, "pair": 20, "outside": 10, "against": 20},
+    ),
+    "imperfect_curves": replace(
+        _DEVELOPMENT,
+        cases=60,
+        laws="curves",
+        shares={"null": 12, "single": 32, "pair": 12, "against": 4},
     ),
 }

@@ -8,7 +8,7 @@ import pytest
 from experiments.gap.blind import severity
 from experiments.gap.blind.cases import Case, plan
 from experiments.gap.blind.nominal import relative_sds
-from experiments.gap.blind.nuisances import draw_nuisances, imperfect_laws
+from experiments.gap.blind.nuisances import curved_laws, draw_nuisances, imperfect_laws
 from experiments.gap.blind.recording import Timing, record, references_of
 from experiments.gap.blind.sets import SETS
 from experiments.gap.blind.truths import (
@@ -90,6 +90,9 @@ def test_nuisances_are_drawn_for_each_rig_and_twins_share_them() -> None:
     for case in plan("imperfect", 1):
         assert case.imperfect and abs(case.nuisances["pitch_inertia"] - 1) == pytest.approx(0.08)
     assert not any(case.imperfect for case in cases)
+    for case in plan("imperfect_curves", 1):
+        assert case.imperfect and abs(case.nuisances["viscous_curve"]) == pytest.approx(0.25)
+        assert 0.99 <= case.nuisances["pitch_inertia"] <= 1.01
 
 
 def test_rigs_that_are_compared_differ_from_their_references_in_one_thing() -> None:
@@ -255,6 +258,7 @@ def test_each_nuisance_and_each_effect_outside_changes_what_is_seen(
     usual = {"drift": 0.0, "jitter": 0.0, "flexibility": 0.0}
     names = tuple(draw_nuisances(np.random.default_rng(1)))
     assert set(names) > set(imperfect_laws(np.random.default_rng(1)))
+    names += tuple(curved_laws(np.random.default_rng(1)))
     effects = {
         "yaw_coulomb_friction": {"torque": 0.01},
         "pitch_quadratic_damping": {"coefficient": 0.2},
