@@ -142,10 +142,12 @@ blind-full: $(READY) ## proof, whole: 300 sealed rigs, with baselines; hours, an
 blind-severity: $(READY) ## how large effects have to be for gaps of 1.3, 2 and 4 times the floor (ten minutes)
 	@$(BIN)/python -m experiments.gap.blind.severity
 
-blind-imperfect: $(READY) ## proof on 120 rigs whose laws are others than the model's; hours, and called again it goes on
-	@test -f $(BLIND)/imperfect/commitment.json || $(BIN)/trms blind make set=imperfect seed=$(SEED) out=$(BLIND)/imperfect
-	@$(BIN)/trms blind run in=$(BLIND)/imperfect out=$(BLIND)/imperfect.found $(ARGS)
-	@$(BIN)/trms blind score in=$(BLIND)/imperfect diagnoses=$(BLIND)/imperfect.found
+blind-imperfect: $(READY) ## proof on 180 rigs whose laws are others than the model's; hours, and called again it goes on
+	@for set in imperfect imperfect_curves; do \
+		test -f $(BLIND)/$$set/commitment.json || $(BIN)/trms blind make set=$$set seed=$(SEED) out=$(BLIND)/$$set || exit; \
+		$(BIN)/trms blind run in=$(BLIND)/$$set out=$(BLIND)/$$set.found $(ARGS) || exit; \
+		$(BIN)/trms blind score in=$(BLIND)/$$set diagnoses=$(BLIND)/$$set.found || exit; \
+	done
 
 calibration: $(READY) ## features of 1000 simulated rigs, and how far probabilities can be trusted; hours, and called again it goes on
 	@$(BIN)/python -m experiments.gap.simulate $(BLIND)/calibration --seed $(SEED) $(ARGS)
