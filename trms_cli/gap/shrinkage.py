@@ -188,11 +188,11 @@ _DIVERGED = 1e6
 _IN_TURN = 1_000_000
 
 
-#: Standard deviation of the logarithm of a channel's error from one recording of a rig to the next:
-#: of what both models have in common, and of each one's own; degrees of freedom of Student's t; the
-#: share of it that tachos have. On 214 fresh recordings of rigs (docs/blind.md) errors of angles
-#: differ by a robust 0.35 in the logarithm, those of speeds by 0.07, two thirds of it in common.
-_BETWEEN, _FREEDOM, _OF_TACHOS = 0.25, 4.0, 0.25
+#: Standard deviations of the logarithm of a channel's error from one recording of a rig to another:
+#: of what both models have in common, and of each one's own where they differ by the factor e^0.6
+#: and more, in proportion below; degrees of freedom of Student's t; the share of it that tachos
+#: have. Measured on 214 fresh recordings of rigs (docs/blind.md).
+_COMMON, _OWN, _APART, _FREEDOM, _OF_TACHOS = 0.3, 0.35, 0.6, 4.0, 0.25
 
 
 def _pooled(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -> Shrink:
@@ -227,11 +227,14 @@ def _pooled(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -> Shrin
     random = np.random.default_rng(np.random.SeedSequence([seed, 0x5412]))
     even = np.full(len(blocks), 1 / len(blocks))
     drawn = random.multinomial(np.count_nonzero(sealed), even, _RESAMPLES)
+    with np.errstate(all="ignore"):
+        ratio = np.abs(np.log(sums[..., 1].sum(axis=1) / sums[..., 0].sum(axis=1))) / 2
+    differ = np.clip(np.nan_to_num(ratio, nan=np.inf) / _APART, 0.0, 1.0)[:, None]
     tacho = np.isin(channels, list(SPEEDS.values()))
-    size = _BETWEEN * np.where(tacho, _OF_TACHOS, 1.0)
+    size = np.where(tacho, _OF_TACHOS, 1.0)[:, None]
     tails = np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, (_RESAMPLES, len(parts), 1)))
     common, own = (random.standard_normal((_RESAMPLES, len(parts), k)) for k in (1, 2))
-    factors = np.exp(2 * size[:, None] * tails * (common + own))
+    factors = np.exp(2 * size * tails * (_COMMON * common + _OWN * differ * own))
     found = np.array([fraction(w.astype(float), f) for w, f in zip(drawn, factors, strict=True)])
     found = found[np.isfinite(found)]
     if len(blocks) < 2 or len(found) < _RESAMPLES / 2 or not np.isfinite(of_all):
