@@ -301,8 +301,7 @@ def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[report.Tab
     if corrected:
         heads = [*heads[:-1], "corrected", "floor", *_CLOSED]
         caption += (
-            " Closed: of what the refit left above the floor; the interval is what another"
-            " recording of the rig would show."
+            " Closed: of what the refit left above the floor (interval: on another recording)."
         )
         of_all = (
             "Closed: what the correction took from the gap above the floor that the refit left."
