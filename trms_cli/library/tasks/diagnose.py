@@ -465,7 +465,7 @@ def _write(
 ) -> None:
     model, effects = request.problem.model, dict(origin.effects)
     for name in dict.fromkeys(size.split(".")[0] for size in values):
-        if name in MODEL_FORM:
+        if name in MODEL_FORM and name not in effect_names(model):
             model = extend_model(model, {name: MODEL_FORM[name]})
             effects[name] = {}  # of the library, with the values that were fitted
     known = [name for name in values if name in model.parameters]
