@@ -100,9 +100,9 @@ class Cause:
 class LawDeparture:
     """By how much a law of the model is of another form than the rig's."""
 
-    value: float
-    sd: float
-    unit: str
+    value: float  #: what the refit found, in its unit; zero is the model's own form
+    sd: float  #: of the posterior
+    unit: str  #: SI
     words: str  #: as a colleague calls it
 
 
