@@ -39,6 +39,8 @@ class Answer:
     shrink_ci95: tuple[float, float] | None = None  #: (low, high) or None
     #: Told noise floor by channel at :data:`HORIZON`
     floors: Mapping[str, float] = field(default_factory=dict)
+    #: Told errors by channel at :data:`HORIZON` on the sealed part: (refitted, corrected)
+    sealed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     not_testable: tuple[str, ...] = ()
     seconds: float | None = None  #: That it took
     onset: float | None = None  #: s, from when the first cause is there; None: always
@@ -70,6 +72,8 @@ class FreshResult:
     shrink: float | None
     #: Channels in which the corrected model errs by over 2 % more than the refitted one
     worse: tuple[str, ...]
+    #: Errors by channel at :data:`HORIZON`: (refitted, corrected); without what diverged
+    errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,6 +225,11 @@ def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answ
                 for channel, row in document.get("gap", {}).items()
                 if row.get(HORIZON, {}).get("floor")
             },
+            sealed={
+                channel: (float(row[HORIZON]["refit"]), float(row[HORIZON]["corrected"]))
+                for channel, row in document.get("gap", {}).items()
+                if None not in (row.get(HORIZON, {}).get(k) for k in ("refit", "corrected"))
+            },
             not_testable=tuple(entry["effect"] for entry in document.get("not_testable", [])),
             seconds=(sum(took.values()) or None) if seconds is None else seconds,
             onset=_onset(document["causes"]),
@@ -265,16 +274,18 @@ def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | Non
         return FreshResult(shrink=None, worse=())  # nothing was added
     refit, corrected = (_errors(file, recording) for file in files)
     worse = tuple(c for c in refit if corrected[c] > WORSE * refit[c])
+    pairs = {c: (refit[c], corrected[c]) for c in refit}
+    errors = {c: pair for c, pair in pairs.items() if np.all(np.isfinite(pair))}
     told = [c for c in refit if c in answer.floors]
     if not (told and answer.named):
-        return FreshResult(shrink=None, worse=worse)
+        return FreshResult(shrink=None, worse=worse, errors=errors)
     floors = np.array([answer.floors[c] for c in told])
     before, after = (
         float(np.sqrt(np.mean((np.array([e[c] for c in told]) / floors) ** 2)))
         for e in (refit, corrected)
     )
     shrink = min(1 - (after - 1) / (before - 1), 1.0) if before > LEAST_GAP else None
-    return FreshResult(shrink=shrink, worse=worse)
+    return FreshResult(shrink=shrink, worse=worse, errors=errors)
 
 
 def _content(file: Path) -> list[str]:

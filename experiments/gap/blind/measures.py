@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from experiments.gap.blind.between_recordings import Spread, between_recordings
 from experiments.gap.blind.judgement import JudgedCase
 from experiments.gap.blind.severity import LEVELS
 from experiments.gap.blind.statistics import (
@@ -77,6 +78,7 @@ class Table:
     by_effect: Mapping[str, Mapping[str, Estimate]]
     confusions: Mapping[str, Mapping[str, int]]  #: Truth, then what was said
     reliability: Reliability  #: Of the likeliest cause's probability
+    spreads: Sequence[Spread]  #: Of errors, from the sealed part to the second recording
     seconds: float | None  #: Mean time of a diagnosis
 
 
@@ -97,6 +99,7 @@ def table(
         rows=(*_shares(judged), *_amounts(judged, oracle or {}, draws, seed)),
         by_effect=_by_effect(judged),
         confusions=_confusions(judged),
+        spreads=between_recordings(judged),
         reliability=reliability([j.answer.first[1] for j in judged], [j.right for j in judged]),
         seconds=fmean(took) if took else None,
     )

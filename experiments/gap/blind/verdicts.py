@@ -99,6 +99,7 @@ def document_of(
                 },
                 "confusions": table.confusions,
                 "reliability": asdict(table.reliability),
+                "between_recordings": [asdict(spread) for spread in table.spreads],
                 "judged": {j.name: _facts(j) for j in judged[name]},
             }
             for name, table in tables.items()
@@ -135,6 +136,8 @@ def markdown(document: Mapping[str, Any]) -> str:
         lines += ["", f"### {name}: right, by kind", "", *_by_kind(cases)]
         lines += ["", f"### {name}: what was missed", "", *_missed(cases)]
         lines += ["", f"### {name}: reliability", "", *_bins(method["reliability"]["bins"])]
+        if spreads := method["between_recordings"]:
+            lines += ["", f"### {name}: errors on the second recordings", "", *_spreads(spreads)]
     return "\n".join(lines) + "\n"
 
 
@@ -273,4 +276,18 @@ def _bins(bins: Sequence[Mapping[str, Any]]) -> list[str]:
         right = f"{b['right']:.2f} [{low:.2f}, {high:.2f}]"
         span = f"{b['low']:.1f} to {b['high']:.1f}"
         lines.append(_line(span, f"{b['predicted']:.2f}", right, str(b["count"])))
+    return lines
+
+
+def _spreads(spreads: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Standard deviations of the logarithm, and by which factor the two models differ before."""
+    head = ("channels", "models differ by", "refitted", "corrected", "difference", "correlation")
+    lines = [_line(*head, "channels of rigs"), _line(*["---"] * 7)]
+    for s in spreads:
+        band = f"{s['low']:g} to {s['high']:g}"
+        if s["high"] is None:
+            band = "any" if s["low"] <= 1 else f"{s['low']:g} and more"
+        figures = [f"{s[key]:.2f}" for key in ("refit", "corrected", "apart")]
+        together = "–" if s["correlation"] is None else f"{s['correlation']:.2f}"
+        lines.append(_line(s["channels"], band, *figures, together, str(s["count"])))
     return lines

@@ -1,5 +1,6 @@
 """Judgement of diagnoses that are made by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from experiments.gap.blind.between_recordings import between_recordings
 from experiments.gap.blind.cases import Case
 from experiments.gap.blind.drivers import rich_excitation
 from experiments.gap.blind.judgement import Answer, FreshResult, JudgedCase, answer_of, on_fresh
@@ -243,6 +245,9 @@ def test_models_run_on_a_recording_that_nobody_saw(recording, tmp_path, better, 
     if better:
         assert found.shrink is not None
         assert found.shrink > 0.9
+    assert set(found.errors) == set(floors)
+    for refit, corrected in found.errors.values():
+        assert (corrected < refit) == better
     # what names no effect shrinks nothing, but may make a channel worse all the same
     unnamed = on_fresh(answer("none_of_these", verdict="none_of_these"), tmp_path, recording)
     assert unnamed is not None
@@ -346,3 +351,35 @@ def test_what_was_missed_is_shown_by_kind() -> None:
     assert by_kind[2].startswith("33.3 %")
     assert by_kind[4].startswith("50.0 %")
     assert sum(row[0] == "| null" for row in rows) == 1
+
+
+def test_how_errors_differ_between_recordings_is_that_of_what_was_drawn() -> None:
+    """Deviations come back, by channel and by how far the two models are apart."""
+    random = np.random.default_rng(3)
+    found = []
+    for i in range(400):
+        ratio = 1.01 if i % 2 else 3.0
+        own = 0.02 if i % 2 else 0.4
+        common, a, b = 0.3 * random.standard_normal(), *own * random.standard_normal(2)
+        sealed = {"alpha_v": (1e-3, 1e-3 / ratio), "omega_v": (2.0, 2.0)}
+        fresh = {
+            "alpha_v": (1e-3 * np.exp(common + a), 1e-3 / ratio * np.exp(common + b)),
+            "omega_v": (2.0 * np.exp(common / 4), 2.0 * np.exp(common / 4)),
+        }
+        said = replace(answer(FRICTION), sealed=sealed)
+        result = FreshResult(shrink=0.5, worse=(), errors=fresh)
+        found.append(judged(case("single"), said, f"c{i:03d}", result))
+    spreads = between_recordings(found)
+    by_band = {(s.channels, s.low, s.high): s for s in spreads}
+    near, far = by_band["angles", 1.0, 1.02], by_band["angles", 2.2, 4.5]
+    assert (near.count, far.count) == (200, 200)
+    assert near.apart == pytest.approx(0.02 * 2**0.5, rel=0.25)
+    assert far.apart == pytest.approx(0.4 * 2**0.5, rel=0.25)
+    assert near.refit == pytest.approx(0.3, rel=0.25)
+    assert near.correlation > 0.9 > far.correlation
+    speeds = by_band["speeds", 1.0, None]
+    assert speeds.count == 400
+    assert speeds.apart == 0
+    assert speeds.refit == pytest.approx(0.075, rel=0.2)
+    # what names no effect has two models that nobody is promised anything of
+    assert not between_recordings([judged(case("single"), replace(said, verdict="no_gap"))])
