@@ -84,7 +84,7 @@ def separate(study: Mapping[str, Any], out: Path, told: Told) -> list[Separation
 def _separate(
     rig: Rig, folder: Path, true: str, rival: str, study: Mapping[str, Any], told: Told
 ) -> Separation:
-    words, step = study["diagnose"], study["record"]["sample_time"]
+    words, step = study["separation"]["diagnose"], study["record"]["sample_time"]
     told(f"separating {rig.name}: the first recording")
     first = diagnose_recordings([folder / RECORDING], folder / "first", words)
     before, advice = pair_standing(first, true, rival)

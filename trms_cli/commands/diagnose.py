@@ -20,7 +20,7 @@ that the model lacks causes it, with which confidence, and how far the gap shrin
 is added. Leaves a folder with a report (report.html), all figures (diagnosis.json), and the
 corrected model (corrected_model.yaml), which `model=PATH` takes anywhere. Every effect of
 `trms list effect` that explains something is a candidate, those in a folder of your own among
-them. Ctrl-C stops; finished stages are kept, and resume=FOLDER goes on after them.
+them. Ctrl-C stops; finished fits are kept, and resume=FOLDER goes on after them.
 
 examples
   trms diagnose real=rig.csv                                   model=newtonian

@@ -337,6 +337,11 @@ def is_corrected(diagnosis: DiagnosisResult) -> bool:
     return any(row.corrected != row.refit for row in rows)
 
 
+def compared_with_a_state(diagnosis: DiagnosisResult) -> bool:
+    """Whether scores are log evidence above that nothing changed, and not held-out predictions."""
+    return any(entry.effects == ("no_change",) for entry in diagnosis.race)
+
+
 def shown_horizon(horizons: Iterable[str]) -> str:
     """The horizon that stands for all, as the document has it; empty without any."""
     known = sorted(horizons, key=float)

@@ -17,6 +17,7 @@ from trms_cli.gap.diagnosis import (
     RaceEntry,
     Shrink,
     Traces,
+    compared_with_a_state,
     confusable_with,
     is_corrected,
     likeliest,
@@ -79,11 +80,6 @@ def _winner(diagnosis: DiagnosisResult) -> RaceEntry | None:
         if first is not None and entry.effects == first.effects:
             return entry
     return max(named, key=lambda entry: entry.score, default=None)
-
-
-def compared_with_a_state(diagnosis: DiagnosisResult) -> bool:
-    """Whether scores are log evidence above that nothing changed, and not held-out predictions."""
-    return any(entry.effects == ("no_change",) for entry in diagnosis.race)
 
 
 def _race(diagnosis: DiagnosisResult) -> report.Section | None:
@@ -286,7 +282,7 @@ def _before_and_after(diagnosis: DiagnosisResult) -> report.Section | None:
     runs = None if diagnosis.traces is None else run_chart(diagnosis.traces)
     blocks = [block for block in (at_horizon, chart, runs, whole) if block is not None]
     text = "On a part of the recordings that was sealed: nothing was fitted to it."
-    if diagnosis.against or any(cause.onset for cause in diagnosis.causes):
+    if compared_with_a_state(diagnosis):
         text += " Which difference it is was chosen on the whole."
     if not corrected:
         text += " No cause was added, so the refitted model is all there is to show."

@@ -17,12 +17,13 @@ from trms_cli.gap.diagnosis import (
     DiagnosisResult,
     Rejected,
     Worth,
+    compared_with_a_state,
     confusable_with,
     is_corrected,
     likeliest,
     shown_horizon,
 )
-from trms_cli.gap.evidence_sections import compared_with_a_state, evidence_sections
+from trms_cli.gap.evidence_sections import evidence_sections
 from trms_cli.gap.wording import (
     OTHERS,
     cause_name,

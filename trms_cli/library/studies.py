@@ -487,7 +487,7 @@ def diagnose(
     TrmsError
         For what cannot be diagnosed.
     KeyboardInterrupt
-        If it was stopped; finished stages are kept.
+        If it was stopped; finished fits are kept.
 
     Examples
     --------

@@ -231,7 +231,7 @@ class DiagnoseProgress(FitProgress):
     with for the same one.
     """
 
-    _STOPPING = "stopping; finished stages are kept (once more: at once)"
+    _STOPPING = "stopping; finished fits are kept (once more: at once)"
     _COLUMNS = MappingProxyType({"stage": "bold", "step": "dim"})
 
     def __init__(

@@ -33,7 +33,14 @@ from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.model_form import MODEL_FORM
 from trms_cli.gap.belief import DISTURBANCE
-from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult, Worth, likeliest
+from trms_cli.gap.diagnosis import (
+    NO_EFFECT,
+    Cause,
+    DiagnosisResult,
+    Worth,
+    compared_with_a_state,
+    likeliest,
+)
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.admission import Admission, admit
 from trms_cli.identification.data import DataOptions, load_datasets
@@ -417,6 +424,11 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
     if applied is not None:
         named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
         open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
+        if applied.onset and compared_with_a_state(diagnosis) and not diagnosis.against:
+            return (
+                f"the nominal model fitted to the beginning of the recordings, with {named}, "
+                "which begins later"
+            )
         if applied.onset and not diagnosis.against:
             return f"the nominal model fitted to the recordings with {named}, which begins in them"
         begun = "fitted to the known state" if diagnosis.against else "refitted together"
