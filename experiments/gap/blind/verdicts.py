@@ -284,9 +284,10 @@ def _spreads(spreads: Sequence[Mapping[str, Any]]) -> list[str]:
     head = ("channels", "models differ by", "refitted", "corrected", "difference", "correlation")
     lines = [_line(*head, "channels of rigs"), _line(*["---"] * 7)]
     for s in spreads:
-        band = f"{s['low']:g} to {s['high']:g}"
         if s["high"] is None:
             band = "any" if s["low"] <= 1 else f"{s['low']:g} and more"
+        else:
+            band = f"{s['low']:g} to {s['high']:g}"
         figures = [f"{s[key]:.2f}" for key in ("refit", "corrected", "apart")]
         together = "–" if s["correlation"] is None else f"{s['correlation']:.2f}"
         lines.append(_line(s["channels"], band, *figures, together, str(s["count"])))

@@ -381,5 +381,16 @@ def test_how_errors_differ_between_recordings_is_that_of_what_was_drawn() -> Non
     assert speeds.count == 400
     assert speeds.apart == 0
     assert speeds.refit == pytest.approx(0.075, rel=0.2)
+    key = OpenedKey(
+        set_name="small",
+        seed=7,
+        commitment="0" * 64,
+        cases={j.name: j.case for j in found},
+        files={},
+        fresh=None,
+    )
+    page = markdown(score_document(key, {"trms": table(found, draws=100)}, {"trms": found}))
+    assert "| angles | 2.2 to 4.5 |" in page
+    assert "| speeds | any |" in page
     # what names no effect has two models that nobody is promised anything of
     assert not between_recordings([judged(case("single"), replace(said, verdict="no_gap"))])
