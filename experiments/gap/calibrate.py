@@ -122,6 +122,10 @@ def _value(kept: Any, wanted: Any) -> Any:
         return {name: _value(value, None) for name, value in kept.items()}
     if not isinstance(kept, (list, tuple)):
         return kept
+    if any(
+        isinstance(item, (list, tuple)) and item and not isinstance(item[0], str) for item in kept
+    ):
+        return np.array(kept, dtype=float)
     if any(isinstance(item, (list, tuple, str)) for item in kept):
         return tuple(item if isinstance(item, str) else tuple(sorted(item)) for item in kept)
     return np.array([np.nan if v is None else v for v in kept], dtype=float)

@@ -17,6 +17,7 @@ from trms_cli.core.findings import json_data
 from trms_cli.gap import belief
 from trms_cli.gap.belief import (
     Features,
+    alternatives,
     calibration,
     change_probabilities,
     change_worth,
@@ -122,6 +123,46 @@ def test_scores_that_come_from_a_few_blocks_count_less(monkeypatch):
     assert of_a(0.0) == of_a(40.0) > 0.999
     assert of_a(40.0) > of_a(200.0) > of_a(300.0) > of_a(500.0)
     assert 1 - of_a(500.0) > 20 * (1 - of_a(200.0))
+
+
+def test_a_further_effect_is_judged_by_the_scatter_of_what_it_adds(monkeypatch):
+    """The first shows in some blocks more than in others, which says nothing of the second."""
+    monkeypatch.setattr(belief, "LAPSE", 0.0)
+    first = np.array([10.0, 300.0, 20.0, 250.0, 20.0])
+    steady, single = np.full(5, 12.0), np.array([0.0, 0.0, 60.0, 0.0, 0.0])
+
+    def odds(added, by_block=True):
+        blocks = np.stack([first, first / 10, first + added])
+        made = features(behind=900.0, scores=tuple(blocks.sum(axis=1)))
+        made = replace(
+            made,
+            deviations=np.array([belief.standard_error(b) for b in blocks]),
+            by_block=blocks if by_block else np.zeros((0, 0)),
+            flexible=500.0,
+        )
+        found = probabilities_of(made, calibration().weights)
+        assert found["none_of_these",] < 0.05  # what reaches less of the gap gains no lead by it
+        return found["a", "b"] / found["a",]
+
+    assert odds(steady) > 5 > 1 > odds(single)
+    assert odds(steady) > 20 * odds(steady, by_block=False)
+    assert odds(single) < 2 * odds(single, by_block=False)
+
+
+def test_scores_keep_their_order_when_a_further_effect_counts_more():
+    """A single effect and a force without a name that explain more than two lead them still."""
+    blocks = np.array([[10.0, 200.0, 10.0], [20.0, 300.0, 20.0], [50.0, 240.0, 40.0]])
+    made = features(behind=900.0, scores=tuple(blocks.sum(axis=1)))
+    made = replace(
+        made,
+        deviations=np.array([belief.standard_error(b) for b in blocks]),
+        by_block=blocks,
+        flexible=400.0,
+    )
+    rows = alternatives(made)
+    scores = {name: row["score"] for name, row in rows.items() if "score" in row}
+    assert scores["a",] < scores["a", "b"] < scores["b",] < scores["none_of_these",]
+    assert scores["none_of_these",] < 400.0
 
 
 def test_stribeck_friction_without_an_excess_is_coulomb_friction():

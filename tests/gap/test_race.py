@@ -20,9 +20,9 @@ from trms_cli.gap.problem import (
     variants,
     with_noise,
 )
-from trms_cli.gap.race import EFFORTS, Checkpoint, Effort, Race, run_race
+from trms_cli.gap.race import EFFORTS, Checkpoint, Effort, Race, _Search, run_race
 from trms_cli.gap.residuals import innovation_tests
-from trms_cli.gap.signatures import effect_traces
+from trms_cli.gap.signatures import effect_traces, project_traces
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.newtonian import Newtonian
 
@@ -129,6 +129,20 @@ def test_others_are_tried_in_the_stead_of_a_second_effect():
     tried = {e.names for e in race.entries}
     friction = "yaw_coulomb_friction"
     assert {tuple(sorted((friction, name))) for name in names[1:]} <= tried
+
+
+def test_a_partner_is_looked_for_beside_what_a_fit_takes_for_discrepancy(friction):
+    """A friction that is excused as noise of the yaw promises little, until it is not excused."""
+    name, refitted = "yaw_coulomb_friction", friction.refit
+    candidates, _ = applicable_candidates(MODEL, {n: effect(n) for n in NAMES})
+    shares = refitted.metric.shares * np.array([1.0, 40.0, 1.0, 1.0])
+    excused = replace(refitted, metric=replace(refitted.metric, shares=shares))
+    traces = effect_traces(refitted, list(candidates.values()))
+    search = _Search(
+        refitted, candidates, traces, EFFORTS["normal"], Checkpoint(), 1, lambda share, what: True
+    )
+    (place,) = (p for p in search._beside(excused, ()) if p.name == name)
+    assert place.promise > 3 * project_traces(excused, traces).best(name)[0]
 
 
 def test_an_angle_off_the_middle_is_tried_on_both_sides():

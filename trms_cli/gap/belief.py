@@ -83,6 +83,8 @@ class Features:
     samples: float = 2e4  #: Number of measured values that were fitted
     #: (k,) array; standard error of each competitor's score, from its scatter over blocks
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
+    #: (k, m) array; scores by block
+    by_block: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 #: nats. Discrepancy beyond the usual that hardly counts.
@@ -215,7 +217,9 @@ def _tempered(features: Features) -> Features:
     A log likelihood ratio of S nats between right laws has a variance of 2 S, so that S is about
     twice the square of its own signal-to-noise ratio. Where the blocks scatter by much more than
     their excitation explains, the likelihood is no likelihood, and all scores are taken for shares
-    of it (quasi-likelihood: McCullagh 1983, Annals of Statistics 11).
+    of it (quasi-likelihood: McCullagh 1983, Annals of Statistics 11). What a further effect gains
+    beside others is judged by the scatter of that gain. The order of the scores is kept, and so is
+    the lead of the flexible competitor.
     """
     finite = np.isfinite(features.scores)
     if not (finite.any() and len(features.deviations)):
@@ -224,8 +228,34 @@ def _tempered(features: Features) -> Features:
     score, deviation = float(features.scores[best]), float(features.deviations[best])
     if not (score > 0 and deviation > 0):
         return features
-    share = min(1.0, _SCATTER * score / deviation**2)
-    return replace(features, scores=share * features.scores, flexible=share * features.flexible)
+    share = _credible(score, deviation)
+    scores, counted = features.scores, share * features.scores
+    sets = [frozenset(name) for name in features.names]
+    order = [i for i in np.argsort(scores).tolist() if np.isfinite(scores[i])]
+    for place, i in enumerate(order):
+        for j in order[:place]:
+            own = share
+            if sets[j] < sets[i] and scores[j] > 0 and len(features.by_block):
+                # blocks in which the first effect shows more, as they always do, say nothing
+                # against a further one
+                apart = features.by_block[i] - features.by_block[j]
+                own = max(share, _credible(float(scores[i] - scores[j]), standard_error(apart)))
+            counted[i] = max(counted[i], counted[j] + own * (scores[i] - scores[j]))
+    free = share * features.flexible
+    for i in order:
+        if scores[i] < features.flexible:
+            free = max(free, float(counted[i] + share * (features.flexible - scores[i])))
+    return replace(features, scores=counted, flexible=free)
+
+
+def _credible(score: float, deviation: float) -> float:
+    """Share of a score that counts, by its standard error over blocks."""
+    return min(1.0, _SCATTER * score / deviation**2) if deviation > 0 else 1.0
+
+
+def standard_error(blocks: FloatArray) -> float:
+    """Standard error of a sum over blocks, (m,) array."""
+    return float(np.std(blocks, ddof=1) * np.sqrt(len(blocks))) if len(blocks) > 1 else 0.0
 
 
 def _due_to_torque(features: Features) -> float:

@@ -12,7 +12,13 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.beginning import begins_at
-from trms_cli.gap.belief import DISTURBANCE, Calibration, Features, probabilities_of
+from trms_cli.gap.belief import (
+    DISTURBANCE,
+    Calibration,
+    Features,
+    probabilities_of,
+    standard_error,
+)
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.discrepancy import input_channels, log_likelihood
@@ -104,6 +110,7 @@ def features_of(
     errors = np.full(len(race.entries), refit_error)
     harms = np.full(len(race.entries), np.nan)
     before = runs.errors(refit.model, plain)
+    blocks = np.array([e.fit.predictive - refit.fit.predictive for e in race.entries])
     for i, entry in enumerate(race.entries[:_RUN]):
         rollout = entry.structure.windows.rollout
         after = runs.errors(entry.model, rollout)
@@ -128,15 +135,9 @@ def features_of(
         flexible=np.nan if flexible is None else flexible.score - own,
         foretold=np.nan if flexible is None else flexible.foretold,
         samples=float(refit.structure.windows.measured.sum()),
-        deviations=np.array(
-            [_deviation(e.fit.predictive - refit.fit.predictive) for e in race.entries]
-        ),
+        deviations=np.array([standard_error(b) for b in blocks]),
+        by_block=blocks,
     )
-
-
-def _deviation(blocks: FloatArray) -> float:
-    """Standard error of a sum over blocks."""
-    return float(np.std(blocks, ddof=1) * np.sqrt(len(blocks))) if len(blocks) > 1 else 0.0
 
 
 def resampled_features(
@@ -144,12 +145,14 @@ def resampled_features(
 ) -> Features:
     """Features with other blocks, (m,) array of their numbers with repetition."""
     own = race.refit.fit.predictive[blocks].sum()
+    by_block = features.by_block[:, blocks] if len(features.by_block) else features.by_block
     return replace(
         features,
         gained=float(own - race.refit.raw.predictive[blocks].sum()),
         behind=float(behinds[0][blocks].sum()),
         scores=np.array([e.fit.predictive[blocks].sum() for e in race.entries]) - own,
         behinds=np.array([b[blocks].sum() for b in behinds[1:]]),
+        by_block=by_block,
     )
 
 
@@ -302,7 +305,7 @@ def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
         if entry.names == best.names or len(entry.names) != len(best.names):
             continue
         apart = own - entry.fit.predictive
-        if apart.sum() < max(_NATS, _ERRORS * _deviation(apart)) and np.isfinite(apart).all():
+        if apart.sum() < max(_NATS, _ERRORS * standard_error(apart)) and np.isfinite(apart).all():
             group += [n for n in entry.names if n not in best.names]
     pairs = []
     signs = race.tight

@@ -379,10 +379,16 @@ class _Search:
         return [place for _, place in found[: self._effort.pairs]]
 
     def _beside(self, base: FittedModel, but_for: Sequence[str]) -> list[_Place]:
-        beside = project_traces(base, self._traces)
+        """The most promising, in the fit's own metric and in a tighter one.
+
+        What a partner would explain, the fit takes for discrepancy as long as it lacks it.
+        """
+        signs = [project_traces(base, self._traces), project_traces(_tightened(base), self._traces)]
         others = {n: c for n, c in self._candidates.items() if n not in but_for}
-        listed = short_list((beside,), others, self._effort.pairs)
-        return [_Place(base, beside, name) for name in listed]
+        listed = short_list(signs, others, self._effort.pairs)
+        return [
+            _Place(base, max(signs, key=lambda sign: sign.best(name)[0]), name) for name in listed
+        ]
 
     def _joined(self, places: Sequence[_Place], message: str) -> list[FittedModel]:
         def joined(place: _Place) -> FittedModel:
@@ -461,6 +467,12 @@ class _Search:
                     pool.shutdown(wait=True, cancel_futures=True)
                     break
         return made
+
+
+def _tightened(fitted: FittedModel) -> FittedModel:
+    """The same fit, whose discrepancy is a part of what it found."""
+    shares = np.maximum(FLOOR, fitted.metric.shares / _TIGHTER)
+    return replace(fitted, metric=replace(fitted.metric, shares=shares))
 
 
 def short_list(
@@ -589,4 +601,6 @@ def _paired(
     sizes = _promising_sizes(partner, signs, 0.2)
     theta = structure.theta({**best.values, **sizes})
     starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
-    return _searched(structure, best, best.metric, [(theta, starts)]).in_own_metric()
+    shares = np.sqrt(best.metric.shares * _tightened(best).metric.shares)
+    metric = replace(best.metric, shares=shares)
+    return _searched(structure, best, metric, [(theta, starts)]).in_own_metric()

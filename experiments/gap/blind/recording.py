@@ -168,11 +168,11 @@ def _nuisances(cases: Sequence[Case]) -> Nuisances:
 
 
 def _onsets(cases: Sequence[Case]) -> dict[str, FloatArray]:
-    """By the sizes that make an effect grow: its others are forms, which wait."""
+    """By the sizes that make an effect: its others are forms, which wait."""
     found: dict[str, FloatArray] = {}
     for i, case in enumerate(cases):
         for effect, time in case.onset.items():
-            for size in TRUTHS[effect].grows:
+            for size in (*TRUTHS[effect].grows, *TRUTHS[effect].acts):
                 found.setdefault(f"{effect}.{size}", np.zeros(len(cases)))[i] = time
     return found
 

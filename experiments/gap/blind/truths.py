@@ -34,6 +34,7 @@ class Truth:
     sizes: Mapping[str, float]  #: A typical rig's, by short name, in the rig's units
     grows: tuple[str, ...]  #: Sizes that grow with the severity, all by one factor; the others stay
     locations: tuple[str, ...]  #: Where it acts; a diagnosis that names any of them is right
+    acts: tuple[str, ...] = ()  #: Sizes that stay and make an effect of their own nevertheless
     either_sign: bool = False  #: Whether the growing sizes may be negative as well
     #: Other values of the sizes that stay, of which development sets know nothing
     variants: tuple[Mapping[str, float], ...] = field(default=())
@@ -141,12 +142,14 @@ LIBRARY: Mapping[str, Truth] = {
         sizes={"drag": 1.5e-7, "inertia": 0.0},
         grows=("drag",),
         locations=("yaw_moment",),
+        acts=("inertia",),
         variants=({"inertia": 1e-4},),
     ),
     "tail_reaction_on_pitch": Truth(
         sizes={"drag": 4e-8, "inertia": 0.0},
         grows=("drag",),
         locations=("pitch_moment",),
+        acts=("inertia",),
         variants=({"inertia": 1.5e-5},),
     ),
     "gyroscopic_coupling": Truth(

@@ -219,6 +219,10 @@ def test_recordings_are_as_long_as_each_case_asks(monkeypatch: pytest.MonkeyPatc
     assert len(short.time) == 10 and asked[0].duration == 0.2
 
 
+#: Sizes that do not grow and act all the same, so large that they would show.
+_LARGE = {"main_reaction_on_yaw": {"inertia": 5e-3}}
+
+
 def test_an_effect_begins_at_its_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("experiments.gap.blind.recording._SETTLING", 0.1)
     quiet = {"drift": 0.0, "jitter": 0.0}
@@ -226,13 +230,14 @@ def test_an_effect_begins_at_its_moment(monkeypatch: pytest.MonkeyPatch) -> None
     cases = [
         Case(
             kind="onset",
-            effects={effect: LIBRARY[effect].sized(3.0)},
+            effects={effect: LIBRARY[effect].sized(3.0, **{**form, **_LARGE.get(effect, {})})},
             onset={effect: 0.8},
             duration=1.6,
             nuisances=quiet,
             excitation=3,
         )
         for effect in SUDDEN
+        for form in ({}, *LIBRARY[effect].variants)
     ]
     _, (none, *begun) = record([plain, *cases], Timing(), 1)
     for case, then in zip(cases, begun, strict=True):
