@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -70,7 +71,7 @@ def _write(
         model,
         ModelOrigin(
             option=problem.model_name,
-            effects={name: _arguments(effect) for name, effect in chosen.items()},
+            effects={name: arguments_of(effect) for name, effect in chosen.items()},
         ),
         values=values,
         deviations={name: p.sd for name, p in answer.parameters.items() if p.sd == p.sd},
@@ -80,10 +81,10 @@ def _write(
     write_model(document, path)
 
 
-def _arguments(effect: Effect) -> dict[str, Any]:
+def arguments_of(effect: Effect) -> dict[str, Any]:
     """What an effect is made with besides its sizes."""
     sizes = {p.name for p in effect.parameters()}
-    own: list[str] = list(getattr(effect, "__dataclass_fields__", ()))
+    own = [field.name for field in fields(effect)] if is_dataclass(effect) else []
     return {name: getattr(effect, name) for name in own if name not in sizes}
 
 

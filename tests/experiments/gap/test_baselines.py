@@ -16,7 +16,14 @@ from experiments.gap.baselines.force_terms import columns
 from experiments.gap.baselines.oracle import Oracle
 from experiments.gap.baselines.parameter_refit import ParameterRefit
 from experiments.gap.baselines.restoring_force import motion
-from experiments.gap.baselines.run import METHODS, _answer, baseline_of, bench_effects, run_baseline
+from experiments.gap.baselines.run import (
+    METHODS,
+    _answer,
+    arguments_of,
+    baseline_of,
+    bench_effects,
+    run_baseline,
+)
 from experiments.gap.baselines.sparse_regression import SparseRegression
 from experiments.gap.baselines.white_noise import WhiteNoiseBic
 from tests.identification.greybox.rigs import measuring, recording
@@ -238,6 +245,13 @@ def test_a_set_is_answered_recording_by_recording(rubbing: GapProblem, tmp_path:
     document = json.loads((out / "c2" / "diagnosis.json").read_text(encoding="utf-8"))
     assert document["schema"] == "trms.diagnosis/1"
     assert document["verdict"] == "parameters_only"
+
+
+def test_what_an_effect_is_made_with_can_be_written() -> None:
+    for name, effect in bench_effects().items():
+        kept = arguments_of(effect)
+        assert json.loads(json.dumps(kept)) == kept, name
+        assert replace(effect, **kept) == effect, name
 
 
 @pytest.mark.slow
