@@ -8,11 +8,15 @@ import pytest
 from tests.gap.recorded import recording
 from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.discrepancy import TrajectoryLinearisation
+from trms_cli.gap.free_runs import free_run_errors
 from trms_cli.gap.gain_drift import LEAST_DRIFT, GainDrift, gain_drift
 from trms_cli.identification.greybox.windows import Windows
-from trms_cli.identification.problem import FitProblem
+from trms_cli.identification.problem import FitProblem, with_values
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout
+
+#: Parameters that do what a drive's gain does.
+DRIVES = ("k_uv", "k_uh")
 
 
 def test_columns_are_what_a_gain_changes_in_the_outputs():
@@ -40,7 +44,7 @@ def test_columns_are_what_a_gain_changes_in_the_outputs():
 
 
 def test_sizes_are_those_of_the_coefficients_and_never_nothing():
-    drift = GainDrift(np.zeros((1, 1, 1, 40)), np.repeat([0, 1], 20))
+    drift = GainDrift(np.zeros((1, 1, 1, 40)), np.repeat([0, 1], 20), np.full(40, 1 / 20))
     gains = np.concatenate([np.tile([0.03, -0.03], 10), np.zeros(20)])
     sizes = drift.likely_sizes(gains, np.zeros(40))
     assert sizes[0] == pytest.approx(0.03, rel=0.1)
@@ -63,3 +67,32 @@ def test_a_gain_that_wanders_moves_no_parameter():
         for v, f in zip(fitted.fit.theta, fitted.structure.problem.free, strict=True)
     ]
     assert max(away) < 2.0
+
+
+def test_a_model_has_the_mean_of_the_gains_that_were_fitted_beside_it():
+    """A search ends anywhere on the ridge of gains and drives' parameters, the model does not."""
+    dataset, other = recording(seconds=60.0), recording(seconds=40.0, seed=2)
+    fitted = refit(Newtonian(), nominal_parameters(Newtonian()), (dataset,), 10.0)
+    names = fitted.structure.problem.names
+    theta, gains = fitted.fit.theta.copy(), fitted.fit.gains + 0.008
+    theta[[names.index(drive) for drive in DRIVES]] *= 1 - 0.008
+    elsewhere = replace(fitted, fit=replace(fitted.fit, theta=theta, gains=gains))
+    best, own, raw = (
+        free_run_errors(m, [other], [(0, 0, len(other))], horizons=[2.0])
+        for m in (fitted.model, elsewhere.model, with_values(Newtonian(), elsewhere.values))
+    )
+    for speed in ("omega_v", "omega_h"):
+        assert own[speed][2.0].rms < 1.02 * best[speed][2.0].rms
+        assert raw[speed][2.0].rms > 1.05 * best[speed][2.0].rms
+    # without a spread of the parameters there is nothing to go by
+    bare = replace(elsewhere, fit=replace(elsewhere.fit, evidence=None))
+    np.testing.assert_array_equal(bare.at_mean_gains, theta)
+
+
+def test_gains_that_no_parameter_has_are_left_beside_the_model():
+    dataset = recording(seconds=40.0)
+    fitted = refit(Newtonian(), nominal_parameters(Newtonian())[:1], (dataset,), 10.0)
+    known = fitted.fit.evidence
+    assert known is not None
+    shifted = replace(fitted.fit, gains=fitted.fit.gains + 0.2)
+    np.testing.assert_array_equal(replace(fitted, fit=shifted).at_mean_gains, fitted.fit.theta)

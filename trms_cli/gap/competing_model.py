@@ -234,6 +234,8 @@ def evidence(
     return Evidence(predictive, covariance, np.clip(without, *bounds))
 
 
+#: Standard deviations of a mean gain beyond which no parameter can stand for it.
+_OUTLYING = 6.0
 #: Compiled models by nominal model: many recordings of one model are diagnosed in one process.
 _ROLLOUTS: WeakKeyDictionary[Model, dict[tuple[object, ...], Rollout]] = WeakKeyDictionary()
 
@@ -287,20 +289,53 @@ class FittedModel:
 
     @property
     def values(self) -> dict[str, float]:
-        """The free parameters by name."""
-        return dict(zip(self.structure.problem.names, self.fit.theta.tolist(), strict=True))
+        """The free parameters by name, where the search ended."""
+        return self._named(self.fit.theta)
+
+    @cached_property
+    def at_mean_gains(self) -> FloatArray:
+        """The free parameters if the drives' gains of the recordings average one, (n_f,).
+
+        The gains wander about what the drives' parameters say, and hardly anything tells a mean of
+        theirs from these: one fit has it here and another one there. A model has no gains beside
+        its parameters, and what it is used for next knows the mean alone. These are the means of
+        the posterior under that condition, to first order.
+        """
+        return self._at_mean_gains(self.fit.point)
+
+    @property
+    def values_at_mean_gains(self) -> dict[str, float]:
+        """As :attr:`at_mean_gains`, by name."""
+        return self._named(self.at_mean_gains)
 
     @cached_property
     def model(self) -> Model:
-        """The model at the fitted values."""
-        return with_values(self.structure.problem.model, self.values)
+        """The model at the :attr:`at_mean_gains` values."""
+        return with_values(self.structure.problem.model, self.values_at_mean_gains)
 
     def without(self, block: int) -> Model:
         """The model at the values that the other blocks alone would give it."""
         assert self.fit.evidence is not None
-        theta = self.fit.evidence.without[block, : len(self.fit.theta)]
-        values = dict(zip(self.structure.problem.names, theta.tolist(), strict=True))
-        return with_values(self.structure.problem.model, values)
+        theta = self._at_mean_gains(self.fit.evidence.without[block])
+        return with_values(self.structure.problem.model, self._named(theta))
+
+    def _named(self, theta: FloatArray) -> dict[str, float]:
+        return dict(zip(self.structure.problem.names, theta.tolist(), strict=True))
+
+    def _at_mean_gains(self, point: FloatArray) -> FloatArray:
+        """Of parameters and gains, (n_f + k,) array."""
+        n, known = len(self.fit.theta), self.fit.evidence
+        if known is None or not np.isfinite(known.covariance).all():
+            return point[:n]
+        rows = self.metric.drift.averages
+        mean = rows @ point[n:]
+        across = known.covariance[:, n:] @ rows.T
+        spread = rows @ across[n:]
+        if not mean @ np.linalg.pinv(spread, hermitian=True) @ mean < _OUTLYING**2:
+            return point[:n]  # no parameter does what a drive's gain does
+        theta = point[:n] - across[:n] @ np.linalg.pinv(spread, hermitian=True) @ mean
+        free = self.structure.problem.free
+        return np.clip(theta, [p.lower for p in free], [p.upper for p in free])
 
     @cached_property
     def objective(self) -> InnovationObjective:

@@ -128,7 +128,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         warnings=(*problem.warnings, *_remarks(stages)),
         worse=shrinkage.worse,
         effort=problem.effort,
-        refit=refit.values,
+        refit=refit.values_at_mean_gains,
         residual=residual,
         model_form={}
         if posterior.verdict == "no_gap"
@@ -235,9 +235,9 @@ def _causes(stages: StageResults) -> tuple[Cause, ...]:
 
 
 def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
-    fit, sd = entry.fit, entry.fit.sd
+    theta, sd = entry.at_mean_gains, entry.fit.sd
     return {
-        free.name: SizeEstimate(value=float(fit.theta[i]), sd=float(sd[i]), unit=free.unit)
+        free.name: SizeEstimate(value=float(theta[i]), sd=float(sd[i]), unit=free.unit)
         for i, free in enumerate(entry.structure.problem.free)
         if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
     }
@@ -245,17 +245,17 @@ def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
 
 def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
     entry = stages.posterior.corrected or stages.race.refit
-    structure, fit, sd = entry.structure, entry.fit, entry.fit.sd
+    structure, theta, sd = entry.structure, entry.at_mean_gains, entry.fit.sd
     own = set(stages.race.refit.structure.problem.names)
     return {
         free.name: FittedParameter(
             prior=float(stages.problem.model.parameters[free.name].value),
-            fitted=float(fit.theta[i]),
+            fitted=float(theta[i]),
             sd=float(sd[i]),
             unit=free.unit,
             moved=None
             if not free.prior_sd
-            else float((fit.theta[i] - free.prior_mean) / free.prior_sd),
+            else float((theta[i] - free.prior_mean) / free.prior_sd),
         )
         for i, free in enumerate(structure.problem.free)
         if free.name in own

@@ -133,7 +133,7 @@ class Flexible:
     @cached_property
     def effects(self) -> dict[str, Residual]:
         """The fitted residuals as effects of a model, by name."""
-        values = self.fitted.values
+        values = self.fitted.values_at_mean_gains
         return {
             candidate.name: _settled(candidate, values)
             for candidate in self.fitted.structure.effects

@@ -34,6 +34,8 @@ class GainDrift:
 
     columns: FloatArray  #: (m, c, n_y, k) array; change of the outputs for a gain that is one more
     drive: IntArray  #: (k,) array; drive that each column belongs to
+    #: (k,) array; weight of each coefficient in the mean gain of its drive over all windows
+    weight: FloatArray
 
     @cached_property
     def near(self) -> IntArray:
@@ -50,6 +52,11 @@ class GainDrift:
     def drives(self) -> int:
         """How many drives there are."""
         return int(self.drive.max(initial=-1)) + 1
+
+    @cached_property
+    def averages(self) -> FloatArray:
+        """Rows that make each drive's mean gain of the coefficients, (n_u, k)."""
+        return np.where(self.drive == np.arange(self.drives)[:, None], self.weight, 0.0)
 
     def sd(self, sizes: FloatArray) -> FloatArray:
         """Standard deviation of each coefficient (k,) for sizes by drive (n_u,)."""
@@ -88,7 +95,8 @@ def gain_drift(windows: Windows, trajectory: Trajectory) -> GainDrift:
         forced = driven[:, t, :, :, None] * basis[:, t, None, None]
         x = trajectory.a[:, t] @ x + forced.reshape(m, n, drives * knots)
     columns = np.where(windows.measured[..., None], columns, 0.0)
-    return GainDrift(columns, np.repeat(np.arange(drives), knots))
+    weight = basis[windows.inside].mean(axis=0)
+    return GainDrift(columns, np.repeat(np.arange(drives), knots), np.tile(weight, drives))
 
 
 def _hats(windows: Windows) -> FloatArray:

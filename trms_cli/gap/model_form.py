@@ -121,10 +121,10 @@ def departures(fitted: FittedModel) -> dict[str, LawDeparture]:
     sd = fitted.fit.sd
     return {
         free.name: LawDeparture(
-            value=float(fitted.fit.theta[i]),
+            value=float(fitted.at_mean_gains[i]),
             sd=float(sd[i]),
             unit=free.unit,
-            words=_words(free.name, float(fitted.fit.theta[i]), float(sd[i])),
+            words=_words(free.name, float(fitted.at_mean_gains[i]), float(sd[i])),
         )
         for i, free in enumerate(fitted.structure.problem.free)
         if free.name.split(".")[0] in MODEL_FORM

@@ -123,7 +123,7 @@ def _first_size(entry: FittedModel, candidate: CandidateEffect) -> SizeEstimate:
     name = candidate.free[0].name
     i = entry.structure.problem.names.index(name)
     sd = float(entry.fit.sd[i])
-    return SizeEstimate(value=float(entry.fit.theta[i]), sd=sd, unit=candidate.free[0].unit)
+    return SizeEstimate(value=float(entry.at_mean_gains[i]), sd=sd, unit=candidate.free[0].unit)
 
 
 def _promise(signs: Signatures, name: str) -> float:
