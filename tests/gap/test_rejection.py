@@ -29,7 +29,8 @@ def entry(names: tuple[str, ...], score: float) -> Any:
         sd=np.full(len(names), 0.001),
     )  # fmt: skip
     problem = SimpleNamespace(names=[f"{name}.size" for name in names])
-    return SimpleNamespace(names=names, fit=fit, structure=SimpleNamespace(problem=problem))
+    structure = SimpleNamespace(problem=problem)
+    return SimpleNamespace(names=names, fit=fit, structure=structure, at_mean_gains=fit.theta)
 
 
 @pytest.mark.parametrize(

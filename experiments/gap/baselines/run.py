@@ -84,7 +84,7 @@ def _write(
 def arguments_of(effect: Effect) -> dict[str, Any]:
     """What an effect is made with besides its sizes."""
     sizes = {p.name for p in effect.parameters()}
-    own = [field.name for field in fields(effect)] if is_dataclass(effect) else []
+    own: list[str] = [field.name for field in fields(effect)] if is_dataclass(effect) else []
     return {name: getattr(effect, name) for name in own if name not in sizes}
 
 
