@@ -64,7 +64,16 @@ def line_of(
         if i == 0 or cause["probability"] >= _LEAST
     ]
     kept["shrink"] = {"all": document.get("shrink", {}).get("all", {})}
-    return Line(name=name, case=case, document=kept, seconds=seconds)
+    return Line(name=name, case=case, document=_rounded(kept), seconds=seconds)
+
+
+def _rounded(content: Any) -> Any:
+    """Numbers with as many digits as anything is believed by."""
+    if isinstance(content, float):
+        return float(f"{content:.7g}")
+    if isinstance(content, Mapping):
+        return {key: _rounded(value) for key, value in content.items()}
+    return [_rounded(item) for item in content] if isinstance(content, list | tuple) else content
 
 
 class FeaturesFile:

@@ -83,6 +83,10 @@ class Features:
     samples: float = 2e4  #: Number of measured values that were fitted
     #: (k,) array; standard error of each competitor's score, from its scatter over blocks
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
+    strain: float = np.nan  #: Of the refit: nats by which its parameters lie off their priors
+    #: (k,) array; the same of the nominal parameters of each competitor
+    strains: FloatArray = field(default_factory=lambda: np.zeros(0))
+    flexible_error: float = np.nan  #: Of free runs of the flexible competitor
     #: (k, m) array; scores by block
     by_block: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 

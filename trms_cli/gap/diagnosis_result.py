@@ -318,7 +318,7 @@ def _moves(race: Race, entry: FittedModel) -> dict[str, float]:
     """Size of the move of each nominal parameter that has a prior, in its standard deviations."""
     own = set(race.refit.structure.problem.names)
     return {
-        free.name: float(abs(entry.fit.theta[i] - free.prior_mean) / free.prior_sd)
+        free.name: float(abs(entry.at_mean_gains[i] - free.prior_mean) / free.prior_sd)
         for i, free in enumerate(entry.structure.problem.free)
         if free.name in own and free.prior_sd
     }

@@ -136,7 +136,22 @@ def features_of(
         foretold=np.nan if flexible is None else flexible.foretold,
         samples=float(refit.structure.windows.measured.sum()),
         deviations=np.array([standard_error(b) for b in blocks]),
+        strain=_strain(refit, refit),
+        strains=np.array([_strain(refit, e) for e in race.entries]),
+        flexible_error=np.nan
+        if flexible is None
+        else error(flexible.fitted.model, flexible.fitted.structure.windows.rollout),
         by_block=blocks,
+    )
+
+
+def _strain(refit: FittedModel, fitted: FittedModel) -> float:
+    """Nats by which the parameters that the refit has lie off their priors, in a fit."""
+    own = set(refit.structure.problem.names)
+    return 0.5 * sum(
+        float((value - free.prior_mean) / free.prior_sd) ** 2
+        for value, free in zip(fitted.at_mean_gains, fitted.structure.problem.free, strict=True)
+        if free.name in own and free.prior_sd
     )
 
 
