@@ -61,6 +61,8 @@ class Features:
     surprises: FloatArray
     #: (k,) array; of free runs of each competitor; those that were not made are the refit's
     errors: FloatArray
+    #: (k + 1, c) array; the same of each channel, of the refit and of each competitor
+    channel_errors: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     #: (k,) array; logarithm of the factor by which each competitor errs more than the refit, in the
     #: channel that suffers most, on the sealed part; NaN where not measured
     harms: FloatArray = field(default_factory=lambda: np.zeros(0))

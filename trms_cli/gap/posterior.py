@@ -28,7 +28,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
-from trms_cli.gap.shrinkage import SealedRuns, farthest_error, harm
+from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
 
@@ -103,19 +103,22 @@ def features_of(
     )
     stray = dict(zip(outputs, reach.tolist(), strict=True))
 
-    def error(model: Model, rollout: Rollout) -> float:
-        return farthest_error(runs.errors(model, rollout), floor, stray)
+    def by_channel(model: Model, rollout: Rollout) -> FloatArray:
+        return farthest_errors(runs.errors(model, rollout), floor, stray)
 
-    refit_error = error(refit.model, plain)
-    errors = np.full(len(race.entries), refit_error)
+    def error(model: Model, rollout: Rollout) -> float:
+        return float(np.fmax.reduce(by_channel(model, rollout), initial=np.nan))
+
+    channels = np.tile(by_channel(refit.model, plain), (len(race.entries) + 1, 1))
     harms = np.full(len(race.entries), np.nan)
     before = runs.errors(refit.model, plain)
     blocks = np.array([e.fit.predictive - refit.fit.predictive for e in race.entries])
     for i, entry in enumerate(race.entries[:_RUN]):
         rollout = entry.structure.windows.rollout
         after = runs.errors(entry.model, rollout)
-        errors[i] = farthest_error(after, floor, stray)
+        channels[i + 1] = farthest_errors(after, floor, stray)
         harms[i] = harm(before, after, floor, stray)
+    refit_error, *errors = np.fmax.reduce(channels, axis=1, initial=np.nan).tolist()
     return Features(
         gained=own - float(refit.raw.predictive.sum()),
         behind=float(behinds[0].sum()),
@@ -126,7 +129,8 @@ def features_of(
         surprises=np.array(
             [sum(s.surprise(e.values) for s in e.structure.effects) for e in race.entries]
         ),
-        errors=errors,
+        errors=np.array(errors),
+        channel_errors=channels,
         harms=harms,
         begins=np.array([float(begins_at(e) is not None) for e in race.entries]),
         raw_error=error(refit.structure.problem.model, plain),

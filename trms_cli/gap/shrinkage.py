@@ -79,8 +79,8 @@ class SealedRuns:
         return known[1]
 
 
-def farthest_error(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
-    """Largest error of all channels at the longest horizon, in floors; NaN where there is none.
+def farthest_errors(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> FloatArray:
+    """Error of each channel at the longest horizon, in floors, (c,); NaN where there is no floor.
 
     ``stray``: by channel, by which free runs of any rig stray at that horizon; it widens the floor.
     """
@@ -88,15 +88,14 @@ def farthest_error(errors: Errors, floor: Errors, stray: Mapping[str, float]) ->
     for channel, by_horizon in errors.items():
         longest = max(by_horizon)
         least = float(np.hypot(floor[channel][longest].rms, stray[channel]))
-        if least > 0:
-            ratios.append(by_horizon[longest].rms / least)
-    return max(ratios, default=float("nan"))
+        ratios.append(by_horizon[longest].rms / least if least > 0 else np.nan)
+    return np.array(ratios)
 
 
 def harm(before: Errors, after: Errors, floor: Errors, stray: Mapping[str, float]) -> float:
     """Largest factor by which a channel's error at the longest horizon grows, as a logarithm.
 
-    Errors below :data:`_AT_FLOOR` are alike; ``stray`` as of :func:`farthest_error`. NaN where
+    Errors below :data:`_AT_FLOOR` are alike; ``stray`` as of :func:`farthest_errors`. NaN where
     there is none.
     """
     found = []
