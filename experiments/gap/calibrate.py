@@ -217,13 +217,14 @@ def blind_lines(key: Path, diagnoses: Path) -> list[Line]:
 def calibrating(lines: Sequence[Line]) -> list[Line]:
     """Those whose truth the posterior weighs.
 
-    What begins within a recording, and what changed since others, is told by a comparison.
+    What changed since other recordings is told by a comparison, and so was what begins within one
+    as long as no beginnings raced.
     """
     return [
         line
         for line in lines
         if "scores" in line.evidence
-        and line.case.kind != "onset"
+        and (line.case.kind != "onset" or "begins" in line.evidence)
         and not any(e.endswith(_APART) for e in line.case.effects)
     ]
 

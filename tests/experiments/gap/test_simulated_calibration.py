@@ -180,6 +180,17 @@ def test_losses_and_strata():
     assert strata["60 to 150 s"] == [2] and strata["single"] == [1, 2]
 
 
+def test_what_begins_is_weighed_where_beginnings_raced():
+    case = Case(kind="onset", effects={FRICTION: {"torque": 0.004}}, onset={FRICTION: 9.0})
+    before, raced = document(), document()
+    raced["evidence"] = {**raced["evidence"], "begins": [1.0, 0.0]}
+    lines = [Line(name=f"s{i}", case=case, document=d) for i, d in enumerate((before, raced))]
+    assert [line.name for line in calibrating(lines)] == ["s1"]
+    # numbers by block and by channel come back as they were, also those that are not finite
+    kept = {**raced["evidence"], "by_block": [[1.0, None], [2.0, 3.0]]}
+    np.testing.assert_array_equal(features_of(kept).by_block, [[1.0, np.nan], [2.0, 3.0]])
+
+
 def test_the_study_is_told_and_nothing_is_written_unasked(tmp_path, capsys):
     file = FeaturesFile(tmp_path)
     truths = [{FRICTION: {"torque": 0.004}}, {}, {"pitch_quantisation": {"quantum": 0.01}}]
