@@ -26,10 +26,10 @@ from trms_cli.gap.belief import (
     shares_of,
     usual_gains,
 )
-from trms_cli.gap.diagnosis import Cause, SizeEstimate
+from trms_cli.gap.diagnosis import Cause, Onset, SizeEstimate
 from trms_cli.gap.posterior import merged, special_cases
 from trms_cli.gap.problem import applicable_candidates
-from trms_cli.library.tasks.diagnose import applied_cause
+from trms_cli.library.tasks.diagnose import applied_cause, corrected_words
 from trms_cli.models.newtonian import Newtonian
 
 NAMES = (("a",), ("b",), ("a", "b"))
@@ -377,3 +377,21 @@ def test_a_cause_beside_a_torque_from_outside_is_applied_alone():
     assert applied is not None and applied.effects == ("yaw_coulomb_friction",)
     alone = replace(joint, effects=("pitch_disturbance",), parameters={})
     assert applied_cause(replace(told, verdict="effect", causes=(alone,))) is None
+
+
+def test_a_corrected_model_says_which_part_it_was_fitted_to():
+    """A beginning that raced was fitted to all, one that a comparison found to what was before."""
+    told = diagnosis()
+    sizes = {"yaw_coulomb_friction.torque": SizeEstimate(value=0.004, sd=1e-4, unit="N*m")}
+    begun = Cause(
+        effects=("yaw_coulomb_friction",),
+        probability=0.9,
+        parameters=sizes,
+        onset=Onset(time_s=20.0, ci95=(19.0, 21.0)),
+    )
+    raced = replace(told, verdict="effect", causes=(begun,), against=())
+    assert "fitted to the recordings with" in corrected_words(raced)
+    nothing = replace(raced.race[0], effects=("no_change",))
+    compared = replace(raced, race=(*raced.race, nothing))
+    assert "fitted to the beginning of the recordings with" in corrected_words(compared)
+    assert corrected_words(compared).endswith("begins later")

@@ -330,10 +330,10 @@ class FittedModel:
         rows = self.metric.drift.averages
         mean = rows @ point[n:]
         across = known.covariance[:, n:] @ rows.T
-        spread = rows @ across[n:]
-        if not mean @ np.linalg.pinv(spread, hermitian=True) @ mean < _OUTLYING**2:
+        whitened = np.linalg.pinv(rows @ across[n:], hermitian=True) @ mean
+        if not mean @ whitened < _OUTLYING**2:
             return point[:n]  # no parameter does what a drive's gain does
-        theta = point[:n] - across[:n] @ np.linalg.pinv(spread, hermitian=True) @ mean
+        theta = point[:n] - across[:n] @ whitened
         free = self.structure.problem.free
         return np.clip(theta, [p.lower for p in free], [p.upper for p in free])
 

@@ -35,6 +35,7 @@ from trms_cli.gap.signatures import EffectTraces, Signatures, project_traces
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
+Fitted = TypeVar("Fitted", bound=FittedModel)
 
 #: A tighter metric than the refit's own: what an effect does is not excused as discrepancy there.
 _TIGHTER = 3.0
@@ -143,9 +144,8 @@ def run_race(
     ``checkpoint``: of fits that an interrupted race had finished. ``jobs``: threads. ``watch``:
     told the share that is done and what is being done; False stops with what there is.
     """
-    shares = np.maximum(FLOOR, refit.metric.shares / _TIGHTER)
     wide = project_traces(refit, traces)
-    tight = project_traces(replace(refit, metric=replace(refit.metric, shares=shares)), traces)
+    tight = project_traces(_tightened(refit), traces)
     signs: tuple[Signatures, ...] = (tight, wide)
     if prior is not None:
         signs = (*signs, project_traces(*prior))
@@ -194,9 +194,7 @@ class _Search:
     ) -> None:
         self._refit, self._candidates, self._traces = refit, candidates, traces
         self._effort, self._checkpoint, self._jobs, self._watch = effort, checkpoint, jobs, watch
-        shares = refit.metric.shares
-        tight = np.maximum(FLOOR, shares / _TIGHTER)
-        self._middle = replace(refit.metric, shares=np.sqrt(tight * shares))
+        self._middle = _between(refit)
         #: Score of the best effect alone, in one metric: a pair that says less is no answer
         self._least = -np.inf
 
@@ -469,10 +467,16 @@ class _Search:
         return made
 
 
-def _tightened(fitted: FittedModel) -> FittedModel:
+def _tightened(fitted: Fitted) -> Fitted:
     """The same fit, whose discrepancy is a part of what it found."""
     shares = np.maximum(FLOOR, fitted.metric.shares / _TIGHTER)
     return replace(fitted, metric=replace(fitted.metric, shares=shares))
+
+
+def _between(fitted: FittedModel) -> Metric:
+    """The metric between a fit's own and the tighter one, in which more effects are fitted."""
+    shares = np.sqrt(fitted.metric.shares * _tightened(fitted).metric.shares)
+    return replace(fitted.metric, shares=shares)
 
 
 def short_list(
@@ -601,6 +605,4 @@ def _paired(
     sizes = _promising_sizes(partner, signs, 0.2)
     theta = structure.theta({**best.values, **sizes})
     starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
-    shares = np.sqrt(best.metric.shares * _tightened(best).metric.shares)
-    metric = replace(best.metric, shares=shares)
-    return _searched(structure, best, metric, [(theta, starts)]).in_own_metric()
+    return _searched(structure, best, _between(best), [(theta, starts)]).in_own_metric()

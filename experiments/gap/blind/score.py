@@ -15,6 +15,7 @@ from trms_cli.core.plugins import construct, nearest
 
 if TYPE_CHECKING:
     from experiments.gap.blind.measures import Table
+    from experiments.gap.blind.sealing import OpenedKey
 
 DOCUMENT_NAME, PAGE_NAME = "score.json", "score.md"
 
@@ -37,11 +38,10 @@ class ScoreOptions:
 def perform(composition: Composition) -> int:
     """Judge what a configuration asks for."""
     from experiments.gap.blind.make import key_folder_of
-    from experiments.gap.blind.measures import table
     from experiments.gap.blind.sealing import open_key
-    from experiments.gap.blind.verdicts import document_of, judge, markdown, with_fresh
+    from experiments.gap.blind.verdicts import markdown
     from trms_cli.core.whole_file import replace_whole
-    from trms_cli.runs.run_folder import new_folder, write_document
+    from trms_cli.runs.run_folder import new_folder, removed_if_empty, write_document
 
     keys = dict(composition.config)
     options = construct(ScoreOptions, {"source": keys.pop("in"), **keys})
@@ -53,7 +53,24 @@ def perform(composition: Composition) -> int:
             where="oracle",
             remedy=nearest(options.oracle, methods),
         )
-    key = open_key(key_folder_of(source, options.key), source)
+    # a folder that will not do is refused before minutes are spent
+    folder = new_folder(options.out, "blind")
+    with removed_if_empty(folder):
+        key = open_key(key_folder_of(source, options.key), source)
+        tables, document = _judged(options, key, methods)
+        write_document(document, folder / DOCUMENT_NAME)
+        replace_whole(folder / PAGE_NAME, markdown(document).encode())
+    _print(tables, document, folder)
+    return EXIT_OK
+
+
+def _judged(
+    options: ScoreOptions, key: OpenedKey, methods: Mapping[str, Path]
+) -> tuple[dict[str, Table], dict[str, Any]]:
+    """The table of each method, and all of it as a document."""
+    from experiments.gap.blind.measures import table
+    from experiments.gap.blind.verdicts import document_of, judge, with_fresh
+
     judged = {name: judge(key, folder) for name, folder in methods.items()}
     if options.fresh and key.fresh is not None:
         judged = {
@@ -65,12 +82,7 @@ def perform(composition: Composition) -> int:
         name: table(found, oracle, draws=options.bootstrap, seed=options.seed)
         for name, found in judged.items()
     }
-    document = document_of(key, tables, judged)
-    folder = new_folder(options.out, "blind")
-    write_document(document, folder / DOCUMENT_NAME)
-    replace_whole(folder / PAGE_NAME, markdown(document).encode())
-    _print(tables, document, folder)
-    return EXIT_OK
+    return tables, document_of(key, tables, judged)
 
 
 def methods_of(diagnoses: str | Sequence[str]) -> dict[str, Path]:

@@ -139,6 +139,7 @@ def test_a_recording_that_cannot_be_diagnosed_is_told(sealed, tmp_path, capsys) 
         (["run", "in={tmp}", "out={tmp}/b"], "no recordings"),
         (["score", "in={set}", "diagnoses={tmp}/none"], "no folder"),
         (["score", "in={set}", "diagnoses={tmp}"], "no diagnosis of this set"),
+        (["score", "in={set}", "diagnoses={tmp}", "out={set}"], "not empty"),
         (["score", "in={tmp}", "diagnoses={tmp}"], "cannot be read"),
         (["score", "in={set}", "diagnoses=[a={tmp},a={tmp}]"], "given twice"),
         (["score", "in={set}", "diagnoses={tmp}", "oracle=b"], "none of the diagnoses"),

@@ -49,6 +49,19 @@ def judged(c: Case, a: Answer, name: str = "c001", fresh: FreshResult | None = N
     return JudgedCase(name=name, case=c, answer=a, fresh=fresh)
 
 
+def page_of(cases: list[JudgedCase]) -> str:
+    """``score.md`` of one method."""
+    key = OpenedKey(
+        set_name="small",
+        seed=7,
+        commitment="0" * 64,
+        cases={j.name: j.case for j in cases},
+        files={},
+        fresh=None,
+    )
+    return markdown(score_document(key, {"trms": table(cases, draws=100)}, {"trms": cases}))
+
+
 def figure(found: Table, measure: str) -> Any:
     return next(row for row in found.rows if row.measure.startswith(measure))
 
@@ -335,15 +348,7 @@ def test_what_was_missed_is_shown_by_kind() -> None:
         judged(case("single", DELAY), answer(FRICTION, probability=0.5), "c"),
         judged(case("null"), answer("no_gap", verdict="no_gap", probability=0.6), "d"),
     ]
-    key = OpenedKey(
-        set_name="small",
-        seed=7,
-        commitment="0" * 64,
-        cases={j.name: j.case for j in cases},
-        files={},
-        fresh=None,
-    )
-    page = markdown(score_document(key, {"trms": table(cases)}, {"trms": cases}))
+    page = page_of(cases)
     rows = [line.split(" | ") for line in page.splitlines()]
     assert ["| single", DELAY, f"{LAG} (0.91), {FRICTION} (0.50) |"] in rows
     by_kind = next(row for row in rows if row[0] == "| single")
@@ -381,15 +386,7 @@ def test_how_errors_differ_between_recordings_is_that_of_what_was_drawn() -> Non
     assert speeds.count == 400
     assert speeds.apart == 0
     assert speeds.refit == pytest.approx(0.075, rel=0.2)
-    key = OpenedKey(
-        set_name="small",
-        seed=7,
-        commitment="0" * 64,
-        cases={j.name: j.case for j in found},
-        files={},
-        fresh=None,
-    )
-    page = markdown(score_document(key, {"trms": table(found, draws=100)}, {"trms": found}))
+    page = page_of(found)
     assert "| angles | 2.2 to 4.5 |" in page
     assert "| speeds | any |" in page
     # what names no effect has two models that nobody is promised anything of

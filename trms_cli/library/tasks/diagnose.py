@@ -424,13 +424,13 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
     if applied is not None:
         named = f"{' with '.join(applied.effects)} (p = {applied.probability:.2f})"
         open_ = "; undecided: this is the likeliest cause" if diagnosis.verdict != "effect" else ""
-        if applied.onset and compared_with_a_state(diagnosis) and not diagnosis.against:
-            return (
-                f"the nominal model fitted to the beginning of the recordings, with {named}, "
-                "which begins later"
-            )
         if applied.onset and not diagnosis.against:
-            return f"the nominal model fitted to the recordings with {named}, which begins in them"
+            part, when = (
+                ("the beginning of the recordings", "later")
+                if compared_with_a_state(diagnosis)
+                else ("the recordings", "in them")
+            )
+            return f"the nominal model fitted to {part} with {named}, which begins {when}"
         begun = "fitted to the known state" if diagnosis.against else "refitted together"
         return f"the nominal model {begun} with {named}{open_}"
     if diagnosis.against and diagnosis.residual:
