@@ -34,39 +34,39 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--figure", type=Path, default=None, help="draw nominal_b to this file")
     parser.add_argument("--jobs", type=int, default=2, help="threads")
     parser.add_argument("--json", action="store_true", help="print trms.aero_fit/1")
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     settings = read_study()
-    if not (given.folder / settings["fitted"]).is_file():
-        print(f"skipped: there is no {settings['fitted']} in {given.folder}", file=sys.stderr)
+    if not (arguments.folder / settings["fitted"]).is_file():
+        print(f"skipped: there is no {settings['fitted']} in {arguments.folder}", file=sys.stderr)
         return 0
-    return exit_code_of(lambda: _study(given, settings))
+    return exit_code_of(lambda: _study(arguments, settings))
 
 
-def _study(given: argparse.Namespace, settings: dict[str, Any]) -> int:
-    document = _told(given, settings)
-    print(json.dumps(document, indent=1) if given.json else _table(document))
+def _study(arguments: argparse.Namespace, settings: dict[str, Any]) -> int:
+    document = _document(arguments, settings)
+    print(json.dumps(document, indent=1) if arguments.json else _table(document))
     return EXIT_OK
 
 
-def _told(given: argparse.Namespace, settings: dict[str, Any]) -> dict[str, Any]:
-    first, rest = parts_of(recording(given.folder, settings["fitted"], settings), settings)
-    left_out: dict[str, Any] = {"fitted": {}}
-    if given.variants:
-        left_out |= settings["variants"]
+def _document(arguments: argparse.Namespace, settings: dict[str, Any]) -> dict[str, Any]:
+    first, rest = parts_of(recording(arguments.folder, settings["fitted"], settings), settings)
+    variants: dict[str, Any] = {"fitted": {}}
+    if arguments.variants:
+        variants |= settings["variants"]
     fits = {
-        name: fit_model(problem_of((first,), settings, without, given.jobs), settings)
-        for name, without in left_out.items()
+        name: fit_model(problem_of((first,), settings, without, arguments.jobs), settings)
+        for name, without in variants.items()
     }
     published = QuanserAero(parameter_set=settings["set"], rotor_speeds=False)
     models = {"published": published} | {name: fit.model for name, fit in fits.items()}
     parts = {"fitted": first, "held_out": rest}
-    if not given.fit_only:
-        parts["nominal_b"] = recording(given.folder, settings["judged"], settings)
-    if given.figure is not None and "nominal_b" in parts:
+    if not arguments.fit_only:
+        parts["nominal_b"] = recording(arguments.folder, settings["judged"], settings)
+    if arguments.figure is not None and "nominal_b" in parts:
         from experiments.aero.figure import draw
 
-        shown = {"fitted to nominal_a": fits["fitted"].model, "published": published}
-        draw(given.figure, parts["nominal_b"], shown)
+        models_by_label = {"fitted to nominal_a": fits["fitted"].model, "published": published}
+        draw(arguments.figure, parts["nominal_b"], models_by_label)
     return {
         "schema": "trms.aero_fit/1",
         "fits": {name: _of_fit(fit) for name, fit in fits.items()},
@@ -100,10 +100,10 @@ def _table(document: dict[str, Any]) -> str:
     rows: list[str] = []
     for name, fit in document["fits"].items():
         behind = [start["behind_best"] for start in fit["starts"]]
-        told = ", ".join("–" if b is None else f"{b:.1f}" for b in behind)
+        deficits = ", ".join("–" if b is None else f"{b:.1f}" for b in behind)
         rows += [
             f"## {name}: {fit['outcome']}, {fit['seconds']:.0f} s, cost {fit['cost']:.1f}; "
-            f"nats behind the best start: {told}",
+            f"nats behind the best start: {deficits}",
             "",
             "| parameter | fitted | ± sd | prior | ± sd | unit |",
             "|---|---|---|---|---|---|",
@@ -123,8 +123,8 @@ def _table(document: dict[str, Any]) -> str:
     ]
     for part, models in document["errors"].items():
         for channel in ("alpha_v", "alpha_h"):
-            for name, told in models.items():
-                e = told[channel]
+            for name, errors_by_output in models.items():
+                e = errors_by_output[channel]
                 cells = [f"{1e3 * v:.2f}" for v in e["free_runs"].values()]
                 cells += ["–"] * (len(horizons) - len(cells))
                 failed = f"{len(e['tests_failed'])} of {e['tests']}"

@@ -20,8 +20,8 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.library.tasks.diagnose import candidates_of
 from trms_cli.models.quanser_aero import QuanserAero
 
-_KNOWN = ("nominal_a", "nominal_b", "nominal_c")
-_QUESTIONED = (*_KNOWN, "mass_a", "friction_a")
+_NORMAL_RECORDINGS = ("nominal_a", "nominal_b", "nominal_c")
+_QUESTIONED = (*_NORMAL_RECORDINGS, "mass_a", "friction_a")
 #: rad, of the encoders of angles as the recordings are read everywhere
 _QUANTUM = 0.0015339807878856412
 
@@ -32,18 +32,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="with the recordings")
     parser.add_argument("--only-against", action="store_true", help="leave the others out")
     parser.add_argument("--only", nargs="*", default=_QUESTIONED, help="recordings in question")
-    given = parser.parse_args(argv)
-    missing = [n for n in _QUESTIONED if not (given.folder / f"{n}.csv").is_file()]
+    arguments = parser.parse_args(argv)
+    missing = [n for n in _QUESTIONED if not (arguments.folder / f"{n}.csv").is_file()]
     if missing:
-        print(f"skipped: {', '.join(missing)} not in {given.folder}", file=sys.stderr)
+        print(f"skipped: {', '.join(missing)} not in {arguments.folder}", file=sys.stderr)
         return 0
     heads = ("recording", "against", "verdict", "likeliest", "since", "place", "time")
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
-    for name in given.only:
-        for against in ((), tuple(n for n in _KNOWN if n != name)):
-            if against or not given.only_against:
+    for name in arguments.only:
+        for against in ((), tuple(n for n in _NORMAL_RECORDINGS if n != name)):
+            if against or not arguments.only_against:
                 begin = perf_counter()
-                result = diagnosis(given.folder, name, against)
+                result = diagnosis(arguments.folder, name, against)
                 print(_row(name, against, result, perf_counter() - begin), flush=True)
     return 0
 
@@ -69,12 +69,13 @@ def diagnosis(folder: Path, name: str, against: Sequence[str]) -> DiagnosisResul
 
 def _row(name: str, against: Sequence[str], result: DiagnosisResult, seconds: float) -> str:
     causes = [c for c in result.causes if c.probability >= 0.03]
-    told = ", ".join(f"{' + '.join(c.effects)} {c.probability:.2f}" for c in causes)
+    likeliest = ", ".join(f"{' + '.join(c.effects)} {c.probability:.2f}" for c in causes)
     onset = next((c.onset for c in causes if c.onset is not None), None)
     since = "" if onset is None else f"{onset.time_s:.1f} s"
     place = ", ".join(f"{w.location} {w.share:.2f}" for w in result.where[:2])
-    known = ", ".join(against) or "–"
-    return f"| {name} | {known} | {result.verdict} | {told} | {since} | {place} | {seconds:.0f} s |"
+    references = ", ".join(against) or "–"
+    cells = (name, references, result.verdict, likeliest, since, place, f"{seconds:.0f} s")
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from trms_cli.reporting.style import COLOURS, GREY, house_style, legend_above, n
 from trms_cli.simulation.rollout import Rollout
 
 #: s before and after which nothing is to be seen.
-_SHOWN = (4.0, 30.0)
+_TIME_LIMITS = (4.0, 30.0)
 
 
 def draw(path: Path, dataset: Dataset, models: Mapping[str, Model]) -> None:
@@ -43,5 +43,5 @@ def draw(path: Path, dataset: Dataset, models: Mapping[str, Model]) -> None:
         for panel in panels[:2]:
             legend_above(panel)
         panels[2].set_xlabel("time [s]")
-        panels[2].set_xlim(*_SHOWN)
+        panels[2].set_xlim(*_TIME_LIMITS)
         save_png(figure, path)

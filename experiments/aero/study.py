@@ -55,16 +55,18 @@ def problem_of(
     jobs: int = 2,
 ) -> FitProblem:
     """What is fitted; parameters in ``without`` stay at the values given there."""
-    held = {**settings["values"], **(without or {})}
-    given = {name: Prior(**prior) for name, prior in settings["free"].items() if name not in held}
-    means = {name: prior.mean for name, prior in given.items() if prior.mean is not None}
+    fixed_values = {**settings["values"], **(without or {})}
+    priors = {
+        name: Prior(**prior) for name, prior in settings["free"].items() if name not in fixed_values
+    }
+    means = {name: prior.mean for name, prior in priors.items() if prior.mean is not None}
     model = QuanserAero(
-        parameter_set=settings["set"], parameters={**means, **held}, rotor_speeds=False
+        parameter_set=settings["set"], parameters={**means, **fixed_values}, rotor_speeds=False
     )
     return FitProblem(
         model=model,
         datasets=datasets,
-        free=free_parameters(model.parameters, list(given), priors=given),
+        free=free_parameters(model.parameters, list(priors), priors=priors),
         window_length=settings["window"],
         seed=settings["seed"],
         jobs=jobs,
@@ -107,12 +109,12 @@ def errors(
             start=settings["start"], history=settings["history"], stride=settings["stride"]
         ),
     )
-    found = validate_all(models, dict.fromkeys(models, (dataset,)), options)
-    return {judged.name: _of_model(judged) for judged in found}
+    validations = validate_all(models, dict.fromkeys(models, (dataset,)), options)
+    return {judged.name: _of_model(judged) for judged in validations}
 
 
 def _of_model(judged: ModelValidation) -> dict[str, Any]:
-    told: dict[str, Any] = {}
+    statistics: dict[str, Any] = {}
     for channel in _CHANNELS:
         free = {
             f"{horizon:g}": float(np.sqrt(np.nanmean(judged.pooled(channel, horizon) ** 2)))
@@ -123,14 +125,14 @@ def _of_model(judged: ModelValidation) -> dict[str, Any]:
             for h in judged.horizons
         }
         tests = judged.tests.of(channel)
-        told[channel] = {
+        statistics[channel] = {
             "free_runs": free,
             "unchanged": unchanged,
             "autocorrelation": _first_autocorrelation(judged, channel),
             "tests_failed": [test.name for test in tests if test.failed(judged.tests.level)],
             "tests": len(tests),
         }
-    return told
+    return statistics
 
 
 def _first_autocorrelation(judged: ModelValidation, channel: str) -> float:

@@ -17,9 +17,9 @@ from trms_cli.core.threads import take_one_thread
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study, print its tables, write them into the documentation on request."""
-    given = _parser().parse_args(argv)
+    arguments = _parser().parse_args(argv)
     take_one_thread()
-    return exit_code_of(lambda: _study(given))
+    return exit_code_of(lambda: _study(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _study(given: argparse.Namespace) -> int:
+def _study(arguments: argparse.Namespace) -> int:
     from experiments.gap import page
     from experiments.gap.closing_loop import control, diagnose, record, rigs_of, sizes_of
     from experiments.gap.models import DIAGNOSED
@@ -56,29 +56,29 @@ def _study(given: argparse.Namespace) -> int:
 
     study = read_study()
     begin = process_time()
-    rigs = [rig for rig in rigs_of(study) if fnmatch.fnmatchcase(rig.name, given.only)]
+    rigs = [rig for rig in rigs_of(study) if fnmatch.fnmatchcase(rig.name, arguments.only)]
     if not rigs:
         raise ConfigurationError(
-            f"no rig is called {given.only!r}",
+            f"no rig is called {arguments.only!r}",
             where="--only",
-            remedy=nearest(given.only, [rig.name for rig in rigs_of(study)]),
+            remedy=nearest(arguments.only, [rig.name for rig in rigs_of(study)]),
         )
-    record(rigs, study, given.out, _tell)
-    models = given.models.split(",") if given.models else study["models"]
+    record(rigs, study, arguments.out, _tell)
+    models = arguments.models.split(",") if arguments.models else study["models"]
     verdicts = []
     for i, rig in enumerate(rigs if DIAGNOSED in models else [], start=1):
         _tell(f"diagnosing {i} of {len(rigs)}: {rig.name}")
-        verdicts.append(diagnose(rig, study["diagnose"], given.out))
-    runs = control(rigs, study["tasks"], models, study, given.out, _tell)
-    separations = [] if given.without_separation else separate(study, given.out, _tell)
-    sizes = [sizes_of(rig, models, given.out) for rig in rigs]
-    found = page.Findings(runs, verdicts, sizes, separations, process_time() - begin)
+        verdicts.append(diagnose(rig, study["diagnose"], arguments.out))
+    runs = control(rigs, study["tasks"], models, study, arguments.out, _tell)
+    separations = [] if arguments.without_separation else separate(study, arguments.out, _tell)
+    sizes = [sizes_of(rig, models, arguments.out) for rig in rigs]
+    findings = page.Findings(runs, verdicts, sizes, separations, process_time() - begin)
     _tell("")
-    print_tables(page.tables(found), width=140)
-    page.write_out(found, given.out, given.out)
-    if given.publish:
-        page.publish(found, given.out)
-    print(f"{found.seconds:.0f} s of processor time; tables and figures: {given.out}")
+    print_tables(page.tables(findings), width=140)
+    page.write_out(findings, arguments.out, arguments.out)
+    if arguments.publish:
+        page.publish(findings, arguments.out)
+    print(f"{findings.seconds:.0f} s of processor time; tables and figures: {arguments.out}")
     return EXIT_OK
 
 

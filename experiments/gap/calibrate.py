@@ -106,29 +106,32 @@ Case = tuple[Features, frozenset[tuple[str, ...]]]
 
 def features_of(evidence: Mapping[str, Any]) -> Features:
     """As a diagnosis keeps them: each field of :class:`Features` that the evidence has."""
-    wanted = get_type_hints(Features)
-    known = {name: _value(evidence[name], of) for name, of in wanted.items() if name in evidence}
+    field_types = get_type_hints(Features)
+    values = {
+        name: _value(evidence[name], of) for name, of in field_types.items() if name in evidence
+    }
     for name in ("errors", "raw_error", "refit_error"):  # a run that diverged: JSON has no infinity
-        if name in known:
-            known[name] = np.nan_to_num(known[name], nan=np.inf)
-    return Features(**known)
+        if name in values:
+            values[name] = np.nan_to_num(values[name], nan=np.inf)
+    return Features(**values)
 
 
-def _value(kept: Any, wanted: Any) -> Any:
+def _value(content: Any, field_type: Any) -> Any:
     """Lists of lists as tuples of sorted names, lists of numbers as arrays, not finite as NaN."""
-    if kept is None and wanted is float:
+    if content is None and field_type is float:
         return np.nan
-    if isinstance(kept, Mapping):
-        return {name: _value(value, None) for name, value in kept.items()}
-    if not isinstance(kept, (list, tuple)):
-        return kept
+    if isinstance(content, Mapping):
+        return {name: _value(value, None) for name, value in content.items()}
+    if not isinstance(content, (list, tuple)):
+        return content
     if any(
-        isinstance(item, (list, tuple)) and item and not isinstance(item[0], str) for item in kept
+        isinstance(item, (list, tuple)) and item and not isinstance(item[0], str)
+        for item in content
     ):
-        return np.array(kept, dtype=float)
-    if any(isinstance(item, (list, tuple, str)) for item in kept):
-        return tuple(item if isinstance(item, str) else tuple(sorted(item)) for item in kept)
-    return np.array([np.nan if v is None else v for v in kept], dtype=float)
+        return np.array(content, dtype=float)
+    if any(isinstance(item, (list, tuple, str)) for item in content):
+        return tuple(item if isinstance(item, str) else tuple(sorted(item)) for item in content)
+    return np.array([np.nan if v is None else v for v in content], dtype=float)
 
 
 def loss(weights: Mapping[str, float], cases: Sequence[Case]) -> float:
@@ -136,15 +139,15 @@ def loss(weights: Mapping[str, float], cases: Sequence[Case]) -> float:
     total = 0.0
     for features, right in cases:
         believed = probabilities_of(features, weights)
-        named = sum(believed.get(answer, 0.0) for answer in right)
-        total -= np.log(LEAST + (1 - LEAST) * named)
+        truth_probability = sum(believed.get(answer, 0.0) for answer in right)
+        total -= np.log(LEAST + (1 - LEAST) * truth_probability)
     return total / max(len(cases), 1)
 
 
 def prior_weights() -> dict[str, float]:
     """Centre of the weights' prior."""
-    found: dict[str, float] = json.loads(_PRIOR.read_text(encoding="utf-8"))
-    return found
+    weights: dict[str, float] = json.loads(_PRIOR.read_text(encoding="utf-8"))
+    return weights
 
 
 def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, float]:
@@ -164,14 +167,14 @@ def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, 
         total, slope = 0.5 * float(away @ away), away / width
         for table, right in tables:
             logits = table @ w
-            named, of_right = 0.0, np.zeros(len(logits))
+            truth_probability, of_right = 0.0, np.zeros(len(logits))
             for part, temperature in ((1 - LAPSE, 1.0), (LAPSE, LAPSE_TEMPERATURE)):
                 odds = np.exp((logits - logits.max()) / temperature)
                 p = odds / odds.sum()
                 own = float(p[right].sum())
-                named += part * own
+                truth_probability += part * own
                 of_right += part / temperature * (np.where(right, p, 0.0) - own * p)
-            believed = LEAST + (1 - LEAST) * named
+            believed = LEAST + (1 - LEAST) * truth_probability
             total -= float(np.log(believed))
             slope = slope - (1 - LEAST) / believed * (of_right @ table)
         return total, slope
@@ -182,8 +185,8 @@ def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, 
         else (None, 0.0 if n in _NEVER_ABOVE else prior[n] if n in _AT_MOST_PRIOR else None)
         for n in names
     ]
-    found = minimize(cost, centre, jac=True, method="L-BFGS-B", bounds=bounds)
-    return dict(zip(names, found.x.tolist(), strict=True))
+    solution = minimize(cost, centre, jac=True, method="L-BFGS-B", bounds=bounds)
+    return dict(zip(names, solution.x.tolist(), strict=True))
 
 
 def frequent_effects(cases: Sequence[Case]) -> list[str]:
@@ -205,13 +208,13 @@ def usual_shares(nulls: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def blind_lines(key: Path, diagnoses: Path) -> list[Line]:
     """Rigs of a blind set that have been diagnosed."""
     truths = json.loads(key.read_text(encoding="utf-8"))["key"]["cases"]
-    found = []
+    lines = []
     for name, truth in sorted(truths.items()):
         file = diagnoses / name / "diagnosis.json"
         if file.exists():
             document = json.loads(file.read_text(encoding="utf-8"))
-            found.append(line_of(name, convert(truth, Rig), document))
-    return found
+            lines.append(line_of(name, convert(truth, Rig), document))
+    return lines
 
 
 def calibrating(lines: Sequence[Line]) -> list[Line]:
@@ -229,7 +232,7 @@ def calibrating(lines: Sequence[Line]) -> list[Line]:
     ]
 
 
-def told_belief(line: Line) -> dict[tuple[str, ...], float]:
+def diagnosis_belief(line: Line) -> dict[tuple[str, ...], float]:
     """What the diagnosis said, whatever was done to its probabilities after the fit."""
     return {
         tuple(sorted(cause["effects"])): float(cause["probability"])
@@ -245,13 +248,13 @@ def study(
     ``usual_too``: whether what counts as usual is taken from these rigs, too. What a fit leaves
     beyond that is a feature: their diagnoses have to be made anew then.
     """
-    weighed = calibrating(lines)
-    known = [features_of(line.evidence) for line in weighed]
-    rights = [frozenset(right_causes(line.case)) for line in weighed]
-    rigs = [line.case for line in weighed]
+    calibration_lines = calibrating(lines)
+    feature_sets = [features_of(line.evidence) for line in calibration_lines]
+    rights = [frozenset(right_causes(line.case)) for line in calibration_lines]
+    rigs = [line.case for line in calibration_lines]
     start, prior = calibration(), prior_weights()
     beliefs = cross_validated(
-        known,
+        feature_sets,
         rights,
         folds_of(rigs, folds, seed),
         lambda cases: fit_weights(prior, cases),
@@ -261,13 +264,13 @@ def study(
         rigs,
         rights,
         {
-            "told": [told_belief(line) for line in weighed],
-            "package": [probabilities_of(features, start.weights) for features in known],
+            "told": [diagnosis_belief(line) for line in calibration_lines],
+            "package": [probabilities_of(features, start.weights) for features in feature_sets],
             f"{folds} folds": beliefs,
         },
     )
     text += f"\nTold with {VERY_SURE} and more, and not right ({folds} folds):\n\n"
-    text += sure_and_wrong([line.name for line in weighed], rigs, rights, beliefs)
+    text += sure_and_wrong([line.name for line in calibration_lines], rigs, rights, beliefs)
     nulls = [
         line.evidence["shares"]
         for line in lines
@@ -275,12 +278,16 @@ def study(
         and line.case.kind in ("null", "offset")
         and not line.case.imperfect
     ]
-    found = replace(start, weights=fit_weights(prior, list(zip(known, rights, strict=True))))
+    fitted_calibration = replace(
+        start, weights=fit_weights(prior, list(zip(feature_sets, rights, strict=True)))
+    )
     usual = {**start.usual_shares, **usual_shares(nulls)}
     rows = [(name, start.usual(name), share) for name, share in usual.items()]
     text += "\nErrors that are usual, as shares of what acts there: in force, of these rigs\n\n"
     text += "".join(f"{name:16} {now:.4f} {share:.4f}\n" for name, now, share in rows)
-    return (replace(found, usual_shares=usual) if usual_too else found), text
+    if usual_too:
+        fitted_calibration = replace(fitted_calibration, usual_shares=usual)
+    return fitted_calibration, text
 
 
 def write_constants(constants: Calibration) -> None:
@@ -319,21 +326,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         action="store_true",
         help="what counts as usual as well; the rigs have to be diagnosed anew then",
     )
-    given = parser.parse_args(argv)
-    lines = [line for source in given.sources for line in FeaturesFile(source).lines()]
-    lines += [line for key, found in given.blind for line in blind_lines(key, found)]
-    weighed = calibrating(lines)
-    if len(weighed) < given.folds:
-        parser.error(f"{len(weighed)} diagnosed rigs are too few for {given.folds} folds")
-    found, text = study(lines, given.folds, given.seed, usual_too=given.usual)
+    arguments = parser.parse_args(argv)
+    lines = [line for source in arguments.sources for line in FeaturesFile(source).lines()]
+    lines += [line for key, diagnoses in arguments.blind for line in blind_lines(key, diagnoses)]
+    calibration_lines = calibrating(lines)
+    if len(calibration_lines) < arguments.folds:
+        parser.error(
+            f"{len(calibration_lines)} diagnosed rigs are too few for {arguments.folds} folds"
+        )
+    fitted_calibration, text = study(
+        lines, arguments.folds, arguments.seed, usual_too=arguments.usual
+    )
     failed = sum(bool(line.failed) for line in lines)
     sys.stdout.write(
-        f"{len(lines)} rigs, {failed} could not be diagnosed, {len(weighed)} are weighed\n\n{text}"
+        f"{len(lines)} rigs, {failed} could not be diagnosed, "
+        f"{len(calibration_lines)} are weighed\n\n{text}"
     )
-    if given.write:
-        sources = " ".join(source.as_posix() for source in given.sources)
+    if arguments.write:
+        sources = " ".join(source.as_posix() for source in arguments.sources)
         command = f"python -m experiments.gap.calibrate {sources} --write"
-        write_constants(replace(found, command=command))
+        write_constants(replace(fitted_calibration, command=command))
     return 0
 
 

@@ -74,20 +74,20 @@ class ChangeFeatures:
         )
 
 
-def believed(known: ChangeFeatures, constants: Mapping[str, float]) -> Belief:
+def believed(features: ChangeFeatures, constants: Mapping[str, float]) -> Belief:
     """Probabilities of causes."""
     each, unchanged, unnamed = change_probabilities(
-        known.kinds, known.gains, known.unnamed, known.usual, constants
+        features.kinds, features.gains, features.unnamed, features.usual, constants
     )
-    found: dict[tuple[str, ...], float] = {
+    belief: dict[tuple[str, ...], float] = {
         ("no_change",): unchanged,
         ("none_of_these",): unnamed,
         ("parameters_only",): 0.0,
     }
-    for name, kind, probability in zip(known.names, known.kinds, each.tolist(), strict=True):
+    for name, kind, probability in zip(features.names, features.kinds, each.tolist(), strict=True):
         key = ("parameters_only",) if kind == "parameter" else (name,)
-        found[key] = found.get(key, 0.0) + probability
-    return found
+        belief[key] = belief.get(key, 0.0) + probability
+    return belief
 
 
 def fit(
@@ -100,14 +100,14 @@ def fit(
     def cost(v: FloatArray) -> float:
         constants = {name: _inward(name, x) for name, x in zip(names, v, strict=True)}
         total = 0.5 * float(np.sum(((v - centre) / _WIDTH) ** 2))
-        for known, right in cases:
-            belief = believed(known, constants)
+        for features, right in cases:
+            belief = believed(features, constants)
             share = sum(belief.get(cause, 0.0) for cause in right)
             total -= float(np.log(LEAST + (1 - LEAST) * share))
         return total
 
-    found = minimize(cost, centre, method="L-BFGS-B")
-    return {name: _inward(name, x) for name, x in zip(names, found.x.tolist(), strict=True)}
+    solution = minimize(cost, centre, method="L-BFGS-B")
+    return {name: _inward(name, x) for name, x in zip(names, solution.x.tolist(), strict=True)}
 
 
 def _outward(name: str, value: float) -> float:
@@ -118,7 +118,7 @@ def _inward(name: str, x: float) -> float:
     return float(expit(x) if name == "unchanged" else np.exp(x))
 
 
-def weighed(lines: Sequence[Line]) -> list[Line]:
+def comparison_lines(lines: Sequence[Line]) -> list[Line]:
     """Those that were compared with a known state.
 
     What is told to have begun within a recording is compared, too, but only where it is clear.
@@ -134,29 +134,31 @@ def weighed(lines: Sequence[Line]) -> list[Line]:
 
 def study(lines: Sequence[Line], folds: int, seed: int) -> tuple[dict[str, float], str]:
     """Constants fitted to all, and tables of beliefs that nothing was fitted to."""
-    chosen = weighed(lines)
-    known = [ChangeFeatures.of(line) for line in chosen]
-    rights = [frozenset(right_causes(line.case)) for line in chosen]
-    rigs = [line.case for line in chosen]
-    beliefs = cross_validated(known, rights, folds_of(rigs, folds, seed), fit, believed)
+    comparisons = comparison_lines(lines)
+    feature_sets = [ChangeFeatures.of(line) for line in comparisons]
+    rights = [frozenset(right_causes(line.case)) for line in comparisons]
+    rigs = [line.case for line in comparisons]
+    beliefs = cross_validated(feature_sets, rights, folds_of(rigs, folds, seed), fit, believed)
     now = calibration().change
-    package = [believed(features, now) for features in known]
+    package = [believed(features, now) for features in feature_sets]
     text = tables(rigs, rights, {"package": package, f"{folds} folds": beliefs})
-    return fit(list(zip(known, rights, strict=True))), text
+    return fit(list(zip(feature_sets, rights, strict=True))), text
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit, tell, and write on request."""
     parser = parser_of("calibrate_change", __doc__)
-    given = parser.parse_args(argv)
-    lines = [line for source in given.sources for line in FeaturesFile(source).lines()]
-    if len(weighed(lines)) < given.folds:
-        parser.error(f"{len(weighed(lines))} compared rigs are too few for {given.folds} folds")
-    found, text = study(lines, given.folds, given.seed)
-    sys.stdout.write(f"{len(weighed(lines))} rigs were compared\n\n{text}\n")
-    sys.stdout.writelines(f"{name:12} {value:.3g}\n" for name, value in found.items())
-    if given.write:
-        write_constants(replace(calibration(), change=found))
+    arguments = parser.parse_args(argv)
+    lines = [line for source in arguments.sources for line in FeaturesFile(source).lines()]
+    if len(comparison_lines(lines)) < arguments.folds:
+        parser.error(
+            f"{len(comparison_lines(lines))} compared rigs are too few for {arguments.folds} folds"
+        )
+    constants, text = study(lines, arguments.folds, arguments.seed)
+    sys.stdout.write(f"{len(comparison_lines(lines))} rigs were compared\n\n{text}\n")
+    sys.stdout.writelines(f"{name:12} {value:.3g}\n" for name, value in constants.items())
+    if arguments.write:
+        write_constants(replace(calibration(), change=constants))
     return 0
 
 

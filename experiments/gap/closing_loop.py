@@ -19,9 +19,9 @@ from experiments.gap.blind.drivers import OpenLoop
 from experiments.gap.driver import Loop, ModelBased, loop_of
 from experiments.gap.models import (
     DIAGNOSED,
+    KNOWN_CAUSE,
     NOMINAL,
     REFIT,
-    TOLD,
     TRUE,
     diagnose_recordings,
     identify_model,
@@ -32,7 +32,7 @@ from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 
 FloatArray = npt.NDArray[np.float64]
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 RECORDING = "recording.csv"
 AXES = ("pitch", "yaw")
@@ -92,12 +92,12 @@ def rigs_of(study: Mapping[str, Any]) -> list[Rig]:
     ]
 
 
-def record(rigs: Sequence[Rig], study: Mapping[str, Any], out: Path, told: Told) -> None:
+def record(rigs: Sequence[Rig], study: Mapping[str, Any], out: Path, report: Report) -> None:
     """Recordings for the diagnosis, of all rigs at once; earlier ones are taken."""
     missing = [rig for rig in rigs if not (out / rig.name / RECORDING).exists()]
     if not missing:
         return
-    told(f"recording {len(missing)} rigs")
+    report(f"recording {len(missing)} rigs")
     duration, step = study["record"]["duration"], study["record"]["sample_time"]
     commands = {s: gentle_excitation(s, duration, step) for s in {r.seed for r in missing}}
     driver = OpenLoop(np.stack([commands[rig.seed] for rig in missing]))
@@ -117,15 +117,15 @@ def diagnose(rig: Rig, words: Sequence[str], out: Path) -> Verdict:
 
 def verdict_of(rig: Rig, folder: Path) -> Verdict:
     """What the diagnosis in a folder says."""
-    said = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
-    first = said["causes"][0]
+    document = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    first = document["causes"][0]
     return Verdict(
         rig.name,
         rig.effect,
-        said["verdict"],
+        document["verdict"],
         tuple(first["effects"]),
         float(first["probability"]),
-        float(sum((said.get("seconds") or {}).values())),
+        float(sum((document.get("seconds") or {}).values())),
     )
 
 
@@ -137,7 +137,7 @@ def model_of(rig: Rig, model: str, out: Path) -> Model:
     paths = {
         REFIT: lambda: identify_model(folder / RECORDING, folder / REFIT),
         DIAGNOSED: lambda: folder / DIAGNOSED / "corrected_model.yaml",
-        TOLD: lambda: identify_model(folder / RECORDING, folder / TOLD, rig.effect),
+        KNOWN_CAUSE: lambda: identify_model(folder / RECORDING, folder / KNOWN_CAUSE, rig.effect),
         TRUE: lambda: rig.write_true_model(folder / "true_model.yaml"),
     }
     return load_model(str(paths[model]()))
@@ -149,15 +149,15 @@ def control(
     models: Sequence[str],
     study: Mapping[str, Any],
     out: Path,
-    told: Told,
+    report: Report,
 ) -> list[Tracking]:
     """Control every rig in every task with every model; runs that are there already are taken."""
-    wanted = [(rig, task, model) for task in tasks for model in models for rig in rigs]
-    missing = [run for run in wanted if not _file(*run, out).exists()]
+    runs = [(rig, task, model) for task in tasks for model in models for rig in rigs]
+    missing = [run for run in runs if not _file(*run, out).exists()]
     if missing:
         loops = {task: loop_of(words) for task, words in tasks.items()}
-        _control(missing, loops, study, out, told)
-    return [Tracking(**json.loads(_file(*run, out).read_text(encoding="utf-8"))) for run in wanted]
+        _control(missing, loops, study, out, report)
+    return [Tracking(**json.loads(_file(*run, out).read_text(encoding="utf-8"))) for run in runs]
 
 
 def _control(
@@ -165,29 +165,29 @@ def _control(
     loops: Mapping[str, Loop],
     study: Mapping[str, Any],
     out: Path,
-    told: Told,
+    report: Report,
 ) -> None:
     duration, step = study["run"]["duration"], study["record"]["sample_time"]
-    told(f"making models and loops of {len(runs)} runs")
-    made = {(rig.name, model): model_of(rig, model, out) for rig, _, model in runs}
+    report(f"making models and loops of {len(runs)} runs")
+    models = {(rig.name, model): model_of(rig, model, out) for rig, _, model in runs}
     driver = ModelBased(
         [loops[task] for _, task, _ in runs],
-        [made[rig.name, model] for rig, _, model in runs],
+        [models[rig.name, model] for rig, _, model in runs],
         round(duration / step),
         step,
     )
-    told(f"{len(runs)} runs of {duration:g} s")
+    report(f"{len(runs)} runs of {duration:g} s")
     rigs = [rig for rig, _, _ in runs]
     recorded = drive_rigs(rigs, driver, duration, step, among=rigs_of(study), seed=_RUN_SEED)
     for i, run in enumerate(runs):
         angles, commands = recorded.measured[i, :, :2], recorded.commands[i]
         references = driver.references[i]
-        found = tracking(*run, references, angles, commands, step, study)
+        run_tracking = tracking(*run, references, angles, commands, step, study)
         file = _file(*run, out)
         file.parent.mkdir(parents=True, exist_ok=True)
         traces = {"time": recorded.time, "reference": references, "angle": angles}
         np.savez_compressed(file.with_suffix(".npz"), command=commands, **traces)
-        file.write_text(json.dumps(asdict(found)), encoding="utf-8")
+        file.write_text(json.dumps(asdict(run_tracking)), encoding="utf-8")
 
 
 def tracking(
@@ -222,22 +222,22 @@ def tracking(
 
 def traces_of(rig: str, task: str, model: str, out: Path) -> dict[str, FloatArray]:
     """``time``, ``reference``, ``angle``, ``command`` of a run that was made."""
-    with np.load(out / rig / f"{task}-{model}.npz") as kept:
-        return {name: np.asarray(kept[name], dtype=float) for name in kept.files}
+    with np.load(out / rig / f"{task}-{model}.npz") as archive:
+        return {name: np.asarray(archive[name], dtype=float) for name in archive.files}
 
 
 def sizes_of(rig: Rig, models: Sequence[str], out: Path) -> Sizes:
     """Sizes of the rig's effect in the fitted models of it, those that have the effect."""
-    found: dict[str, dict[str, float]] = {}
+    fitted_sizes: dict[str, dict[str, float]] = {}
     for model in models:
-        if model in (TOLD, DIAGNOSED):
+        if model in (KNOWN_CAUSE, DIAGNOSED):
             parameters = model_of(rig, model, out).parameters
-            found[model] = {
+            fitted_sizes[model] = {
                 size: parameters[f"{rig.effect}.{size}"].value
                 for size in rig.sizes
                 if f"{rig.effect}.{size}" in parameters
             }
-    return Sizes(rig.name, rig.effect, dict(rig.sizes), found)
+    return Sizes(rig.name, rig.effect, dict(rig.sizes), fitted_sizes)
 
 
 def _file(rig: Rig, task: str, model: str, out: Path) -> Path:

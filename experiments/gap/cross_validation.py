@@ -20,7 +20,7 @@ from experiments.gap.blind.statistics import (
 )
 
 IntArray = npt.NDArray[np.int64]
-Known = TypeVar("Known")
+CaseFeatures = TypeVar("CaseFeatures")
 Constants = TypeVar("Constants")
 Causes = tuple[str, ...]
 Belief = Mapping[Causes, float]
@@ -64,17 +64,17 @@ def folds_of(cases: Sequence[Case], number: int, seed: int = 0) -> IntArray:
 
 
 def cross_validated(
-    known: Sequence[Known],
+    features: Sequence[CaseFeatures],
     rights: Sequence[frozenset[Causes]],
     folds: IntArray,
-    fit: Callable[[Sequence[tuple[Known, frozenset[Causes]]]], Constants],
-    believe: Callable[[Known, Constants], Belief],
+    fit: Callable[[Sequence[tuple[CaseFeatures, frozenset[Causes]]]], Constants],
+    believe: Callable[[CaseFeatures, Constants], Belief],
 ) -> list[Belief]:
     """Belief of each case by constants that were fitted to the other folds.
 
     Parameters
     ----------
-    known : sequence
+    features : sequence
         What is known of each case before anything is believed.
     rights : sequence of frozenset
         Causes that are right, of each case.
@@ -85,19 +85,19 @@ def cross_validated(
     believe : callable
         Probabilities of causes from what is known and constants.
     """
-    beliefs: list[Belief] = [{}] * len(known)
+    beliefs: list[Belief] = [{}] * len(features)
     for fold in np.unique(folds):
-        inside = [(known[i], rights[i]) for i in np.flatnonzero(folds != fold).tolist()]
+        inside = [(features[i], rights[i]) for i in np.flatnonzero(folds != fold).tolist()]
         constants = fit(inside)
         for i in np.flatnonzero(folds == fold).tolist():
-            beliefs[i] = believe(known[i], constants)
+            beliefs[i] = believe(features[i], constants)
     return beliefs
 
 
 def judged(beliefs: Sequence[Belief], rights: Sequence[frozenset[Causes]]) -> Judged:
     """Log loss, calibration and reliability of beliefs."""
     first = [max(belief.items(), key=lambda item: item[1]) for belief in beliefs]
-    told = np.array([p for _, p in first])
+    probabilities = np.array([p for _, p in first])
     hit = np.array([name in right for (name, _), right in zip(first, rights, strict=True)])
     of_truth = np.array(
         [
@@ -111,11 +111,11 @@ def judged(beliefs: Sequence[Belief], rights: Sequence[frozenset[Causes]]) -> Ju
         count=n,
         log_loss=bootstrapped(lambda some: float(losses[some].mean()), n, _DRAWS, 0),
         calibration_error=bootstrapped(
-            lambda some: calibration_error(told[some], hit[some]), n, _DRAWS, 0
+            lambda some: calibration_error(probabilities[some], hit[some]), n, _DRAWS, 0
         ),
         right=share(hit.tolist()),
-        very_sure=share(hit[told >= VERY_SURE].tolist()),
-        reliability=reliability(told.tolist(), hit.tolist()),
+        very_sure=share(hit[probabilities >= VERY_SURE].tolist()),
+        reliability=reliability(probabilities.tolist(), hit.tolist()),
     )
 
 
@@ -132,11 +132,11 @@ def strata_of(cases: Sequence[Case]) -> dict[str, IntArray]:
     }
     for kind in sorted({case.kind for case in cases}):
         tests[kind] = _is(kind)
-    found = {
+    strata = {
         name: np.flatnonzero([test(case) for case in cases]).astype(int)
         for name, test in tests.items()
     }
-    return {name: members for name, members in found.items() if len(members)}
+    return {name: members for name, members in strata.items() if len(members)}
 
 
 def _lasts(low: float, high: float) -> Callable[[Case], bool]:
@@ -164,11 +164,11 @@ def tables(
     strata = strata_of(cases)
     for name, members in strata.items():
         for called, beliefs in compared.items():
-            found = judged(
+            scores = judged(
                 [beliefs[i] for i in members.tolist()], [rights[i] for i in members.tolist()]
             )
-            figures = (found.log_loss, found.calibration_error, found.right, found.very_sure)
-            cells = [name, str(found.count), called, *map(_figure, figures)]
+            figures = (scores.log_loss, scores.calibration_error, scores.right, scores.very_sure)
+            cells = [name, str(scores.count), called, *map(_figure, figures)]
             lines.append(f"| {' | '.join(cells)} |")
     for called, beliefs in compared.items():
         lines += ["", f"Reliability, {called}:", "", "| told | mean | right | cases |"]

@@ -111,15 +111,15 @@ class _Controlled:
         estimate = self._loop.observer.step(self._observer_state, self._u, measured, None)
         if k % self._ratio == 0:
             sample = ControlSample(time, self.references[k + self._ahead], estimate, self._u)
-            given = self._loop.controller.step(
+            command = self._loop.controller.step(
                 self._controller_state, sample, want_prediction=False
             )
-            self._u = np.clip(np.array(given.u, dtype=float), -COMMAND_LIMIT, COMMAND_LIMIT)
+            self._u = np.clip(np.array(command.u, dtype=float), -COMMAND_LIMIT, COMMAND_LIMIT)
         return self._u
 
     def _observing(self, measured: FloatArray) -> ObserverSetup:
         noise: Mapping[str, float] = NOISE_SD
-        known = names(self._model.outputs)
-        if known != CHANNELS:
-            raise ValueError(f"the rigs measure {CHANNELS}, and the model {known}")
+        model_outputs = names(self._model.outputs)
+        if model_outputs != CHANNELS:
+            raise ValueError(f"the rigs measure {CHANNELS}, and the model {model_outputs}")
         return ObserverSetup(self._model, self._sample_time, CHANNELS, noise, measured, self._u)

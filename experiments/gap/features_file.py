@@ -21,7 +21,7 @@ from trms_cli.core.whole_file import replace_whole
 
 FILE_NAME = "features.jsonl.gz"
 #: What of a ``diagnosis.json`` is kept: enough to judge it and to believe anew.
-_KEPT = (
+_DOCUMENT_KEYS = (
     "schema",
     "verdict",
     "where",
@@ -48,23 +48,23 @@ class Line:
     @property
     def evidence(self) -> Mapping[str, Any]:
         """What the probabilities were made of."""
-        found: Mapping[str, Any] = self.document.get("evidence", {})
-        return found
+        evidence: Mapping[str, Any] = self.document.get("evidence", {})
+        return evidence
 
 
 def line_of(
     name: str, case: Case, document: Mapping[str, Any], seconds: float | None = None
 ) -> Line:
     """What is kept of a diagnosis."""
-    kept = {key: document[key] for key in _KEPT if key in document}
+    content = {key: document[key] for key in _DOCUMENT_KEYS if key in document}
     causes = sorted(document["causes"], key=lambda cause: -cause["probability"])
-    kept["causes"] = [
+    content["causes"] = [
         cause if i == 0 else {**cause, "parameters": {}}
         for i, cause in enumerate(causes)
         if i == 0 or cause["probability"] >= _LEAST
     ]
-    kept["shrink"] = {"all": document.get("shrink", {}).get("all", {})}
-    return Line(name=name, case=case, document=_rounded(kept), seconds=seconds)
+    content["shrink"] = {"all": document.get("shrink", {}).get("all", {})}
+    return Line(name=name, case=case, document=_rounded(content), seconds=seconds)
 
 
 def _rounded(content: Any) -> Any:
@@ -90,8 +90,8 @@ class FeaturesFile:
 
     def lines(self) -> list[Line]:
         """All that are whole, the last of each name."""
-        found = {entry["name"]: convert(entry, Line) for entry in self._entries()}
-        return list(found.values())
+        lines_by_name = {entry["name"]: convert(entry, Line) for entry in self._entries()}
+        return list(lines_by_name.values())
 
     def append(self, line: Line) -> None:
         """Add a line at the end."""
@@ -103,10 +103,10 @@ class FeaturesFile:
 
         ``without_failed``: nor those of rigs that could not be diagnosed.
         """
-        kept = [line for line in self.lines() if not (without_failed and line.failed)]
+        lines = [line for line in self.lines() if not (without_failed and line.failed)]
         if self.path.is_file():
-            replace_whole(self.path, b"".join(_packed(line) for line in kept))
-        return kept
+            replace_whole(self.path, b"".join(_packed(line) for line in lines))
+        return lines
 
     def _entries(self) -> Iterator[dict[str, Any]]:
         if not self.path.is_file():

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from experiments.gap.closing_loop import AXES, Sizes, Tracking, Verdict, traces_of
-from experiments.gap.models import DIAGNOSED, NOMINAL, REFIT, TOLD, TRUE
+from experiments.gap.models import DIAGNOSED, KNOWN_CAUSE, NOMINAL, REFIT, TRUE
 from experiments.gap.separation import Separation
 from experiments.page_tables import markdown, write_tables
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures" / "closing_loop"
 SCHEMA = "trms.closing_loop/1"
 #: What models are called in heads of tables; others keep their name.
-_WORDS = {TOLD: "cause known"}
+_WORDS = {KNOWN_CAUSE: "cause known"}
 #: Share by which the nominal model's error has to exceed the true one's for a share to be told.
 _SUFFERS = 0.2
 #: Ratio of errors from which on they are drawn on a logarithmic axis.
@@ -38,72 +38,72 @@ class Findings:
     seconds: float = 0.0  #: Of the processor, without what had been done before
 
 
-def tables(found: Findings) -> dict[str, list[list[str]]]:
+def tables(findings: Findings) -> dict[str, list[list[str]]]:
     """Tables by name, each with its head in the first row."""
-    made = {"sizes": _sizes(found.sizes), "diagnoses": _diagnoses(found.verdicts)}
-    for task in dict.fromkeys(run.task for run in found.runs):
-        made[task] = _tracking([run for run in found.runs if run.task == task])
-    made["separation"] = _separation(found.separations)
-    return {name: rows for name, rows in made.items() if len(rows) > 1}
+    rows_by_name = {"sizes": _sizes(findings.sizes), "diagnoses": _diagnoses(findings.verdicts)}
+    for task in dict.fromkeys(run.task for run in findings.runs):
+        rows_by_name[task] = _tracking([run for run in findings.runs if run.task == task])
+    rows_by_name["separation"] = _separation(findings.separations)
+    return {name: rows for name, rows in rows_by_name.items() if len(rows) > 1}
 
 
-def document(found: Findings) -> dict[str, Any]:
+def document(findings: Findings) -> dict[str, Any]:
     """``trms.closing_loop/1``; what could not be counted is null."""
     content = {
         "schema": SCHEMA,
-        "seconds": round(found.seconds, 1),
-        "diagnoses": [asdict(verdict) for verdict in found.verdicts],
-        "sizes": [asdict(sizes) for sizes in found.sizes],
-        "runs": [asdict(run) for run in found.runs],
-        "separations": [asdict(separation) for separation in found.separations],
+        "seconds": round(findings.seconds, 1),
+        "diagnoses": [asdict(verdict) for verdict in findings.verdicts],
+        "sizes": [asdict(sizes) for sizes in findings.sizes],
+        "runs": [asdict(run) for run in findings.runs],
+        "separations": [asdict(separation) for separation in findings.separations],
     }
     cleaned: dict[str, Any] = _finite(content)
     return cleaned
 
 
-def write_out(found: Findings, folder: Path, runs: Path) -> None:
+def write_out(findings: Findings, folder: Path, runs: Path) -> None:
     """Tables as JSON and Markdown, and figures, into a folder.
 
     ``runs``: where the runs' traces lie.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(document(found), indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(document(findings), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "closing_loop.json").write_text(text + "\n", encoding="utf-8")
-    blocks = [f"## {name}\n\n{markdown(rows)}\n" for name, rows in tables(found).items()]
+    blocks = [f"## {name}\n\n{markdown(rows)}\n" for name, rows in tables(findings).items()]
     (folder / "closing_loop.md").write_text("\n".join(blocks), encoding="utf-8")
-    draw(found, folder, runs)
+    draw(findings, folder, runs)
 
 
-def publish(found: Findings, runs: Path, page: Path = PAGE, figures: Path = FIGURES) -> None:
+def publish(findings: Findings, runs: Path, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
     Raises ConfigurationError if the page has no marks for a table.
     """
-    blocks = {name: markdown(rows) for name, rows in tables(found).items()}
+    blocks = {name: markdown(rows) for name, rows in tables(findings).items()}
     if "separation" in blocks:
         blocks["separation"] += "".join(
-            f"\n\n`{s.rig}`: {s.why}.\n\n    {s.command}" for s in found.separations if s.command
+            f"\n\n`{s.rig}`: {s.why}.\n\n    {s.command}" for s in findings.separations if s.command
         )
-    write_tables(page, blocks | {"made": made_of(found)})
+    write_tables(page, blocks | {"made": coverage_note(findings)})
     figures.mkdir(parents=True, exist_ok=True)
-    draw(found, figures, runs)
+    draw(findings, figures, runs)
 
 
-def made_of(found: Findings) -> str:
+def coverage_note(findings: Findings) -> str:
     """What the tables hold, and what they do not hold yet."""
-    rigs = len({run.rig for run in found.runs})
-    models = list(dict.fromkeys(run.model for run in found.runs))
-    words = f"The tables below are of {len(found.runs)} runs of {rigs} rigs, with the models "
+    rigs = len({run.rig for run in findings.runs})
+    models = list(dict.fromkeys(run.model for run in findings.runs))
+    words = f"The tables below are of {len(findings.runs)} runs of {rigs} rigs, with the models "
     words += f"{', '.join(models)}."
-    for task in dict.fromkeys(run.task for run in found.runs):
+    for task in dict.fromkeys(run.task for run in findings.runs):
         for model in models:
-            n = sum(run.task == task and run.model == model for run in found.runs)
+            n = sum(run.task == task and run.model == model for run in findings.runs)
             if n < rigs:
                 words += f" In `{task}` {model} has {n} rigs."
-    missing = [name for name in (REFIT, DIAGNOSED, TOLD) if name not in models]
+    missing = [name for name in (REFIT, DIAGNOSED, KNOWN_CAUSE) if name not in models]
     if missing:
         words += f" **Not run yet: {', '.join(missing)}.**"
-    if not found.separations:
+    if not findings.separations:
         words += " **Not run yet: the next experiment.**"
     return words
 
@@ -162,8 +162,8 @@ def _tracking(runs: Sequence[Tracking]) -> list[list[str]]:
                 row.append(_spread([1e3 * errors(run)[axis] for run in of if run.model == model]))
             moves = [np.mean([r.movement[axis] for r in of if r.model == m]) for m in models]
             row.append(" / ".join(f"{value:.2f}" for value in moves))
-            told = ["hardly suffers" if s is None else f"{100 * s:.0f} %" for s in shares]
-            rows.append([*row, *(told if axis == AXES[0] else [""] * len(told))])
+            share_texts = ["hardly suffers" if s is None else f"{100 * s:.0f} %" for s in shares]
+            rows.append([*row, *(share_texts if axis == AXES[0] else [""] * len(share_texts))])
     return rows
 
 
@@ -175,11 +175,11 @@ def _diagnoses(verdicts: Sequence[Verdict]) -> list[list[str]]:
     return rows
 
 
-def _sizes(found: Sequence[Sizes]) -> list[list[str]]:
-    models = list(dict.fromkeys(model for sizes in found for model in sizes.fitted))
+def _sizes(rig_sizes: Sequence[Sizes]) -> list[list[str]]:
+    models = list(dict.fromkeys(model for sizes in rig_sizes for model in sizes.fitted))
     rows = [["effect", "size", "rig", *(_WORDS.get(model, model) for model in models)]]
-    for effect in dict.fromkeys(sizes.effect for sizes in found):
-        of = [sizes for sizes in found if sizes.effect == effect]
+    for effect in dict.fromkeys(sizes.effect for sizes in rig_sizes):
+        of = [sizes for sizes in rig_sizes if sizes.effect == effect]
         fitted = {name for sizes in of for values in sizes.fitted.values() for name in values}
         for name, own in ((n, v) for n, v in of[0].own.items() if n in fitted):
             row = [f"`{effect}`", name, f"{own:g}"]
@@ -195,8 +195,10 @@ def _separation(separations: Sequence[Separation]) -> list[list[str]]:
         ["rig", "recordings", "verdict", "true", "rival", "delay and lag", "declared confusable"]
     ]
     for s in separations:
-        told = [("first and advised", s.after)] if s.command else [("nothing advised", s.after)]
-        for label, at in (("first", s.before), *told):
+        after_advice = (
+            [("first and advised", s.after)] if s.command else [("nothing advised", s.after)]
+        )
+        for label, at in (("first", s.before), *after_advice):
             rows.append(
                 [
                     f"`{s.rig}`" if at is s.before else "",
@@ -227,18 +229,18 @@ def _finite(content: Any) -> Any:
     return content
 
 
-def draw(found: Findings, folder: Path, runs: Path) -> None:
+def draw(findings: Findings, folder: Path, runs: Path) -> None:
     """All figures, as PNG."""
     from trms_cli.reporting.style import house_style, save_png
 
     with house_style():
-        for task in dict.fromkeys(run.task for run in found.runs):
-            of = [run for run in found.runs if run.task == task]
+        for task in dict.fromkeys(run.task for run in findings.runs):
+            of = [run for run in findings.runs if run.task == task]
             save_png(_errors(of), folder / f"{task}.png")
-        if not {NOMINAL, TRUE} <= {run.model for run in found.runs}:
+        if not {NOMINAL, TRUE} <= {run.model for run in findings.runs}:
             return
-        worst = _worst([run for run in found.runs if run.task == found.runs[0].task])
-        save_png(_traces(worst, found.runs, runs), folder / "traces.png")
+        worst = _worst([run for run in findings.runs if run.task == findings.runs[0].task])
+        save_png(_traces(worst, findings.runs, runs), folder / "traces.png")
 
 
 def _worst(runs: Sequence[Tracking]) -> Tracking:

@@ -30,7 +30,7 @@ NEAR, DEVIATIONS = 0.1, 3.0
 #: Nats of held-out prediction above the refit from which an effect lies far above it.
 FAR_ABOVE = 10.0
 #: Neither noise nor rounding is fitted by simulation: they are recovered where they are named.
-_NAMED_ONLY = ("disturbance", "quantisation")
+_EFFECTS_WITHOUT_FIT = ("disturbance", "quantisation")
 #: What the rig does by another law, so that its size means something else.
 _OTHER_LAW = ("yaw_cable_hysteresis",)
 
@@ -60,7 +60,7 @@ class Recovery:
     @property
     def recovered(self) -> bool:
         """Whether size and score are the rig's."""
-        if self.effect.endswith(_NAMED_ONLY):
+        if self.effect.endswith(_EFFECTS_WITHOUT_FIT):
             return self.named
         return self.near and self.score is not None and self.score > FAR_ABOVE
 
@@ -88,8 +88,8 @@ def write_recordings(cases: Mapping[str, Case], folder: Path, seed: int) -> None
     missing = {name: c for name, c in cases.items() if not (folder / f"{name}.csv").is_file()}
     if not missing:
         return
-    driven, recordings = record(list(missing.values()), Timing(), seed)
-    for name, case, recording in zip(missing, driven, recordings, strict=True):
+    driven_cases, recordings = record(list(missing.values()), Timing(), seed)
+    for name, case, recording in zip(missing, driven_cases, recordings, strict=True):
         (folder / f"{name}.csv").write_text(csv_of(case, recording), encoding="utf-8")
 
 
@@ -113,24 +113,24 @@ def recovery_of(name: str, case: Case, document: Mapping[str, Any]) -> Recovery:
     )
 
 
-def table_of(found: Sequence[Recovery]) -> str:
+def table_of(recoveries: Sequence[Recovery]) -> str:
     """A line a rig."""
     lines = [
         "| effect | × typical | size | estimate | error | nats above refit | said | recovered |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for one in found:
+    for one in recoveries:
         estimate, error = "–", "–"
         if one.estimate is not None and one.sd is not None:
             estimate = f"{one.estimate:.4g} ± {one.sd:.2g}"
             error = f"{100 * (one.estimate / one.size - 1):+.1f} %"
         score = "–" if one.score is None else f"{one.score:.0f}"
-        said = "named" if one.named else one.verdict
+        answer = "named" if one.named else one.verdict
         yes = "yes" if one.recovered else "**no**"
-        cells = (one.effect, f"{one.factor:g}", f"{one.size:.4g}", estimate, error, score, said)
+        cells = (one.effect, f"{one.factor:g}", f"{one.size:.4g}", estimate, error, score, answer)
         lines.append("| " + " | ".join((*cells, yes)) + " |")
-    count = sum(one.recovered for one in found)
-    lines.append(f"\n{count} of {len(found)} recovered.")
+    count = sum(one.recovered for one in recoveries)
+    lines.append(f"\n{count} of {len(recoveries)} recovered.")
     return "\n".join(lines) + "\n"
 
 
@@ -161,8 +161,8 @@ def study(
     ]
 
 
-def _say(name: str, said: str) -> None:
-    sys.stderr.write(f"{name}  {said}\n")
+def _say(name: str, message: str) -> None:
+    sys.stderr.write(f"{name}  {message}\n")
     sys.stderr.flush()
 
 
@@ -174,15 +174,17 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--race", action="store_true", help="the whole library competes")
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args(argv)
-    effects = given.effects or list(LIBRARY)
+    arguments = parser.parse_args(argv)
+    effects = arguments.effects or list(LIBRARY)
     unknown = [name for name in effects if name not in LIBRARY]
     if unknown:
         parser.error(f"no effect {unknown[0]!r}; there are: {', '.join(LIBRARY)}")
-    found = study(given.out, effects, race=given.race, seed=given.seed, jobs=given.jobs)
-    sys.stdout.write(table_of(found))
-    complete = len(found) == len(cases_of(effects, given.seed))
-    return 0 if complete and all(one.recovered for one in found) else 1
+    recoveries = study(
+        arguments.out, effects, race=arguments.race, seed=arguments.seed, jobs=arguments.jobs
+    )
+    sys.stdout.write(table_of(recoveries))
+    complete = len(recoveries) == len(cases_of(effects, arguments.seed))
+    return 0 if complete and all(one.recovered for one in recoveries) else 1
 
 
 if __name__ == "__main__":

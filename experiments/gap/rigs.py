@@ -125,9 +125,9 @@ def drive_rigs(
     for i, rig in enumerate(rigs):
         for size, value in rig.sizes.items():
             sizes.setdefault(f"{rig.effect}.{size}", np.zeros(n))[i] = value
-    known = [rig.name for rig in among or rigs]
+    rig_names = [rig.name for rig in among or rigs]
     # numpy takes a generator where it takes a seed
-    random = cast(int, OwnDraws(seed, [known.index(rig.name) for rig in rigs], len(known)))
+    random = cast(int, OwnDraws(seed, [rig_names.index(rig.name) for rig in rigs], len(rig_names)))
     return Rigs(constants, sizes, seed=random).run(driver, duration, sample_time, settling)
 
 

@@ -22,17 +22,19 @@ HEAD = (
 )
 
 
-def row(name: str, found: dict[str, Any]) -> str:
+def row(name: str, diagnosis: dict[str, Any]) -> str:
     """A line of the table."""
-    causes = [f"{' + '.join(c['effects'])} ({c['probability']:.2f})" for c in found["causes"][:2]]
-    where = [f"{w['location']} ({w['share']:.2f})" for w in found["where"][:2]]
-    shrink = (found["shrink"].get("all") or {}).get("2.0") or {}
+    causes = [
+        f"{' + '.join(c['effects'])} ({c['probability']:.2f})" for c in diagnosis["causes"][:2]
+    ]
+    where = [f"{w['location']} ({w['share']:.2f})" for w in diagnosis["where"][:2]]
+    shrink = (diagnosis["shrink"].get("all") or {}).get("2.0") or {}
     closed = "–"
-    if any("." in key for key in found["causes"][0]["parameters"]) and shrink.get("fraction"):
+    if any("." in key for key in diagnosis["causes"][0]["parameters"]) and shrink.get("fraction"):
         low, high = shrink["ci95"] or (float("nan"), float("nan"))
         closed = f"{100 * shrink['fraction']:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
-    time = sum(found["seconds"].values())
-    cells = (name, found["verdict"], *causes, ", ".join(where) or "–", closed, f"{time:.0f} s")
+    time = sum(diagnosis["seconds"].values())
+    cells = (name, diagnosis["verdict"], *causes, ", ".join(where) or "–", closed, f"{time:.0f} s")
     return "| " + " | ".join(cells) + " |\n"
 
 
@@ -42,10 +44,10 @@ def main() -> int:
     parser.add_argument("recordings", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--table", type=Path)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     rows = []
-    for file in sorted(asked.recordings.glob("*.csv")):
-        folder = asked.out / file.stem
+    for file in sorted(arguments.recordings.glob("*.csv")):
+        folder = arguments.out / file.stem
         document = folder / "diagnosis.json"
         if not document.exists():
             words = [f"real={file}", f"out={folder}", "model=newtonian"]
@@ -53,8 +55,8 @@ def main() -> int:
         rows.append(row(file.stem, json.loads(document.read_text(encoding="utf-8"))))
     table = HEAD + "".join(rows)
     sys.stdout.write(table)
-    if asked.table is not None:
-        asked.table.write_text(table, encoding="utf-8")
+    if arguments.table is not None:
+        arguments.table.write_text(table, encoding="utf-8")
     return 0
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.gap.blind.drivers import MAIN_CENTRE, OpenLoop
-from experiments.gap.closing_loop import RECORDING, Told
+from experiments.gap.closing_loop import RECORDING, Report
 from experiments.gap.models import diagnose_recordings
 from experiments.gap.rigs import INPUTS, Rig, drive_rigs, rig_of, write_csv
 from trms_cli.core.errors import ConfigurationError
@@ -59,16 +59,16 @@ class Separation:
     after: Standing
 
 
-def separate(study: Mapping[str, Any], out: Path, told: Told) -> list[Separation]:
+def separate(study: Mapping[str, Any], out: Path, report: Report) -> list[Separation]:
     """Record, diagnose, take the advice, diagnose again, for each seed."""
-    asked, step = study["separation"], study["record"]["sample_time"]
-    ((effect, sizes),) = asked["effect"].items()
-    rigs = [rig_of(effect, sizes, seed, study["scatter"]) for seed in asked["seeds"]]
+    settings, step = study["separation"], study["record"]["sample_time"]
+    ((effect, sizes),) = settings["effect"].items()
+    rigs = [rig_of(effect, sizes, seed, study["scatter"]) for seed in settings["seeds"]]
     folders = [out / f"separation-{rig.seed}" for rig in rigs]
     if not all((folder / RECORDING).exists() for folder in folders):
-        told(f"recording {len(rigs)} rigs with slow sines")
-        samples = round(asked["duration"] / step)
-        commands = np.stack([slow_sines(r.seed, samples, step, asked["highest"]) for r in rigs])
+        report(f"recording {len(rigs)} rigs with slow sines")
+        samples = round(settings["duration"] / step)
+        commands = np.stack([slow_sines(r.seed, samples, step, settings["highest"]) for r in rigs])
         recorded = drive_rigs(
             rigs, OpenLoop(commands), samples * step, step, settling=20.0, seed=_SEEDS[0]
         )
@@ -76,16 +76,16 @@ def separate(study: Mapping[str, Any], out: Path, told: Told) -> list[Separation
             folder.mkdir(parents=True, exist_ok=True)
             write_csv(recorded, i, folder / RECORDING)
     return [
-        _separate(rig, folder, effect, asked["rival"], study, told)
+        _separate(rig, folder, effect, settings["rival"], study, report)
         for rig, folder in zip(rigs, folders, strict=True)
     ]
 
 
 def _separate(
-    rig: Rig, folder: Path, true: str, rival: str, study: Mapping[str, Any], told: Told
+    rig: Rig, folder: Path, true: str, rival: str, study: Mapping[str, Any], report: Report
 ) -> Separation:
     words, step = study["separation"]["diagnose"], study["record"]["sample_time"]
-    told(f"separating {rig.name}: the first recording")
+    report(f"separating {rig.name}: the first recording")
     first = diagnose_recordings([folder / RECORDING], folder / "first", words)
     before, advice = pair_standing(first, true, rival)
     if advice is None:
@@ -96,7 +96,7 @@ def _separate(
         driver = OpenLoop(commands[None])
         recorded = drive_rigs([rig], driver, len(commands) * step, step, seed=_SEEDS[1])
         write_csv(recorded, 0, advised)
-    told(f"separating {rig.name}: both recordings")
+    report(f"separating {rig.name}: both recordings")
     both = diagnose_recordings([folder / RECORDING, advised], folder / "both", words)
     after, _ = pair_standing(both, true, rival)
     return Separation(rig.name, true, rival, advice["why"], advice["command"], before, after)
@@ -104,17 +104,17 @@ def _separate(
 
 def pair_standing(folder: Path, true: str, rival: str) -> tuple[Standing, Mapping[str, str] | None]:
     """What the diagnosis in a folder holds of a pair, and its advice."""
-    said = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
-    beliefs = {frozenset(c["effects"]): float(c["probability"]) for c in said["causes"]}
-    found = Standing(
-        said["verdict"],
+    document = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    beliefs = {frozenset(c["effects"]): float(c["probability"]) for c in document["causes"]}
+    standing = Standing(
+        document["verdict"],
         beliefs.get(frozenset([true]), 0.0),
         beliefs.get(frozenset([rival]), 0.0),
         beliefs.get(frozenset([true, rival]), 0.0),
-        any({true, rival} <= set(group) for group in said["confusable"]),
-        tuple(said["causes"][0]["effects"]),
+        any({true, rival} <= set(group) for group in document["confusable"]),
+        tuple(document["causes"][0]["effects"]),
     )
-    return found, said["next_experiment"]
+    return standing, document["next_experiment"]
 
 
 def slow_sines(seed: int, samples: int, sample_time: float, highest: float) -> FloatArray:

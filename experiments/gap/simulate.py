@@ -35,7 +35,7 @@ from trms_cli.core.plugins import nearest
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.runs.run_folder import hold, in_use
 
-_REQUEST, _CASES, _FOUND = "simulation.json", "cases.json", "found"
+_REQUEST, _CASES, _DIAGNOSES = "simulation.json", "cases.json", "found"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +52,10 @@ class Simulation:
     def batches(self) -> list[dict[str, Case]]:
         """All cases by name."""
         cases = plan(self.set, self.seed, self.cases)
-        named = [(f"s{i:05d}", case) for i, case in enumerate(cases, start=1)]
-        return [dict(named[i : i + self.batch]) for i in range(0, len(named), self.batch)]
+        named_cases = [(f"s{i:05d}", case) for i, case in enumerate(cases, start=1)]
+        return [
+            dict(named_cases[i : i + self.batch]) for i in range(0, len(named_cases), self.batch)
+        ]
 
 
 def simulate(
@@ -75,12 +77,12 @@ def simulate(
         raise in_use(out)
     _same_request(request, out)
     file = FeaturesFile(out)
-    done = {line.name for line in file.mend(without_failed=retry)}
+    line_names = {line.name for line in file.mend(without_failed=retry)}
     planned = request.batches()
     total = sum(map(len, planned))
-    begin, before = perf_counter(), len(done)
+    begin, before = perf_counter(), len(line_names)
     for number, cases in enumerate(planned):
-        missing = [name for name in cases if name not in done]
+        missing = [name for name in cases if name not in line_names]
         if not missing:
             continue
         if batches == 0:
@@ -88,24 +90,29 @@ def simulate(
         batches = None if batches is None else batches - 1
         folder = out / f"batch{number:04d}"
         tell(f"batch {number + 1} of {len(planned)}: {len(cases)} rigs move")
-        driven = _recorded(request, number, cases, folder, jobs)
+        driven_cases = _recorded(request, number, cases, folder, jobs)
 
-        def keep(name: str, said: str, of: Mapping[str, Case] = driven, at: Path = folder) -> None:
-            file.append(_line(name, of[name], said, at / _FOUND / name))
-            shutil.rmtree(at / _FOUND / name, ignore_errors=True)
-            done.add(name)
+        def keep(
+            name: str, message: str, of: Mapping[str, Case] = driven_cases, at: Path = folder
+        ) -> None:
+            file.append(_line(name, of[name], message, at / _DIAGNOSES / name))
+            shutil.rmtree(at / _DIAGNOSES / name, ignore_errors=True)
+            line_names.add(name)
             spent = perf_counter() - begin
-            rest = spent / (len(done) - before) * (total - len(done))
-            tell(f"{len(done):5d} of {total}  {name}  {said[:60]:16}  {rest / 3600:.1f} h to go")
+            rest = spent / (len(line_names) - before) * (total - len(line_names))
+            tell(
+                f"{len(line_names):5d} of {total}  {name}  {message[:60]:16}  "
+                f"{rest / 3600:.1f} h to go"
+            )
 
-        (folder / _FOUND).mkdir(exist_ok=True)
+        (folder / _DIAGNOSES).mkdir(exist_ok=True)
         waiting = [folder / RECORDINGS / f"{name}.csv" for name in missing]
-        whole = [r for r in waiting if (folder / _FOUND / r.stem / DOCUMENT_NAME).is_file()]
+        whole = [r for r in waiting if (folder / _DIAGNOSES / r.stem / DOCUMENT_NAME).is_file()]
         for recording in whole:  # diagnosed when it was interrupted
             keep(recording.stem, "")
         rest = [recording for recording in waiting if recording not in whole]
         words = ["advise=false", *request.words]  # no feature
-        diagnose_all(rest, folder / _FOUND, words, jobs, keep)
+        diagnose_all(rest, folder / _DIAGNOSES, words, jobs, keep)
         shutil.rmtree(folder)
     return file.lines()
 
@@ -129,28 +136,28 @@ def _recorded(
     request: Simulation, number: int, cases: Mapping[str, Case], folder: Path, jobs: int
 ) -> dict[str, Case]:
     """The cases of a batch as driven; their recordings are in the folder."""
-    told = folder / _CASES
-    if told.is_file():
-        return convert(json.loads(told.read_text(encoding="utf-8")), dict[str, Case])
+    cases_file = folder / _CASES
+    if cases_file.is_file():
+        return convert(json.loads(cases_file.read_text(encoding="utf-8")), dict[str, Case])
     shutil.rmtree(folder, ignore_errors=True)
     # a batch has noise of its own
-    driven, *texts = texts_of(
+    driven_cases, *texts = texts_of(
         cases, Timing(duration=request.duration), request.seed + 1_000_003 * number, jobs
     )
-    for place, named in zip((RECORDINGS, REFERENCES), texts, strict=True):
+    for place, texts_by_name in zip((RECORDINGS, REFERENCES), texts, strict=True):
         (folder / place).mkdir(parents=True)
-        for name, text in named.items():
+        for name, text in texts_by_name.items():
             (folder / place / f"{name}.csv").write_text(text, encoding="utf-8")
-    content = {name: asdict(case) for name, case in driven.items()}
-    replace_whole(told, json.dumps(content).encode())
-    return driven
+    content = {name: asdict(case) for name, case in driven_cases.items()}
+    replace_whole(cases_file, json.dumps(content).encode())
+    return driven_cases
 
 
-def _line(name: str, case: Case, said: str, found: Path) -> Line:
-    document = found / DOCUMENT_NAME
+def _line(name: str, case: Case, message: str, folder: Path) -> Line:
+    document = folder / DOCUMENT_NAME
     if not document.is_file():
-        return Line(name=name, case=case, document={}, failed=said or "no diagnosis")
-    took = json.loads((found / TIMING_NAME).read_text(encoding="utf-8"))["seconds"]
+        return Line(name=name, case=case, document={}, failed=message or "no diagnosis")
+    took = json.loads((folder / TIMING_NAME).read_text(encoding="utf-8"))["seconds"]
     return line_of(name, case, json.loads(document.read_text(encoding="utf-8")), took)
 
 
@@ -174,39 +181,39 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _study(given: argparse.Namespace) -> int:
-    if given.set not in SETS:
+def _study(arguments: argparse.Namespace) -> int:
+    if arguments.set not in SETS:
         raise ConfigurationError(
-            f"there is no set {given.set!r}", where="--set", remedy=nearest(given.set, SETS)
+            f"there is no set {arguments.set!r}", where="--set", remedy=nearest(arguments.set, SETS)
         )
     request = Simulation(
-        set=given.set,
-        seed=given.seed,
-        cases=given.cases,
-        batch=given.batch,
-        duration=given.duration,
-        words=(f"effort={given.effort}", *given.words),
+        set=arguments.set,
+        seed=arguments.seed,
+        cases=arguments.cases,
+        batch=arguments.batch,
+        duration=arguments.duration,
+        words=(f"effort={arguments.effort}", *arguments.words),
     )
     lines = simulate(
         request,
-        given.out,
-        jobs=given.jobs,
+        arguments.out,
+        jobs=arguments.jobs,
         tell=lambda words: print(words, file=sys.stderr, flush=True),
-        batches=given.batches,
-        retry=given.retry,
+        batches=arguments.batches,
+        retry=arguments.retry,
     )
     failed = [line for line in lines if line.failed]
-    print(f"{len(lines) - len(failed)} diagnoses, {len(failed)} failures in {given.out}")
+    print(f"{len(lines) - len(failed)} diagnoses, {len(failed)} failures in {arguments.out}")
     for line in failed[:20]:
         print(f"  {line.name}: {line.failed.splitlines()[0]}")
-    print(f"then: python -m experiments.gap.calibrate {given.out}")
+    print(f"then: python -m experiments.gap.calibrate {arguments.out}")
     return EXIT_OK
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate what is asked for, and what is not simulated yet."""
-    given = _parser().parse_args(argv)
-    return exit_code_of(lambda: _study(given))
+    arguments = _parser().parse_args(argv)
+    return exit_code_of(lambda: _study(arguments))
 
 
 if __name__ == "__main__":

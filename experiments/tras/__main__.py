@@ -33,55 +33,57 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", default=None, help="one of the fits: rotors, commands")
     parser.add_argument("--jobs", type=int, default=2, help="threads")
     parser.add_argument("--json", action="store_true", help="print trms.tras_fit/1")
-    given = parser.parse_args(argv)
-    if not (given.folder / "closed_loop.csv").is_file():
-        print(f"skipped: there is no closed_loop.csv in {given.folder}", file=sys.stderr)
+    arguments = parser.parse_args(argv)
+    if not (arguments.folder / "closed_loop.csv").is_file():
+        print(f"skipped: there is no closed_loop.csv in {arguments.folder}", file=sys.stderr)
         return 0
-    return exit_code_of(lambda: _study(given))
+    return exit_code_of(lambda: _study(arguments))
 
 
-def _study(given: argparse.Namespace) -> int:
+def _study(arguments: argparse.Namespace) -> int:
     settings = read_study()
     document: dict[str, Any] = {"schema": "trms.tras_fit/1", "fits": {}}
     for name, fit in settings["fits"].items():
-        if given.only in (None, name):
-            document["fits"][name] = _told(given, settings, fit)
-    print(json.dumps(document, indent=1) if given.json else _table(document))
+        if arguments.only in (None, name):
+            document["fits"][name] = _fit_document(arguments, settings, fit)
+    print(json.dumps(document, indent=1) if arguments.json else _table(document))
     return EXIT_OK
 
 
-def _told(given: argparse.Namespace, settings: dict[str, Any], fit: dict[str, Any]) -> Any:
-    if given.folds:
-        return cross_validated(given.folder, settings, fit, given.jobs)
-    found = fit_first_part(given.folder, settings, fit, given.jobs)
-    first, rest = parts_of(given.folder, settings, fit)
-    parts = {"fitted": first} if given.fit_only else {"fitted": first, "held_out": rest}
-    before = model_of(given.folder, settings, fit)
+def _fit_document(
+    arguments: argparse.Namespace, settings: dict[str, Any], fit: dict[str, Any]
+) -> Any:
+    if arguments.folds:
+        return cross_validated(arguments.folder, settings, fit, arguments.jobs)
+    tras_fit = fit_first_part(arguments.folder, settings, fit, arguments.jobs)
+    first, rest = parts_of(arguments.folder, settings, fit)
+    parts = {"fitted": first} if arguments.fit_only else {"fitted": first, "held_out": rest}
+    before = model_of(arguments.folder, settings, fit)
     return {
-        "outcome": found.result.outcome.value,
-        "seconds": found.result.seconds,
-        "starts": found.result.details["starts"],
-        "outputs": found.result.details["outputs"],
-        "on_bounds": found.result.details["on_bounds"],
-        "confounded": found.result.details["identifiability"]["confounded"],
-        "parameters": _parameters(found),
-        "errors": {name: errors(found.model, part, settings) for name, part in parts.items()},
+        "outcome": tras_fit.result.outcome.value,
+        "seconds": tras_fit.result.seconds,
+        "starts": tras_fit.result.details["starts"],
+        "outputs": tras_fit.result.details["outputs"],
+        "on_bounds": tras_fit.result.details["on_bounds"],
+        "confounded": tras_fit.result.details["identifiability"]["confounded"],
+        "parameters": _parameters(tras_fit),
+        "errors": {name: errors(tras_fit.model, part, settings) for name, part in parts.items()},
         "errors_before": {name: errors(before, part, settings) for name, part in parts.items()},
     }
 
 
-def _parameters(found: TrasFit) -> dict[str, Any]:
-    assert found.result.covariance is not None
-    sd = np.sqrt(np.diag(found.result.covariance))
+def _parameters(fit: TrasFit) -> dict[str, Any]:
+    assert fit.result.covariance is not None
+    sd = np.sqrt(np.diag(fit.result.covariance))
     return {
         p.name: {
-            "value": found.result.values[p.name],
+            "value": fit.result.values[p.name],
             "sd": float(sd[i]),
             "prior": p.prior_mean if p.prior_sd is not None else None,
             "prior_sd": p.prior_sd,
             "unit": p.unit,
         }
-        for i, p in enumerate(found.problem.free)
+        for i, p in enumerate(fit.problem.free)
     }
 
 

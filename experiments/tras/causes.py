@@ -46,34 +46,36 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--model", nargs="+", default=[], metavar="MODEL", help="names or files; nothing is fitted"
     )
-    given = parser.parse_args(argv)
-    if not (given.folder / "closed_loop.csv").is_file():
-        print(f"skipped: there is no closed_loop.csv in {given.folder}", file=sys.stderr)
+    arguments = parser.parse_args(argv)
+    if not (arguments.folder / "closed_loop.csv").is_file():
+        print(f"skipped: there is no closed_loop.csv in {arguments.folder}", file=sys.stderr)
         return 0
     settings = read_study()
     causes = settings["causes"]
     options = DataOptions(command_delay=settings["command_delay"])
     model = Tras()
-    datasets = tuple(load_datasets(str(given.folder / "closed_loop.csv"), model, options))
+    datasets = tuple(load_datasets(str(arguments.folder / "closed_loop.csv"), model, options))
     parts = divide(datasets, causes["block"], causes["sealed"], model.stops)
-    if given.model:
+    if arguments.model:
         print("| model | pitch, yaw: from before | start fitted |\n|---|---|---|")
-        for name in given.model:
-            found = free_runs_of(load_model(name), parts, settings)
-            print(f"| {name} | {' | '.join(_errors_of(found))} |", flush=True)
+        for name in arguments.model:
+            rms_errors = free_runs_of(load_model(name), parts, settings)
+            print(f"| {name} | {' | '.join(_errors_of(rms_errors))} |", flush=True)
         return 0
     candidates, _ = applicable_candidates(model, candidates_of(["all"], model).effects)
     nominal = refit(model, nominal_parameters(model), parts.fitted, parts.block)
     centre = about_priors(nominal) or nominal
     heads = ("effects", "held", "nats", "pitch, yaw: from before", "start fitted", "beyond 2 sd")
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
-    for chosen in causes["sets"]:
-        effects = [candidates[name] for name in chosen["effects"]]
-        held = causes["held"] if chosen.get("held") else {}
+    for effect_set in causes["sets"]:
+        effects = [candidates[name] for name in effect_set["effects"]]
+        prior_means = causes["held"] if effect_set.get("held") else {}
         fitted = (
-            fit_together(nominal, centre, effects, held, causes["held_sd"]) if effects else nominal
+            fit_together(nominal, centre, effects, prior_means, causes["held_sd"])
+            if effects
+            else nominal
         )
-        print(_row(fitted, nominal, parts, settings, held), flush=True)
+        print(_row(fitted, nominal, parts, settings, prior_means), flush=True)
     return 0
 
 
@@ -81,17 +83,20 @@ def fit_together(
     nominal: Refit,
     centre: FittedModel,
     effects: Sequence[CandidateEffect],
-    held: Mapping[str, float],
+    prior_means: Mapping[str, float],
     sd: float,
 ) -> FittedModel:
     """Effects fitted with the nominal parameters, from the refit and from the priors' centre.
 
-    ``centre``: the model there, whose metric excuses most. ``held``: parameters that are known to
-    a relative deviation ``sd``.
+    ``centre``: the model there, whose metric excuses most. ``prior_means``: parameters that are
+    known to a relative deviation ``sd``.
     """
 
-    def free(given: Sequence[FreeParameter]) -> tuple[FreeParameter, ...]:
-        return tuple(_held(p, held[p.name], sd) if p.name in held else p for p in given)
+    def free(parameters: Sequence[FreeParameter]) -> tuple[FreeParameter, ...]:
+        return tuple(
+            _with_prior(p, prior_means[p.name], sd) if p.name in prior_means else p
+            for p in parameters
+        )
 
     problem = nominal.structure.problem
     own = free(problem.free)
@@ -99,9 +104,9 @@ def fit_together(
     structure = plain.with_effects(*[replace(e, free=free(e.free)) for e in effects])
     points = []
     for values in (nominal.values, {p.name: p.prior_mean for p in own}):
-        theta = structure.theta({**values, **held})
+        theta = structure.theta({**values, **prior_means})
         points.append((theta, structure.starts(theta, nominal.fit.starts)))
-    metric = nominal.metric if held else centre.metric
+    metric = nominal.metric if prior_means else centre.metric
     fitted = structure.fit(
         metric,
         points,
@@ -113,22 +118,22 @@ def fit_together(
     return fitted.in_own_metric()
 
 
-def _held(parameter: FreeParameter, value: float, sd: float) -> FreeParameter:
+def _with_prior(parameter: FreeParameter, value: float, sd: float) -> FreeParameter:
     return replace(parameter, prior_mean=value, prior_sd=abs(value) * sd, start=value)
 
 
 def free_runs_of(model: Model, parts: Parts, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Errors on the sealed part, rad, driven by the measured rotor speeds."""
-    driven = settings["fits"]["rotors"]["driven"]
+    rotor_speeds = settings["fits"]["rotors"]["driven"]
     number, first, last = parts.sealed[0]
-    sealed = parts.whole[number].driven_by(driven).part(first, last)
-    return errors(DrivenModel(model, driven), sealed, settings)
+    sealed = parts.whole[number].driven_by(rotor_speeds).part(first, last)
+    return errors(DrivenModel(model, rotor_speeds), sealed, settings)
 
 
-def _errors_of(found: Mapping[str, Any]) -> list[str]:
+def _errors_of(rms_errors: Mapping[str, Any]) -> list[str]:
     """mrad, of pitch and yaw, by how the windows start."""
     return [
-        ", ".join(f"{1e3 * found[angle][kind]:.3g}" for angle in ("alpha_v", "alpha_h"))
+        ", ".join(f"{1e3 * rms_errors[angle][kind]:.3g}" for angle in ("alpha_v", "alpha_h"))
         for kind in ("estimated", "fitted")
     ]
 
@@ -138,7 +143,7 @@ def _row(
     nominal: Refit,
     parts: Parts,
     settings: Mapping[str, Any],
-    held: Mapping[str, float],
+    prior_means: Mapping[str, float],
 ) -> str:
     before, own = _errors_of(free_runs_of(fitted.model, parts, settings))
     usual = {p.name: p for p in nominal.structure.problem.free}
@@ -149,7 +154,13 @@ def _row(
     }
     moved = ", ".join(f"{name} {z:+.1f}" for name, z in far.items() if abs(z) > _FAR)
     nats = fitted.fit.score - nominal.fit.score
-    cells = (" + ".join(fitted.names) or "–", "yes" if held else "no", f"{nats:+.0f}", before, own)
+    cells = (
+        " + ".join(fitted.names) or "–",
+        "yes" if prior_means else "no",
+        f"{nats:+.0f}",
+        before,
+        own,
+    )
     return f"| {' | '.join((*cells, moved))} |"
 
 

@@ -103,21 +103,23 @@ def cross_validated(
     first, rest = parts_of(folder, settings, fit)
     cuts = np.linspace(0, len(first) + len(rest), settings["folds"] + 1).round().astype(int)
     whole = _joined(first, rest)
-    found: list[dict[str, Any]] = []
+    fold_errors: list[dict[str, Any]] = []
     for a, b in pairwise(cuts.tolist()):
         others = tuple(part for part in (whole.part(0, a), whole.part(b, len(whole))) if len(part))
         model = _fit_to(others, folder, settings, fit, jobs).model
-        found.append(errors(model, whole.part(a, b), settings))
+        fold_errors.append(errors(model, whole.part(a, b), settings))
     pooled: dict[str, Any] = {}
-    for channel in found[0]:
-        weights = np.array([fold[channel]["windows"] for fold in found], dtype=float)
+    for channel in fold_errors[0]:
+        weights = np.array([fold[channel]["windows"] for fold in fold_errors], dtype=float)
         pooled[channel] = {
             key: float(
-                np.sqrt(np.average([fold[channel][key] ** 2 for fold in found], weights=weights))
+                np.sqrt(
+                    np.average([fold[channel][key] ** 2 for fold in fold_errors], weights=weights)
+                )
             )
             for key in (*KINDS, "unchanged")
         } | {"windows": int(weights.sum())}
-    return {"pooled": pooled, "folds": found}
+    return {"pooled": pooled, "folds": fold_errors}
 
 
 def _joined(first: Dataset, rest: Dataset) -> Dataset:
@@ -155,7 +157,7 @@ def errors(model: Model, dataset: Dataset, settings: Mapping[str, Any]) -> dict[
     judged = settings["judged"]
     horizon = judged["horizon"]
     rollout = Rollout(model, dataset.sample_time)
-    found: dict[str, Any] = {}
+    rms_errors: dict[str, Any] = {}
     one_step = None
     for kind in KINDS:
         options = ValidationOptions(
@@ -173,7 +175,9 @@ def errors(model: Model, dataset: Dataset, settings: Mapping[str, Any]) -> dict[
         window = runs.windows[horizon]
         for i, channel in enumerate(window.channels):
             values = window.errors[..., i]
-            found.setdefault(channel, {})[kind] = float(np.sqrt(np.nanmean(values**2)))
-            found[channel]["windows"] = len(window.first)
-            found[channel]["unchanged"] = float(np.sqrt(np.nanmean(window.unchanged[..., i] ** 2)))
-    return found
+            rms_errors.setdefault(channel, {})[kind] = float(np.sqrt(np.nanmean(values**2)))
+            rms_errors[channel]["windows"] = len(window.first)
+            rms_errors[channel]["unchanged"] = float(
+                np.sqrt(np.nanmean(window.unchanged[..., i] ** 2))
+            )
+    return rms_errors

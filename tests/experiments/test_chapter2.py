@@ -33,18 +33,18 @@ class TestStudy:
     def test_cases_of_one_axis_are_those_of_the_page(self, study, expected):
         for axis, shapes in study.one_axis.items():
             cases = [(shape, *case) for shape, of in shapes.items() for case in of]
-            named = [f"{shape} {hertz:g} Hz, {volts:g} V" for shape, hertz, volts in cases]
-            assert named == list(expected["one_axis"][axis])
+            case_names = [f"{shape} {hertz:g} Hz, {volts:g} V" for shape, hertz, volts in cases]
+            assert case_names == list(expected["one_axis"][axis])
 
     def test_nine_pairs_stay_within_what_the_motors_take(self, study):
         assert len(study.two_axes) == 9
-        seen = set()
+        reasons = set()
         for name, pair in study.two_axes.items():
             u = pair_of_commands(study, name)
             assert u.shape == (round(pair.duration / study.sample_time), 2)
             assert np.abs(u).max() <= 2.5
-            assert pair.why not in seen
-            seen.add(pair.why)
+            assert pair.why not in reasons
+            reasons.add(pair.why)
 
     def test_an_unknown_signal_or_key_is_told(self):
         with pytest.raises(ConfigurationError, match="no signal 'sin'"):
@@ -83,20 +83,24 @@ class TestExpectation:
 
     def test_yaw_alone(self, study, expected):
         for case in one_axis(study, "horizontal"):
-            known = expected["one_axis"]["horizontal"][case.name]["alpha_h"]
-            found = case.differences["alpha_h"]
-            assert found.rms == pytest.approx(known["rms_rad"], rel=1e-3)
-            assert found.fit == pytest.approx(known["fit_percent"], abs=0.01)
+            expected_difference = expected["one_axis"]["horizontal"][case.name]["alpha_h"]
+            yaw_difference = case.differences["alpha_h"]
+            assert yaw_difference.rms == pytest.approx(expected_difference["rms_rad"], rel=1e-3)
+            assert yaw_difference.fit == pytest.approx(expected_difference["fit_percent"], abs=0.01)
 
     @pytest.mark.slow
     def test_two_axes(self, study, expected):
         for case in two_axes(study):
             assert not case.lagrangian.stopped and not case.newtonian.stopped
             for angle in ANGLES:
-                known = expected["two_axes"][case.name][angle]
-                found = case.differences[angle]
-                assert found.rms == pytest.approx(known["rms_rad"], rel=1e-3)
-                assert found.fit == pytest.approx(known["fit_percent"], abs=0.01)
+                expected_difference = expected["two_axes"][case.name][angle]
+                angle_difference = case.differences[angle]
+                assert angle_difference.rms == pytest.approx(
+                    expected_difference["rms_rad"], rel=1e-3
+                )
+                assert angle_difference.fit == pytest.approx(
+                    expected_difference["fit_percent"], abs=0.01
+                )
             for speed in ("omega_v", "omega_h"):
                 assert case.differences[speed].largest == 0.0
 
@@ -110,20 +114,23 @@ class TestExpectation:
             expected["agreement_rad"][integration.what], rel=0.05
         )
         for term in terms:
-            known = expected["terms_rms_rad"][term.name]
+            expected_rms = expected["terms_rms_rad"][term.name]
             for name, values in {"all": term.newtonian, **term.left_wrong}.items():
                 for angle, value in values.items():
-                    assert value == pytest.approx(known[name][angle], rel=1e-3, abs=1e-9)
+                    assert value == pytest.approx(expected_rms[name][angle], rel=1e-3, abs=1e-9)
 
     @pytest.mark.slow
     def test_bench_tests_find_what_their_instruments_allow(self, study, expected):
-        found, _ = study_bench_tests(study, seed=1)
-        for f in found:
-            known = expected["bench_tests"][f.name]
+        estimates, _ = study_bench_tests(study, seed=1)
+        for f in estimates:
+            expected_estimate = expected["bench_tests"][f.name]
             n = study.bench_tests.repetitions
             # Another seed: within what its own spread allows.
-            assert f.sd == pytest.approx(known["sd"], rel=0.4)
-            assert abs(f.mean - known["mean"]) < 4.5 * known["sd"] * (2 / n) ** 0.5
+            assert f.sd == pytest.approx(expected_estimate["sd"], rel=0.4)
+            assert (
+                abs(f.mean - expected_estimate["mean"])
+                < 4.5 * expected_estimate["sd"] * (2 / n) ** 0.5
+            )
 
 
 class TestPage:
@@ -132,7 +139,7 @@ class TestPage:
         for name, case in expected["two_axes"].items():
             (row,) = re.findall(rf"^\| {name} \| ([\d. |–]+) \|$", text, re.MULTILINE)
             cells = [float(cell) for cell in row.split(" | ")]
-            wanted = [
+            expected_cells = [
                 value
                 for angle in ANGLES
                 for value in (
@@ -141,7 +148,7 @@ class TestPage:
                     case[angle]["fit_percent"],
                 )
             ]
-            assert cells == pytest.approx(wanted, abs=0.051)
+            assert cells == pytest.approx(expected_cells, abs=0.051)
         for name, value in expected["bench_tests"].items():
             assert f"| `{name}` |" in text
             assert f"{value['true']:.4g}" in text

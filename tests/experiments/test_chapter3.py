@@ -87,7 +87,7 @@ class TestStudy:
             assert len(cut_at_stops(dataset, stops, 0.0)) == 1, part
         if system == settings()["excitations"]["system"]:
             own = settings()["systems"][system] | {"excitation": settings()["excitations"]["prbs"]}
-            dataset = made(own, 180.0)
+            dataset = recording_of(own, 180.0)
             assert len(cut_at_stops(dataset, stops, 0.0)) == 1
 
     def test_a_training_is_judged_on_all_three_recordings(self, study):
@@ -124,8 +124,8 @@ class TestStudy:
         )
         draw_all(study, tmp_path, SHORT)
         page = PAGE.read_text(encoding="utf-8")
-        shown = {word.split(")")[0] for word in page.split("figures/chapter3/")[1:]}
-        assert {name for name in shown if name.endswith(".png")} >= {
+        page_figures = {word.split(")")[0] for word in page.split("figures/chapter3/")[1:]}
+        assert {name for name in page_figures if name.endswith(".png")} >= {
             "structure.png",
             "learning_vertical.png",
         }
@@ -140,7 +140,7 @@ def test_tables_go_between_their_marks_on_the_page_and_nowhere_else(study):
     fill_tables(PAGE.read_text(encoding="utf-8"), markdown(study), str(PAGE))
 
 
-def made(own: dict, duration: float, seed: int = 0):
+def recording_of(own: dict, duration: float, seed: int = 0):
     """A recording of these settings."""
     return recording(
         own["model"], own["excitation"], duration=duration, sample_time=0.02, seed=seed, name="r"
@@ -152,7 +152,7 @@ class TestRecordings:
 
     def test_the_seed_draws_commands_and_noise(self):
         own = settings()["systems"]["horizontal"]
-        once, again, other = (made(own, 3.0, seed) for seed in (0, 0, 1))
+        once, again, other = (recording_of(own, 3.0, seed) for seed in (0, 0, 1))
         assert np.array_equal(once.measurements, again.measurements)
         assert not np.array_equal(once.commands, other.commands)
         quantum = 2 * np.pi / 4096
@@ -160,7 +160,7 @@ class TestRecordings:
         assert steps == pytest.approx(np.round(steps), abs=1e-6)
 
     def test_pieces_end_where_the_beam_touches_its_stops(self):
-        whole = made(settings()["systems"]["horizontal"], 4.0)
+        whole = recording_of(settings()["systems"]["horizontal"], 4.0)
         angle = whole.output("alpha_h")
         angle[:] = 0.0
         angle[90:95] = 1.0
@@ -186,7 +186,7 @@ class TestShippedNetworks:
         """Another draw of the commands, run-up included: what a predictive controller needs."""
         own = shipped.settings()["networks"][name]
         content = read_narx_file(name)
-        fresh = made(own, 60.0, seed=77)
+        fresh = recording_of(own, 60.0, seed=77)
         pieces = cut_at_stops(fresh, content.limits, 6.0)
         errors = shipped.window_errors(content.structure, content.network, pieces, 4.0, 0.3)
         for channel, error in errors.items():

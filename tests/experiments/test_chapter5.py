@@ -13,7 +13,7 @@ from trms_cli.composition.catalogue import read_groups
 from trms_cli.core.errors import ConfigurationError
 
 #: What issue and thesis ask for, by the study that answers it.
-WANTED = {
+STUDIES = {
     *("equilibria", "local", "root_locus", "controllability", "phase_portrait", "limit_cycles"),
     *("hunting", "lyapunov", "region_of_attraction", "margins", "tolerance"),
 }
@@ -22,12 +22,12 @@ WANTED = {
 class TestStudy:
     def test_every_study_that_there_is_is_asked_and_the_quick_one_is_a_part(self):
         full, quick = read_study().questions, read_study(quick=True).questions
-        asked = set()
+        studies = set()
         for name, question in full.items():
             assert question.figures and question.why, name
             (word,) = [text for text in question.overrides if text.startswith("study=")]
-            asked.add(word.removeprefix("study="))
-        assert asked == WANTED == set(read_groups()["study"])
+            studies.add(word.removeprefix("study="))
+        assert studies == STUDIES == set(read_groups()["study"])
         assert 2 <= len(quick) < len(full)
         assert all(full[name].overrides == q.overrides for name, q in quick.items())
 
@@ -35,14 +35,14 @@ class TestStudy:
 class TestExpectation:
     def test_quick_study(self):
         study = read_study(quick=True)
-        found = figures_of(study, answers(study, 1, None, lambda name: None))
-        allowed = dict.fromkeys(found, study.tolerance)
-        assert differences(found, read_expected(EXPECTED, "figures"), allowed) == []
+        figures = figures_of(study, answers(study, 1, None, lambda name: None))
+        allowed = dict.fromkeys(figures, study.tolerance)
+        assert differences(figures, read_expected(EXPECTED, "figures"), allowed) == []
 
     def test_recorded_is_what_is_asked(self):
         recorded = read_expected(EXPECTED, "figures")
-        asked = {name: set(q.figures) for name, q in read_study().questions.items()}
-        assert {name: set(figures) for name, figures in recorded.items()} == asked
+        figures_by_question = {name: set(q.figures) for name, q in read_study().questions.items()}
+        assert {name: set(figures) for name, figures in recorded.items()} == figures_by_question
 
     def test_a_key_that_is_not_there_is_told(self):
         study = Study({"q": Question("why", [], ["a.1.b"])}, Tolerance(0, 0))

@@ -23,8 +23,8 @@ class TestStudy:
         for name, case in read_study().cases.runs.items():
             for signs in itertools.product((-1, 1), repeat=2):
                 goal = [
-                    given.get("offset", 0.0) + sign * given["amplitude"]
-                    for given, sign in zip((case.alpha_v, case.alpha_h), signs, strict=True)
+                    reference.get("offset", 0.0) + sign * reference["amplitude"]
+                    for reference, sign in zip((case.alpha_v, case.alpha_h), signs, strict=True)
                 ]
                 target = loop.state.steady_state.solve(np.array(goal))
                 assert target.converged and not target.projected, (name, goal)
@@ -87,21 +87,21 @@ class TestClaims:
 
     def test_feasible_sets_grow_with_the_horizon_and_with_the_region(self):
         study = read_study(quick=True).domain
-        for found in (study_box(study, seed=3), study_slice(study, "pitch")):
+        for feasible_states in (study_box(study, seed=3), study_slice(study, "pitch")):
             for terminal in study.terminals:
-                sets = [found.feasible[terminal, horizon] for horizon in study.horizons]
+                sets = [feasible_states.feasible[terminal, horizon] for horizon in study.horizons]
                 for smaller, larger in itertools.pairwise(sets):
                     assert not (smaller & ~larger).any()
             for horizon in study.horizons:
-                equality = found.feasible["equality", horizon]
-                assert equality.sum() <= found.feasible["quasi_infinite", horizon].sum()
-            assert found.feasible["equality", study.horizons[-1]].mean() > 0
+                equality = feasible_states.feasible["equality", horizon]
+                assert equality.sum() <= feasible_states.feasible["quasi_infinite", horizon].sum()
+            assert feasible_states.feasible["equality", study.horizons[-1]].mean() > 0
 
 
 def test_the_quick_study_is_what_was_recorded(expected):
     study = read_study(quick=True)
-    found = figures_of(compute(study, 1, lambda part: None))
-    assert differences(found, expected["quick"], study.tolerances) == []
+    figures = figures_of(compute(study, 1, lambda part: None))
+    assert differences(figures, expected["quick"], study.tolerances) == []
 
 
 class TestPage:

@@ -77,8 +77,8 @@ class TestFigures:
         was = {"a": {"rmse": 0.1, "other": 1.0}, "b": {"rmse": 0.2}}
         tolerances = {"rmse": 0.01}
         assert not list(deviations(was, {"a": {"rmse": 0.105}, "b": {"rmse": 0.2}}, tolerances))
-        found = list(deviations(was, {"a": {"rmse": 0.12}}, tolerances))
-        assert [one.key for one in found] == ["a.rmse", "b.rmse"]
+        figure_deviations = list(deviations(was, {"a": {"rmse": 0.12}}, tolerances))
+        assert [one.key for one in figure_deviations] == ["a.rmse", "b.rmse"]
         assert list(deviations(was, {"a": {"rmse": math.nan}, "b": {"rmse": 0.2}}, tolerances))
 
     def test_the_page_has_a_place_for_each_table(self):

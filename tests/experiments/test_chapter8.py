@@ -18,41 +18,41 @@ def test_the_starts_are_those_of_the_thesis(study):
 class TestExpectation:
     def test_the_standing_rotor(self, study, expected):
         for gain in study_standstill(study):
-            known = expected["standstill"][gain.name]
-            assert gain.weakest == pytest.approx(known["weakest"], rel=0.02, abs=1e-4)
-            if known["gamma"] is not None:
-                assert gain.gamma == pytest.approx(known["gamma"], rel=0.02)
+            expected_gain = expected["standstill"][gain.name]
+            assert gain.weakest == pytest.approx(expected_gain["weakest"], rel=0.02, abs=1e-4)
+            if expected_gain["gamma"] is not None:
+                assert gain.gamma == pytest.approx(expected_gain["gamma"], rel=0.02)
 
     def test_polytopes_hold_the_model(self, study, expected):
         study.coverage.points, study.coverage.sizes = 2000, [0.3]
-        found, _ = study_coverage(study)
-        known = [c for c in expected["coverage"] if c["size"] == 0.3]
-        for here, there in zip(found, known, strict=True):
+        checks, _ = study_coverage(study)
+        expected_checks = [c for c in expected["coverage"] if c["size"] == 0.3]
+        for here, there in zip(checks, expected_checks, strict=True):
             assert here.inside == pytest.approx(there["inside"], abs=0.01)
             assert here.largest == pytest.approx(there["largest"], rel=0.3)
 
     def test_offline_from_a_start(self, study, expected):
         case = next(c for c in cases(study, quick=True) if c.controller == "offline")
         ran = run_case(case)
-        (known,) = (
+        (expected_run,) = (
             r
             for r in expected["runs"]
             if (r["controller"], r["observer"], tuple(r["start"]))
             == ("offline", case.observer, case.start)
         )
         for angle, value in ran.ise.items():
-            assert value == pytest.approx(known["ise"][angle], rel=0.02)
+            assert value == pytest.approx(expected_run["ise"][angle], rel=0.02)
         assert ran.failed == 0 and ran.largest <= 2.5
 
     @pytest.mark.slow
     def test_laws(self, study, expected):
-        for law, known in zip(study_laws(study), expected["laws"], strict=True):
+        for law, expected_law in zip(study_laws(study), expected["laws"], strict=True):
             assert (law.kind, law.region, law.vertices) == (
-                known["kind"], known["region"], known["vertices"]
+                expected_law["kind"], expected_law["region"], expected_law["vertices"]
             )  # fmt: skip
-            if known["gamma"] is not None and known["slack"] == 0:
+            if expected_law["gamma"] is not None and expected_law["slack"] == 0:
                 assert law.certificate is not None
-                assert law.certificate.gamma == pytest.approx(known["gamma"], rel=0.02)
+                assert law.certificate.gamma == pytest.approx(expected_law["gamma"], rel=0.02)
 
 
 class TestPage:
@@ -62,14 +62,14 @@ class TestPage:
             assert f"| {name} | {100 * share:.0f} |" in text
         rows = re.findall(r"^\| \(([-\d.]+), ([-\d.]+)\) \| ([\w\- ,]+) \| ([\d.]+) \| ([\d.]+) \|",
                           text, re.MULTILINE)  # fmt: skip
-        known = {
+        expected_ise = {
             (*run["start"], run["controller"]): run["ise"]
             for run in expected["runs"]
             if run["observer"] == "full_state"
         }
-        assert len(rows) == len(known)
+        assert len(rows) == len(expected_ise)
         for yaw, pitch, controller, *values in rows:
-            ise = known[float(yaw), float(pitch), controller]
+            ise = expected_ise[float(yaw), float(pitch), controller]
             assert [float(v) for v in values] == pytest.approx(
                 [ise["alpha_h"], ise["alpha_v"]], abs=0.0051
             )
@@ -106,17 +106,17 @@ class TestPage:
             for n in (4, 8)
         }  # fmt: skip
         assert 0.7 < min(by_vertices[4]) < 0.8 and 0.98 < min(by_vertices[8]) < 0.985
-        known = [run for run in runs if run["observer"] == "full_state"]
+        full_state_runs = [run for run in runs if run["observer"] == "full_state"]
         cost = {
-            name: np.mean([r["ise"]["alpha_h"] for r in known if r["controller"] == name])
+            name: np.mean([r["ise"]["alpha_h"] for r in full_state_runs if r["controller"] == name])
             for name in ("sub-polytope", "offline", "newton_mpc")
         }
         assert cost["sub-polytope"] / cost["newton_mpc"] == pytest.approx(2.9, abs=0.06)
         assert cost["offline"] / cost["newton_mpc"] == pytest.approx(3.6, abs=0.06)
         # newton_mpc holds more starts.
-        held = expected["domain"]
+        domain = expected["domain"]
         for rotor in ("main rotor turning", "main rotor at rest"):
-            assert held[f"newton_mpc, {rotor}"] >= held[f"online, {rotor}"]
+            assert domain[f"newton_mpc, {rotor}"] >= domain[f"online, {rotor}"]
 
 
 def test_the_bench_is_the_controller_as_configured() -> None:

@@ -28,16 +28,16 @@ def test_what_is_no_study_ends_with_a_message(number, text, tmp_path, capsys):
 
 def test_a_figure_that_moved_is_named():
     allowed = {"a": Tolerance(0.01, 0.1)}
-    known = {"a": {"x": 1.0, "y": "proved", "z": None}}
-    assert differences({"a": {"x": 1.1, "y": "proved", "z": None}}, known, allowed) == []
+    expected_figures = {"a": {"x": 1.0, "y": "proved", "z": None}}
+    assert differences({"a": {"x": 1.1, "y": "proved", "z": None}}, expected_figures, allowed) == []
     moved = {"a": {"x": 1.12, "y": "searched", "z": 0.0}}
-    words = differences(moved, known, allowed)
+    words = differences(moved, expected_figures, allowed)
     assert len(words) == 3 and "a: x is 1.12, expected 1.0" in words
     # NaN is none, "w" is new, and "y" and "z" are gone: a part is held against what it was, whole
-    assert len(differences({"a": {"x": float("nan"), "w": 1}}, known, allowed)) == 4
-    assert len(differences({}, known, allowed)) == 3
+    assert len(differences({"a": {"x": float("nan"), "w": 1}}, expected_figures, allowed)) == 4
+    assert len(differences({}, expected_figures, allowed)) == 3
     # what has no tolerance is not looked at
-    assert differences({}, known, {}) == []
+    assert differences({}, expected_figures, {}) == []
 
 
 def test_recorded_figures_that_are_missing_are_told(tmp_path):
@@ -63,8 +63,8 @@ def test_the_figures_of_a_page_are_there_and_small(number):
     pages = [page, *(page.parent.glob("stability*.md") if number == 5 else ())]
     text = "".join(each.read_text(encoding="utf-8") for each in pages)
     largest = 250_000 if number == 8 else 200_000
-    shown = set(re.findall(rf"figures/chapter{number}/(\w+\.png)", text))
-    assert shown == {path.name for path in figures.glob("*.png")}
+    page_figures = set(re.findall(rf"figures/chapter{number}/(\w+\.png)", text))
+    assert page_figures == {path.name for path in figures.glob("*.png")}
     assert all(path.stat().st_size < largest for path in figures.glob("*.png"))
 
 

@@ -17,14 +17,14 @@ def test_a_rig_is_a_function_of_its_seed() -> None:
 
 def test_a_few_rigs() -> None:
     """Three fits of 25 parameters: gross errors only."""
-    found = coverage(range(3), duration=30.0)
-    assert found.unsettled == 0
-    assert found.inside.mean() > 0.8
-    assert np.sqrt(np.mean(found.errors**2)) < 2
+    coverage_study = coverage(range(3), duration=30.0)
+    assert coverage_study.unsettled == 0
+    assert coverage_study.inside.mean() > 0.8
+    assert np.sqrt(np.mean(coverage_study.errors**2)) < 2
 
 
 def test_tables_say_the_same() -> None:
-    found = Coverage(
+    coverage_study = Coverage(
         ("a", "b"),
         np.array([[0.1, 3.0], [1.0, -1.0]]),
         np.array([[0.5, 0.5], [0.5, 1.0]]),
@@ -32,11 +32,11 @@ def test_tables_say_the_same() -> None:
         0,
         1,
     )
-    assert found.inside.tolist() == [1.0, 0.5]
-    assert found.overall[0] == pytest.approx(0.75)
-    assert found.of_learnt[0] == pytest.approx(0.75)
-    assert document(found)["rigs"] == 2
-    assert "| b | 50.0 |" in table(found)
+    assert coverage_study.inside.tolist() == [1.0, 0.5]
+    assert coverage_study.overall[0] == pytest.approx(0.75)
+    assert coverage_study.of_learnt[0] == pytest.approx(0.75)
+    assert document(coverage_study)["rigs"] == 2
+    assert "| b | 50.0 |" in table(coverage_study)
 
 
 @pytest.mark.slow
@@ -47,11 +47,11 @@ def test_nominal_coverage(with_priors: bool) -> None:
     For 200 rigs the latter is 95 ± 6.2 %. With 25 parameters a right method fails it in 0.2 % of
     all runs.
     """
-    found = coverage(range(1000, 1200), with_priors=with_priors)
-    share, error = found.overall
+    coverage_study = coverage(range(1000, 1200), with_priors=with_priors)
+    share, error = coverage_study.overall
     assert abs(share - 0.95) < 3 * error
-    learnt, learnt_error = found.of_learnt
+    learnt, learnt_error = coverage_study.of_learnt
     assert abs(learnt - 0.95) < 3 * learnt_error
-    binomial = np.sqrt(0.95 * 0.05 / len(found.errors))
-    assert np.all(found.inside > 0.95 - 4 * binomial)
-    assert found.unsettled <= 0.02 * len(found.errors)
+    binomial = np.sqrt(0.95 * 0.05 / len(coverage_study.errors))
+    assert np.all(coverage_study.inside > 0.95 - 4 * binomial)
+    assert coverage_study.unsettled <= 0.02 * len(coverage_study.errors)

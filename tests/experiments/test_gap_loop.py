@@ -79,12 +79,12 @@ def test_figures_of_a_run() -> None:
     angles[n // 2 : n // 2 + 50, 1] -= 0.5  # a second late, long before it counts as settled
     commands = np.tile([1.0, 0.0], (n, 1))
     commands[::2, 1] = 0.1
-    found = tracking(rig, "squares", "true", references, angles, commands, STEP, study)
-    assert found.rmse["pitch"] == pytest.approx(0.003)
-    assert found.rmse["yaw"] == pytest.approx(0.5 * np.sqrt(1 / 20))
-    assert found.settled == pytest.approx({"pitch": 0.003, "yaw": 0.0})
-    assert found.effort["pitch"] == 1.0
-    assert found.movement == pytest.approx({"pitch": 0.0, "yaw": 0.1 / STEP}, rel=2e-3)
+    tracking_figures = tracking(rig, "squares", "true", references, angles, commands, STEP, study)
+    assert tracking_figures.rmse["pitch"] == pytest.approx(0.003)
+    assert tracking_figures.rmse["yaw"] == pytest.approx(0.5 * np.sqrt(1 / 20))
+    assert tracking_figures.settled == pytest.approx({"pitch": 0.003, "yaw": 0.0})
+    assert tracking_figures.effort["pitch"] == 1.0
+    assert tracking_figures.movement == pytest.approx({"pitch": 0.0, "yaw": 0.1 / STEP}, rel=2e-3)
 
 
 def test_the_share_recovered() -> None:
@@ -106,15 +106,15 @@ def test_tables_and_document_say_the_same() -> None:
     pair = Separation("a-1", "a", "b", "why", "trms excite", now, after)
     sizes = Sizes("a-1", "a", {"torque": 0.006}, {"told": {"torque": 0.0058}, "diagnosed": {}})
     verdict = Verdict("a-1", "a", "effect", ("a",), 0.9, 12.0)
-    found = Findings(runs, [verdict], [sizes], [pair])
-    made = tables(found)
-    assert made["squares"][1][2] == "30.0"
-    assert made["squares"][2][2] == "60.0"
-    assert [row[3] for row in made["separation"][1:]] == ["0.40", "0.90"]
-    assert made["sizes"][1:] == [["`a`", "torque", "0.006", "0.0058", "–"]]
-    told = document(found)
-    assert told["runs"][2]["rmse"]["pitch"] is None
-    assert told["separations"][0]["after"]["true"] == 0.9
+    findings = Findings(runs, [verdict], [sizes], [pair])
+    table_rows = tables(findings)
+    assert table_rows["squares"][1][2] == "30.0"
+    assert table_rows["squares"][2][2] == "60.0"
+    assert [row[3] for row in table_rows["separation"][1:]] == ["0.40", "0.90"]
+    assert table_rows["sizes"][1:] == [["`a`", "torque", "0.006", "0.0058", "–"]]
+    findings_document = document(findings)
+    assert findings_document["runs"][2]["rmse"]["pitch"] is None
+    assert findings_document["separations"][0]["after"]["true"] == 0.9
 
 
 def test_what_a_diagnosis_holds_of_a_pair(tmp_path: Path) -> None:
@@ -126,9 +126,14 @@ def test_what_a_diagnosis_holds_of_a_pair(tmp_path: Path) -> None:
         "next_experiment": None,
     }
     (tmp_path / "diagnosis.json").write_text(json.dumps(content))
-    found, advice = pair_standing(tmp_path, "a", "b")
-    assert (found.true, found.rival, found.both, found.confusable) == (0.3, 0.6, 0.1, True)
-    assert found.first == ("b",)
+    standing, advice = pair_standing(tmp_path, "a", "b")
+    assert (standing.true, standing.rival, standing.both, standing.confusable) == (
+        0.3,
+        0.6,
+        0.1,
+        True,
+    )
+    assert standing.first == ("b",)
     assert advice is None
 
 
@@ -180,10 +185,10 @@ def test_the_advised_experiment_is_played_to_the_rig(tmp_path, monkeypatch) -> N
     (tmp_path / "separation-1" / "recording.csv").touch()
     study = read_study()
     study["separation"]["seeds"] = [1]
-    (found,) = separation.separate(study, tmp_path, lambda words: None)
-    assert (found.why, found.command) == ("edges", advice)
-    assert (found.before.true, found.after.true) == (0.4, 0.9)
-    assert found.before.confusable and not found.after.confusable
+    (pair_separation,) = separation.separate(study, tmp_path, lambda words: None)
+    assert (pair_separation.why, pair_separation.command) == ("edges", advice)
+    assert (pair_separation.before.true, pair_separation.after.true) == (0.4, 0.9)
+    assert pair_separation.before.confusable and not pair_separation.after.confusable
 
 
 def test_the_study_names_what_there_is() -> None:

@@ -47,14 +47,14 @@ def test_it_finds_what_made_a_recording(rig: tuple[Path, QuanserAero]) -> None:
     first, rest = parts_of(recording(folder, "nominal_a.csv", settings), settings)
     assert first.duration == pytest.approx(4.0, abs=0.02)
     assert rest.duration == pytest.approx(4.0, abs=0.02)
-    found = fit_model(problem_of((first,), settings), settings)
-    assert {p.name for p in found.problem.free} == set(settings["free"])
-    assert found.result.covariance is not None
-    names = [p.name for p in found.problem.free]
-    sd = dict(zip(names, np.diag(found.result.covariance) ** 0.5, strict=True))
+    model_fit = fit_model(problem_of((first,), settings), settings)
+    assert {p.name for p in model_fit.problem.free} == set(settings["free"])
+    assert model_fit.result.covariance is not None
+    names = [p.name for p in model_fit.problem.free]
+    sd = dict(zip(names, np.diag(model_fit.result.covariance) ** 0.5, strict=True))
     for name in ("J_r", "F_2", "tau_v", "d_x"):
         true = truth.parameters[name].value
-        assert abs(found.result.values[name] - true) < 3 * sd[name], name
+        assert abs(model_fit.result.values[name] - true) < 3 * sd[name], name
     assert sd["J_r"] < 0.1 * truth.parameters["J_r"].value
 
 

@@ -194,9 +194,9 @@ class TestCommand:
 
         heavier = "controller.move_weights={u_v: 30.0, u_h: 30.0}"
         assert main([*files, "--only", "*/square/*", heavier]) == 1
-        told = capsys.readouterr().out
-        assert "WORSE" in told and "alpha_v rmse" in told
-        assert max(map(len, told.splitlines())) <= 80
+        output = capsys.readouterr().out
+        assert "WORSE" in output and "alpha_v rmse" in output
+        assert max(map(len, output.splitlines())) <= 80
 
     def test_a_missing_baseline_is_told_before_anything_runs(self, tmp_path: Path, capsys) -> None:
         assert main(["--baseline", str(tmp_path / "none.json")]) == 2

@@ -31,7 +31,7 @@ PLAN = read_plan()
 
 def a_run(controller="pid", rig="nominal_0", ref="square", words=(), **more):
     """A short run with no observer to be compiled."""
-    made = Run(
+    run = Run(
         controller=controller,
         observer="full_state",
         ref=ref,
@@ -43,7 +43,7 @@ def a_run(controller="pid", rig="nominal_0", ref="square", words=(), **more):
         rig_words=("plant=ideal",),
         every=("sim.duration=2.0", "sim.prediction_every=0"),
     )
-    return replace(made, **more)
+    return replace(run, **more)
 
 
 class TestWhoTakesPart:
@@ -55,11 +55,11 @@ class TestWhoTakesPart:
             "effect": {r.removeprefix("effect_") for r in rigs_of(PLAN)},
             "fault": {r.removeprefix("fault_") for r in rigs_of(PLAN)},
         }[group]
-        left_out = PLAN.left_out.get(group, {})
-        assert all(reason.strip() for reason in left_out.values())
-        missing = set(options(group)) - entered - set(left_out)
+        exclusions = PLAN.left_out.get(group, {})
+        assert all(reason.strip() for reason in exclusions.values())
+        missing = set(options(group)) - entered - set(exclusions)
         assert not missing, f"enter them in tournament.yaml, or say why not: {missing}"
-        assert not entered & set(left_out)
+        assert not entered & set(exclusions)
 
     def test_all_in_the_main_block_meet_the_same_conditions(self):
         met: dict[tuple[str, str], set[tuple[str, str]]] = {}
@@ -84,8 +84,8 @@ class TestWhoTakesPart:
         assert {block for run in quick for block in run.blocks} == set(BLOCKS)
 
     def test_patterns_choose(self):
-        chosen = runs_of(PLAN, pattern="pid+ukf/sine/draw_*")
-        assert {run.rig for run in chosen} == {f"draw_{k}" for k in range(1, 9)}
+        runs = runs_of(PLAN, pattern="pid+ukf/sine/draw_*")
+        assert {run.rig for run in runs} == {f"draw_{k}" for k in range(1, 9)}
 
 
 class TestConfigurations:
@@ -130,7 +130,7 @@ class TestRunning:
         assert not worker_runs.is_done(replace(run, ref_words=("ref=sine",)), tmp_path)
 
     @pytest.mark.parametrize(
-        ("run", "limit", "said"),
+        ("run", "limit", "message"),
         [
             (a_run(words=("controller.sample_time=0.03",)), 60.0, "0.03"),
             (
@@ -141,10 +141,10 @@ class TestRunning:
         ],
         ids=["cannot be made", "takes too long"],
     )
-    def test_a_failure_is_filed_with_its_sentence(self, tmp_path, run, limit, said):
+    def test_a_failure_is_filed_with_its_sentence(self, tmp_path, run, limit, message):
         worker_runs.perform(run, tmp_path, limit, logs=False)
-        found = gather([tmp_path]).runs[0]
-        assert found.state is State.FAILED and said in found.message
+        filed_run = gather([tmp_path]).runs[0]
+        assert filed_run.state is State.FAILED and message in filed_run.message
         assert worker_runs.is_done(run, tmp_path)  # it would fail again
 
     @pytest.mark.slow
@@ -166,10 +166,10 @@ class TestRunning:
         out = tmp_path / "out"
         ended = list(worker_runs.run_all(runs, out, jobs=2, time_limit=60.0, logs=False))
         assert sorted(run.name for run in ended) == sorted(run.name for run in runs)
-        found = {run.coordinates["controller"]: run for run in gather([out]).runs}
-        assert found["deadly"].state is State.FAILED
-        assert "died" in found["deadly"].message
-        assert found["pid"].state is State.DONE
+        runs_by_controller = {run.coordinates["controller"]: run for run in gather([out]).runs}
+        assert runs_by_controller["deadly"].state is State.FAILED
+        assert "died" in runs_by_controller["deadly"].message
+        assert runs_by_controller["pid"].state is State.DONE
         assert not worker_runs.is_done(deadly, out)
 
 
@@ -222,8 +222,8 @@ class TestVerdicts:
         assert main(["compare", str(finished / MAIN), "--json", "--by", "controller,observer"]) == 0
         compared = json.loads(capsys.readouterr().out)
         results = read_results(finished, PLAN.criteria)
-        told = page.report(results, [], {}, PLAN.criteria)["main"]
-        assert compared == told
+        main_report = page.report(results, [], {}, PLAN.criteria)["main"]
+        assert compared == main_report
 
     def test_is_published_between_the_marks(self, finished, tmp_path):
         results = read_results(finished, PLAN.criteria)
@@ -231,12 +231,12 @@ class TestVerdicts:
         copy.write_text(page.PAGE.read_text(encoding="utf-8"), encoding="utf-8")
         about = {"seconds": 60.0, "jobs": 2, "whole": False, "git": "",
                  "machine": {"processor": "x", "cores": 2, "python": "3.11"}}  # fmt: skip
-        made = page.tables(results, [], PLAN.criteria)
+        tables = page.tables(results, [], PLAN.criteria)
         drawn = figures.draw(results, tmp_path / "drawn")
         assert [path.name for path in drawn] == list(figures.NAMES)
         assert all(path.stat().st_size > 5000 for path in drawn)
         place = copy.parent / "figures" / "tournament"
-        page.publish({**made, "observers": ["–"]}, about, results, drawn, copy, place)
+        page.publish({**tables, "observers": ["–"]}, about, results, drawn, copy, place)
         text = copy.read_text(encoding="utf-8")
         assert "| 1 | nmpc + ukf |" in text  # the same but for one rig
         assert "Only a part" in text
@@ -244,7 +244,7 @@ class TestVerdicts:
         links = re.findall(r"\]\((figures/[^)]*)\)", text)
         assert len(links) == len(drawn)
         assert all((tmp_path / link).is_file() for link in links)
-        page.publish({**made, "observers": ["–"]}, about, results, drawn, copy, place)
+        page.publish({**tables, "observers": ["–"]}, about, results, drawn, copy, place)
         assert copy.read_text(encoding="utf-8").count("made:") == again
 
 

@@ -11,9 +11,9 @@ from experiments.chapter3 import training_picture as picture
 @pytest.fixture
 def figures(monkeypatch):
     """The figures instead of their files."""
-    kept = []
-    monkeypatch.setattr(picture, "save_png", lambda figure, path: kept.append(figure))
-    return kept
+    saved_figures = []
+    monkeypatch.setattr(picture, "save_png", lambda figure, path: saved_figures.append(figure))
+    return saved_figures
 
 
 def words(figure) -> str:

@@ -46,10 +46,10 @@ def begins(
     cut = max(1, round(onset / STEP)) if onset > 0 else count
     commands = 0.7 * rich_excitation([seed], count, STEP)[0]
     commands[:, 0] += 0.35
-    held = np.repeat(commands[:1], settling, axis=0)
+    settling_commands = np.repeat(commands[:1], settling, axis=0)
     first = Rollout(before, STEP)
     start = first.initial(before.rest(), commands[0])
-    both = np.vstack([held, commands])
+    both = np.vstack([settling_commands, commands])
     y, ends = first.outputs(both, [0], [settling + cut], start[None])
     parts = [y[settling:]]
     if cut < count:

@@ -76,5 +76,5 @@ def diagnosis(**changes: Any) -> DiagnosisResult:
         }
     shrink["all"] = {h: Shrink(fraction=0.91, ci95=(0.86, 0.94)) for h in ("0.5", "2.0", "10.0")}
     document = {**read_yaml(DOCUMENT), "gap": {}, "shrink": {}}
-    found = msgspec.convert(document, DiagnosisResult)
-    return replace(found, **({"gap": gap, "shrink": shrink, "traces": traces()} | changes))
+    result = msgspec.convert(document, DiagnosisResult)
+    return replace(result, **({"gap": gap, "shrink": shrink, "traces": traces()} | changes))

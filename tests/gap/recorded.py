@@ -40,10 +40,12 @@ def recording(
     settling = round(10.0 / STEP)
     commands = 0.7 * rich_excitation([seed], count, STEP)[0]
     commands[:, 0] += 0.35
-    held = np.repeat(commands[:1], settling, axis=0)
+    settling_commands = np.repeat(commands[:1], settling, axis=0)
     rollout = Rollout(rig, STEP)
     start = rollout.initial(rig.rest(), commands[0])
-    y = rollout.outputs(np.vstack([held, commands]), [0], [settling + count], start[None]).y
+    y = rollout.outputs(
+        np.vstack([settling_commands, commands]), [0], [settling + count], start[None]
+    ).y
     measured, sd = sensed(rig, y[settling:], np.random.default_rng(seed))
     return dataset_of(rig, commands, measured, sd, step=STEP)
 

@@ -33,63 +33,65 @@ CANDIDATES, _ = applicable_candidates(
 
 
 @pytest.fixture(scope="module")
-def known() -> KnownState:
+def reference_state() -> KnownState:
     recorded = [begins({}, 0.0, values=VALUES, seconds=20.0, seed=seed) for seed in (11, 12)]
     return known_state(MODEL, FREE, recorded)
 
 
-def compared(known: KnownState, dataset) -> StateComparison:
-    return compare_with(known, [dataset], CANDIDATES, {})
+def compared(reference_state: KnownState, dataset) -> StateComparison:
+    return compare_with(reference_state, [dataset], CANDIDATES, {})
 
 
-def of(known: KnownState, dataset):
+def of(reference_state: KnownState, dataset):
     problem = GapProblem(
         model=MODEL,
         model_name="newtonian",
         datasets=(dataset,),
         candidates={n: c.effect for n, c in CANDIDATES.items()},
-        against=known.runs.windows.datasets,
+        against=reference_state.runs.windows.datasets,
     )
-    return change_result(problem, compared(known, dataset))
+    return change_result(problem, compared(reference_state, dataset))
 
 
-def test_parameters_of_the_known_state_are_fitted(known):
-    fitted = {f.name: known.model.parameters[f.name].value for f in known.free}
+def test_parameters_of_the_known_state_are_fitted(reference_state):
+    fitted = {f.name: reference_state.model.parameters[f.name].value for f in reference_state.free}
     assert fitted["k_fvp"] == pytest.approx(1.66e-5, rel=0.03)
     assert fitted["k_oh"] == pytest.approx(0.011, rel=0.1)
 
 
-def test_another_recording_of_the_same_state_is_no_change(known):
-    found = of(known, begins({}, 0.0, values=VALUES, seconds=20.0, seed=13))
-    assert found.verdict == "no_change"
-    assert found.causes[0].effects == ("no_change",)
-    assert not found.where
-    assert len(found.against) == 2
-    assert all(row.corrected == row.refit for rows in found.gap.values() for row in rows.values())
-    assert found.shrink["all"]["2.0"].fraction in (None, 0.0)
+def test_another_recording_of_the_same_state_is_no_change(reference_state):
+    diagnosis = of(reference_state, begins({}, 0.0, values=VALUES, seconds=20.0, seed=13))
+    assert diagnosis.verdict == "no_change"
+    assert diagnosis.causes[0].effects == ("no_change",)
+    assert not diagnosis.where
+    assert len(diagnosis.against) == 2
+    assert all(
+        row.corrected == row.refit for rows in diagnosis.gap.values() for row in rows.values()
+    )
+    assert diagnosis.shrink["all"]["2.0"].fraction in (None, 0.0)
 
 
-def test_friction_that_was_there_from_the_beginning_has_no_onset(known):
+def test_friction_that_was_there_from_the_beginning_has_no_onset(reference_state):
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
-    found = of(known, begins(rubbing, 0.0, values=VALUES, seconds=20.0, seed=14))
-    assert found.verdict == "effect"
-    assert found.causes[0].effects == ("yaw_coulomb_friction",)
-    size = found.causes[0].parameters["yaw_coulomb_friction.torque"]
+    diagnosis = of(reference_state, begins(rubbing, 0.0, values=VALUES, seconds=20.0, seed=14))
+    assert diagnosis.verdict == "effect"
+    assert diagnosis.causes[0].effects == ("yaw_coulomb_friction",)
+    size = diagnosis.causes[0].parameters["yaw_coulomb_friction.torque"]
     assert size.value == pytest.approx(0.004, rel=0.1)
-    assert found.causes[0].onset is None
-    assert found.where[0].location == "yaw_moment"
+    assert diagnosis.causes[0].onset is None
+    assert diagnosis.where[0].location == "yaw_moment"
     # on the part kept aside the model of the known state errs, and with the friction it does not
-    gap = found.gap["alpha_h"]["2.0"]
+    gap = diagnosis.gap["alpha_h"]["2.0"]
     assert gap.corrected < 0.5 * gap.refit
-    assert found.shrink["all"]["2.0"].fraction > 0.5
+    assert diagnosis.shrink["all"]["2.0"].fraction > 0.5
 
 
-def test_what_is_alike_at_one_angle_is_parted_at_two_others(known):
+def test_what_is_alike_at_one_angle_is_parted_at_two_others(reference_state):
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
     dataset = begins(rubbing, 0.0, values=VALUES, seconds=20.0, seed=14)
-    parted = of(known, dataset)
+    parted = of(reference_state, dataset)
     assert parted.next_experiment is None
-    comparison = compared(known, dataset)
+    comparison = compared(reference_state, dataset)
     kinds = [(j.difference.name, j.difference.kind) for j in comparison.judged]
     parameter = next(k for k, (_, kind) in enumerate(kinds) if kind == "parameter")
     torque = next(k for k, (name, _) in enumerate(kinds) if name == "yaw_disturbance")
@@ -100,21 +102,21 @@ def test_what_is_alike_at_one_angle_is_parted_at_two_others(known):
     # frictions that are alike are not parted so
     other = next(k for k, (name, _) in enumerate(kinds) if name == "yaw_quadratic_damping")
     assert change_result(problem, replace(comparison, alike=[other])).next_experiment is None
-    found = change_result(problem, alike)
-    assert found.confusable
-    assert found.next_experiment is not None
-    words = found.next_experiment.command.split()
+    diagnosis = change_result(problem, alike)
+    assert diagnosis.confusable
+    assert diagnosis.next_experiment is not None
+    words = diagnosis.next_experiment.command.split()
     assert words[:2] == ["trms", "run"]
     experiment = compose(words[2:]).config  # it can be typed
     assert experiment["ref"]["alpha_h"]["amplitude"] == 0.2
     assert experiment["ref"]["alpha_v"]["amplitude"] == 0
 
 
-def test_friction_that_begins_is_told_with_its_onset(known):
+def test_friction_that_begins_is_told_with_its_onset(reference_state):
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
-    found = of(known, begins(rubbing, 15.3, values=VALUES, seconds=30.0, seed=15))
-    assert found.causes[0].effects == ("yaw_coulomb_friction",)
-    onset = found.causes[0].onset
+    diagnosis = of(reference_state, begins(rubbing, 15.3, values=VALUES, seconds=30.0, seed=15))
+    assert diagnosis.causes[0].effects == ("yaw_coulomb_friction",)
+    onset = diagnosis.causes[0].onset
     assert onset is not None
     assert onset.time_s == pytest.approx(15.3, abs=1.0)
     assert onset.ci95[0] <= onset.time_s <= onset.ci95[1]
@@ -134,17 +136,17 @@ def onset_problem(onset: float, effects, ends: bool = False) -> GapProblem:
 @pytest.mark.slow
 def test_what_begins_within_a_recording_is_told_against_its_beginning():
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
-    found = diagnose_onset(onset_problem(33.0, rubbing))
-    assert found is not None
-    assert found.verdict == "effect"
-    assert found.causes[0].effects == ("yaw_coulomb_friction",)
-    assert found.causes[0].onset is not None
+    diagnosis = diagnose_onset(onset_problem(33.0, rubbing))
+    assert diagnosis is not None
+    assert diagnosis.verdict == "effect"
+    assert diagnosis.causes[0].effects == ("yaw_coulomb_friction",)
+    assert diagnosis.causes[0].onset is not None
     # counted from the recording's own beginning, not from where its rest begins
-    assert found.causes[0].onset.time_s == pytest.approx(33.0, abs=1.0)
-    low, high = found.causes[0].onset.ci95
-    assert low <= found.causes[0].onset.time_s <= high
-    assert not found.against
-    assert any("the first 15 s, taken for the known state" in text for text in found.warnings)
+    assert diagnosis.causes[0].onset.time_s == pytest.approx(33.0, abs=1.0)
+    low, high = diagnosis.causes[0].onset.ci95
+    assert low <= diagnosis.causes[0].onset.time_s <= high
+    assert not diagnosis.against
+    assert any("the first 15 s, taken for the known state" in text for text in diagnosis.warnings)
     # friction throughout is in both parts
     assert diagnose_onset(onset_problem(0.0, rubbing)) is None
 
@@ -153,16 +155,16 @@ def test_what_begins_within_a_recording_is_told_against_its_beginning():
 def test_what_ends_within_a_recording_is_told_against_its_end():
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
     problem = onset_problem(27.0, rubbing, ends=True)
-    found = diagnose_onset(problem)
-    assert found is not None
-    assert found.verdict == "effect"
-    assert found.causes[0].effects == ("yaw_coulomb_friction",)
-    onset = found.causes[0].onset
+    diagnosis = diagnose_onset(problem)
+    assert diagnosis is not None
+    assert diagnosis.verdict == "effect"
+    assert diagnosis.causes[0].effects == ("yaw_coulomb_friction",)
+    onset = diagnosis.causes[0].onset
     assert onset is not None and onset.ends
     assert onset.time_s == pytest.approx(27.0, abs=1.0)
-    assert "until" in found.sentence and "the end of the recording" in found.sentence
+    assert "until" in diagnosis.sentence and "the end of the recording" in diagnosis.sentence
     # the rig is without it now, and nothing was kept aside
-    assert applied_cause(found) is None and not found.gap
+    assert applied_cause(diagnosis) is None and not diagnosis.gap
 
 
 def test_the_missing_force_of_a_run_is_the_torque_that_acts():
@@ -184,16 +186,16 @@ def test_the_missing_force_of_a_run_is_the_torque_that_acts():
         ("yaw_sensor_delay", "delay", 0.06, 0.015),
     ],
 )
-def test_a_sensor_that_went_wrong_is_found_with_its_size(known, name, size, value, near):
+def test_a_sensor_that_went_wrong_is_found_with_its_size(reference_state, name, size, value, near):
     wrong = {name: effect(name, **{size: value})}
     dataset = begins(wrong, 0.0, values=VALUES, seconds=20.0, seed=16)
-    tried = {n: effect(n) for n in (name, "yaw_coulomb_friction", "main_input_delay")}
-    candidates, _ = applicable_candidates(MODEL, tried)
-    found = compare_with(known, [dataset], candidates, {})
-    gains = dict(zip((j.difference.name for j in found.judged), found.gains, strict=True))
+    effects = {n: effect(n) for n in (name, "yaw_coulomb_friction", "main_input_delay")}
+    candidates, _ = applicable_candidates(MODEL, effects)
+    comparison = compare_with(reference_state, [dataset], candidates, {})
+    gains = dict(zip((j.difference.name for j in comparison.judged), comparison.gains, strict=True))
     assert max(gains, key=gains.__getitem__) == name
     assert gains[name] > 12.0
-    (score,) = (j for j in found.judged if j.difference.name == name)
+    (score,) = (j for j in comparison.judged if j.difference.name == name)
     assert score.value[0] == pytest.approx(value, abs=near)
 
 
@@ -209,26 +211,26 @@ def test_a_sensor_whose_error_is_corrected_leaves_the_beam_where_it_is():
     assert spread[2] < 1.3 * spread[0] < 0.5 * spread[1]
 
 
-def test_an_encoder_that_slips_is_found_with_its_moment(known):
+def test_an_encoder_that_slips_is_found_with_its_moment(reference_state):
     slips = {"yaw_sensor_bias": effect("yaw_sensor_bias", bias=0.033)}
     dataset = begins(slips, 15.4, values=VALUES, seconds=30.0, seed=17)
     candidates, _ = applicable_candidates(
         MODEL, {n: effect(n) for n in ("yaw_sensor_bias", "yaw_coulomb_friction")}
     )
-    found = compare_with(known, [dataset], candidates, {})
-    first = found.judged[0]
+    comparison = compare_with(reference_state, [dataset], candidates, {})
+    first = comparison.judged[0]
     assert first.difference.name == "yaw_sensor_bias"
     # one window shows it: by how much, and since which of its samples, go together
     assert first.value[0] == pytest.approx(0.033, abs=0.01)
     assert first.began is not None
     # a run's force is the same for two moments in it
     assert first.began.time_s == pytest.approx(15.4, abs=0.5)
-    assert found.gains[0] > 15.0 > found.gains[1] + 10.0
+    assert comparison.gains[0] > 15.0 > comparison.gains[1] + 10.0
 
 
-def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(known):
+def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(reference_state):
     dataset = begins({}, 0.0, values=VALUES, seconds=60.0, seed=16)
-    questioned = NewRecordings.of(known, [dataset])
+    questioned = NewRecordings.of(reference_state, [dataset])
     runs = questioned.runs
     pitch = [e.location for e in runs.equations].index("pitch_moment")
     random = np.random.default_rng(3)
@@ -236,28 +238,30 @@ def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(known):
     for k in range(1, len(runs)):
         forgets[k] = np.exp(-1.0) * forgets[k - 1] + 0.9 * random.standard_normal()
     angle = questioned.starts[:, MODEL.state_index("alpha_v")]
-    found = {}
+    evidence_gains = {}
     extras = {"none": 0.0 * angle, "torque": 5e-3 * forgets, "law": 8e-3 * np.sin(25 * angle)}
     for name, extra in extras.items():
 
         class Pulled(KnownState):
             def series(self, runs, forces, extra=extra):
-                made = list(super().series(runs, forces))
-                made[pitch] = replace(made[pitch], force=made[pitch].force + extra)
-                return tuple(made)
+                force_series = list(super().series(runs, forces))
+                force_series[pitch] = replace(
+                    force_series[pitch], force=force_series[pitch].force + extra
+                )
+                return tuple(force_series)
 
-        evidence = ChangeEvidence(replace(questioned, known=Pulled(**vars(known))))
+        evidence = ChangeEvidence(replace(questioned, known_state=Pulled(**vars(reference_state))))
         torque = next(differences(evidence.questioned, {}, only={"pitch_disturbance"}))
         score = with_random_torque(evidence, judge(evidence, torque))
         law = law_evidence(evidence)[pitch] - evidence.unchanged
-        found[name] = (score.evidence - evidence.unchanged, law, score)
-    assert max(found["none"][:2]) < 3.0
-    gain, law, score = found["torque"]
+        evidence_gains[name] = (score.evidence - evidence.unchanged, law, score)
+    assert max(evidence_gains["none"][:2]) < 3.0
+    gain, law, score = evidence_gains["torque"]
     assert gain > law + 10.0 and gain > 30.0
     assert score.varies and score.onset is None
     assert score.value[0] == pytest.approx(5e-3, rel=0.5)
     assert score.difference.labels == ("deviation",)
-    gain, law, _ = found["law"]
+    gain, law, _ = evidence_gains["law"]
     assert law > gain + 10.0 and law > 30.0
 
 
@@ -280,9 +284,9 @@ def test_recordings_that_differ_more_among_themselves_foretell_less():
     offsets = np.array([1.0, -1.2, 0.8, -0.7])
 
     def series(force: np.ndarray) -> ForceSeries:
-        seen = np.ones(len(force), dtype=bool)
+        is_observed = np.ones(len(force), dtype=bool)
         first = np.diff(recording, prepend=-1) != 0
-        return ForceSeries(force, seen, np.zeros((len(force), 0)), recording, time, first)
+        return ForceSeries(force, is_observed, np.zeros((len(force), 0)), recording, time, first)
 
     alike = StandingError.fit(series(noise), 1.0)
     apart = StandingError.fit(series(noise + offsets[recording]), 1.0)
@@ -290,51 +294,53 @@ def test_recordings_that_differ_more_among_themselves_foretell_less():
     assert apart.sizes.white == pytest.approx(0.1, rel=0.3)
 
 
-def test_runs_of_a_single_second_have_no_onset(known):
+def test_runs_of_a_single_second_have_no_onset(reference_state):
     """Pieces of a second, as a recording cut at its gaps leaves: there is no time to begin in."""
     whole = begins({}, 0.0, values=VALUES, seconds=20.0, seed=18)
     second = round(1.0 / whole.sample_time)
     pieces = [whole.part(k * second, (k + 1) * second) for k in range(5, 17)]
-    found = compare_with(known, pieces, CANDIDATES, {})
-    assert all(j.onset is None for j in found.judged)
-    assert found.unchanged > 0.5
+    comparison = compare_with(reference_state, pieces, CANDIDATES, {})
+    assert all(j.onset is None for j in comparison.judged)
+    assert comparison.unchanged > 0.5
 
 
-def test_what_diverges_at_every_size_is_no_difference(known):
-    questioned = NewRecordings.of(known, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)])
+def test_what_diverges_at_every_size_is_no_difference(reference_state):
+    questioned = NewRecordings.of(
+        reference_state, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)]
+    )
     runaway = effect("yaw_coulomb_friction", torque=0.004)
     candidates, _ = applicable_candidates(MODEL, {"yaw_coulomb_friction": runaway})
 
     def names_of(runs: ShortRuns) -> set[str]:
-        found = differences(replace(questioned, runs=runs), candidates)
-        return {d.name for d in found}
+        candidate_differences = differences(replace(questioned, runs=runs), candidates)
+        return {d.name for d in candidate_differences}
 
     assert "yaw_coulomb_friction" in names_of(questioned.runs)
     original = ShortRuns.forces
 
     def diverging(self, p, starts=None):
-        made = original(self, p, starts)
+        forces = original(self, p, starts)
         if len(p) > len(MODEL.parameters.values):  # with an effect
-            made.force[3] = np.inf
-        return made
+            forces.force[3] = np.inf
+        return forces
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ShortRuns, "forces", diverging)
-        left = names_of(questioned.runs)
-    assert "yaw_coulomb_friction" not in left and "k_oh" in left
+        remaining_names = names_of(questioned.runs)
+    assert "yaw_coulomb_friction" not in remaining_names and "k_oh" in remaining_names
 
 
-def test_of_parameters_that_are_likelier_together_the_likeliest_is_the_answer(known):
+def test_of_parameters_that_are_likelier_together_the_likeliest_is_the_answer(reference_state):
     """A torque may be first, and two parameters that are alike outweigh it together."""
-    found = compared(
-        known, begins({}, 0.0, values={**VALUES, "l_cb": 0.235}, seconds=20.0, seed=19)
+    comparison = compared(
+        reference_state, begins({}, 0.0, values={**VALUES, "l_cb": 0.235}, seconds=20.0, seed=19)
     )
-    order = [j.difference.name for j in found.judged]
+    order = [j.difference.name for j in comparison.judged]
     torque = order.index("pitch_disturbance")
-    first = [j for j in found.judged if j.difference.kind == "parameter"][:2]
-    judged = (found.judged[torque], *first)
-    made = replace(
-        found,
+    first = [j for j in comparison.judged if j.difference.kind == "parameter"][:2]
+    judged = (comparison.judged[torque], *first)
+    altered_comparison = replace(
+        comparison,
         judged=judged,
         gains=np.array([60.0, 59.0, 59.0]),
         probabilities=np.array([0.36, 0.32, 0.31]),
@@ -342,33 +348,35 @@ def test_of_parameters_that_are_likelier_together_the_likeliest_is_the_answer(kn
         unnamed=0.005,
         alike=(1, 2),
     )
-    dataset = known.runs.windows.datasets[0]
+    dataset = reference_state.runs.windows.datasets[0]
     problem = GapProblem(
         model=MODEL,
         model_name="newtonian",
         datasets=(dataset,),
         candidates={},
-        against=known.runs.windows.datasets,
+        against=reference_state.runs.windows.datasets,
     )
-    result = change_result(problem, made)
+    result = change_result(problem, altered_comparison)
     coarse, _ = applicable_candidates(MODEL, {"yaw_quantisation": effect("yaw_quantisation")})
-    rounded = replace(made, candidates={**made.candidates, **coarse})
+    rounded = replace(altered_comparison, candidates={**altered_comparison.candidates, **coarse})
     assert result.verdict == "parameters_only"
     name = first[0].difference.name
     assert f"another {name}" in result.sentence
     # which parameter, in physical words; what was not reckoned is null
-    told = next(m for m in result.moved if m.parameter == name)
-    assert told.words.startswith("gravity moment of the beam")
-    assert "g at the nose would" in told.words or "g less at the nose would" in told.words
+    words = next(m.words for m in result.moved if m.parameter == name)
+    assert words.startswith("gravity moment of the beam")
+    assert "g at the nose would" in words or "g less at the nose would" in words
     assert all(row.se is None and row.moved is None for row in result.race)
     assert "yaw_quantisation" in {row.effect for row in change_result(problem, rounded).rejected}
     changed = result.parameters[name].fitted - result.refit[name]
     assert changed == pytest.approx(first[0].value[0]) or first[0].began is not None
 
 
-def test_nothing_that_is_seen_leaves_evidence_as_it_is(known):
-    questioned = NewRecordings.of(known, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)])
+def test_nothing_that_is_seen_leaves_evidence_as_it_is(reference_state):
+    questioned = NewRecordings.of(
+        reference_state, [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)]
+    )
     evidence = ChangeEvidence(questioned)
     none = np.zeros((1, *questioned.forces.force.shape))
-    found, _, _ = evidence.of(none, none)
-    assert found[0] == pytest.approx(evidence.unchanged)
+    log_evidence, _, _ = evidence.of(none, none)
+    assert log_evidence[0] == pytest.approx(evidence.unchanged)

@@ -127,13 +127,13 @@ def test_no_gap_needs_no_residual():
     assert fitted({})[2] is None
 
 
-def features(score: float, flexible: float = np.nan, left: float = 0.0) -> Features:
+def features(score: float, flexible: float = np.nan, remaining_gap: float = 0.0) -> Features:
     return Features(
         gained=500.0,
         behind=1000.0,
         names=(("a",),),
         scores=np.array([score]),
-        behinds=np.array([left]),
+        behinds=np.array([remaining_gap]),
         sizes=np.array([1]),
         surprises=np.zeros(1),
         errors=np.ones(1),
@@ -150,21 +150,21 @@ def test_a_name_has_to_reach_the_residual_without_one(monkeypatch):
     beaten = probabilities_of(features(500.0, 700.0), constants)
     assert beaten["none_of_these",] > 0.99
     # One that fails itself is no reason to believe a name that leaves nearly everything.
-    left = probabilities_of(features(20.0, -5.0, 980.0), constants)
-    assert next(iter(left)) == ("none_of_these",)
+    probabilities = probabilities_of(features(20.0, -5.0, 980.0), constants)
+    assert next(iter(probabilities)) == ("none_of_these",)
 
 
 def test_a_residual_is_no_candidate_unless_it_is_asked_for():
     everything = candidates_of(("all",), MODEL).effects
     assert "yaw_coulomb_friction" in everything and "yaw_residual_force" not in everything
-    asked = candidates_of(("yaw_residual_force", "yaw_dis*"), MODEL).effects
-    assert set(asked) == {"yaw_residual_force", "yaw_disturbance"}
+    effects = candidates_of(("yaw_residual_force", "yaw_dis*"), MODEL).effects
+    assert set(effects) == {"yaw_residual_force", "yaw_disturbance"}
 
 
 @pytest.mark.parametrize("place", ["pitch_moment", "yaw_moment", "main_motor", "pitch_sensor"])
 def test_no_term_stands_twice(place):
-    found = term_names(MODEL, place)
-    assert len(found) == len(set(found)) > 20
+    terms = term_names(MODEL, place)
+    assert len(terms) == len(set(terms)) > 20
 
 
 def law_of(record: ForceRecord, force: np.ndarray, location: str = "yaw_moment") -> str:

@@ -50,7 +50,7 @@ def from_outside(seed: int, time: float) -> ForceRecord:
 def test_recordings_and_gaps_part_the_samples():
     with pytest.raises(ValueError, match="differ in shape"):
         replace(still(), sd=np.ones(3))
-    record = still().taken(np.r_[0:1000, 1500:2500, 3000:4000])
+    record = still().subset(np.r_[0:1000, 1500:2500, 3000:4000])
     record = replace(record, recording=np.repeat([0, 0, 1], 1000))
     assert [part.stop for part in record.segments] == [1000, 2000, 3000]
     number = record.blocks(10.0)
@@ -67,10 +67,11 @@ def test_memory_of_coloured_noise():
 
 
 @pytest.mark.parametrize(
-    ("value", "told"), [(0.4817, 0.5), (-0.317, -0.3), (123.0, 120.0), (0.0, 0.0), (9.6, 10.0)]
+    ("value", "rounded_value"),
+    [(0.4817, 0.5), (-0.317, -0.3), (123.0, 120.0), (0.0, 0.0), (9.6, 10.0)],
 )
-def test_thresholds_are_round(value, told):
-    assert nearest_round_number(value) == pytest.approx(told)
+def test_thresholds_are_round(value, rounded_value):
+    assert nearest_round_number(value) == pytest.approx(rounded_value)
 
 
 @pytest.mark.parametrize(
@@ -87,11 +88,11 @@ def test_thresholds_are_round(value, told):
 )
 def test_a_function_of_the_state_has_a_region_and_is_predictable(name, about, of):
     if about is not None:
-        found = regions(under(name))
-        assert 1 <= len(found) <= 3
-        assert found[0].condition.startswith(about)
-        assert found[0].location == "yaw_moment"
-        assert found[0].share > 0.7
+        force_regions = regions(under(name))
+        assert 1 <= len(force_regions) <= 3
+        assert force_regions[0].condition.startswith(about)
+        assert force_regions[0].location == "yaw_moment"
+        assert force_regions[0].share > 0.7
     if of is not None:
         judged = exogenous(under(name))
         low, high = judged.ci95
@@ -109,8 +110,8 @@ def test_thrust_in_reverse_lies_where_the_rotor_turns_backwards():
 
 @pytest.mark.parametrize("time", [0.0, 0.3, 1.0, 3.0])
 def test_a_force_from_outside_has_no_region(time):
-    found = [regions(from_outside(seed, time)) for seed in range(8)]
-    assert sum(map(bool, found)) <= 1
+    regions_by_seed = [regions(from_outside(seed, time)) for seed in range(8)]
+    assert sum(map(bool, regions_by_seed)) <= 1
 
 
 def test_neither_a_constant_force_nor_noise_alone_has_a_region():
@@ -131,8 +132,8 @@ def test_a_recording_of_its_own_is_a_region():
     record = from_outside(4, 0.3)
     number = np.repeat([0, 1, 2], SAMPLES // 3)
     record = replace(record, recording=number, force=record.force * (number == 1))
-    (found,) = regions(replace(record, sd=record.sd / 10))
-    assert found.condition == "recording 2" and found.share > 0.9
+    (region,) = regions(replace(record, sd=record.sd / 10))
+    assert region.condition == "recording 2" and region.share > 0.9
 
 
 def test_one_degree_of_freedom_without_rotor_speeds():

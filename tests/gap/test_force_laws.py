@@ -128,12 +128,12 @@ def test_hysteresis_stays_within_one_and_forgets_the_start():
     assert hysteresis(motion(), ramp)[0][-1] == pytest.approx(1, abs=1e-6)
 
 
-def told(record: ForceRecord) -> str:
+def description_text(record: ForceRecord) -> str:
     return "\n".join(description(record))
 
 
 def test_friction_is_described():
-    text = told(of("yaw_moment", 4e-3 * FORCES["dry"][2]))
+    text = description_text(of("yaw_moment", 4e-3 * FORCES["dry"][2]))
     assert "opposes the motion" in text and "±0.004 N*m" in text
     assert "the rig's own doing: yaw rate" in text
     assert "dry friction" in text
@@ -143,21 +143,23 @@ def test_friction_is_described():
 def test_offset_drift_oscillation_and_a_change_are_described():
     m, noise = motion(), 1e-4 * coloured(np.random.default_rng(3), SAMPLES, 0.3)
     plain = replace(m, force=noise, sd=np.full(SAMPLES, 1e-5))
-    assert "constant offset of 0.003 N*m" in told(replace(plain, force=3e-3 + noise))
-    assert "drifts by 0.002 N*m per minute" in told(
+    assert "constant offset of 0.003 N*m" in description_text(replace(plain, force=3e-3 + noise))
+    assert "drifts by 0.002 N*m per minute" in description_text(
         replace(plain, force=noise + 2e-3 * m.time / 60)
     )
-    assert "oscillates at 4 Hz" in told(
+    assert "oscillates at 4 Hz" in description_text(
         replace(plain, force=noise + 3e-3 * np.sin(8 * np.pi * m.time))
     )
     force = coloured(np.random.default_rng(4), SAMPLES, 0.3) * (motion().time > 40)
-    found = re.search(r"changes for good at t = ([\d.]+) s", told(of("yaw_moment", force)))
-    assert found is not None and float(found[1]) == pytest.approx(40, abs=1.5)
+    match = re.search(
+        r"changes for good at t = ([\d.]+) s", description_text(of("yaw_moment", force))
+    )
+    assert match is not None and float(match[1]) == pytest.approx(40, abs=1.5)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_draught_is_described_as_one(seed):
-    text = told(
+    text = description_text(
         of("yaw_moment", 4e-3 * coloured(np.random.default_rng(seed), SAMPLES, 0.5), seed=seed + 5)
     )
     assert "comes from outside" in text and "No known form" in text
@@ -172,9 +174,9 @@ def test_a_draught_is_described_as_one(seed):
 def test_short_records_and_ones_without_any_motion_are_answered():
     record = of("yaw_moment", FORCES["dry"][2])
     for samples in (1, 3, 20, 100):
-        short = record.taken(np.arange(samples))
+        short = record.subset(np.arange(samples))
         assert len(description(short)) >= 1
         assert all(np.isfinite(value) for value in explained_shares(short).values())
     bare = replace(record, angles={}, rates={}, speeds={}, commands={})
-    assert "part may be from outside" in told(bare)
+    assert "part may be from outside" in description_text(bare)
     assert all(np.isfinite(value) for value in explained_shares(bare).values())

@@ -39,12 +39,12 @@ def plain() -> tuple[Model, Dataset]:
 @pytest.mark.parametrize("name", [None, *EFFECTS])
 def test_the_right_model_is_within_what_noise_explains(name: str | None) -> None:
     model, dataset = rig(name)
-    found = free_run_errors(model, [dataset], [SPAN])
+    errors_by_channel = free_run_errors(model, [dataset], [SPAN])
     expected = expected_errors(model, [dataset], [SPAN])
-    for channel in found:
-        for horizon, errors in found[channel].items():
+    for channel in errors_by_channel:
+        for horizon, errors in errors_by_channel[channel].items():
             assert errors.rms < 1.6 * expected[channel][horizon].rms, (channel, horizon)
-    assert found["alpha_h"][10.0].rms < 5e-3
+    assert errors_by_channel["alpha_h"][10.0].rms < 5e-3
 
 
 def test_a_model_without_the_effect_leaves_a_gap_where_it_acts() -> None:
@@ -75,27 +75,27 @@ def test_angles_alone_and_missing_samples(plain: tuple[Model, Dataset]) -> None:
     model, dataset = plain
     two = measuring(dataset, 2)
     two.measurements[1100:1200, 1] = np.nan
-    found = free_run_errors(model, [two], [SPAN])
-    assert set(found) == {"alpha_v", "alpha_h"}
-    assert len(found["alpha_h"][0.1].squared) < len(found["alpha_v"][0.1].squared)
-    assert found["alpha_h"][10.0].rms < 0.01 and found["alpha_v"][10.0].rms < 0.01
+    errors = free_run_errors(model, [two], [SPAN])
+    assert set(errors) == {"alpha_v", "alpha_h"}
+    assert len(errors["alpha_h"][0.1].squared) < len(errors["alpha_v"][0.1].squared)
+    assert errors["alpha_h"][10.0].rms < 0.01 and errors["alpha_v"][10.0].rms < 0.01
 
 
 def test_blocks_are_counted_through_all_recordings(plain: tuple[Model, Dataset]) -> None:
     model, dataset = plain
     _, other = rig(None, seed=5)
     parts = [(0, 1000, 2000), (1, 0, 1250)]
-    found = free_run_errors(model, [dataset, other], parts, block=10.0)
-    errors = found["alpha_h"][2.0]
+    errors_by_channel = free_run_errors(model, [dataset, other], parts, block=10.0)
+    errors = errors_by_channel["alpha_h"][2.0]
     assert sorted(set(errors.block.tolist())) == [0, 1, 2, 3]
     # 20 s of starts every 0.5 s, less the horizon; then 25 s less the history and the horizon
     assert len(errors.squared) == 37 + (1250 - 100 - history(0.02)) // 25 + 1
-    assert 10.0 in found["alpha_h"]
+    assert 10.0 in errors_by_channel["alpha_h"]
     assert 10.0 not in free_run_errors(model, [dataset], [(0, 0, 400)])["alpha_h"]
 
 
 def test_a_model_that_runs_away_counts_as_infinitely_wrong(plain: tuple[Model, Dataset]) -> None:
     model, dataset = Newtonian(), plain[1]
     model.parameters = model.parameters.replaced({"J_mr": 1e-9})
-    found = free_run_errors(model, [dataset], [SPAN])
-    assert not np.isfinite(found["omega_v"][2.0].rms)
+    errors = free_run_errors(model, [dataset], [SPAN])
+    assert not np.isfinite(errors["omega_v"][2.0].rms)

@@ -34,11 +34,11 @@ def test_columns_are_what_a_gain_changes_in_the_outputs():
         commands = dataset.commands.copy()
         commands[:, drift.drive[k]] *= 1 + small * hat
         rollout = Rollout(windows.problem.model, dataset.sample_time)
-        made = [
+        outputs = [
             rollout.outputs(u, windows.first, windows.count, windows.with_memory(p, starts), p).y
             for u in (commands, dataset.commands)
         ]
-        change = (made[0] - made[1]) / small
+        change = (outputs[0] - outputs[1]) / small
         columns = drift.columns[windows.inside][..., k]
         np.testing.assert_allclose(columns, change, atol=0.02 * np.abs(change).max())
 
@@ -92,7 +92,7 @@ def test_a_model_has_the_mean_of_the_gains_that_were_fitted_beside_it():
 def test_gains_that_no_parameter_has_are_left_beside_the_model():
     dataset = recording(seconds=40.0)
     fitted = refit(Newtonian(), nominal_parameters(Newtonian())[:1], (dataset,), 10.0)
-    known = fitted.fit.evidence
-    assert known is not None
+    evidence = fitted.fit.evidence
+    assert evidence is not None
     shifted = replace(fitted.fit, gains=fitted.fit.gains + 0.2)
     np.testing.assert_array_equal(replace(fitted, fit=shifted).at_mean_gains, fitted.fit.theta)

@@ -27,9 +27,9 @@ def random_system(seed: int = 0, m: int = 3, c: int = 40, n: int = 4, n_y: int =
     random = np.random.default_rng(seed)
     f = 0.6 * np.eye(n) + 0.15 * random.standard_normal((m, c, n, n))
     h = random.standard_normal((m, c, n_y, n))
-    seen = random.random((m, c, n_y)) > 0.1
+    measured_mask = random.random((m, c, n_y)) > 0.1
     start = np.diag(random.uniform(0.5, 2.0, n))
-    return LinearSystem(f, h, seen, random.uniform(0.1, 0.5, n_y), start)
+    return LinearSystem(f, h, measured_mask, random.uniform(0.1, 0.5, n_y), start)
 
 
 Q = np.diag([0.3, 0.1, 0.2, 0.05])
@@ -56,8 +56,8 @@ def dense(system: LinearSystem, j: int) -> tuple[np.ndarray, ...]:
     steps[n:, :-n] -= block_diag(*system.f[j, :-1])
     noise = block_diag(system.start, *[Q] * (c - 1))
     states = np.linalg.solve(steps, np.linalg.solve(steps, noise).T)
-    seen = system.seen[j].ravel()
-    h, r = block_diag(*system.h[j])[seen], np.tile(system.r, c)[seen]
+    measured_mask = system.measured[j].ravel()
+    h, r = block_diag(*system.h[j])[measured_mask], np.tile(system.r, c)[measured_mask]
     return states, states @ h.T, h @ states @ h.T + np.diag(r)
 
 
@@ -68,8 +68,10 @@ def test_innovations_have_the_density_of_the_whole_covariance():
     z = filters.whiten(system, filter_, y[..., None])[..., 0]
     for j in range(3):
         *_, covariance = dense(system, j)
-        seen = y[j].ravel()[system.seen[j].ravel()]
-        assert np.sum(z[j] ** 2) == pytest.approx(seen @ np.linalg.solve(covariance, seen))
+        observations = y[j].ravel()[system.measured[j].ravel()]
+        assert np.sum(z[j] ** 2) == pytest.approx(
+            observations @ np.linalg.solve(covariance, observations)
+        )
         assert filter_.logdet[j] == pytest.approx(np.linalg.slogdet(covariance)[1])
 
 
@@ -119,7 +121,7 @@ def test_the_smoother_is_the_conditional_mean():
     x, variance = filters.smooth(system, filter_, y)
     states, shared, outputs = dense(system, 0)
     gain = np.linalg.solve(outputs, shared.T).T
-    mean = gain @ y[0].ravel()[system.seen[0].ravel()]
+    mean = gain @ y[0].ravel()[system.measured[0].ravel()]
     np.testing.assert_allclose(x[0].ravel(), mean, atol=1e-9)
     np.testing.assert_allclose(variance[0].ravel(), np.diag(states - gain @ shared.T), rtol=1e-9)
 
@@ -141,13 +143,13 @@ def discrepancy(windows) -> Discrepancy:
     return Discrepancy(windows, trajectory, equation_channels(model))
 
 
-def left_over(discrepancy: Discrepancy) -> np.ndarray:
+def residuals(discrepancy: Discrepancy) -> np.ndarray:
     windows = discrepancy.windows
     return np.where(windows.measured, windows.target - discrepancy.trajectory.y, 0.0)
 
 
 def test_a_rig_without_a_gap_has_white_innovations_and_no_discrepancy(discrepancy):
-    r = left_over(discrepancy)
+    r = residuals(discrepancy)
     filter_ = discrepancy.filter(np.full(4, FLOOR))
     z = discrepancy.whitened(filter_, r[..., None])[..., 0]
     assert np.all(np.mean(z**2, axis=(0, 1)) < 1.15)
@@ -156,7 +158,7 @@ def test_a_rig_without_a_gap_has_white_innovations_and_no_discrepancy(discrepanc
 
 
 def test_a_force_that_is_missing_is_found_on_its_equation(discrepancy):
-    r = left_over(discrepancy)
+    r = residuals(discrepancy)
     # a sine of 30 percent of what acts on yaw, through the linear system itself
     system, n = discrepancy.system, discrepancy.trajectory.x.shape[-1]
     x = np.zeros((len(discrepancy.windows), n + 4))

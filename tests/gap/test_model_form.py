@@ -31,13 +31,13 @@ LAWS = {
 def raced(rig, seconds=60.0):
     """The plain race, the model with free laws, and the race beside these."""
     dataset = with_noise(recording(rig, seconds=seconds, values={"k_fvp": 1.66e-5}, seed=3))
-    found, _ = applicable_candidates(MODEL, {name: effect(name) for name in NAMES})
+    candidates, _ = applicable_candidates(MODEL, {name: effect(name) for name in NAMES})
     parts = divide((dataset,), 10.0, 0.25, MODEL.stops)
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
-    traces = effect_traces(nominal, list(found.values()))
-    plain = run_race(nominal, found, traces, EFFORT)
+    traces = effect_traces(nominal, list(candidates.values()))
+    plain = run_race(nominal, candidates, traces, EFFORT)
     laws = refit_with_free_form(plain)
-    beside = None if laws is None else run_race(laws.nominal, found, traces, EFFORT)
+    beside = None if laws is None else run_race(laws.nominal, candidates, traces, EFFORT)
     return plain, laws, beside
 
 
@@ -54,14 +54,14 @@ def test_a_cause_is_found_beside_laws_of_another_form():
     assert laws is not None and beside is not None and leads(beside, plain)
     assert best(beside).names == ("tail_input_delay",) and begins_at(best(beside)) is None
     assert best(beside).values["tail_input_delay.delay"] == pytest.approx(0.05, rel=0.05)
-    told = departures(best(beside))
-    known = {f"{n}.{p.name}": p.value for n, law in LAWS.items() for p in law.parameters()}
-    assert told.keys() == known.keys()
+    law_departures = departures(best(beside))
+    true_values = {f"{n}.{p.name}": p.value for n, law in LAWS.items() for p in law.parameters()}
+    assert law_departures.keys() == true_values.keys()
     for name in ("pitch_model_form.inertia", "yaw_model_form.damping", "yaw_model_form.spring"):
-        law = told[name]
-        assert law.value == pytest.approx(known[name], abs=max(4 * law.sd, 0.01))
+        law = law_departures[name]
+        assert law.value == pytest.approx(true_values[name], abs=max(4 * law.sd, 0.01))
         assert abs(law.value) > 4 * law.sd
-    words = laws_in_words(told)
+    words = laws_in_words(law_departures)
     assert any(
         w.startswith("yaw damping goes with a lower power of the rate (by 0.1") for w in words
     )

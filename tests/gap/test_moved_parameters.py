@@ -26,16 +26,16 @@ def counted(z: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """The probabilities by their definition, over all subsets."""
     precision = np.linalg.inv(covariance)
     towards, likelihood = precision @ z, precision - np.eye(len(z))
-    total, found = 0.0, np.zeros(len(z))
-    for chosen in product([False, True], repeat=len(z)):
-        variances = np.where(chosen, moved._MOVED, moved._STAYED) ** 2.0
+    total, inclusion_weights = 0.0, np.zeros(len(z))
+    for subset in product([False, True], repeat=len(z)):
+        variances = np.where(subset, moved._MOVED, moved._STAYED) ** 2.0
         inner = likelihood + np.diag(1 / variances)
         weight = 0.5 * (towards @ np.linalg.solve(inner, towards) - np.linalg.slogdet(inner)[1])
         weight -= 0.5 * np.log(variances).sum()
-        weight += np.log(np.where(chosen, moved._BEFORE, 1 - moved._BEFORE)).sum()
-        found += np.exp(weight) * np.array(chosen)
+        weight += np.log(np.where(subset, moved._BEFORE, 1 - moved._BEFORE)).sum()
+        inclusion_weights += np.exp(weight) * np.array(subset)
         total += np.exp(weight)
-    return found / total
+    return inclusion_weights / total
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -43,19 +43,19 @@ def test_the_sampler_finds_what_counting_finds(seed) -> None:
     slopes = 1.5 * np.random.default_rng(seed).standard_normal((8, 4))
     slopes[:, 3] = slopes[:, 2] + 0.1 * slopes[:, 3]  # two that are hard to tell apart
     z, covariance = posterior(slopes, np.array([0.1, 2.0, 1.2, 0.0]), seed)
-    found = sampled_moves(z, covariance, np.ones(4, dtype=bool))
-    assert found.probability == pytest.approx(counted(z, covariance), abs=0.06)
+    moves = sampled_moves(z, covariance, np.ones(4, dtype=bool))
+    assert moves.probability == pytest.approx(counted(z, covariance), abs=0.06)
 
 
 def test_the_one_that_moved_is_found_with_its_size_and_what_was_not_seen_says_nothing() -> None:
     slopes = 6.0 * np.random.default_rng(5).standard_normal((40, 6))
     slopes[:, 5] = 0.0
     z, covariance = posterior(slopes, np.array([0.0, 0.1, -3.0, 0.1, 0.0, 0.0]), 1)
-    found = sampled_moves(z, covariance, np.ones(6, dtype=bool))
-    assert found.probability[2] > 0.99
-    assert np.all(np.delete(found.probability, 2) < 0.15)
-    assert found.mean[2] == pytest.approx(-3.0, abs=4 * found.sd[2])
-    assert found.probability[5] == pytest.approx(moved._BEFORE, abs=1e-6)
+    moves = sampled_moves(z, covariance, np.ones(6, dtype=bool))
+    assert moves.probability[2] > 0.99
+    assert np.all(np.delete(moves.probability, 2) < 0.15)
+    assert moves.mean[2] == pytest.approx(-3.0, abs=4 * moves.sd[2])
+    assert moves.probability[5] == pytest.approx(moved._BEFORE, abs=1e-6)
 
 
 def test_a_parameter_that_the_parabola_takes_beyond_its_bound_is_at_it() -> None:
@@ -66,8 +66,8 @@ def test_a_parameter_that_the_parabola_takes_beyond_its_bound_is_at_it() -> None
     theta = np.array([0.3 * p.prior_mean for p in free])
     fit = SimpleNamespace(theta=theta, evidence=SimpleNamespace(covariance=covariance))
     refit = SimpleNamespace(fit=fit, structure=SimpleNamespace(problem=SimpleNamespace(free=free)))
-    found = {m.parameter: m for m in moved.moved_parameters(refit, MODEL, 0.0)}  # type: ignore[arg-type]
-    assert found["B_mr"].change == -MODEL.parameters["B_mr"].value
+    moves = {m.parameter: m for m in moved.moved_parameters(refit, MODEL, 0.0)}  # type: ignore[arg-type]
+    assert moves["B_mr"].change == -MODEL.parameters["B_mr"].value
 
 
 def test_a_change_in_words() -> None:

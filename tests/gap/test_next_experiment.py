@@ -51,9 +51,9 @@ SHARES = np.full(4, 0.01)  # of the equations
 
 
 @pytest.fixture(scope="module")
-def known() -> dict[str, CandidateEffect]:
-    found, _ = applicable_candidates(MODEL, {name: effect(name) for name in EFFECTS})
-    return found
+def candidates() -> dict[str, CandidateEffect]:
+    candidates_by_name, _ = applicable_candidates(MODEL, {name: effect(name) for name in EFFECTS})
+    return candidates_by_name
 
 
 @pytest.fixture(scope="module")
@@ -69,14 +69,16 @@ def recordings(plain: Refit) -> dict:
     return {e.words: r for e, r in predicted_recordings(plain, SHARES, "newtonian")}
 
 
-def advised(plain: Refit, candidates: dict[str, CandidateEffect], **asked) -> NextExperiment:
-    found = advise(refit=plain, candidates=candidates, model_name="newtonian", **asked)
-    assert found is not None
-    return found
+def advised(plain: Refit, candidates: dict[str, CandidateEffect], **options) -> NextExperiment:
+    advice = advise(refit=plain, candidates=candidates, model_name="newtonian", **options)
+    assert advice is not None
+    return advice
 
 
-def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(recordings, known) -> None:
-    pair = [with_rows(known[name], FITTED) for name in EFFECTS[:2]]
+def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(
+    recordings, candidates
+) -> None:
+    pair = [with_rows(candidates[name], FITTED) for name in EFFECTS[:2]]
     fast, slow = (
         between(signatures(recordings[words], pair), *EFFECTS[:2], EFFECTS[:2])
         for words in (FAST, SLOW)
@@ -85,18 +87,24 @@ def test_a_fast_excitation_tells_delay_from_lag_better_than_a_slow_one(recording
     assert fast > 3
 
 
-def test_crossing_zero_tells_a_dead_zone_from_rotor_friction(plain: Refit, known: dict) -> None:
-    advice = advised(plain, known, apart=["tail_dead_zone", "tail_rotor_friction"], shares=SHARES)
+def test_crossing_zero_tells_a_dead_zone_from_rotor_friction(
+    plain: Refit, candidates: dict
+) -> None:
+    advice = advised(
+        plain, candidates, apart=["tail_dead_zone", "tail_rotor_friction"], shares=SHARES
+    )
     assert "tail_dead_zone from tail_rotor_friction by" in advice.why
     assert "no nats in the 24 s recorded" in advice.why
 
 
-def test_a_thrust_in_reverse_becomes_visible(plain: Refit, recordings: dict, known: dict) -> None:
+def test_a_thrust_in_reverse_becomes_visible(
+    plain: Refit, recordings: dict, candidates: dict
+) -> None:
     name = "tail_thrust_curve"
-    curve = known[name]
+    curve = candidates[name]
     reverse = replace(curve, variants=curve.variants[curve.variants[:, 1] != 0])
-    seen = {w: visibility(signatures(r, [reverse]), name) for w, r in recordings.items()}
-    assert seen["random levels with rotors that reverse"] > 12.5
+    visibilities = {w: visibility(signatures(r, [reverse]), name) for w, r in recordings.items()}
+    assert visibilities["random levels with rotors that reverse"] > 12.5
     advice = advised(plain, {name: reverse}, untested=[name], shares=SHARES)
     assert "makes visible" in advice.why
     assert f"{name} " in advice.why and "against no nats in what is recorded" in advice.why
@@ -110,8 +118,8 @@ def test_the_angles_stay_within_their_bounds(recordings: dict) -> None:
         assert (np.nanmax(angles, axis=(0, 1)) < [0.8 * 1.05, 0.8 * 2.8]).all()
 
 
-def test_noise_from_outside_is_told_by_what_does_not_repeat(plain: Refit, known: dict) -> None:
-    advice = advised(plain, known, apart=["tail_dead_zone", "yaw_disturbance"])
+def test_noise_from_outside_is_told_by_what_does_not_repeat(plain: Refit, candidates: dict) -> None:
+    advice = advised(plain, candidates, apart=["tail_dead_zone", "yaw_disturbance"])
     assert "excitation.periods=4" in advice.command
     # Nothing is advised where nothing is known.
     assert advise(refit=plain, candidates={}, model_name="newtonian") is None
@@ -122,10 +130,10 @@ def test_other_models_have_experiments(name: str) -> None:
     text = (config_folder() / "model" / f"{name}.yaml").read_text(encoding="utf-8")
     model = build(yaml.safe_load(text), "model")
     rollout = Rollout(model, 0.02)
-    made = list(experiments(rollout, [model.parameters.values], 0.02, name))
+    designs = list(experiments(rollout, [model.parameters.values], 0.02, name))
     limits = [model.input_limits[signal.name] for signal in model.inputs]
-    assert made
-    for experiment in made:
+    assert designs
+    for experiment in designs:
         assert experiment.commands.shape == (2000, model.n_u)
         assert (np.abs(experiment.commands) <= limits).all()
         assert f"model={name}" in experiment.command
@@ -133,8 +141,8 @@ def test_other_models_have_experiments(name: str) -> None:
 
 def test_a_command_makes_the_commands_that_were_predicted(tmp_path: Path) -> None:
     rollout = Rollout(MODEL, 0.02)
-    made = experiments(rollout, [MODEL.parameters.values], 0.02, "newtonian")
-    for k, experiment in enumerate(made):
+    designs = experiments(rollout, [MODEL.parameters.values], 0.02, "newtonian")
+    for k, experiment in enumerate(designs):
         program, command, *words = shlex.split(experiment.command)
         assert program == "trms"
         if "prbs" not in experiment.command and "reversals" not in experiment.command:

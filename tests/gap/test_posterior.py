@@ -57,13 +57,14 @@ nats = st.floats(-100, 5000)
 
 @settings(max_examples=100, deadline=None)
 @given(st.tuples(nats, nats, nats), st.floats(0, 1e5), st.floats(0, 1e5), nats)
-def test_probabilities_are_probabilities(scores, behind, left, gained):
-    found = probabilities_of(
-        features(gained, behind, scores, (left, left, left)), calibration().weights
+def test_probabilities_are_probabilities(scores, behind, remaining_gap, gained):
+    probabilities = probabilities_of(
+        features(gained, behind, scores, (remaining_gap, remaining_gap, remaining_gap)),
+        calibration().weights,
     )
-    assert sum(found.values()) == pytest.approx(1.0)
-    assert all(0 <= p <= 1 for p in found.values())
-    assert list(found.values()) == sorted(found.values(), reverse=True)
+    assert sum(probabilities.values()) == pytest.approx(1.0)
+    assert all(0 <= p <= 1 for p in probabilities.values())
+    assert list(probabilities.values()) == sorted(probabilities.values(), reverse=True)
 
 
 def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_is_not():
@@ -77,20 +78,20 @@ def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_
     ):
         assert next(iter(probabilities_of(case, calibration().weights))) == (first,)
     # Of two that explain the same the simpler is likelier.
-    found = probabilities_of(
+    probabilities = probabilities_of(
         features(behind=500.0, scores=(480.0, 480.0, 480.0)), calibration().weights
     )
-    assert found["a",] > found["b",] > found["a", "b"]
+    assert probabilities["a",] > probabilities["b",] > probabilities["a", "b"]
     # One that could not be simulated is no candidate.
-    found = probabilities_of(features(scores=(np.nan, 5.0, -np.inf)), calibration().weights)
-    assert ("a",) not in found
+    probabilities = probabilities_of(features(scores=(np.nan, 5.0, -np.inf)), calibration().weights)
+    assert ("a",) not in probabilities
 
 
 def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
     def of_a(harm):
-        made = features(behind=500.0, scores=(100.0, 0.0, 0.0))
-        made = replace(made, harms=np.array([harm, np.nan, np.nan]))
-        return probabilities_of(made, calibration().weights)["a",]
+        case = features(behind=500.0, scores=(100.0, 0.0, 0.0))
+        case = replace(case, harms=np.array([harm, np.nan, np.nan]))
+        return probabilities_of(case, calibration().weights)["a",]
 
     assert of_a(1.2) < 0.5 * of_a(0.0)
     assert of_a(1.2) < of_a(0.6) < of_a(0.0)
@@ -115,9 +116,9 @@ def test_scores_that_come_from_a_few_blocks_count_less(monkeypatch):
     monkeypatch.setattr(belief, "LAPSE", 0.0)
 
     def of_a(deviation):
-        made = features(behind=900.0, scores=(600.0, 0.0, 0.0))
-        made = replace(made, deviations=np.array([deviation, 1.0, 1.0]))
-        return probabilities_of(made, calibration().weights)["a",]
+        case = features(behind=900.0, scores=(600.0, 0.0, 0.0))
+        case = replace(case, deviations=np.array([deviation, 1.0, 1.0]))
+        return probabilities_of(case, calibration().weights)["a",]
 
     # 600 ± 40 nats are what a likelihood scatters by, 600 ± 300 nats are one block's
     assert of_a(0.0) == of_a(40.0) > 0.999
@@ -133,16 +134,17 @@ def test_a_further_effect_is_judged_by_the_scatter_of_what_it_adds(monkeypatch):
 
     def odds(added, by_block=True):
         blocks = np.stack([first, first / 10, first + added])
-        made = features(behind=900.0, scores=tuple(blocks.sum(axis=1)))
-        made = replace(
-            made,
+        case = features(behind=900.0, scores=tuple(blocks.sum(axis=1)))
+        case = replace(
+            case,
             deviations=np.array([belief.standard_error(b) for b in blocks]),
             by_block=blocks if by_block else np.zeros((0, 0)),
             flexible=500.0,
         )
-        found = probabilities_of(made, calibration().weights)
-        assert found["none_of_these",] < 0.05  # what reaches less of the gap gains no lead by it
-        return found["a", "b"] / found["a",]
+        probabilities = probabilities_of(case, calibration().weights)
+        # what reaches less of the gap gains no lead by it
+        assert probabilities["none_of_these",] < 0.05
+        return probabilities["a", "b"] / probabilities["a",]
 
     assert odds(steady) > 5 > 1 > odds(single)
     assert odds(steady) > 20 * odds(steady, by_block=False)
@@ -152,14 +154,14 @@ def test_a_further_effect_is_judged_by_the_scatter_of_what_it_adds(monkeypatch):
 def test_scores_keep_their_order_when_a_further_effect_counts_more():
     """A single effect and a force without a name that explain more than two lead them still."""
     blocks = np.array([[10.0, 200.0, 10.0], [20.0, 300.0, 20.0], [50.0, 240.0, 40.0]])
-    made = features(behind=900.0, scores=tuple(blocks.sum(axis=1)))
-    made = replace(
-        made,
+    case = features(behind=900.0, scores=tuple(blocks.sum(axis=1)))
+    case = replace(
+        case,
         deviations=np.array([belief.standard_error(b) for b in blocks]),
         by_block=blocks,
         flexible=400.0,
     )
-    rows = alternatives(made)
+    rows = alternatives(case)
     scores = {name: row["score"] for name, row in rows.items() if "score" in row}
     assert scores["a",] < scores["a", "b"] < scores["b",] < scores["none_of_these",]
     assert scores["none_of_these",] < 400.0
@@ -172,18 +174,22 @@ def test_stribeck_friction_without_an_excess_is_coulomb_friction():
 
     def entry(excess, *names):
         """A stand-in for a fit."""
-        chosen = tuple(candidates[n] for n in names)
+        effects = tuple(candidates[n] for n in names)
         values = {"yaw_stribeck_friction.excess": excess}
         return SimpleNamespace(
-            names=names, structure=SimpleNamespace(effects=chosen), values=values
+            names=names, structure=SimpleNamespace(effects=effects), values=values
         )
 
     coulomb = entry(0.0, "yaw_coulomb_friction")
     stribeck, small = (entry(e, "yaw_stribeck_friction") for e in (0.5, 0.05))
-    told = {("yaw_stribeck_friction",): 0.6, ("yaw_coulomb_friction",): 0.3, ("no_gap",): 0.1}
+    probabilities = {
+        ("yaw_stribeck_friction",): 0.6,
+        ("yaw_coulomb_friction",): 0.3,
+        ("no_gap",): 0.1,
+    }
     assert special_cases([stribeck, coulomb], candidates) == {}
-    found = merged(told, special_cases([small, coulomb], candidates))
-    assert found == {("yaw_coulomb_friction",): pytest.approx(0.9), ("no_gap",): 0.1}
+    merged_probabilities = merged(probabilities, special_cases([small, coulomb], candidates))
+    assert merged_probabilities == {("yaw_coulomb_friction",): pytest.approx(0.9), ("no_gap",): 0.1}
     # beside a torque from outside as alone; and where it was not fitted it keeps its name
     beside = {("yaw_disturbance", "yaw_stribeck_friction"): 1.0}
     special = special_cases([small, coulomb], candidates)
@@ -196,9 +202,9 @@ def test_a_model_whose_free_runs_diverge_is_no_better_than_the_worst():
     bad = replace(features(), raw_error=50.0, refit_error=50.0)
     gone = replace(features(), raw_error=np.inf, refit_error=np.inf)
     assert probabilities_of(gone, weights) == probabilities_of(bad, weights)
-    told = json_data(replace(gone, errors=np.array([np.inf, 2.0, 1.0])))
-    assert features_of(told).errors.tolist() == [np.inf, 2.0, 1.0]
-    assert features_of(told).raw_error == np.inf
+    document = json_data(replace(gone, errors=np.array([np.inf, 2.0, 1.0])))
+    assert features_of(document).errors.tolist() == [np.inf, 2.0, 1.0]
+    assert features_of(document).raw_error == np.inf
 
 
 def test_nothing_changed_is_held_against_what_recordings_of_one_state_gain():
@@ -246,9 +252,9 @@ def test_the_fit_of_the_constants_finds_honest_ones():
         right = names[random.choice(len(names), p=list(believed.values()))]
         cases.append((drawn, frozenset({right})))
     wrong = {**truth, "score": 0.3, "effect.further": -0.8, "none.constant": -8.0}
-    found = fit_weights(wrong, cases)
-    assert loss(found, cases) < loss(wrong, cases) - 0.3
-    assert loss(found, cases) < loss(truth, cases) + 0.1
+    fitted_weights = fit_weights(wrong, cases)
+    assert loss(fitted_weights, cases) < loss(wrong, cases) - 0.3
+    assert loss(fitted_weights, cases) < loss(truth, cases) + 0.1
 
 
 def test_what_is_right_for_each_kind_of_case():
@@ -264,9 +270,9 @@ def test_what_is_right_for_each_kind_of_case():
 
 
 def test_features_survive_the_file():
-    made = features(3.0, 4.0, (1.0, np.nan, 2.0), (0.0, 1.0, 2.0))
-    again = features_of(json_data(made))
-    np.testing.assert_array_equal(again.scores, made.scores)
+    case = features(3.0, 4.0, (1.0, np.nan, 2.0), (0.0, 1.0, 2.0))
+    again = features_of(json_data(case))
+    np.testing.assert_array_equal(again.scores, case.scores)
     assert again.names == NAMES
 
 
@@ -303,9 +309,9 @@ def test_the_least_gain_of_a_long_recording_is_no_gap():
     short = replace(null, samples=1e3)
     bettered = replace(null, raw_error=8.0)
     for case in (short, bettered):
-        found = probabilities_of(case, weights)
-        assert found["no_gap",] < probabilities_of(null, weights)["no_gap",]
-        assert found["parameters_only",] > found["no_gap",]
+        probabilities = probabilities_of(case, weights)
+        assert probabilities["no_gap",] < probabilities_of(null, weights)["no_gap",]
+        assert probabilities["parameters_only",] > probabilities["no_gap",]
 
 
 def test_a_torque_that_hardly_changes_is_doubted():
@@ -326,8 +332,8 @@ def test_a_torque_that_hardly_changes_is_doubted():
 def test_a_force_without_a_name_that_explains_hardly_any_of_the_gap_speaks_for_a_torque_as_well():
     def odds(flexible):
         case = replace(pulled(), flexible=flexible)
-        found = probabilities_of(case, calibration().weights)
-        return np.log(found["yaw_disturbance",] / found["none_of_these",])
+        probabilities = probabilities_of(case, calibration().weights)
+        return np.log(probabilities["yaw_disturbance",] / probabilities["none_of_these",])
 
     # sixty nats are nothing of nine thousand that a torque explains, six hundred are much
     assert odds(60.0) == pytest.approx(odds(5.0), abs=1.0)
@@ -369,19 +375,19 @@ def test_a_torque_that_an_error_of_the_sensor_explains_as_well_is_doubted():
 
 
 def test_a_cause_beside_a_torque_from_outside_is_applied_alone():
-    told = diagnosis()
+    result = diagnosis()
     sizes = {"yaw_coulomb_friction.torque": SizeEstimate(value=0.004, sd=1e-4, unit="N*m")}
     effects = ("pitch_disturbance", "yaw_coulomb_friction")
     joint = Cause(effects=effects, probability=0.9, parameters=sizes)
-    applied = applied_cause(replace(told, verdict="effect", causes=(joint,)))
+    applied = applied_cause(replace(result, verdict="effect", causes=(joint,)))
     assert applied is not None and applied.effects == ("yaw_coulomb_friction",)
     alone = replace(joint, effects=("pitch_disturbance",), parameters={})
-    assert applied_cause(replace(told, verdict="effect", causes=(alone,))) is None
+    assert applied_cause(replace(result, verdict="effect", causes=(alone,))) is None
 
 
 def test_a_corrected_model_says_which_part_it_was_fitted_to():
     """A beginning that raced was fitted to all, one that a comparison found to what was before."""
-    told = diagnosis()
+    result = diagnosis()
     sizes = {"yaw_coulomb_friction.torque": SizeEstimate(value=0.004, sd=1e-4, unit="N*m")}
     begun = Cause(
         effects=("yaw_coulomb_friction",),
@@ -389,7 +395,7 @@ def test_a_corrected_model_says_which_part_it_was_fitted_to():
         parameters=sizes,
         onset=Onset(time_s=20.0, ci95=(19.0, 21.0)),
     )
-    raced = replace(told, verdict="effect", causes=(begun,), against=())
+    raced = replace(result, verdict="effect", causes=(begun,), against=())
     assert "fitted to the recordings with" in corrected_words(raced)
     nothing = replace(raced.race[0], effects=("no_change",))
     compared = replace(raced, race=(*raced.race, nothing))

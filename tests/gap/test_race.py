@@ -39,12 +39,12 @@ def raced(
     names: Sequence[str] = NAMES,
     effort: Effort = EFFORTS["quick"],
 ) -> Race:
-    found, left_out = applicable_candidates(MODEL, {name: effect(name) for name in names})
-    assert not left_out
+    candidates, exclusions = applicable_candidates(MODEL, {name: effect(name) for name in names})
+    assert not exclusions
     parts = divide((dataset,), 10.0, 0.25, MODEL.stops)
     nominal = refit(MODEL, nominal_parameters(MODEL), parts.fitted, parts.block)
-    seen = effect_traces(nominal, list(found.values()))
-    return run_race(nominal, found, seen, effort, checkpoint=checkpoint)
+    traces = effect_traces(nominal, list(candidates.values()))
+    return run_race(nominal, candidates, traces, effort, checkpoint=checkpoint)
 
 
 def judged(fitted: FittedModel) -> tuple[GapTest, ...]:
@@ -106,11 +106,11 @@ def test_a_rig_without_a_gap_gives_no_candidate_a_lead():
 
 
 def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
-    kept: dict = {}
+    checkpoint_state: dict = {}
     dataset = rubbing()
-    raced(dataset, Checkpoint(None, kept.update))
-    assert any(key.startswith("final") for key in kept)
-    again = raced(dataset, Checkpoint(kept))
+    raced(dataset, Checkpoint(None, checkpoint_state.update))
+    assert any(key.startswith("final") for key in checkpoint_state)
+    again = raced(dataset, Checkpoint(checkpoint_state))
     assert [e.names for e in again.entries] == [e.names for e in friction.entries]
     for one, other in zip(again.entries, friction.entries, strict=True):
         np.testing.assert_allclose(one.fit.theta, other.fit.theta, rtol=1e-6, atol=1e-9)
@@ -126,9 +126,9 @@ def test_others_are_tried_in_the_stead_of_a_second_effect():
     race = raced(
         recording(rig, seconds=50.0), names=names, effort=replace(EFFORTS["normal"], pairs=1)
     )
-    tried = {e.names for e in race.entries}
+    competitors = {e.names for e in race.entries}
     friction = "yaw_coulomb_friction"
-    assert {tuple(sorted((friction, name))) for name in names[1:]} <= tried
+    assert {tuple(sorted((friction, name))) for name in names[1:]} <= competitors
 
 
 def test_a_partner_is_looked_for_beside_what_a_fit_takes_for_discrepancy(friction):
@@ -189,7 +189,7 @@ def test_several_recordings_are_sealed_whole():
 
 def test_a_cause_with_a_state_of_its_own_is_told_whole():
     cable = effect("yaw_cable_hysteresis", torque=0.008)
-    found = diagnose(
+    diagnosis = diagnose(
         GapProblem(
             model=MODEL,
             model_name="newtonian",
@@ -202,23 +202,25 @@ def test_a_cause_with_a_state_of_its_own_is_told_whole():
             jobs=1,
         )
     )
-    assert found.causes[0].effects == ("yaw_cable_hysteresis",)
-    assert found.verdict == "effect"
-    assert found.traces is not None and "yaw_moment" in found.traces.explained
-    assert found.where[0].location == "yaw_moment"
-    assert found.inclusion["yaw_cable_hysteresis"] == pytest.approx(found.causes[0].probability)
-    assert [row.effect for row in found.rejected] == ["pitch_quadratic_damping"]
-    assert "yaw_cable_hysteresis" not in {row.effect for row in found.not_testable}
+    assert diagnosis.causes[0].effects == ("yaw_cable_hysteresis",)
+    assert diagnosis.verdict == "effect"
+    assert diagnosis.traces is not None and "yaw_moment" in diagnosis.traces.explained
+    assert diagnosis.where[0].location == "yaw_moment"
+    assert diagnosis.inclusion["yaw_cable_hysteresis"] == pytest.approx(
+        diagnosis.causes[0].probability
+    )
+    assert [row.effect for row in diagnosis.rejected] == ["pitch_quadratic_damping"]
+    assert "yaw_cable_hysteresis" not in {row.effect for row in diagnosis.not_testable}
 
 
 @pytest.mark.slow
 def test_friction_that_begins_is_found_with_its_moment_and_size():
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.002)}
-    seen = begins(rubbing, 27.0, values={"k_fvp": 1.66e-5}, seconds=70.0, seed=9)
-    kept: dict[str, object] = {}
-    checkpoint = Checkpoint(keep=lambda everything: kept.update(everything))
-    found = raced(with_noise(seen), checkpoint, effort=Effort(4, 3, 2, 2))
-    best = max(found.entries, key=lambda entry: entry.fit.score)
+    dataset = begins(rubbing, 27.0, values={"k_fvp": 1.66e-5}, seconds=70.0, seed=9)
+    checkpoint_state: dict[str, object] = {}
+    checkpoint = Checkpoint(keep=lambda everything: checkpoint_state.update(everything))
+    first_race = raced(with_noise(dataset), checkpoint, effort=Effort(4, 3, 2, 2))
+    best = max(first_race.entries, key=lambda entry: entry.fit.score)
     assert best.names == ("yaw_coulomb_friction",)
     assert begins_at(best) in (2, 3)  # of blocks of ten seconds
     assert best.values["yaw_coulomb_friction.torque"] == pytest.approx(0.002, rel=0.1)
@@ -227,30 +229,30 @@ def test_friction_that_begins_is_found_with_its_moment_and_size():
     assert onset.time_s == pytest.approx(27.0, abs=0.5)
     assert onset.ci95[0] <= onset.time_s <= onset.ci95[1]
     # a race that goes on after its fits were kept ends alike
-    again = raced(with_noise(seen), Checkpoint(kept), effort=Effort(4, 3, 2, 2))
-    scores = [[e.fit.score for e in race.entries] for race in (found, again)]
+    again = raced(with_noise(dataset), Checkpoint(checkpoint_state), effort=Effort(4, 3, 2, 2))
+    scores = [[e.fit.score for e in race.entries] for race in (first_race, again)]
     assert scores[1] == pytest.approx(scores[0], abs=1e-3)
 
 
 def test_an_encoder_that_slips_is_found_at_its_moment():
     """It shows in one sample; the moment missing there makes yaw look as if it were pushed."""
     slipped = {"yaw_sensor_bias": effect("yaw_sensor_bias", bias=-0.025)}
-    seen = begins(slipped, 23.4, values={"k_fvp": 1.66e-5}, seconds=50.0, seed=4)
+    dataset = begins(slipped, 23.4, values={"k_fvp": 1.66e-5}, seconds=50.0, seed=4)
     names = ("yaw_sensor_bias", "pitch_sensor_bias", "yaw_coulomb_friction")
-    found = raced(with_noise(seen), names=names, effort=Effort(2, 2, 0, 2))
-    best = max(found.entries, key=lambda entry: entry.fit.score)
+    race = raced(with_noise(dataset), names=names, effort=Effort(2, 2, 0, 2))
+    best = max(race.entries, key=lambda entry: entry.fit.score)
     assert best.names == ("yaw_sensor_bias",)
     assert best.values["yaw_sensor_bias.bias"] == pytest.approx(-0.025, rel=0.05)
     onset = onset_of(best)
     assert onset is not None
     assert onset.time_s == pytest.approx(23.4, abs=0.1)
-    assert best.fit.score > found.refit.fit.score + 500
+    assert best.fit.score > race.refit.fit.score + 500
 
 
 def test_friction_throughout_has_no_beginning(friction):
     assert all(begins_at(entry) is None for entry in friction.entries)
-    found = raced(rubbing(), effort=Effort(4, 3, 2, 2))
-    best = max(found.entries, key=lambda entry: entry.fit.score)
+    race = raced(rubbing(), effort=Effort(4, 3, 2, 2))
+    best = max(race.entries, key=lambda entry: entry.fit.score)
     assert best.names == ("yaw_coulomb_friction",)
     assert begins_at(best) is None and onset_of(best) is None
 
@@ -261,12 +263,13 @@ def test_windows_before_a_beginning_are_those_without_the_effect(friction):
     gated = beginning_at(entry.structure, 2).windows
     assert isinstance(gated, GatedWindows)
     p, starts = gated.problem.all_values(entry.fit.theta), entry.fit.starts
-    made = gated.residuals(p, starts, slopes=True)
+    gated_residuals = gated.residuals(p, starts, slopes=True)
     whole, without = (entry.structure.windows.residuals(v, starts) for v in (p, gated.without(p)))
-    assert np.array_equal(made.r[:2], without.r[:2]) and np.array_equal(made.r[2:], whole.r[2:])
+    assert np.array_equal(gated_residuals.r[:2], without.r[:2])
+    assert np.array_equal(gated_residuals.r[2:], whole.r[2:])
     size = gated.n_x + gated.problem.names.index("yaw_coulomb_friction.torque")
-    assert made.j is not None
-    assert not made.j[:2, ..., size].any() and made.j[2:, ..., size].any()
+    assert gated_residuals.j is not None
+    assert not gated_residuals.j[:2, ..., size].any() and gated_residuals.j[2:, ..., size].any()
     # all of a window with the effect, and none of it
     r, slopes = gated.joined(2, p, starts, [0, 130, int(gated.count[2])])
     assert r[0] == pytest.approx(whole.r[2], abs=1e-12)
@@ -302,9 +305,9 @@ def test_axes_that_are_held_are_told_in_one_sentence():
 def test_weak_friction_is_found_with_precise_sensors():
     """A search that trusts five microradians goes astray where friction is a tenth of the usual."""
     rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.0004)}
-    seen = begins(rig, 0.0, values={"k_fvp": 1.66e-5}, seconds=50.0, seed=5, precise=True)
-    found = raced(with_noise(seen))
-    best = max(found.entries, key=lambda entry: entry.fit.score)
+    dataset = begins(rig, 0.0, values={"k_fvp": 1.66e-5}, seconds=50.0, seed=5, precise=True)
+    race = raced(with_noise(dataset))
+    best = max(race.entries, key=lambda entry: entry.fit.score)
     assert best.names == ("yaw_coulomb_friction",)
     assert best.values["yaw_coulomb_friction.torque"] == pytest.approx(0.0004, rel=0.05)
-    assert best.fit.score > found.refit.fit.score + 50
+    assert best.fit.score > race.refit.fit.score + 50

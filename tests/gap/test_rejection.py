@@ -13,9 +13,13 @@ from trms_cli.gap.signatures import Signatures
 
 def traces(rows: dict[str, tuple[float, float, float]]) -> Signatures:
     """One row an effect: its size, what is left of its trace, and where that points."""
-    size, left, towards = (np.array(column) for column in zip(*rows.values(), strict=True))
+    size, projected_energy, towards = (
+        np.array(column) for column in zip(*rows.values(), strict=True)
+    )
     sizes = tuple(np.array([value]) for value in size)
-    return Signatures(tuple(rows), sizes, left, left, towards, np.eye(len(rows)))
+    return Signatures(
+        tuple(rows), sizes, projected_energy, projected_energy, towards, np.eye(len(rows))
+    )
 
 
 def candidate(name: str, lower: float = 0.0, upper: float = 1.0, simulated: bool = True) -> Any:
@@ -44,8 +48,8 @@ def entry(names: tuple[str, ...], score: float) -> Any:
     ],
 )
 def test_the_upper_bound_is_a_quantile(row, lower, bound) -> None:
-    found = upper_bound(traces({"x": row}), candidate("x", lower))
-    assert found is None if bound == 1.0 else found == pytest.approx(bound, rel=0.02)
+    estimate = upper_bound(traces({"x": row}), candidate("x", lower))
+    assert estimate is None if bound == 1.0 else estimate == pytest.approx(bound, rel=0.02)
 
 
 def test_each_suspect_has_its_reason_and_the_nearest_comes_first() -> None:
@@ -66,17 +70,17 @@ def test_each_suspect_has_its_reason_and_the_nearest_comes_first() -> None:
     candidates = {n: candidate(n, simulated=n != "draught") for n in names}
     unseen = [NotTestable(effect="hidden", reason="was not excited"),
               NotTestable(effect="known", reason="the nominal model has it already")]  # fmt: skip
-    found = rejected_effects(race, posterior, candidates, signs, unseen)
-    said = {row.effect: row.reason for row in found}
-    assert list(said)[:2] == ["stribeck", "damping"] and "friction" not in said
-    assert said["stribeck"].startswith("not told apart from friction: explains as much")
-    assert said["damping"] == "explains 200 nats less than friction, and adds nothing beside it"
-    assert said["lag"].startswith("its trace explains at most 12 nats of what friction leaves")
-    assert said["wrong"] == "its trace points the other way than what friction leaves"
-    assert said["hidden"] == "was not excited"
-    assert said["known"] == "the nominal model has it already"
-    assert "comes and goes" in said["draught"]
-    by = {row.effect: row for row in found}
+    rejections = rejected_effects(race, posterior, candidates, signs, unseen)
+    reasons = {row.effect: row.reason for row in rejections}
+    assert list(reasons)[:2] == ["stribeck", "damping"] and "friction" not in reasons
+    assert reasons["stribeck"].startswith("not told apart from friction: explains as much")
+    assert reasons["damping"] == "explains 200 nats less than friction, and adds nothing beside it"
+    assert reasons["lag"].startswith("its trace explains at most 12 nats of what friction leaves")
+    assert reasons["wrong"] == "its trace points the other way than what friction leaves"
+    assert reasons["hidden"] == "was not excited"
+    assert reasons["known"] == "the nominal model has it already"
+    assert "comes and goes" in reasons["draught"]
+    by = {row.effect: row for row in rejections}
     assert by["stribeck"].score == 499.0 and by["stribeck"].size is not None
     # What is not told apart from the answer is bounded alone, what is rejected beside the answer.
     assert by["stribeck"].upper_bound == pytest.approx(0.004 + 1.645 * 0.001)
@@ -94,18 +98,18 @@ def test_beside_what_was_not_fitted_nothing_is_judged() -> None:
         probabilities={("draught",): 0.6, ("none_of_these",): 0.4},
         confusable=(), verdict="effect", features=features,
     )  # fmt: skip
-    found = rejected_effects(
+    rejections = rejected_effects(
         race, posterior, {n: candidate(n) for n in ("damping", "lag")}, signs, ()
     )
     # the fit's own bound: there is nothing beside which it could be smaller
-    assert found[0].upper_bound == pytest.approx(0.004 + 1.645 * 0.001)
-    assert [row.reason for row in found] == [
+    assert rejections[0].upper_bound == pytest.approx(0.004 + 1.645 * 0.001)
+    assert [row.reason for row in rejections] == [
         "explains 300 nats more than other parameters alone and leaves 80 % of the gap",
         "its trace explains at most 12 nats of what the refitted model leaves",
     ]
 
 
 def test_an_effect_is_part_of_all_answers_that_hold_it() -> None:
-    found = inclusion({("a", "b"): 0.5, ("none_of_these",): 0.2, ("b",): 0.2, ("c",): 0.1})
-    assert found == {"b": pytest.approx(0.7), "a": 0.5, "c": 0.1}
-    assert list(found) == ["b", "a", "c"]
+    probabilities = inclusion({("a", "b"): 0.5, ("none_of_these",): 0.2, ("b",): 0.2, ("c",): 0.1})
+    assert probabilities == {"b": pytest.approx(0.7), "a": 0.5, "c": 0.1}
+    assert list(probabilities) == ["b", "a", "c"]

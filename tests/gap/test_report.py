@@ -50,21 +50,21 @@ def drawn(figure) -> list[str]:
     return [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def section(told: Findings, heading: str):
-    return next(section for section in told.sections if section.heading == heading)
+def section(report: Findings, heading: str):
+    return next(section for section in report.sections if section.heading == heading)
 
 
-def rows(told: Findings, head: str) -> list[list]:
+def rows(report: Findings, head: str) -> list[list]:
     """Of the first table with a column of that head, without judgements."""
-    table = next(t for t in told.tables if head in t.columns)
+    table = next(t for t in report.tables if head in t.columns)
     return [[plain(cell) for cell in row] for row in table.rows]
 
 
 def test_says_what_was_found_in_one_file(tmp_path) -> None:
     case = diagnosis()
-    told = findings(case, ["12 samples of alpha_h are missing"], tmp_path)
-    text = page_html(told, interactive=False)
-    said = words_of(text)
+    report = findings(case, ["12 samples of alpha_h are missing"], tmp_path)
+    text = page_html(report, interactive=False)
+    page_text = words_of(text)
     for expected in (
         case.sentence,
         "88 %",
@@ -79,20 +79,20 @@ def test_says_what_was_found_in_one_file(tmp_path) -> None:
         "+4.9 sd",
         f"validate model={tmp_path}/corrected_model.yaml",
     ):
-        assert expected in said, expected
-    assert told.title == "Diagnosis: yaw Coulomb friction is what the model lacks"
+        assert expected in page_text, expected
+    assert report.title == "Diagnosis: yaw Coulomb friction is what the model lacks"
     assert not re.search(r"https?:", re.sub(r"data:[^\"]+", "", text))
     assert text.count("<img ") == 5 and "█" not in text
-    assert told.lead[1].startswith(
+    assert report.lead[1].startswith(
         "**Sure**: yaw Coulomb friction, 88 %; 96 % together with yaw Stribeck"
     )
-    assert "next is none of these with 3 %" in told.lead[1]
+    assert "next is none of these with 3 %" in report.lead[1]
     # Only the advice says what an experiment tells.
-    assert not any("experiment" in sentence for sentence in told.lead)
-    (text,) = section(told, "Is there a gap at all?").text
+    assert not any("experiment" in sentence for sentence in report.lead)
+    (text,) = section(report, "Is there a gap at all?").text
     assert "1 of 3 tests" in text and "in yaw" in text
-    assert "reach" not in section(told, "Where the gap lies").text[0]
-    assert rows(told, "of its energy")[0][-1] == "22 % where |rate of yaw| < 0.05 rad/s"
+    assert "reach" not in section(report, "Where the gap lies").text[0]
+    assert rows(report, "of its energy")[0][-1] == "22 % where |rate of yaw| < 0.05 rad/s"
 
 
 def test_the_answer_and_what_to_type_come_before_what_limits_and_proves_it() -> None:
@@ -100,7 +100,7 @@ def test_the_answer_and_what_to_type_come_before_what_limits_and_proves_it() -> 
     case = diagnosis(excitation=("The rig was held at one point.",), **PLAIN)
     case = replace(case, causes=(replace(case.causes[0], onset=onset), *case.causes[1:]))
     assert case.worth is not None
-    said = words_of(page_html(findings(case, folder=Path("found")), interactive=False))
+    page_text = words_of(page_html(findings(case, folder=Path("found")), interactive=False))
     order = [
         "The rig was held at one point.", case.sentence, "yaw Coulomb friction, 88 %",
         "31.2 s into the recording (30.9 to 31.8 s)", case.worth.words, case.worth.command,
@@ -109,38 +109,38 @@ def test_the_answer_and_what_to_type_come_before_what_limits_and_proves_it() -> 
         "u_h never crosses zero",
     ]  # fmt: skip
     # the links to the sections say nothing yet
-    places = [said.find(text) for text in order]
+    places = [page_text.find(text) for text in order]
     assert -1 not in places and places == sorted(places)
-    shown = {m.label: m.value for m in findings(case).measures}
-    assert shown["since"] == "31.2" and shown["in the loop"] == "79 % less"
+    measures = {m.label: m.value for m in findings(case).measures}
+    assert measures["since"] == "31.2" and measures["in the loop"] == "79 % less"
 
 
 class TestSuspects:
     def test_those_that_were_fitted_come_first_and_others_are_folded_away(self) -> None:
-        told = findings(diagnosis(**PLAIN))
-        near, rest = section(told, "Why not the others"), section(told, "Why not the rest")
+        report = findings(diagnosis(**PLAIN))
+        near, rest = section(report, "Why not the others"), section(report, "Why not the rest")
         assert rest.folded and not near.folded
-        shown = [[plain(cell) for cell in row] for row in near.blocks[0].rows]
-        assert shown[0] == [
+        suspect_rows = [[plain(cell) for cell in row] for row in near.blocks[0].rows]
+        assert suspect_rows[0] == [
             "yaw Stribeck friction",
             "not told apart from yaw Coulomb friction: explains 30 nats less",
             5090, "3.8 ± 0.18 mN m", "4.1 mN m",
         ]  # fmt: skip
-        assert shown[1][2:] == [-40, "", "2.1 ms"]
+        assert suspect_rows[1][2:] == [-40, "", "2.1 ms"]
         assert [plain(c) for c in rest.blocks[0].rows[0]] == [
             "ground effect", "the beam never came near the table", "–"
         ]  # fmt: skip
 
     def test_without_any_there_is_no_section(self) -> None:
-        told = findings(diagnosis(rejected=(), moved=(), **PLAIN))
-        heads = {section.heading for section in told.sections}
+        report = findings(diagnosis(rejected=(), moved=(), **PLAIN))
+        heads = {section.heading for section in report.sections}
         assert not heads & {"Why not the others", "Why not the rest", "Which of the parameters"}
 
 
 def test_parameters_that_moved_are_told_with_their_probability() -> None:
-    told = findings(diagnosis(verdict="parameters_only", **PLAIN))
-    assert any("from 20.9 to 10.3 mrad (noise alone: 1.1)" in text for text in told.lead)
-    assert rows(told, "that it moved") == [
+    report = findings(diagnosis(verdict="parameters_only", **PLAIN))
+    assert any("from 20.9 to 10.3 mrad (noise alone: 1.1)" in text for text in report.lead)
+    assert rows(report, "that it moved") == [
         ["viscous friction of yaw +59 % (0.0095 → 0.0151 N m s)", "97 %", "k_oh"]
     ]
 
@@ -148,8 +148,8 @@ def test_parameters_that_moved_are_told_with_their_probability() -> None:
 def test_an_effect_that_several_answers_hold_has_a_probability_of_its_own() -> None:
     pair = ("yaw_coulomb_friction", "main_input_delay")
     causes = (Cause(effects=pair, probability=0.7), *diagnosis().causes[1:])
-    told = findings(diagnosis(causes=causes, inclusion={pair[0]: 0.78, pair[1]: 0.7}, **PLAIN))
-    assert rows(told, "part of the answer") == [
+    report = findings(diagnosis(causes=causes, inclusion={pair[0]: 0.78, pair[1]: 0.7}, **PLAIN))
+    assert rows(report, "part of the answer") == [
         ["yaw Coulomb friction", "78 %"], ["main input delay", "70 %"]
     ]  # fmt: skip
     assert not any("part of the answer" in t.columns for t in findings(diagnosis(**PLAIN)).tables)
@@ -166,8 +166,8 @@ def test_an_effect_that_several_answers_hold_has_a_probability_of_its_own() -> N
 )
 def test_what_the_tests_say_goes_with_the_verdict(verdict, rejected, words) -> None:
     tests = [replace(test, rejected=test.rejected and rejected) for test in diagnosis().tests]
-    told = findings(diagnosis(verdict=verdict, tests=tuple(tests), **PLAIN))
-    part = section(told, "Is there a gap at all?")
+    report = findings(diagnosis(verdict=verdict, tests=tuple(tests), **PLAIN))
+    part = section(report, "Is there a gap at all?")
     assert words in part.text[0]
     assert ("weak gap" in part.text[0]) == (words == "a weak gap")
     assert "25 % stronger than usual, and correlations of 0.05," in part.blocks[0].caption
@@ -178,10 +178,10 @@ def test_the_gap_is_told_in_numbers_of_the_document() -> None:
     row = case.gap["alpha_h"]["10.0"]
     whole = section(findings(case), "Before and after").blocks[-1]
     assert isinstance(whole, Table)
-    shown = next([plain(c) for c in r] for r in whole.rows if r[:2] == ["yaw [mrad]", "10"])
+    cells = next([plain(c) for c in r] for r in whole.rows if r[:2] == ["yaw [mrad]", "10"])
     figures = (row.raw, row.refit, row.corrected, row.floor)
-    assert shown[2:6] == pytest.approx([1e3 * value for value in figures])
-    assert shown[6:] == ["91 %", "87 to 94 %"]
+    assert cells[2:6] == pytest.approx([1e3 * value for value in figures])
+    assert cells[6:] == ["91 %", "87 to 94 %"]
 
 
 @pytest.mark.parametrize(
@@ -198,12 +198,12 @@ def test_the_gap_is_told_in_numbers_of_the_document() -> None:
 )  # fmt: skip
 def test_every_verdict_has_a_page(changes: dict) -> None:
     case = diagnosis(**changes)
-    told = findings(case)
-    said = words_of(page_html(told, interactive=False))
-    assert case.sentence in said
+    report = findings(case)
+    page_text = words_of(page_html(report, interactive=False))
+    assert case.sentence in page_text
     for line in case.description:
-        assert (line in said) == (case.verdict in ("none_of_these", "undecided"))
-    assert bool(told.next) == (case.next_experiment is not None)
+        assert (line in page_text) == (case.verdict in ("none_of_these", "undecided"))
+    assert bool(report.next) == (case.next_experiment is not None)
 
 
 def test_what_could_not_be_told_is_a_dash() -> None:
@@ -220,9 +220,9 @@ def test_nothing_corrected_is_not_called_closed() -> None:
     row = diagnosis().gap["alpha_h"]["2.0"]
     same = {"alpha_h": {"2.0": replace(row, corrected=row.refit)}}
     case = diagnosis(gap=same, verdict="none_of_these", **PLAIN)
-    told = findings(case)
-    assert "No cause was added" in section(told, "Before and after").text[0]
-    assert not any("closed" in table.columns for table in told.tables)
+    report = findings(case)
+    assert "No cause was added" in section(report, "Before and after").text[0]
+    assert not any("closed" in table.columns for table in report.tables)
     chart = gap_chart(case)
     labels = [mark.label for mark in chart.panels[0].marks if getattr(mark, "label", "")]
     assert labels == ["as it was", "refitted", "floor"]
@@ -231,9 +231,9 @@ def test_nothing_corrected_is_not_called_closed() -> None:
 def test_a_channel_that_got_worse_is_not_hidden() -> None:
     row = diagnosis().gap["omega_v"]["2.0"]
     worse = {"omega_v": {"2.0": replace(row, corrected=1.2 * row.refit)}}
-    told = findings(diagnosis(gap=worse, worse=("omega_v",), **PLAIN))
-    assert "made main rotor worse" in told.warnings[0]
-    cells = [cell for table in told.tables for row in table.rows for cell in row]
+    report = findings(diagnosis(gap=worse, worse=("omega_v",), **PLAIN))
+    assert "made main rotor worse" in report.warnings[0]
+    cells = [cell for table in report.tables for row in table.rows for cell in row]
     assert any(isinstance(c, Datum) and c.judgement == "bad" and c.value > 2 for c in cells
                if isinstance(getattr(c, "value", None), float))  # fmt: skip
 
@@ -242,10 +242,10 @@ class TestNothingContradicts:
     def test_a_share_is_never_more_than_all(self) -> None:
         beyond = LocationShare(location="yaw_moment", share=4.56, ci95=(1.82, 4.56))
         shrink = {"all": {"2.0": Shrink(fraction=1.3, ci95=(-9.0, 1.4))}}
-        told = findings(diagnosis(where=(beyond,), region=(), shrink=shrink, **PLAIN))
-        said = words_of(page_html(told, interactive=False))
-        assert not re.search(r"[1-9]\d\d %|[−-]\d+ %", said.replace("100 %", ""))
-        assert rows(told, "share of the gap")[0][1] == "100 %"
+        report = findings(diagnosis(where=(beyond,), region=(), shrink=shrink, **PLAIN))
+        page_text = words_of(page_html(report, interactive=False))
+        assert not re.search(r"[1-9]\d\d %|[−-]\d+ %", page_text.replace("100 %", ""))
+        assert rows(report, "share of the gap")[0][1] == "100 %"
 
     def test_what_has_no_probability_is_not_confusable(self) -> None:
         case = diagnosis(confusable=((FRICTION, "yaw_stribeck_friction", "yaw_tangling_cable"),))
@@ -254,8 +254,8 @@ class TestNothingContradicts:
 
     def test_a_cause_is_not_called_untestable(self) -> None:
         untested = (NotTestable(effect=FRICTION, reason="x"), NotTestable(effect="y", reason="z"))
-        told = findings(diagnosis(not_testable=untested, **PLAIN))
-        assert [row[0] for row in rows(told, "not testable")] == ["y"]
+        report = findings(diagnosis(not_testable=untested, **PLAIN))
+        assert [row[0] for row in rows(report, "not testable")] == ["y"]
 
     def test_what_raced_is_said_to_be_hardly_testable_or_not_told_from_no_effect(self) -> None:
         names = {"yaw_sensor_bias": (2.0, 1.5), "tail_thrust_curve": (60.0, 9.0)}
@@ -265,9 +265,9 @@ class TestNothingContradicts:
             for name, (score, se) in names.items()
         ]
         case = diagnosis(not_testable=untested, race=(*diagnosis().race, *more))
-        told = findings(case)
-        assert [row[0] for row in rows(told, "not testable")] == ["y"]
-        assert [row[:2] for row in rows(told, "raced, but hardly testable")] == [
+        report = findings(case)
+        assert [row[0] for row in rows(report, "not testable")] == ["y"]
+        assert [row[:2] for row in rows(report, "raced, but hardly testable")] == [
             ["yaw sensor bias", "2 ± 2 nats better: not told apart"],
             ["tail thrust curve", "60 ± 9 nats better"],
         ]
@@ -280,14 +280,14 @@ class TestNothingContradicts:
         odd = (*diagnosis().causes[:2], Cause(effects=("ground_effect",), probability=0.004),
                Cause(effects=("main_inflow",), probability=0.008),
                Cause(effects=("none_of_these",), probability=0.028))  # fmt: skip
-        told = rows(findings(diagnosis(causes=odd, **PLAIN)), "probability")
-        assert [row[:2] for row in told][-2:] == [
+        answer_rows = rows(findings(diagnosis(causes=odd, **PLAIN)), "probability")
+        assert [row[:2] for row in answer_rows][-2:] == [
             ["none of these", "3 %"],
             ["others, together", "1 %"],
         ]
-        assert sum(int(row[1].removesuffix(" %")) for row in told) == 100
-        told = rows(findings(diagnosis(**PLAIN)), "probability")
-        assert [row[0] for row in told][-1] == "parameters only"
+        assert sum(int(row[1].removesuffix(" %")) for row in answer_rows) == 100
+        answer_rows = rows(findings(diagnosis(**PLAIN)), "probability")
+        assert [row[0] for row in answer_rows][-1] == "parameters only"
 
     def test_a_score_below_the_refitted_model_is_worse(self) -> None:
         lost = RaceEntry(effects=(FRICTION,), score=-3.2, se=1.1, explained=0, moved=0)
@@ -298,7 +298,7 @@ class TestNothingContradicts:
         )
 
 
-def shown(where, channels=()) -> RigDiagram:
+def rig_diagram(where, channels=()) -> RigDiagram:
     return RigDiagram("places", {p.location: (p.share, *p.ci95) for p in where}, channels)
 
 
@@ -308,21 +308,21 @@ class TestDiagram:
             LocationShare(location=name, share=0.07 * i, ci95=(0.05 * i, 0.08 * i))
             for i, name in enumerate(LOCATIONS)
         ]
-        said = drawn(diagram(shown(where)))
+        texts = drawn(diagram(rig_diagram(where)))
         for i, name in enumerate(LOCATIONS):
-            assert name.replace("_", " ") in said and f"{7 * i:.0f} %" in said
+            assert name.replace("_", " ") in texts and f"{7 * i:.0f} %" in texts
         # A place with nothing has no figure.
         whole = LocationShare(location="yaw_moment", share=1.0, ci95=(1.0, 1.0))
-        said = drawn(diagram(shown([whole])))
-        assert sum("%" in text for text in said) == 2 and "main tacho" in said
+        texts = drawn(diagram(rig_diagram([whole])))
+        assert sum("%" in text for text in texts) == 2 and "main tacho" in texts
 
     def test_a_sensor_that_was_not_recorded_is_dashed(self) -> None:
-        panel = diagram(shown([], ["u_v", "u_h", "alpha_v", "alpha_h", "omega_v"])).axes[0]
+        panel = diagram(rig_diagram([], ["u_v", "u_h", "alpha_v", "alpha_h", "omega_v"])).axes[0]
         dashed = [patch for patch in panel.patches if patch.get_linestyle() != "-"]
         assert len(panel.patches) == 12 and len(dashed) == 1
         # A rig of one axis has one row.
-        said = drawn(diagram(shown([], ["u_h", "alpha_h", "omega_h"])))
-        assert "yaw moment" in said and "pitch moment" not in said and "main tacho" not in said
+        texts = drawn(diagram(rig_diagram([], ["u_h", "alpha_h", "omega_h"])))
+        assert "yaw moment" in texts and "pitch moment" not in texts and "main tacho" not in texts
 
     def test_the_larger_the_share_the_darker(self) -> None:
         where = [
@@ -330,7 +330,7 @@ class TestDiagram:
             LocationShare(location="tail_thrust", share=0.2, ci95=(0.1, 0.3)),
             LocationShare(location="tail_motor", share=0.0, ci95=(0.0, 0.1)),
         ]
-        panel = diagram(shown(where)).axes[0]
+        panel = diagram(rig_diagram(where)).axes[0]
         light = sorted(sum(patch.get_facecolor()[:3]) for patch in panel.patches)
         assert light[0] < light[1] < light[2] == 3.0
 
@@ -424,7 +424,7 @@ def test_horizons_are_seconds_with_a_decimal_in_order() -> None:
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def said_of(verdict: str, gap: Gap, shrink: Shrink | None = None) -> str:
+def sentence_of(verdict: str, gap: Gap, shrink: Shrink | None = None) -> str:
     """The sentence on yaw's gap at 2 s; with a cause where the verdict names one."""
     effect = verdict == "effect"
     cause = Cause(
@@ -456,11 +456,11 @@ def test_without_a_cause_it_is_told_how_far_free_runs_lie_above_the_floor(
 ):
     beginning = {"parameters_only": "No effect is missing", "no_gap": "No gap was found, with"}
     gap = Gap(raw=refit, refit=refit, corrected=refit, floor=0.0015, unit="rad")
-    said = said_of(verdict, gap)
-    assert said.startswith(beginning[verdict])
-    assert (diagnosis().moved[0].words in said) == (verdict == "parameters_only")
-    assert words in said and (absent is None or absent not in said)
-    assert verdict != "no_gap" or ("Over 2 s" in said) == (absent is None)
+    text = sentence_of(verdict, gap)
+    assert text.startswith(beginning[verdict])
+    assert (diagnosis().moved[0].words in text) == (verdict == "parameters_only")
+    assert words in text and (absent is None or absent not in text)
+    assert verdict != "no_gap" or ("Over 2 s" in text) == (absent is None)
 
 
 @pytest.mark.parametrize(
@@ -472,17 +472,19 @@ def test_without_a_cause_it_is_told_how_far_free_runs_lie_above_the_floor(
 )
 def test_the_sentence_tells_the_share_that_is_closed(fraction, words):
     gap = Gap(raw=0.1, refit=0.1, corrected=0.002, floor=0.0015, unit="rad")
-    said = said_of("effect", gap, Shrink(fraction=fraction, ci95=(0.991, 1.2)))
-    assert said.endswith(words)
+    text = sentence_of("effect", gap, Shrink(fraction=fraction, ci95=(0.991, 1.2)))
+    assert text.endswith(words)
 
 
 def test_what_has_ended_is_told_so_and_bounds_only_where_there_are_any():
     case = diagnosis(**PLAIN)
     ended = Onset(time_s=31.24, ci95=(30.9, 31.8), ends=True)
-    told = findings(replace(case, causes=(replace(case.causes[0], onset=ended), *case.causes[1:])))
-    assert told.title.endswith("what ended")
-    assert any("It ends 31.2 s into the recording" in sentence for sentence in told.lead)
-    assert "until" in [measure.label for measure in told.measures]
+    report = findings(
+        replace(case, causes=(replace(case.causes[0], onset=ended), *case.causes[1:]))
+    )
+    assert report.title.endswith("what ended")
+    assert any("It ends 31.2 s into the recording" in sentence for sentence in report.lead)
+    assert "until" in [measure.label for measure in report.measures]
     rejected = tuple(replace(item, upper_bound=None) for item in case.rejected)
     why = section(findings(replace(case, rejected=rejected)), "Why not the others")
     assert all("at most" not in str(block) for block in why.blocks if not isinstance(block, str))
@@ -492,5 +494,5 @@ def test_what_a_named_cause_leaves_is_told_where_it_is_much():
     shrink = Shrink(fraction=0.6, ci95=(0.5, 0.7))
     much = Gap(raw=0.1, refit=0.1, corrected=0.02, floor=0.002, unit="rad")
     words = "It is not all: over 2 s yaw is still off by 20 mrad, 10 times what"
-    assert words in said_of("effect", much, shrink)
-    assert "not all" not in said_of("effect", replace(much, corrected=5e-3), shrink)
+    assert words in sentence_of("effect", much, shrink)
+    assert "not all" not in sentence_of("effect", replace(much, corrected=5e-3), shrink)

@@ -9,7 +9,7 @@ from tests.gap.recorded import effect, recording
 from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.free_runs import HorizonErrors
 from trms_cli.gap.problem import Parts, applicable_candidates
-from trms_cli.gap.shrinkage import _in_turn, _Pair, _pooled, harm
+from trms_cli.gap.shrinkage import _in_turn, _Pair, _pooled_shrink, harm
 from trms_cli.models.newtonian import Newtonian
 
 
@@ -48,11 +48,11 @@ def pair(before: np.ndarray, after: np.ndarray, block: np.ndarray) -> _Pair:
 def test_the_interval_of_a_shrink_comes_from_blocks() -> None:
     block = np.repeat(np.arange(6), 10)
     after = np.where(block < 3, 1.0, 26.0)  # three blocks closed entirely, three by half
-    found = _pooled([pair(np.full(60, 101.0), after, block)], TACHO, 0)
-    assert found.fraction == pytest.approx(1 - (np.sqrt(13.5) - 1) / (np.sqrt(101) - 1))
-    assert found.ci95 is not None
-    assert found.ci95[0] < found.fraction < found.ci95[1] <= 1.0
-    none = _pooled([pair(np.ones(60), np.ones(60), block)], TACHO, 0)
+    shrink = _pooled_shrink([pair(np.full(60, 101.0), after, block)], TACHO, 0)
+    assert shrink.fraction == pytest.approx(1 - (np.sqrt(13.5) - 1) / (np.sqrt(101) - 1))
+    assert shrink.ci95 is not None
+    assert shrink.ci95[0] < shrink.fraction < shrink.ci95[1] <= 1.0
+    none = _pooled_shrink([pair(np.ones(60), np.ones(60), block)], TACHO, 0)
     assert none.fraction is None and none.ci95 is None
 
 
@@ -60,11 +60,11 @@ def test_runs_that_diverge_count_where_they_are() -> None:
     block = np.repeat(np.arange(2), 5)
     fine, gone = np.full(10, 26.0), np.full(10, np.inf)
     sealed = pair(np.full(10, 101.0), fine, block)
-    alone = _pooled([sealed], TACHO, 0)
-    beside = _pooled([sealed.beside(pair(np.full(10, 101.0), gone, block))], TACHO, 0)
+    alone = _pooled_shrink([sealed], TACHO, 0)
+    beside = _pooled_shrink([sealed.beside(pair(np.full(10, 101.0), gone, block))], TACHO, 0)
     assert beside.fraction == alone.fraction  # of the sealed part
     assert beside.ci95 is not None and beside.ci95[0] < -1
-    lost = _pooled([pair(np.full(10, 101.0), gone, block)], TACHO, 0)
+    lost = _pooled_shrink([pair(np.full(10, 101.0), gone, block)], TACHO, 0)
     assert lost.fraction is not None and lost.fraction < -1
 
 
@@ -72,23 +72,23 @@ def test_blocks_sealed_in_turn_tell_how_few_sealed_ones_scatter() -> None:
     """Of many parts as short as the sealed one, the interval holds what the whole would show."""
     random = np.random.default_rng(4)
     few, many = np.repeat(np.arange(2), 5), np.repeat(np.arange(8), 5)
-    held, held_alone, width = 0, 0, []
+    coverage_count, coverage_count_alone, width = 0, 0, []
     for trial in range(60):
-        left = random.lognormal(2.0, 0.8, 10)  # squares that a block leaves
-        after = np.repeat(left, 5)
+        squared_errors = random.lognormal(2.0, 0.8, 10)  # squares that a block leaves
+        after = np.repeat(squared_errors, 5)
         truth = 1 - (np.sqrt(np.exp(2.0 + 0.32)) - 1) / (np.sqrt(101) - 1)
         sealed = pair(np.full(10, 101.0), after[:10], few)
         turns = pair(np.full(40, 101.0), after[10:], many)
-        found, alone = (
-            _pooled([sealed.beside(turns)], TACHO, trial),
-            _pooled([sealed], TACHO, trial),
+        shrink, alone = (
+            _pooled_shrink([sealed.beside(turns)], TACHO, trial),
+            _pooled_shrink([sealed], TACHO, trial),
         )
-        assert found.fraction == alone.fraction  # what is told is of the sealed part
-        assert found.ci95 is not None and alone.ci95 is not None
-        held += found.ci95[0] <= truth <= found.ci95[1]
-        held_alone += alone.ci95[0] <= truth <= alone.ci95[1]
-        width.append(found.ci95[1] - found.ci95[0])
-    assert held >= 50 > held_alone
+        assert shrink.fraction == alone.fraction  # what is told is of the sealed part
+        assert shrink.ci95 is not None and alone.ci95 is not None
+        coverage_count += shrink.ci95[0] <= truth <= shrink.ci95[1]
+        coverage_count_alone += alone.ci95[0] <= truth <= alone.ci95[1]
+        width.append(shrink.ci95[1] - shrink.ci95[0])
+    assert coverage_count >= 50 > coverage_count_alone
     assert max(width) < 1.0
 
 
@@ -96,23 +96,26 @@ def test_the_interval_holds_what_another_recording_shows() -> None:
     """Whose drives wander otherwise: errors of an angle differ by a third, of both models alike."""
     random = np.random.default_rng(5)
     block = np.repeat(np.arange(6), 10)
-    held, held_still, width = 0, 0, []
+    coverage_count, coverage_count_still, width = 0, 0, []
     for trial in range(60):
         squares = random.lognormal(0.0, 0.1, 60)
         both, one, other = np.array([0.3, 0.35, 0.35]) * random.standard_normal(3)
         before, after = (v * np.exp(both + e) for v, e in ((10.0, one), (3.0, other)))
         truth = 1 - (after - 1) / (before - 1)
-        told = [pair(100 * squares, 9 * squares, block)]
-        found, still = _pooled(told, ["alpha_h"], trial), _pooled(told, TACHO, trial)
-        assert found.ci95 is not None and still.ci95 is not None
-        held += found.ci95[0] <= truth <= found.ci95[1]
-        held_still += still.ci95[0] <= truth <= still.ci95[1]
-        width.append(found.ci95[1] - found.ci95[0])
-    assert held >= 54 > held_still + 10
+        pairs = [pair(100 * squares, 9 * squares, block)]
+        shrink, still = (
+            _pooled_shrink(pairs, ["alpha_h"], trial),
+            _pooled_shrink(pairs, TACHO, trial),
+        )
+        assert shrink.ci95 is not None and still.ci95 is not None
+        coverage_count += shrink.ci95[0] <= truth <= shrink.ci95[1]
+        coverage_count_still += still.ci95[0] <= truth <= still.ci95[1]
+        width.append(shrink.ci95[1] - shrink.ci95[0])
+    assert coverage_count >= 54 > coverage_count_still + 10
     assert np.median(width) < 1.5
     # a correction that changes nothing does so on any recording
     same = np.full(60, 16.0)
-    nothing = _pooled([pair(same, same, block)], ["alpha_h"], 0)
+    nothing = _pooled_shrink([pair(same, same, block)], ["alpha_h"], 0)
     assert nothing.fraction == 0.0 and nothing.ci95 == pytest.approx((0.0, 0.0), abs=1e-12)
 
 

@@ -17,9 +17,9 @@ NOISE = {"alpha_v": 4.4e-4, "alpha_h": 4.4e-4}
 
 def test_the_reference_stays_in_the_range_of_the_recordings() -> None:
     dataset = recording(seconds=20.0)
-    found = sine_within([dataset], ("alpha_v", "alpha_h"))
+    sines = sine_within([dataset], ("alpha_v", "alpha_h"))
     for i, (axis, most) in enumerate((("alpha_v", 0.3), ("alpha_h", 0.5))):
-        amplitude, offset = found[axis]
+        amplitude, offset = sines[axis]
         low, high = np.quantile(dataset.measurements[:, i], [0.05, 0.95])
         assert 0.05 <= amplitude <= most
         assert low - 0.06 <= offset - amplitude and offset + amplitude <= high + 0.06
@@ -30,8 +30,8 @@ def test_the_reference_stays_in_the_range_of_the_recordings() -> None:
 
 def test_a_gain_in_words() -> None:
     before, after = {"alpha_v": 0.0044, "alpha_h": 0.0062}, {"alpha_v": 0.0040, "alpha_h": 0.0027}
-    said = gain_in_words(before, after, NOISE, "newton_mpc")
-    assert "pitch 4.4 → 4 mrad (about the same) and yaw 6.2 → 2.7 mrad (56 % less)" in said
+    text = gain_in_words(before, after, NOISE, "newton_mpc")
+    assert "pitch 4.4 → 4 mrad (about the same) and yaw 6.2 → 2.7 mrad (56 % less)" in text
     assert "make up for" in gain_in_words(before, before, NOISE, "newton_mpc")
     worse = gain_in_words(after, before, NOISE, "newton_mpc")
     assert "2.7 → 6.2 mrad (130 % more)" in worse and "does not suit" in worse
@@ -43,9 +43,9 @@ def test_a_model_that_is_off_tracks_worse_than_the_rig_s_own(wrong) -> None:
              "ref.alpha_h.frequency=0.1", "ref.alpha_v.frequency=0.1"]  # fmt: skip
     experiment = experiment_of(compose(words).config)
     before = Newtonian(parameters={"k_fhp": 1.2e-6, "k_oh": 0.03} if wrong else {})
-    found = worth_of(experiment, before, controller="newton_mpc", command="trms run")
-    assert found is not None and found.command == "trms run"
+    worth = worth_of(experiment, before, controller="newton_mpc", command="trms run")
+    assert worth is not None and worth.command == "trms run"
     if wrong:
-        assert found.after["alpha_h"] < 0.5 * found.before["alpha_h"]
+        assert worth.after["alpha_h"] < 0.5 * worth.before["alpha_h"]
     else:
-        assert found.after == found.before and "make up for" in found.words
+        assert worth.after == worth.before and "make up for" in worth.words

@@ -62,15 +62,15 @@ class GatedWindows(Windows):
         before = super().residuals(self.without(p), starts, slopes=slopes)
         late = np.arange(len(self)) >= self.begins
 
-        def chosen(one: FloatArray, other: FloatArray) -> FloatArray:
+        def gate(one: FloatArray, other: FloatArray) -> FloatArray:
             return np.where(late.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
-        r, ends = chosen(acting.r, before.r), chosen(acting.ends, before.ends)
+        r, ends = gate(acting.r, before.r), gate(acting.ends, before.ends)
         j = dends = None
         if before.j is not None and before.dends is not None:
             assert acting.j is not None and acting.dends is not None
             before.j[..., self._sizes] = before.dends[..., self._sizes] = 0.0
-            j, dends = chosen(acting.j, before.j), chosen(acting.dends, before.dends)
+            j, dends = gate(acting.j, before.j), gate(acting.dends, before.dends)
         if self.sample:
             own, slope = self.joined(self.begins, p, starts, [self.sample])
             r[self.begins] = own[0]
@@ -80,9 +80,9 @@ class GatedWindows(Windows):
 
     def without(self, p: FloatArray) -> FloatArray:
         """All parameters with sizes at which the effects vanish, (n_p,) array."""
-        found = p.copy()
-        found[self._vanishing] = 0.0
-        return found
+        parameters = p.copy()
+        parameters[self._vanishing] = 0.0
+        return parameters
 
     def joined(
         self, j: int, p: FloatArray, starts: FloatArray, samples: list[int]
@@ -99,32 +99,32 @@ class GatedWindows(Windows):
         y = np.zeros((len(samples), *self.target.shape[1:]))
         slopes = np.zeros((*y.shape, wide))
         for k, sample in enumerate(samples):
-            x, moved = begin, np.eye(n_all, wide)
-            moved[:, n:] = 0.0
+            x, transition = begin, np.eye(n_all, wide)
+            transition[:, n:] = 0.0
             for at, end, values in ((0, sample, without), (sample, count, p)):
                 if end <= at:
                     continue
-                made = self.rollout.sensitivities(
+                sensitivities = self.rollout.sensitivities(
                     self._commands, [first + at], [end - at], x, values
                 )
-                direct, after = made.dy[..., n_all:], made.dends[0, :, n_all:]
+                direct, after = sensitivities.dy[..., n_all:], sensitivities.dends[0, :, n_all:]
                 if values is without:
                     own = [i - n for i in self._sizes]
                     direct[..., own] = after[..., own] = 0.0
-                y[k, at:end] = made.y
-                slopes[k, at:end] = made.dy[..., :n_all] @ moved
+                y[k, at:end] = sensitivities.y
+                slopes[k, at:end] = sensitivities.dy[..., :n_all] @ transition
                 slopes[k, at:end, :, n:] += direct
-                x, moved = made.ends, made.dends[0, :, :n_all] @ moved
-                moved[:, n:] += after
-        seen = self.measured[j]
-        return np.where(seen, y - self.target[j], 0.0), np.where(seen[..., None], slopes, 0.0)
+                x, transition = sensitivities.ends, sensitivities.dends[0, :, :n_all] @ transition
+                transition[:, n:] += after
+        mask = self.measured[j]
+        return np.where(mask, y - self.target[j], 0.0), np.where(mask[..., None], slopes, 0.0)
 
 
 def beginning_at(structure: ModelStructure, window: int, sample: int = 0) -> ModelStructure:
     """A structure whose effects act from a sample of a window on."""
-    made = copy.copy(structure)
-    made.windows = GatedWindows(structure.windows, structure.effects, window, sample)
-    return made
+    gated_structure = copy.copy(structure)
+    gated_structure.windows = GatedWindows(structure.windows, structure.effects, window, sample)
+    return gated_structure
 
 
 def begins_at(fitted: FittedModel) -> int | None:
@@ -152,12 +152,12 @@ def promised_beginnings(fitted: FittedModel, traces: EffectTraces) -> FloatArray
     prior += root * (fitted.fit.point - objective.means)
     # sums over all windows from each on
     late = [np.cumsum(np.concatenate(v)[::-1], axis=0)[::-1] for v in (across, own, towards)]
-    found = []
+    gains = []
     for c, length, inner in zip(*late, strict=True):
-        solved = np.linalg.solve(parameters, c)
-        left = np.maximum(length - np.einsum("fk,fk->k", c, solved), 1e-12)
-        found.append(projected_gain(left, -(inner - solved.T @ prior)))
-    return np.array(found).T
+        coefficients = np.linalg.solve(parameters, c)
+        residual_squares = np.maximum(length - np.einsum("fk,fk->k", c, coefficients), 1e-12)
+        gains.append(projected_gain(residual_squares, -(inner - coefficients.T @ prior)))
+    return np.array(gains).T
 
 
 #: Largest discrepancy of an equation while jumps are looked for, as a share of what acts there: it
@@ -189,29 +189,29 @@ def promised_jumps(fitted: FittedModel, traces: EffectTraces) -> dict[str, Jump]
     assert residuals.j is not None
     slopes = residuals.j[..., : windows.n_x] * windows.spread
     gaps = (fitted.fit.starts - fitted.objective.centres) / windows.spread
-    found: dict[str, list[tuple[Jump, float]]] = {}
+    jumps: dict[str, list[tuple[Jump, float]]] = {}
     for row in _shifts(traces, windows):
         change = traces.changes[row]
         for j, count in enumerate(windows.count):
             for first in range(1, int(count), _AT_ONCE):
                 samples = np.arange(first, min(first + _AT_ONCE, int(count)))
                 after = np.arange(change.shape[1])[:, None] >= samples
-                jumped = change[j][..., None] * after[:, None]
-                columns = np.concatenate([slopes[j], residuals.r[j][..., None], jumped], axis=-1)
+                steps = change[j][..., None] * after[:, None]
+                columns = np.concatenate([slopes[j], residuals.r[j][..., None], steps], axis=-1)
                 white = whitened_part(calm, slice(j, j + 1), columns[None])[0]
-                left, towards, lacks = _beside_start(white, gaps[j])
-                gain = 0.5 * towards**2 / left
+                residual_squares, towards, misfit = _beside_start(white, gaps[j])
+                gain = 0.5 * towards**2 / residual_squares
                 best = int(np.argmax(gain))
-                factor = float(towards[best] / left[best])
+                factor = float(towards[best] / residual_squares[best])
                 jump = Jump(row, j, int(samples[best]), factor, float(gain[best]))
-                found.setdefault(traces.names[row], []).append((jump, lacks))
-    chosen = {}
-    for name, each in found.items():
-        jump, lacks = max(each, key=lambda item: item[0].nats)
+                jumps.setdefault(traces.names[row], []).append((jump, misfit))
+    best_jumps = {}
+    for name, each in jumps.items():
+        jump, misfit = max(each, key=lambda item: item[0].nats)
         usual = float(np.median([other for _, other in each]))
-        if jump.nats > max(_LEAST_JUMP, _OF_WINDOW * (lacks - usual)):
-            chosen[name] = jump
-    return chosen
+        if jump.nats > max(_LEAST_JUMP, _OF_WINDOW * (misfit - usual)):
+            best_jumps[name] = jump
+    return best_jumps
 
 
 def calm_metric(metric: Metric) -> Metric:
@@ -223,8 +223,8 @@ def _shifts(traces: EffectTraces, windows: Windows) -> list[int]:
     """A row of each effect that changes readings by the same in every sample."""
     rows: dict[str, int] = {}
     for row, change in enumerate(traces.changes):
-        seen = windows.measured & (np.abs(change) > 0)
-        if seen.any() and np.ptp(change[seen]) < 1e-9 * np.abs(change[seen]).max():
+        mask = windows.measured & (np.abs(change) > 0)
+        if mask.any() and np.ptp(change[mask]) < 1e-9 * np.abs(change[mask]).max():
             rows.setdefault(traces.names[row], row)
     return list(rows.values())
 
@@ -241,10 +241,11 @@ def _beside_start(white: FloatArray, gap: FloatArray) -> tuple[FloatArray, Float
     start, z, columns = flat[:, :n], flat[:, n], flat[:, n + 1 :]
     inverse = np.linalg.inv(start.T @ start + np.eye(n))
     across, own = start.T @ columns, start.T @ z + gap
-    left = np.einsum("ck,ck->k", columns, columns) - np.einsum("nk,nk->k", across, inverse @ across)
+    residual_squares = np.einsum("ck,ck->k", columns, columns)
+    residual_squares -= np.einsum("nk,nk->k", across, inverse @ across)
     towards = columns.T @ z - across.T @ inverse @ own
-    lacks = 0.5 * float(z @ z + gap @ gap - own @ inverse @ own)
-    return np.maximum(left, 1e-12), -towards, lacks
+    misfit = 0.5 * float(z @ z + gap @ gap - own @ inverse @ own)
+    return np.maximum(residual_squares, 1e-12), -towards, misfit
 
 
 def onset_of(fitted: FittedModel) -> Onset | None:
@@ -318,8 +319,10 @@ def _with_best_start(white: FloatArray, gap: FloatArray) -> FloatArray:
     slopes, z = white[..., :-1], white[..., -1]
     inner = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(gap))
     across = np.einsum("knx,kn->kx", slopes, z) + gap
-    taken = np.einsum("kx,kx->k", across, np.linalg.solve(inner, across[..., None])[..., 0])
-    return np.asarray(0.5 * ((z**2).sum(axis=1) + gap @ gap - taken))
+    explained_squares = np.einsum(
+        "kx,kx->k", across, np.linalg.solve(inner, across[..., None])[..., 0]
+    )
+    return np.asarray(0.5 * ((z**2).sum(axis=1) + gap @ gap - explained_squares))
 
 
 def _beginning_of_recording(windows: Windows, window: int) -> int:
@@ -351,12 +354,12 @@ def later_and_better(
         By name, the most promising first: the row of its trace, and the window.
     """
     throughout = float(gains[:, 0].max(initial=0.0))
-    found: dict[str, tuple[int, int]] = {}
+    beginnings: dict[str, tuple[int, int]] = {}
     rows, windows = np.unravel_index(np.argsort(-gains, axis=None), gains.shape)
     for row, window in zip(rows.tolist(), windows.tolist(), strict=True):
         gain = float(gains[row, window])
-        if gain < throughout + more or len(found) >= count:
+        if gain < throughout + more or len(beginnings) >= count:
             break
         if window:
-            found.setdefault(names[row], (row, window))
-    return found
+            beginnings.setdefault(names[row], (row, window))
+    return beginnings

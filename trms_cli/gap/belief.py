@@ -165,7 +165,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
         rows[name] = {
             **_of_score(score),
             "score.bend": _by_steps(name, scores),
-            "effect.rest": _left(features, features.behinds[i]),
+            "effect.rest": _unexplained_gap(features, features.behinds[i]),
             "effect.constant": 1.0,
             "effect.further": float(len(name) - 1),
             "effect.shape": float(features.sizes[i] - len(name)),
@@ -175,7 +175,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
             "effect.begins": float(features.begins[i]) if i < len(features.begins) else 0.0,
         }
     foretold = 0.0 if np.isnan(features.foretold) else float(np.clip(features.foretold, 0.0, 1.0))
-    owed = dict(zip(features.names, features.behinds, strict=True))
+    behind_by_name = dict(zip(features.names, features.behinds, strict=True))
     for axis, behinds in features.outside.items():
         disturbance = f"{axis}{DISTURBANCE}"
         # play in an encoder looks like a torque, but one that is larger than all that acts there; a
@@ -189,18 +189,18 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
         if features.behind - behinds[0] > _REST:
             rows[disturbance,] = {
                 **_of_score(_due_to_torque(features)),
-                "effect.rest": _left(features, behinds[0]),
+                "effect.rest": _unexplained_gap(features, behinds[0]),
                 "disturbance": 1.0,
                 "disturbance.foretold": foretold,
                 **doubtful,
             }
         for name, behind in zip(features.names, behinds[1:], strict=True):
-            if name in rows and owed[name] - behind > _REST:
+            if name in rows and behind_by_name[name] - behind > _REST:
                 joined = tuple(sorted((*name, disturbance)))
                 row = {k: v for k, v in rows[name].items() if k != "effect.error"}
-                row |= {"effect.rest": _left(features, behind), "disturbance": 1.0}
+                row |= {"effect.rest": _unexplained_gap(features, behind), "disturbance": 1.0}
                 # terms that foretell what the other effect leaves foretell the torque
-                share = max(owed[name], 0.0) / max(features.behind, 1e-9)
+                share = max(behind_by_name[name], 0.0) / max(features.behind, 1e-9)
                 row["disturbance.foretold"] = foretold * min(share, 1.0)
                 rows[joined] = row | doubtful
     was_fitted = not np.isnan(features.flexible)
@@ -272,23 +272,23 @@ def _due_to_torque(features: Features) -> float:
     """
     if np.isnan(features.flexible):
         return 0.0
-    score, owed = max(features.flexible, 0.0), max(features.behind, 0.0)
-    return score * (1 - min(1.0, score / (_EXPLAINS * owed))) if owed > 0 else 0.0
+    score, behind = max(features.flexible, 0.0), max(features.behind, 0.0)
+    return score * (1 - min(1.0, score / (_EXPLAINS * behind))) if behind > 0 else 0.0
 
 
-def _left(features: Features, behind: float) -> float:
+def _unexplained_gap(features: Features, behind: float) -> float:
     """What a competitor leaves to forces without a name.
 
     It is not blamed for a hundredth of the gap: no law is exactly that of the rig.
     """
-    left = max(float(behind), 0.0)
-    return float(_rest(left)) * min(left / (max(features.behind, 0.0) + _REST), 1.0)
+    gap = max(float(behind), 0.0)
+    return float(_rest(gap)) * min(gap / (max(features.behind, 0.0) + _REST), 1.0)
 
 
 def _worse(features: Features, i: int) -> float:
     """By how much a competitor harms a channel, as a logarithm, beyond what may happen."""
-    known = i < len(features.harms) and np.isfinite(features.harms[i])
-    return float(np.clip(features.harms[i] - _BY_CHANCE, 0.0, _HARMED)) if known else 0.0
+    is_measured = i < len(features.harms) and np.isfinite(features.harms[i])
+    return float(np.clip(features.harms[i] - _BY_CHANCE, 0.0, _HARMED)) if is_measured else 0.0
 
 
 def _rest(behind: float | FloatArray) -> FloatArray:
@@ -327,10 +327,10 @@ def probabilities_of(
     Descending. ``weights``: by feature; of an effect's own zero where it has none.
     """
     rows = alternatives(features)
-    known = {own_feature(effect): 0.0 for names in rows for effect in names} | dict(weights)
-    logits = np.array([sum(known[k] * v for k, v in row.items()) for row in rows.values()])
-    found = dict(zip(rows, shares_of(logits).tolist(), strict=True))
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+    all_weights = {own_feature(effect): 0.0 for names in rows for effect in names} | dict(weights)
+    logits = np.array([sum(all_weights[k] * v for k, v in row.items()) for row in rows.values()])
+    probabilities = dict(zip(rows, shares_of(logits).tolist(), strict=True))
+    return dict(sorted(probabilities.items(), key=lambda item: -item[1]))
 
 
 def shares_of(logits: FloatArray) -> FloatArray:
@@ -339,8 +339,8 @@ def shares_of(logits: FloatArray) -> FloatArray:
     In some rigs features mislead, by whatever they lead: there a lead counts by a tenth. Without
     that what is told with 0.99 and more is wrong in one of twenty rigs.
     """
-    plain, doubted = (_softmax(logits / temperature) for temperature in (1.0, LAPSE_TEMPERATURE))
-    return (1 - LAPSE) * plain + LAPSE * doubted
+    plain, tempered = (_softmax(logits / temperature) for temperature in (1.0, LAPSE_TEMPERATURE))
+    return (1 - LAPSE) * plain + LAPSE * tempered
 
 
 def _softmax(logits: FloatArray) -> FloatArray:
@@ -377,8 +377,8 @@ def usual_gains(
     """
     best = max(gains, key=gains.__getitem__)
     return tuple(
-        max(0.0, gained.get(best, 0.0), _OF_OTHERS * max(gained.values(), default=0.0))
-        for gained in between
+        max(0.0, other_gains.get(best, 0.0), _OF_OTHERS * max(other_gains.values(), default=0.0))
+        for other_gains in between
     )
 
 

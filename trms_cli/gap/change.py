@@ -43,7 +43,7 @@ from trms_cli.identification.dataset import Dataset
 #: Nats of belief behind the best within which a difference is judged finely, and how many at most.
 _NEAR, _FINALISTS = 9.0, 8
 #: Effects that are tried between the recordings of the known state, besides all else.
-_TRIED = 6
+_MOST_EFFECTS = 6
 #: Differences that add the same to the missing forces, by the cosine, cannot be told apart.
 _ALIKE = 0.97
 
@@ -76,7 +76,7 @@ def compare(
 
     ``watch``: told the share that is done and what is being done.
     """
-    against, recorded = (
+    against, recordings = (
         [
             without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
             for d in datasets
@@ -85,13 +85,19 @@ def compare(
     )
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
     watch(0.0, "the known state")
-    known = known_state(problem.model, nominal_parameters(problem.model), against)
-    return compare_with(known, recorded, candidates, left_out, problem.jobs, watch)
+    return compare_with(
+        known_state(problem.model, nominal_parameters(problem.model), against),
+        recordings,
+        candidates,
+        left_out,
+        problem.jobs,
+        watch,
+    )
 
 
 def compare_with(
-    known: KnownState,
-    recorded: Sequence[Dataset],
+    known_state: KnownState,
+    recordings: Sequence[Dataset],
     candidates: Mapping[str, CandidateEffect],
     left_out: Mapping[str, str],
     jobs: int = 1,
@@ -103,7 +109,7 @@ def compare_with(
 
     ``ends``: whether what differs may end within the recordings, and not begin.
     """
-    questioned = NewRecordings.of(known, recorded)
+    questioned = NewRecordings.of(known_state, recordings)
     if not questioned.runs.equations:
         raise ConfigurationError(
             "no angle of an axis and no speed of a rotor is measured on both sides",
@@ -111,12 +117,12 @@ def compare_with(
             remedy="compare recordings that have the channels of the model's outputs",
         )
     evidence = ChangeEvidence(questioned, ends=ends)
-    count = len(known.free) + len(candidates) + 2
-    found = []
+    count = len(known_state.free) + len(candidates) + 2
+    scores = []
     for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):
-        found.append(with_random_torque(evidence, judge(evidence, difference)))
+        scores.append(with_random_torque(evidence, judge(evidence, difference)))
         watch(0.2 + 0.5 * k / count, difference.name)
-    if not found:
+    if not scores:
         raise ConfigurationError(
             "there is nothing that may have changed: no parameter has a prior, no axis is measured "
             "and no candidate acts on this model",
@@ -124,21 +130,23 @@ def compare_with(
             remedy="name effects, or give parameters priors",
         )
     constants = calibration().change
-    found, worth = _in_order(found, constants)
-    near = [j for j, w in zip(found, worth, strict=True) if w > worth[0] - _NEAR][:_FINALISTS]
+    scores, worth = _in_order(scores, constants)
+    near = [j for j, w in zip(scores, worth, strict=True) if w > worth[0] - _NEAR][:_FINALISTS]
     watch(0.75, "when")
     finely = [
         with_random_torque(evidence, judge(evidence, j.difference, finely=True)) for j in near
     ]
-    judged, worth = _in_order([*finely, *found[len(near) :]], constants)
+    judged, worth = _in_order([*finely, *scores[len(near) :]], constants)
     free = law_evidence(evidence) - evidence.unchanged
     watch(0.85, "between recordings of the known state")
     gains = np.array([j.evidence for j in judged]) - evidence.unchanged
     unnamed = unnamed_gain(free)
-    between = _usual_gains(known, candidates, judged, jobs)
+    between = _usual_gains(known_state, candidates, judged, jobs)
     kinds = [j.difference.kind for j in judged]
-    named = {j.difference.name: gain for j, gain in zip(judged, gains.tolist(), strict=True)}
-    usual = usual_gains({**named, UNNAMED: unnamed}, between)
+    gains_by_name = {
+        j.difference.name: gain for j, gain in zip(judged, gains.tolist(), strict=True)
+    }
+    usual = usual_gains({**gains_by_name, UNNAMED: unnamed}, between)
     probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, usual, constants)
     alike = tuple(
         k
@@ -171,7 +179,7 @@ def _in_order(
 
 
 def _usual_gains(
-    known: KnownState,
+    known_state: KnownState,
     candidates: Mapping[str, CandidateEffect],
     judged: Sequence[DifferenceScore],
     jobs: int,
@@ -182,9 +190,9 @@ def _usual_gains(
     """
     effects = [j.difference.name for j in judged if j.difference.kind == "effect"]
     others = [j.difference.name for j in judged if j.difference.kind != "effect"]
-    wanted = {*effects[:_TRIED], *others}
-    found = []
-    for k, dataset in enumerate(known.runs.windows.datasets):
+    names = {*effects[:_MOST_EFFECTS], *others}
+    gains_by_recording = []
+    for k, dataset in enumerate(known_state.runs.windows.datasets):
         if not np.isfinite(dataset.measurements).any():
             continue  # it lies in a contact with a stop throughout
         # as if the recording had never been seen: sizes of the standing error are of the others
@@ -195,14 +203,14 @@ def _usual_gains(
                 max(e.sessions - 1, 1),
                 begin=e.sizes,
             )
-            for e in known.errors
+            for e in known_state.errors
         )
-        evidence = ChangeEvidence(NewRecordings.of(replace(known, errors=rest), [dataset]))
+        evidence = ChangeEvidence(NewRecordings.of(replace(known_state, errors=rest), [dataset]))
         gains = {
             difference.name: with_random_torque(evidence, judge(evidence, difference)).evidence
             - evidence.unchanged
-            for difference in differences(evidence.questioned, candidates, only=wanted, jobs=jobs)
+            for difference in differences(evidence.questioned, candidates, only=names, jobs=jobs)
         }
         free = law_evidence(evidence) - evidence.unchanged
-        found.append({**gains, UNNAMED: unnamed_gain(free)})
-    return found
+        gains_by_recording.append({**gains, UNNAMED: unnamed_gain(free)})
+    return gains_by_recording

@@ -39,23 +39,24 @@ from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 _DECIDED, _LEAST = 0.5, 0.002
 
 
-def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResult:
+def change_result(problem: GapProblem, comparison: StateComparison) -> DiagnosisResult:
     """The comparison as a diagnosis."""
-    verdict = _verdict(found)
-    causes = _causes(found)
-    questioned, known = found.questioned, found.questioned.known
-    best = _answer(found, verdict)
+    verdict = _verdict(comparison)
+    causes = _causes(comparison)
+    questioned, known_state = comparison.questioned, comparison.questioned.known_state
+    best = _answer(comparison, verdict)
     changed = verdict in ("effect", "parameters_only", "undecided")
     before = {
-        f.name: f.prior_mean + d * f.scale for f, d in zip(known.free, known.moved, strict=True)
+        f.name: f.prior_mean + d * f.scale
+        for f, d in zip(known_state.free, known_state.deviation, strict=True)
     }
     change = {}
     if verdict == "parameters_only" and best.began is None:
         change[best.difference.name] = (float(best.value[0]), float(best.sd[0]))
     # of what has ended the known state is the part that free runs are made on: nothing is left
     ended = best.began is not None and best.began.ends
-    added = None if ended else _added(found, verdict, causes)
-    shrinkage = None if ended else change_shrinkage(problem, found, added)
+    correction = None if ended else _correction(comparison, verdict, causes)
+    shrinkage = None if ended else change_shrinkage(problem, comparison, correction)
     remarks = [remark for d in (*problem.datasets, *problem.against) for remark in d.remarks]
     return DiagnosisResult(
         recordings=diagnosed_recordings(problem.datasets),
@@ -64,10 +65,10 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
         seed=problem.seed,
         versions={},
         verdict=verdict,
-        where=_where(found) if verdict != "no_change" else (),
+        where=_where(comparison) if verdict != "no_change" else (),
         region=(),
         causes=causes,
-        confusable=_confusable(found) if changed else (),
+        confusable=_confusable(comparison) if changed else (),
         not_testable=(),
         detectable={},
         parameters={
@@ -78,55 +79,57 @@ def change_result(problem: GapProblem, found: StateComparison) -> DiagnosisResul
                 unit=f.unit,
                 moved=float(moved + change.get(f.name, (0.0, 0.0))[0] / f.scale),
             )
-            for f, moved, sd in zip(known.free, known.moved, known.sd, strict=True)
+            for f, moved, sd in zip(
+                known_state.free, known_state.deviation, known_state.sd, strict=True
+            )
         },
         gap=shrinkage.gap if shrinkage else {},
         shrink=shrinkage.shrink if shrinkage else {},
         worse=shrinkage.worse if shrinkage else (),
-        next_experiment=_next(problem, found) if changed and problem.advise else None,
-        inclusion=_inclusion(found),
-        moved=_moved(found, mean_pitch(problem.datasets)),
-        rejected=_rejected(found),
+        next_experiment=_next(problem, comparison) if changed and problem.advise else None,
+        inclusion=_inclusion(comparison),
+        moved=_moved_parameters(comparison, mean_pitch(problem.datasets)),
+        rejected=_rejected(comparison),
         excitation=poor_excitation(problem.model, problem.datasets),
-        sentence=change_sentence(found, verdict, _known_words(problem, ended), shrinkage),
-        race=_race(found),
+        sentence=change_sentence(comparison, verdict, _baseline_words(problem, ended), shrinkage),
+        race=_race(comparison),
         warnings=(*problem.warnings, *dict.fromkeys(remarks)),
         effort=problem.effort,
         refit=before,
-        residual=_residual(added),
+        residual=_residual(correction),
         evidence={
             "gains": {
                 j.difference.name: {"kind": j.difference.kind, "nats": float(gain)}
-                for j, gain in zip(found.judged, found.gains, strict=True)
+                for j, gain in zip(comparison.judged, comparison.gains, strict=True)
             },
-            "usual": [dict(gained) for gained in found.between],
+            "usual": [dict(gains) for gains in comparison.between],
             "free_force": {
                 e.location: float(g)
-                for e, g in zip(questioned.runs.equations, found.by_equation, strict=True)
+                for e, g in zip(questioned.runs.equations, comparison.by_equation, strict=True)
             },
             "standing": {
                 e.location: error.sizes._asdict()
-                for e, error in zip(questioned.runs.equations, known.errors, strict=True)
+                for e, error in zip(questioned.runs.equations, known_state.errors, strict=True)
             },
         },
-        traces=_traces(found, verdict),
+        traces=_traces(comparison, verdict),
     )
 
 
-def _group(found: StateComparison) -> list[int]:
-    return [0, *found.alike]
+def _group(comparison: StateComparison) -> list[int]:
+    return [0, *comparison.alike]
 
 
-def _answer(found: StateComparison, verdict: Verdict) -> DifferenceScore:
+def _answer(comparison: StateComparison, verdict: Verdict) -> DifferenceScore:
     """The difference that a verdict is of: the likeliest, or the likeliest parameter."""
-    group = [found.judged[k] for k in _group(found)]
+    group = [comparison.judged[k] for k in _group(comparison)]
     if verdict in ("effect", "parameters_only"):
-        wanted = verdict == "parameters_only"
-        return next(j for j in group if (j.difference.kind == "parameter") == wanted)
+        is_parameter = verdict == "parameters_only"
+        return next(j for j in group if (j.difference.kind == "parameter") == is_parameter)
     return group[0]
 
 
-def _known_words(problem: GapProblem, ended: bool) -> str:
+def _baseline_words(problem: GapProblem, ended: bool) -> str:
     """What the recordings in question are compared with."""
     count = len(problem.against)
     if not count:
@@ -135,26 +138,28 @@ def _known_words(problem: GapProblem, ended: bool) -> str:
     return f"the known state ({count} recording{'s' if count > 1 else ''})"
 
 
-def _verdict(found: StateComparison) -> Verdict:
-    if found.unchanged >= _DECIDED:
+def _verdict(comparison: StateComparison) -> Verdict:
+    if comparison.unchanged >= _DECIDED:
         return "no_change"
-    if found.unnamed >= _DECIDED:
+    if comparison.unnamed >= _DECIDED:
         return "none_of_these"
-    group = _group(found)
-    if found.probabilities[group].sum() < _DECIDED:
+    group = _group(comparison)
+    if comparison.probabilities[group].sum() < _DECIDED:
         return "undecided"
-    by_kind = [found.judged[k].difference.kind == "parameter" for k in group]
-    of_parameters = float(found.probabilities[group][by_kind].sum())
-    return "parameters_only" if of_parameters > found.probabilities[group].sum() / 2 else "effect"
+    by_kind = [comparison.judged[k].difference.kind == "parameter" for k in group]
+    of_parameters = float(comparison.probabilities[group][by_kind].sum())
+    return (
+        "parameters_only" if of_parameters > comparison.probabilities[group].sum() / 2 else "effect"
+    )
 
 
-def _causes(found: StateComparison) -> tuple[Cause, ...]:
+def _causes(comparison: StateComparison) -> tuple[Cause, ...]:
     rows = [
-        Cause(effects=("no_change",), probability=found.unchanged),
-        Cause(effects=("none_of_these",), probability=found.unnamed),
+        Cause(effects=("no_change",), probability=comparison.unchanged),
+        Cause(effects=("none_of_these",), probability=comparison.unnamed),
     ]
     of_parameters, first = 0.0, None
-    for j, probability in zip(found.judged, found.probabilities.tolist(), strict=True):
+    for j, probability in zip(comparison.judged, comparison.probabilities.tolist(), strict=True):
         if j.difference.kind == "parameter":
             of_parameters, first = of_parameters + probability, first or j
         elif probability >= _LEAST:
@@ -178,24 +183,24 @@ def _causes(found: StateComparison) -> tuple[Cause, ...]:
     return tuple(sorted(rows, key=lambda row: -row.probability))
 
 
-def _added(
-    found: StateComparison, verdict: Verdict, causes: Sequence[Cause]
+def _correction(
+    comparison: StateComparison, verdict: Verdict, causes: Sequence[Cause]
 ) -> DifferenceScore | None:
     """What the corrected model has beyond the known state's."""
-    best = _answer(found, verdict)
+    best = _answer(comparison, verdict)
     if verdict == "parameters_only":
         return best if best.began is None else None
     if verdict == "effect":
         return best
     if verdict != "undecided":
         return None
-    by_name = {j.difference.name: j for j in found.judged if j.difference.kind != "parameter"}
+    by_name = {j.difference.name: j for j in comparison.judged if j.difference.kind != "parameter"}
     return by_name.get(causes[0].effects[0])
 
 
-def _residual(added: DifferenceScore | None) -> dict[str, dict[str, Any]]:
+def _residual(correction: DifferenceScore | None) -> dict[str, dict[str, Any]]:
     """A constant torque as an effect of the corrected model."""
-    torque = stand_in(added) if added is not None else None
+    torque = stand_in(correction) if correction is not None else None
     if torque is None:
         return {}
     node = {"_target_": f"{ConstantTorque.__module__}.{ConstantTorque.__name__}"}
@@ -212,23 +217,21 @@ def _sizes(j: DifferenceScore) -> dict[str, SizeEstimate]:
     }
 
 
-def _where(found: StateComparison) -> tuple[LocationShare, ...]:
+def _where(comparison: StateComparison) -> tuple[LocationShare, ...]:
     """By the probabilities of the differences, each at its places; else by free forces."""
     shares: dict[str, float] = {}
-    for j, probability in zip(found.judged, found.probabilities.tolist(), strict=True):
+    for j, probability in zip(comparison.judged, comparison.probabilities.tolist(), strict=True):
         for place in j.difference.locations:
             part = probability / len(j.difference.locations)
             shares[place] = shares.get(place, 0.0) + part
-    free = np.exp(found.by_equation - logsumexp(found.by_equation)) * found.unnamed
-    for equation, share in zip(found.questioned.runs.equations, free.tolist(), strict=True):
+    free = np.exp(comparison.by_equation - logsumexp(comparison.by_equation)) * comparison.unnamed
+    for equation, share in zip(comparison.questioned.runs.equations, free.tolist(), strict=True):
         shares[equation.location] = shares.get(equation.location, 0.0) + share
     total = sum(shares.values())
-    listed = sorted(
-        ((place, share / total) for place, share in shares.items()), key=lambda r: -r[1]
-    )
+    rows = sorted(((place, share / total) for place, share in shares.items()), key=lambda r: -r[1])
     return tuple(
         LocationShare(location=place, share=share, ci95=_interval(share))
-        for place, share in listed
+        for place, share in rows
         if share >= 0.02
     )
 
@@ -242,79 +245,79 @@ def _interval(share: float) -> tuple[float, float]:
     return share if share >= 1 - _TAIL else 0.0, share if share <= _TAIL else 1.0
 
 
-def _confusable(found: StateComparison) -> tuple[tuple[str, ...], ...]:
+def _confusable(comparison: StateComparison) -> tuple[tuple[str, ...], ...]:
     group = [
         "parameters_only"
-        if found.judged[k].difference.kind == "parameter"
-        else found.judged[k].difference.name
-        for k in _group(found)
+        if comparison.judged[k].difference.kind == "parameter"
+        else comparison.judged[k].difference.name
+        for k in _group(comparison)
     ]
     unique = tuple(dict.fromkeys(group))
     return (unique,) if len(unique) > 1 else ()
 
 
 #: rad, between the angle that was held and each of the two to hold next; s, at each of them.
-_APART, _HELD = 0.2, 10.0
+_ANGLE_STEP, _HOLD_TIME = 0.2, 10.0
 #: Differences that pull a held axis steadily; frictions are alike for other reasons.
 _STEADY = {"pitch_disturbance", "yaw_disturbance", "pitch_mass_imbalance", "parameters_only"}
 
 
-def _next(problem: GapProblem, found: StateComparison) -> NextExperiment | None:
+def _next(problem: GapProblem, comparison: StateComparison) -> NextExperiment | None:
     """What parts differences that are one where an axis is held: two other angles."""
-    groups = [g for g in _confusable(found) if len(_STEADY.intersection(g)) > 1]
+    groups = [g for g in _confusable(comparison) if len(_STEADY.intersection(g)) > 1]
     moments = {f"{name}_moment": axis.angle for name, axis in problem.model.axes.items()}
-    places = [at for at in found.judged[0].difference.locations if at in moments]
+    places = [at for at in comparison.judged[0].difference.locations if at in moments]
     if not groups or not places:
         return None
     angle = moments[places[0]]
-    recorded = [
+    angles = [
         d.measurements[:, i]
         for d in problem.datasets
         for i, output in enumerate(d.outputs)
         if output.name == angle
     ]
-    if not recorded:
+    if not angles:
         return None
-    held = float(np.nanmedian(np.concatenate(recorded)))
-    words = [f"ref.{angle}.amplitude={_APART:g}", f"ref.{angle}.offset={held:.2f}"]
-    words += [f"ref.{angle}.frequency={0.5 / _HELD:g}"]
+    hold_angle = float(np.nanmedian(np.concatenate(angles)))
+    words = [f"ref.{angle}.amplitude={_ANGLE_STEP:g}", f"ref.{angle}.offset={hold_angle:.2f}"]
+    words += [f"ref.{angle}.frequency={0.5 / _HOLD_TIME:g}"]
     words += [f"ref.{other}.amplitude=0" for other in moments.values() if other != angle]
     return NextExperiment(
         why=f"{listing([readable(name) for name in groups[0]])} are one where {readable(angle)} is "
-        f"held at {held:.2f} rad: held at {held - _APART:.2f} and {held + _APART:.2f} rad, "
-        f"{_HELD:g} s each, a constant torque, a weight and a gain differ; record it on the rig, "
-        "and compare it with the same recordings",
+        f"held at {hold_angle:.2f} rad: held at {hold_angle - _ANGLE_STEP:.2f} and "
+        f"{hold_angle + _ANGLE_STEP:.2f} rad, {_HOLD_TIME:g} s each, a constant torque, a weight "
+        "and a gain differ; record it on the rig, and compare it with the same recordings",
         command=f"trms run model={problem.model_name} controller=newton_mpc ref=square "
         f"{' '.join(words)} sim.duration=80",
     )
 
 
-def _inclusion(found: StateComparison) -> dict[str, float]:
+def _inclusion(comparison: StateComparison) -> dict[str, float]:
     return {
         j.difference.name: float(p)
         for j, p in sorted(
-            zip(found.judged, found.probabilities, strict=True), key=lambda row: -row[1]
+            zip(comparison.judged, comparison.probabilities, strict=True), key=lambda row: -row[1]
         )
         if j.difference.kind != "parameter" and p >= _LEAST
     }
 
 
-def _moved(found: StateComparison, pitch: float) -> tuple[MovedParameter, ...]:
+def _moved_parameters(comparison: StateComparison, pitch: float) -> tuple[MovedParameter, ...]:
     rows = [
         (j, float(p))
-        for j, p in zip(found.judged, found.probabilities, strict=True)
+        for j, p in zip(comparison.judged, comparison.probabilities, strict=True)
         if j.difference.kind == "parameter"
     ]
     total = sum(p for _, p in rows)
     if total < WORTH_TELLING:
         return ()
-    model = found.questioned.known.model
-    made = []
+    model = comparison.questioned.known_state.model
+    parameters = []
     for j, p in rows:
         if p / total < 0.02:
             continue
         name, change, sd = j.difference.name, float(j.value[0]), float(j.sd[0])
-        made.append(
+        parameters.append(
             MovedParameter(
                 parameter=name,
                 probability=p / total,
@@ -324,17 +327,17 @@ def _moved(found: StateComparison, pitch: float) -> tuple[MovedParameter, ...]:
                 words=change_in_words(model, model.parameters[name], change, pitch, sd),
             )
         )
-    return tuple(sorted(made, key=lambda m: -m.probability))
+    return tuple(sorted(parameters, key=lambda m: -m.probability))
 
 
-def _rejected(found: StateComparison) -> tuple[Rejected, ...]:
-    group = set(_group(found))
+def _rejected(comparison: StateComparison) -> tuple[Rejected, ...]:
+    group = set(_group(comparison))
     rows = []
-    for k, (j, gain) in enumerate(zip(found.judged, found.gains.tolist(), strict=True)):
+    for k, (j, gain) in enumerate(zip(comparison.judged, comparison.gains.tolist(), strict=True)):
         if k in group or j.difference.kind == "parameter":
             continue
         size = next(iter(_sizes(j).values()))
-        behind = found.gains[0] - gain
+        behind = comparison.gains[0] - gain
         reason = "nothing in these recordings calls for it"
         if gain > 0 and behind > 0:
             reason = f"it explains the difference worse by {number(behind)} nats"
@@ -345,23 +348,23 @@ def _rejected(found: StateComparison) -> tuple[Rejected, ...]:
                 effect=j.difference.name, score=gain, size=size, upper_bound=None, reason=reason
             )
         )
-    judged = {j.difference.name for j in found.judged}
+    judged_names = {j.difference.name for j in comparison.judged}
     unjudged = {
         name: "no simulation with it stays finite"
         if candidate.simulated
         else "rounding is not compared: diagnose the recording without against"
-        for name, candidate in found.candidates.items()
-        if name not in judged
+        for name, candidate in comparison.candidates.items()
+        if name not in judged_names
     }
     rows += [
         Rejected(effect=name, score=None, size=None, upper_bound=None, reason=why)
-        for name, why in {**unjudged, **found.left_out}.items()
+        for name, why in {**unjudged, **comparison.left_out}.items()
     ]
     return tuple(rows)
 
 
-def _race(found: StateComparison) -> tuple[RaceEntry, ...]:
-    best = max(float(found.gains.max()), 1e-9)
+def _race(comparison: StateComparison) -> tuple[RaceEntry, ...]:
+    best = max(float(comparison.gains.max()), 1e-9)
     rows = [RaceEntry(effects=("no_change",), score=0.0, explained=0.0)]
     rows += [
         RaceEntry(
@@ -370,23 +373,23 @@ def _race(found: StateComparison) -> tuple[RaceEntry, ...]:
             explained=float(np.clip(gain / best, 0.0, 1.0)),
             parameters=_sizes(j),
         )
-        for j, gain in zip(found.judged, found.gains.tolist(), strict=True)
+        for j, gain in zip(comparison.judged, comparison.gains.tolist(), strict=True)
         if j.difference.kind != "parameter"
     ]
     return tuple(sorted(rows, key=lambda row: -row.score))
 
 
-def _traces(found: StateComparison, verdict: Verdict) -> Traces:
-    runs = found.questioned.runs
+def _traces(comparison: StateComparison, verdict: Verdict) -> Traces:
+    runs = comparison.questioned.runs
     first = runs.recording == 0
-    best = _answer(found, verdict)
-    known = found.questioned.known
-    begin = found.begins[0] if found.begins else 0.0
+    best = _answer(comparison, verdict)
+    known_state = comparison.questioned.known_state
+    begin = comparison.begins[0] if comparison.begins else 0.0
     force, explained = {}, {}
     for e, equation in enumerate(runs.equations):
-        values = found.questioned.forces.force[first, e]
+        values = comparison.questioned.forces.force[first, e]
         force[equation.location] = np.nan_to_num(values)
-        own = known.errors[e].sizes
+        own = known_state.errors[e].sizes
         sd = float(np.hypot(own.white, np.hypot(own.slow, own.offset)))
         force[f"{equation.location}.sd"] = np.full(len(values), sd)
         if verdict in ("effect", "parameters_only", "undecided"):
@@ -402,35 +405,35 @@ def _traces(found: StateComparison, verdict: Verdict) -> Traces:
 
 
 def change_sentence(
-    found: StateComparison, verdict: Verdict, known: str, shrinkage: Shrinkage | None = None
+    comparison: StateComparison, verdict: Verdict, baseline: str, shrinkage: Shrinkage | None = None
 ) -> str:
-    """What a colleague would say; ``known``: what was compared with."""
-    best = _answer(found, verdict)
+    """What a colleague would say; ``baseline``: what was compared with."""
+    best = _answer(comparison, verdict)
     place = listing([readable(p) for p in best.difference.locations], "and")
     if verdict == "no_change":
         return (
-            f"Nothing changed against {known}, with probability "
-            f"{probability_text(found.unchanged)}: what these recordings lack is what those lack, "
-            "within what they differ among themselves."
+            f"Nothing changed against {baseline}, with probability "
+            f"{probability_text(comparison.unchanged)}: what these recordings lack is what those "
+            "lack, within what they differ among themselves."
         )
     if verdict == "none_of_these":
-        e = int(np.argmax(found.by_equation))
-        where = readable(found.questioned.runs.equations[e].location)
+        e = int(np.argmax(comparison.by_equation))
+        where = readable(comparison.questioned.runs.equations[e].location)
         return (
-            f"Something changed against {known} that is none of the differences tried, with "
-            f"probability {probability_text(found.unnamed)}; it acts mostly on the {where}."
+            f"Something changed against {baseline} that is none of the differences tried, with "
+            f"probability {probability_text(comparison.unnamed)}; it acts mostly on the {where}."
         )
     since, differs = "", "differs"
     if best.began is not None:
         low, high = best.began.ci95
         since, differs = (" until", "differed") if best.began.ends else (", since", "differs")
         since += f" {best.began.time_s:.1f} s ({low:.1f} to {high:.1f} s)"
-    group = _group(found)
-    together = float(found.probabilities[group].sum())
-    others = [_name(found.judged[k]) for k in group if found.judged[k] is not best]
-    text = f"Against {known} the {place} {differs}{since}: {_name(best)}"
-    told = sizes(dict(list(_sizes(best).items())[:1]))
-    text += f" ({told})" if told else ""
+    group = _group(comparison)
+    together = float(comparison.probabilities[group].sum())
+    others = [_name(comparison.judged[k]) for k in group if comparison.judged[k] is not best]
+    text = f"Against {baseline} the {place} {differs}{since}: {_name(best)}"
+    size_text = sizes(dict(list(_sizes(best).items())[:1]))
+    text += f" ({size_text})" if size_text else ""
     if others:
         text += f", or what these recordings do not tell from it, {listing(others, 'or')}"
     text += f", with probability {probability_text(together)}"
@@ -440,8 +443,8 @@ def change_sentence(
         )
     shrink = shrinkage.shrink["all"].get(TOLD_AT) if shrinkage else None
     if shrink is not None and shrink.fraction is not None and shrink.fraction > 0:
-        closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
-        text += f". Sized without the last part, it closes there {closed}"
+        share_text = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
+        text += f". Sized without the last part, it closes there {share_text}"
     return f"{text}."
 
 

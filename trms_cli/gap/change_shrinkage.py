@@ -22,46 +22,50 @@ _LEAST_AFTER = 5.0
 
 
 def change_shrinkage(
-    problem: GapProblem, found: StateComparison, added: DifferenceScore | None
+    problem: GapProblem, comparison: StateComparison, correction: DifferenceScore | None
 ) -> Shrinkage | None:
     """Free runs of the model as it was, of the known state's, and of that with the difference.
 
-    ``added``: what the corrected model has beyond the known state's; None: nothing. None where the
-    recordings are too short to keep a part aside, or the difference begins within that part.
+    ``correction``: what the corrected model has beyond the known state's; None: nothing. None where
+    the recordings are too short to keep a part aside, or the difference begins within that part.
     """
     try:
         parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
     except ConfigurationError:
         return None
-    known = found.questioned.known.model
-    corrected = known if added is None else _corrected(found, parts, added)
+    known_model = comparison.questioned.known_state.model
+    corrected = known_model if correction is None else _corrected(comparison, parts, correction)
     if corrected is None:
         return None
-    return measure_shrinkage(problem, parts, problem.model, known, corrected)
+    return measure_shrinkage(problem, parts, problem.model, known_model, corrected)
 
 
-def _corrected(found: StateComparison, parts: Parts, added: DifferenceScore) -> Model | None:
+def _corrected(
+    comparison: StateComparison, parts: Parts, correction: DifferenceScore
+) -> Model | None:
     """The known state's model with the difference, of sizes that the sealed part has no say in."""
-    known = found.questioned.known
-    if added.varies:  # nothing foretells it
-        return known.model
-    if added.began is not None:
-        within = parts.fitted[added.recording] if added.recording < len(parts.fitted) else None
-        if within is None or within.duration - added.began.time_s < _LEAST_AFTER:
+    known_state = comparison.questioned.known_state
+    if correction.varies:  # nothing foretells it
+        return known_state.model
+    if correction.began is not None:
+        within = (
+            parts.fitted[correction.recording] if correction.recording < len(parts.fitted) else None
+        )
+        if within is None or within.duration - correction.began.time_s < _LEAST_AFTER:
             return None
-    name = added.difference.name
-    evidence = ChangeEvidence(NewRecordings.of(known, parts.fitted))
-    again = differences(evidence.questioned, found.candidates, only={name})
+    name = correction.difference.name
+    evidence = ChangeEvidence(NewRecordings.of(known_state, parts.fitted))
+    again = differences(evidence.questioned, comparison.candidates, only={name})
     difference = next(iter(again), None)
     if difference is None:  # it diverges there
         return None
     score = judge(evidence, difference)
-    if added.difference.kind == "parameter":
-        value = known.model.parameters[name].value + float(score.value[0])
-        return with_values(known.model, {name: value})
+    if correction.difference.kind == "parameter":
+        value = known_state.model.parameters[name].value + float(score.value[0])
+        return with_values(known_state.model, {name: value})
     sizes = dict(zip(score.difference.labels, score.value.tolist(), strict=True))
-    effect = stand_in(added) or found.candidates[name].effect
-    with_effect = extend_model(known.model, {name: effect})
+    effect = stand_in(correction) or comparison.candidates[name].effect
+    with_effect = extend_model(known_state.model, {name: effect})
     return with_values(with_effect, {f"{name}.{size}": value for size, value in sizes.items()})
 
 

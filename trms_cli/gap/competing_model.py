@@ -68,8 +68,8 @@ class Metric:
         """Whitened columns of the gains that wander within each window, scaled, (m, c, n_y, a)."""
         near = self.drift.near
         scaled = self.drift.columns * self.drift.sd(self.drift_sizes)
-        taken = np.take_along_axis(scaled, np.maximum(near, 0)[:, None, None], axis=-1)
-        return self.whitened(np.where((near >= 0)[:, None, None], taken, 0.0))
+        near_columns = np.take_along_axis(scaled, np.maximum(near, 0)[:, None, None], axis=-1)
+        return self.whitened(np.where((near >= 0)[:, None, None], near_columns, 0.0))
 
     def losses(self, z: FloatArray) -> FloatArray:
         """Half the robust squares of innovations (m, c, n_y), by window, shape (m,)."""
@@ -104,8 +104,8 @@ class InnovationObjective(PosteriorObjective):
         """
         columns = self.metric.drift.columns
         n_f = len(theta) - columns.shape[-1]
-        made = super().simulated(theta[:n_f], starts, slopes=slopes)
-        return made._replace(r=made.r + columns @ theta[n_f:])
+        residuals = super().simulated(theta[:n_f], starts, slopes=slopes)
+        return residuals._replace(r=residuals.r + columns @ theta[n_f:])
 
     def slopes(self, residuals: Residuals) -> FloatArray:
         """Slopes in the starts, the parameters and the gains' coefficients, (m, c, n_y, k)."""
@@ -125,7 +125,7 @@ class InnovationObjective(PosteriorObjective):
     def parabola(self, theta: FloatArray, starts: FloatArray) -> tuple[float, Quadratic, Residuals]:
         residuals = self.simulated(theta, starts, slopes=True)
         m, gaps = len(self.windows), (starts - self.centres) / self.windows.spread
-        cost, made = np.inf, np.zeros((m, 1, self.windows.n_x + len(theta) + 1))
+        cost, triangles = np.inf, np.zeros((m, 1, self.windows.n_x + len(theta) + 1))
         if residuals.finite:
             white = self._whitened(residuals)
             z = white[..., -1]
@@ -139,14 +139,15 @@ class InnovationObjective(PosteriorObjective):
             np.multiply(drift, roots, out=rows[..., own:-1])
             np.multiply(white[..., -1:], roots, out=rows[..., -1:])
             small = triangles_of_products(rows.reshape(m, -1, rows.shape[-1]))
-            made = np.zeros((m, small.shape[1], self.windows.n_x + len(theta) + 1))
-            made[..., :own], made[..., -1] = small[..., :own], small[..., -1]
-            for j, taken in enumerate(self.metric.drift.near):
-                known = taken >= 0
-                made[j, :, own + taken[known]] = small[j, :, own:-1][:, known].T
+            triangles = np.zeros((m, small.shape[1], self.windows.n_x + len(theta) + 1))
+            triangles[..., :own], triangles[..., -1] = small[..., :own], small[..., -1]
+            for j, indices in enumerate(self.metric.drift.near):
+                is_valid = indices >= 0
+                triangles[j, :, own + indices[is_valid]] = small[j, :, own:-1][:, is_valid].T
         roots = np.sqrt(self.precisions)
         own = (roots * self.scales, roots * (theta - self.means))
-        return cost if np.isfinite(cost) else np.inf, Quadratic(made, gaps, *own, None), residuals
+        quadratic = Quadratic(triangles, gaps, *own, None)
+        return cost if np.isfinite(cost) else np.inf, quadratic, residuals
 
     def columns(self, residuals: Residuals) -> FloatArray:
         """Whitened slopes, scaled, of all that is fitted, then the residual, (m, c, n_y, k)."""
@@ -219,11 +220,11 @@ def evidence(
     likelihood = base - objective.by_window(theta, starts)
     predictive, without = np.empty(m), np.tile(theta, (m, 1))
     for j in range(m):
-        left = total - each[j]
-        shift = np.linalg.solve(left, r[j].T @ c[j]) if free.any() else np.zeros(0)
+        precision_without = total - each[j]
+        shift = np.linalg.solve(precision_without, r[j].T @ c[j]) if free.any() else np.zeros(0)
         without[j, free] += objective.scales[free] * shift
         away = c[j] + r[j] @ shift
-        spread = np.eye(len(away)) + r[j] @ np.linalg.solve(left, r[j].T)
+        spread = np.eye(len(away)) + r[j] @ np.linalg.solve(precision_without, r[j].T)
         _, logdet = np.linalg.slogdet(spread)
         worse = 0.5 * (away @ np.linalg.solve(spread, away) - c[j] @ c[j])
         predictive[j] = likelihood[j] - worse - 0.5 * logdet
@@ -290,7 +291,7 @@ class FittedModel:
     @property
     def values(self) -> dict[str, float]:
         """The free parameters by name, where the search ended."""
-        return self._named(self.fit.theta)
+        return self._by_name(self.fit.theta)
 
     @cached_property
     def at_mean_gains(self) -> FloatArray:
@@ -306,7 +307,7 @@ class FittedModel:
     @property
     def values_at_mean_gains(self) -> dict[str, float]:
         """As :attr:`at_mean_gains`, by name."""
-        return self._named(self.at_mean_gains)
+        return self._by_name(self.at_mean_gains)
 
     @cached_property
     def model(self) -> Model:
@@ -317,19 +318,19 @@ class FittedModel:
         """The model at the values that the other blocks alone would give it."""
         assert self.fit.evidence is not None
         theta = self._at_mean_gains(self.fit.evidence.without[block])
-        return with_values(self.structure.problem.model, self._named(theta))
+        return with_values(self.structure.problem.model, self._by_name(theta))
 
-    def _named(self, theta: FloatArray) -> dict[str, float]:
+    def _by_name(self, theta: FloatArray) -> dict[str, float]:
         return dict(zip(self.structure.problem.names, theta.tolist(), strict=True))
 
     def _at_mean_gains(self, point: FloatArray) -> FloatArray:
         """Of parameters and gains, (n_f + k,) array."""
-        n, known = len(self.fit.theta), self.fit.evidence
-        if known is None or not np.isfinite(known.covariance).all():
+        n, fit_evidence = len(self.fit.theta), self.fit.evidence
+        if fit_evidence is None or not np.isfinite(fit_evidence.covariance).all():
             return point[:n]
         rows = self.metric.drift.averages
         mean = rows @ point[n:]
-        across = known.covariance[:, n:] @ rows.T
+        across = fit_evidence.covariance[:, n:] @ rows.T
         whitened = np.linalg.pinv(rows @ across[n:], hermitian=True) @ mean
         if not mean @ whitened < _OUTLYING**2:
             return point[:n]  # no parameter does what a drive's gain does
@@ -359,10 +360,10 @@ class FittedModel:
     def in_own_metric(self) -> FittedModel:
         """Refitted with the discrepancy that is most likely for itself."""
         discrepancy, shares = self.metric.discrepancy, self.metric.shares
-        return _settled(self, discrepancy, shares, rounds=2, iterations=6, tolerance=0.2)
+        return _alternating_fit(self, discrepancy, shares, rounds=2, iterations=6, tolerance=0.2)
 
 
-def _settled(
+def _alternating_fit(
     fitted: FittedModel, discrepancy: Discrepancy, shares: FloatArray, rounds: int, **search: Any
 ) -> FittedModel:
     """A fit and the sizes of its discrepancy in turn, until these hardly change."""
@@ -390,23 +391,24 @@ _TRIAL = 5
 #: Nats behind the best from which a search is not gone on with.
 _OUTRUN = 60.0
 #: Searches whose costs (nats) and parameters (scaled) differ by less have met.
-_MET = (0.3, 0.1)
+_SAME_OPTIMUM = (0.3, 0.1)
 
 
 def _leaders(points: Sequence[Point], scales: FloatArray) -> set[int]:
     """Which of some searches are worth more steps."""
     order = sorted(range(len(points)), key=lambda k: points[k].cost)
-    chosen: list[int] = []
+    leaders: list[int] = []
     for k in order:
         here, best = points[k], points[order[0]]
-        met = any(
-            here.cost - points[i].cost < _MET[0]
-            and np.max(np.abs(here.theta - points[i].theta)[: len(scales)] / scales) < _MET[1]
-            for i in chosen
+        has_met = any(
+            here.cost - points[i].cost < _SAME_OPTIMUM[0]
+            and np.max(np.abs(here.theta - points[i].theta)[: len(scales)] / scales)
+            < _SAME_OPTIMUM[1]
+            for i in leaders
         )
-        if not met and here.cost < best.cost + _OUTRUN:
-            chosen.append(k)
-    return set(chosen)
+        if not has_met and here.cost < best.cost + _OUTRUN:
+            leaders.append(k)
+    return set(leaders)
 
 
 class ModelStructure:
@@ -429,10 +431,10 @@ class ModelStructure:
         self._unseen = unseen
         sizes = [size for candidate in effects for size in candidate.free]
         names = tuple(candidate.name for candidate in effects)
-        known = _ROLLOUTS.setdefault(nominal, {})
+        rollouts = _ROLLOUTS.setdefault(nominal, {})
         step = datasets[0].sample_time
         key = (names, tuple(s.effect for s in effects), round(step, 9), tuple(p.name for p in free))
-        rollout = known.get(key)
+        rollout = rollouts.get(key)
         model = joint(nominal, self.effects) if rollout is None else rollout.model
         order = {name: i for i, name in enumerate(model.parameters.names)}
         every = sorted((*free, *sizes), key=lambda p: order[p.name])
@@ -440,17 +442,17 @@ class ModelStructure:
             model=model, datasets=tuple(datasets), free=tuple(every), window_length=block, jobs=1
         )
         self.windows = Windows(self.problem, rollout=rollout, unseen=unseen)
-        known[key] = self.windows.rollout
+        rollouts[key] = self.windows.rollout
         self._with: dict[tuple[str, ...], ModelStructure] = {}
 
     def with_effects(self, *effects: CandidateEffect) -> ModelStructure:
         """The structure with some effects; each is made once."""
-        chosen = sorted(effects, key=lambda e: e.name)
-        key = tuple(effect.name for effect in chosen)
+        sorted_effects = sorted(effects, key=lambda e: e.name)
+        key = tuple(effect.name for effect in sorted_effects)
         if key not in self._with:
             p = self.problem
             self._with[key] = ModelStructure(
-                p.model, p.free, chosen, p.datasets, p.window_length, self._unseen
+                p.model, p.free, sorted_effects, p.datasets, p.window_length, self._unseen
             )
         return self._with[key]
 
@@ -468,8 +470,8 @@ class ModelStructure:
         n = nominal.shape[1]
         if self.windows.n_x == n:
             return nominal
-        estimated = self.windows.starts(self.problem.all_values(theta))
-        return np.hstack([nominal, estimated[:, n:]])
+        estimates = self.windows.starts(self.problem.all_values(theta))
+        return np.hstack([nominal, estimates[:, n:]])
 
     def fit(
         self,
@@ -520,12 +522,12 @@ class ModelStructure:
         fit = CandidateFit(theta, at.starts, at.theta[n_f:], worth)
         return FittedModel(self, fit, metric, centres)
 
-    def held(self) -> ModelStructure:
+    def with_fixed_parameters(self) -> ModelStructure:
         """The same with its parameters as they were."""
-        held = copy.copy(self)
+        structure = copy.copy(self)
         free = tuple(replace(p, lower=p.start, upper=p.start) for p in self.problem.free)
-        held.problem, held._with = replace(self.problem, free=free), {}
-        return held
+        structure.problem, structure._with = replace(self.problem, free=free), {}
+        return structure
 
 
 #: Sizes of the discrepancy at which the first fits are made, from generous to tight: a wide one
@@ -574,12 +576,12 @@ def nominal_parameters(model: Model) -> tuple[FreeParameter, ...]:
     names = [p.name for p in model.parameters if p.prior_sd is not None and p.value != 0.0]
     if names:
         return free_parameters(model.parameters, names)
-    known = [p for p in model.parameters if "." not in p.name and p.value != 0.0]
+    parameters = [p for p in model.parameters if "." not in p.name and p.value != 0.0]
     try:
-        used = acting_parameters(model)
-        chosen = [p.name for p in known if p.name in used and p.name != "g"]
+        acting_names = acting_parameters(model)
+        free_names = [p.name for p in parameters if p.name in acting_names and p.name != "g"]
         return free_parameters(
-            model.parameters, chosen, priors={n: Prior(relative_sd=_UNTOLD) for n in chosen}
+            model.parameters, free_names, priors={n: Prior(relative_sd=_UNTOLD) for n in free_names}
         )
     except TrmsError:
         return ()
@@ -606,7 +608,7 @@ def refit(
     centres = windows.starts(p)
     channels = equation_channels(model)
     first = Discrepancy(windows, linearisation.along(p, centres), channels)
-    trajectory = linearisation.through(p, _followed(first))
+    trajectory = linearisation.through(p, _smoothed_states(first))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
     point = (theta, centres)
     drift = gain_drift(windows, trajectory)
@@ -617,21 +619,21 @@ def refit(
         point = (fitted.fit.theta, fitted.fit.starts)
     p = structure.problem.all_values(point[0])
     trajectory = linearisation.along(p, point[1])
-    trajectory = linearisation.through(p, _followed(replace(first, trajectory=trajectory)))
+    trajectory = linearisation.through(p, _smoothed_states(replace(first, trajectory=trajectory)))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
     metric = replace(
         fitted.metric, discrepancy=fitting, drift=gain_drift(windows, fitting.trajectory)
     )
-    fitted = _settled(
+    fitted = _alternating_fit(
         replace(fitted, metric=metric), fitting, np.full(count, _FIRST_SHARES[-1]), rounds=3
     )
     points = [(theta, fitted.fit.starts), (theta, centres)]
     # with its parameters as they were, only the windows' starts are fitted
-    raw = structure.held().fit(fitted.metric, points, centres=centres).fit
+    raw = structure.with_fixed_parameters().fit(fitted.metric, points, centres=centres).fit
     return Refit(structure, fitted.fit, fitted.metric, centres, raw)
 
 
-def _followed(discrepancy: Discrepancy) -> FloatArray:
+def _smoothed_states(discrepancy: Discrepancy) -> FloatArray:
     """States that follow the data, (m, c, n)."""
     r = discrepancy.windows.target - discrepancy.trajectory.y
     r = np.where(np.isfinite(r), r, 0.0)

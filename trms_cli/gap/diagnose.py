@@ -52,18 +52,18 @@ class _Watch:
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self.seconds: dict[str, float] = {}
-        self._stage, self._begun = "", time.perf_counter()
+        self._stage, self._start_time = "", time.perf_counter()
         self.checkpoint = Checkpoint(progress.saved(), progress.save)
 
     def enter(self, stage: str) -> None:
         self.leave()
-        self._stage, self._begun = stage, time.perf_counter()
+        self._stage, self._start_time = stage, time.perf_counter()
         self.tell(0.0, "")
 
     def leave(self) -> None:
         if self._stage:
-            spent = self.seconds.get(self._stage, 0.0) + time.perf_counter() - self._begun
-            self.seconds[self._stage] = spent
+            seconds = self.seconds.get(self._stage, 0.0) + time.perf_counter() - self._start_time
+            self.seconds[self._stage] = seconds
 
     def rounded(self) -> dict[str, float]:
         """Seconds by stage."""
@@ -100,9 +100,9 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         from trms_cli.gap.change import compare
         from trms_cli.gap.change_result import change_result
 
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         result = change_result(problem, compare(problem, watch.tell_whole))
-        return replace(result, seconds={"comparison": round(time.perf_counter() - begun, 3)})
+        return replace(result, seconds={"comparison": round(time.perf_counter() - start_time, 3)})
     watch.enter("refit")
     quick = problem.effort == "quick"
     parts = divide(
@@ -139,7 +139,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     if not quick:
         watch.enter("model form")
         free_form = refit_with_free_form(
-            race, unseen, taken=simulated, watch=lambda message: watch.tell(0.1, message)
+            race, unseen, candidate_names=simulated, watch=lambda message: watch.tell(0.1, message)
         )
         if free_form is not None:
             # traces about the plain refit serve: what is fitted beside free laws is fitted anew
@@ -171,7 +171,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     watch.enter("how far")
     runs = SealedRuns(problem, parts)
     posterior = posterior_of(problem, race, candidates, forces, place, constants, runs, flexible)
-    if not quick and _unexplained(posterior):
+    if not quick and _is_unexplained(posterior):
         # a cause that acts in a part of the recordings fits none of them from end to end
         watch.enter("onset")
         began = diagnose_onset(original, watch.tell)
@@ -181,29 +181,33 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         watch.enter("how far")
     sealed = sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
     watch.enter("advice")
-    left = project_traces(posterior.corrected or nominal, traces)
-    found = (race, place, forces, tests, posterior, sealed, left)
-    result = result_of(StageResults(problem, parts, candidates, left_out, *found))
+    remaining_signatures = project_traces(posterior.corrected or nominal, traces)
+    stage_results = (race, place, forces, tests, posterior, sealed, remaining_signatures)
+    result = result_of(StageResults(problem, parts, candidates, left_out, *stage_results))
     watch.leave()
     return replace(result, seconds=watch.rounded())
 
 
 #: Nats that the likeliest cause may owe to forces without a name before a part of the recordings is
 #: suspected to be unlike the rest; and the share of the gap, for no law is exactly that of the rig.
-_OWED, _OWED_SHARE = 30.0, 0.05
+_MOST_BEHIND, _MOST_BEHIND_SHARE = 30.0, 0.05
 
 
-def _unexplained(posterior: Posterior) -> bool:
+def _is_unexplained(posterior: Posterior) -> bool:
     """Whether no cause that acts from end to end explains what the refit leaves."""
     features, top = posterior.features, next(iter(posterior.probabilities))
     begins = posterior.corrected is not None and begins_at(posterior.corrected) is not None
-    if features.behind < _OWED or begins:
+    if features.behind < _MOST_BEHIND or begins:
         return False
     if posterior.verdict in ("none_of_these", "undecided", "parameters_only"):
         return True
     part = simulated_part(top)
-    owed = dict(zip(features.names, features.behinds.tolist(), strict=True)).get(part)
-    return part != top or owed is None or owed > max(_OWED, _OWED_SHARE * features.behind)
+    behind = dict(zip(features.names, features.behinds.tolist(), strict=True)).get(part)
+    return (
+        part != top
+        or behind is None
+        or behind > max(_MOST_BEHIND, _MOST_BEHIND_SHARE * features.behind)
+    )
 
 
 def _traces(
@@ -212,14 +216,16 @@ def _traces(
     """Traces of all candidates; their models are compiled side by side, which takes longest."""
     from concurrent.futures import ThreadPoolExecutor
 
-    chosen = list(simulated.values())
+    candidates = list(simulated.values())
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        for k, _ in enumerate(pool.map(nominal.structure.with_effects, chosen)):
+        for k, _ in enumerate(pool.map(nominal.structure.with_effects, candidates)):
             try:
-                watch.tell(0.7 * (k + 1) / len(chosen), chosen[k].name)
+                watch.tell(0.7 * (k + 1) / len(candidates), candidates[k].name)
             except KeyboardInterrupt:
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
     return effect_traces(
-        nominal, chosen, watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(chosen), 1), "traces")
+        nominal,
+        candidates,
+        watch=lambda k: watch.tell(0.7 + 0.3 * k / max(len(candidates), 1), "traces"),
     )

@@ -344,6 +344,6 @@ def compared_with_a_state(diagnosis: DiagnosisResult) -> bool:
 
 def shown_horizon(horizons: Iterable[str]) -> str:
     """The horizon that stands for all, as the document has it; empty without any."""
-    known = sorted(horizons, key=float)
-    below = [horizon for horizon in known if float(horizon) <= _HORIZON]
-    return (below or known[:1] or [""])[-1]
+    sorted_horizons = sorted(horizons, key=float)
+    below = [horizon for horizon in sorted_horizons if float(horizon) <= _HORIZON]
+    return (below or sorted_horizons[:1] or [""])[-1]

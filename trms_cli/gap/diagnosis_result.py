@@ -86,10 +86,12 @@ def result_of(stages: StageResults) -> DiagnosisResult:
     if posterior.verdict not in ("no_gap", "parameters_only"):
         where = _where(stages)
         main = [w.location for w in where[:2] if w.location in stages.forces]
-        forced = {k: v for k, v in stages.place.share().items() if k in stages.forces}
-        for location in main or sorted(forced, key=lambda k: -forced[k])[:1]:
+        force_shares = {k: v for k, v in stages.place.share().items() if k in stages.forces}
+        for location in main or sorted(force_shares, key=lambda k: -force_shares[k])[:1]:
             region += regions(stages.forces[location])
-            words = words or description(stages.forces[location], _foretold(posterior, location))
+            words = words or description(
+                stages.forces[location], _foretold_share(posterior, location)
+            )
     residual, law = _residual(stages)
     words = (*law, *words)
     unseen = _not_testable(stages)
@@ -141,7 +143,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
     )
 
 
-def _foretold(posterior: Posterior, location: str) -> float | None:
+def _foretold_share(posterior: Posterior, location: str) -> float | None:
     """Share of an equation's missing force that the residual without a name foretells."""
     flexible = posterior.flexible
     if flexible is None or flexible.location != location:
@@ -173,24 +175,24 @@ def _where(stages: StageResults) -> tuple[LocationShare, ...]:
     m = place.together.size
     residual = _residual_places(posterior)
     whole = _shares(posterior.probabilities, place.share(), candidates, residual)
-    drawn = [
+    resampled_shares = [
         _shares(p, place.share(random.integers(0, m, m)), candidates, residual)
         for p in posterior.resampled
     ]
-    listed = []
+    rows = []
     for location, share in sorted(whole.items(), key=lambda item: -item[1]):
         if share < _LEAST_SHARE:
             continue
-        values = [d.get(location, 0.0) for d in drawn]
+        values = [d.get(location, 0.0) for d in resampled_shares]
         low, high = np.quantile(values, [0.025, 0.975]) if values else (share, share)
-        listed.append(
+        rows.append(
             LocationShare(
                 location=location,
                 share=share,
                 ci95=(float(min(low, share)), float(max(high, share))),
             )
         )
-    return tuple(listed)
+    return tuple(rows)
 
 
 def _shares(
@@ -281,33 +283,41 @@ def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
     most = max(features.behind, float(np.max(finite, initial=0.0)), 1e-9)
 
     def row(
-        effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
+        effects: tuple[str, ...], predictive: FloatArray, largest_move: float, **more: Any
     ) -> RaceEntry:
         apart = predictive - own
         error = np.std(apart, ddof=1) * np.sqrt(len(apart)) if len(apart) > 1 else 0.0
-        given = {"explained": 0.0, **more}
+        entry_fields = {"explained": 0.0, **more}
         return RaceEntry(
-            effects=effects, score=float(apart.sum()), se=float(error), moved=moved, **given
+            effects=effects,
+            score=float(apart.sum()),
+            se=float(error),
+            moved=largest_move,
+            **entry_fields,
         )
 
-    moved = _moved(race, refit)
-    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=moved)]
+    largest_move = _largest_move(race, refit)
+    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=largest_move)]
     if refit.raw.evidence is not None:
         rows.append(row(("no_gap",), refit.raw.predictive, 0.0))
     if (flexible := stages.posterior.flexible) is not None:
         predictive = flexible.fitted.fit.predictive
-        gained = float(np.clip((predictive - own).sum() / most, 0.0, 1.0))
-        rows.append(row(("flexible",), predictive, _moved(race, flexible.fitted), explained=gained))
+        explained = float(np.clip((predictive - own).sum() / most, 0.0, 1.0))
+        rows.append(
+            row(
+                ("flexible",), predictive, _largest_move(race, flexible.fitted), explained=explained
+            )
+        )
     for entry in race.entries:
         if entry.fit.evidence is None or not np.isfinite(entry.fit.predictive).all():
             continue
-        gained = float(np.clip((entry.fit.predictive - own).sum() / most, 0.0, 1.0))
+        explained = float(np.clip((entry.fit.predictive - own).sum() / most, 0.0, 1.0))
         rows.append(
             row(
                 entry.names,
                 entry.fit.predictive,
-                _moved(race, entry),
-                explained=gained,
+                _largest_move(race, entry),
+                explained=explained,
                 parameters=_sizes(entry),
             )
         )
@@ -324,7 +334,7 @@ def _moves(race: Race, entry: FittedModel) -> dict[str, float]:
     }
 
 
-def _moved(race: Race, entry: FittedModel) -> float:
+def _largest_move(race: Race, entry: FittedModel) -> float:
     return max(_moves(race, entry).values(), default=0.0)
 
 
@@ -341,13 +351,13 @@ def _detectable(stages: StageResults) -> dict[str, Detectable]:
 def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
     race = stages.race
     rows = [NotTestable(effect=name, reason=why) for name, why in stages.left_out.items()]
-    known = set(race.signatures.names)
-    believed = inclusion(stages.posterior.probabilities)
+    simulated_names = set(race.signatures.names)
+    inclusion_probabilities = inclusion(stages.posterior.probabilities)
     for name, candidate in stages.candidates.items():
         # what the race was decided by was tested, whatever was foreseen of it
-        if not candidate.simulated or believed.get(name, 0.0) >= LEAST_ALIKE:
+        if not candidate.simulated or inclusion_probabilities.get(name, 0.0) >= LEAST_ALIKE:
             continue
-        if name not in known:
+        if name not in simulated_names:
             rows.append(NotTestable(effect=name, reason="no simulation with it stays finite"))
         elif race.signatures.least_size(name) is None:
             rows.append(NotTestable(effect=name, reason=why_not_testable(race, candidate)))
@@ -396,7 +406,7 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
 
 def why_not_testable(race: Race, candidate: CandidateEffect) -> str:
     """Why recordings say nothing on an effect."""
-    raw, left = race.signatures.most_visible(candidate.name)
+    raw, projection = race.signatures.most_visible(candidate.name)
     if raw < VISIBLE:
         return (
             "what it does was not excited: at several times its typical size it would change the "
@@ -404,36 +414,38 @@ def why_not_testable(race: Race, candidate: CandidateEffect) -> str:
         )
     return (
         f"at several times its typical size it would change the outputs by {raw:.0f} standard "
-        f"deviations of the noise, but by {left:.1f} only that the nominal parameters cannot do as "
-        "well within their priors"
+        f"deviations of the noise, but by {projection:.1f} only that the nominal parameters cannot "
+        "do as well within their priors"
     )
 
 
 #: Points of a picture's line at most.
 _POINTS = 1500
 #: s. Length of the free run that is shown.
-_SHOWN = 10.0
+_RUN_LENGTH = 10.0
 
 
 def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
     """Missing forces with what explains them, and free runs before and after."""
     forces, corrected = stages.forces, stages.posterior.corrected
-    shown = [name for name in locations if name in forces] or list(forces)[:1]
+    force_locations = [name for name in locations if name in forces] or list(forces)[:1]
     explained: dict[str, FloatArray] = {}
     if corrected is not None:
-        left = smoothed_forces(stages.race.refit, corrected)
-        explained = {name: forces[name].force - left[name].force for name in shown}
-    first = forces[shown[0]] if shown else None
+        remaining_forces = smoothed_forces(stages.race.refit, corrected)
+        explained = {
+            name: forces[name].force - remaining_forces[name].force for name in force_locations
+        }
+    first = forces[force_locations[0]] if force_locations else None
     rows = slice(None, None, 1 if first is None else max(1, len(first.time) // _POINTS))
     force: dict[str, FloatArray] = {}
-    for name in shown:
+    for name in force_locations:
         force[name] = forces[name].force[rows]
         force[f"{name}.sd"] = forces[name].sd[rows]
     time, runs = _runs(stages.parts, stages.sealed)
     return Traces(
         force_time=np.zeros(0) if first is None else first.time[rows],
         force=force,
-        force_unit={name: forces[name].unit for name in shown},
+        force_unit={name: forces[name].unit for name in force_locations},
         explained={name: value[rows] for name, value in explained.items()},
         run_time=time,
         runs=runs,
@@ -448,7 +460,7 @@ def _runs(
     dataset = parts.whole[number]
     step = dataset.sample_time
     before = free_runs.history(step)
-    samples = min(round(_SHOWN / step), last - first - before - 1)
+    samples = min(round(_RUN_LENGTH / step), last - first - before - 1)
     begins = np.arange(max(first, before), last - samples + 1, max(1, samples // 2))
     if samples < 5 or not len(begins):
         return np.zeros(0), {}
@@ -462,8 +474,8 @@ def _runs(
     with np.errstate(all="ignore"):
         worse = np.nansum((simulated["refit"] - measured) ** 2, axis=1)
         better = np.nansum((after - measured) ** 2, axis=1)
-        gained = np.nansum((worse - better) / np.maximum(dataset.noise_sd**2, 1e-18), axis=1)
-    best = int(np.argmax(gained)) if len(simulated) > 2 else int(np.argmax(worse.sum(axis=1)))
+        gains = np.nansum((worse - better) / np.maximum(dataset.noise_sd**2, 1e-18), axis=1)
+    best = int(np.argmax(gains)) if len(simulated) > 2 else int(np.argmax(worse.sum(axis=1)))
     time = dataset.time[begins[best] : begins[best] + samples]
     runs = {
         signal.name: {

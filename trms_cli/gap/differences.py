@@ -25,18 +25,18 @@ from trms_cli.models.parameters import Parameter
 class NewRecordings:
     """Recordings in question, with nothing changed."""
 
-    known: KnownState
+    known_state: KnownState
     runs: ShortRuns
     starts: FloatArray  #: (m, n) array; of the runs
     forces: MissingForces  #: That are missing
 
     @classmethod
-    def of(cls, known: KnownState, datasets: Sequence[Dataset]) -> "NewRecordings":
+    def of(cls, known_state: KnownState, datasets: Sequence[Dataset]) -> "NewRecordings":
         """From recordings."""
-        runs = ShortRuns(known.model, datasets)
-        p = known.model.parameters.values
+        runs = ShortRuns(known_state.model, datasets)
+        p = known_state.model.parameters.values
         starts = runs.starts(p)
-        return cls(known, runs, starts, runs.forces(p, starts))
+        return cls(known_state, runs, starts, runs.forces(p, starts))
 
 
 @dataclass(frozen=True)
@@ -96,27 +96,27 @@ def _every_difference(
     only: Collection[str] | None,
     jobs: int,
 ) -> Iterator[Difference]:
-    known, runs = questioned.known, questioned.runs
-    for axis, described in known.model.axes.items():
+    known_state, runs = questioned.known_state, questioned.runs
+    for axis, mechanism in known_state.model.axes.items():
         name = f"{axis}_disturbance"
-        seen = any(e.location == described.moment for e in runs.equations)
-        if seen and (only is None or name in only):
+        is_measured = any(e.location == mechanism.moment for e in runs.equations)
+        if is_measured and (only is None or name in only):
             effect = ConstantTorque(axis=axis)  # type: ignore[arg-type]
-            yield _of_effect(questioned, name, effect, (described.moment,), "torque")
-    for f in known.free:
+            yield _of_effect(questioned, name, effect, (mechanism.moment,), "torque")
+    for f in known_state.free:
         if only is None or f.name in only:
             yield _of_parameter(questioned, f)
     simulated = [c for c in candidates.values() if c.simulated and (only is None or c.name in only)]
 
-    def made(c: CandidateEffect) -> Difference:
+    def simulate_effect(c: CandidateEffect) -> Difference:
         return _of_effect(questioned, c.name, c.effect, c.locations, "effect")
 
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        yield from pool.map(made, simulated)
+        yield from pool.map(simulate_effect, simulated)
 
 
 def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
-    runs, model = questioned.runs, questioned.known.model
+    runs, model = questioned.runs, questioned.known_state.model
     p = model.parameters.values
     at = model.parameters.names.index(f.name)
     steps = np.array([-x for x in reversed(_CHANGES)] + list(_CHANGES)) * f.scale
@@ -124,20 +124,20 @@ def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
     if len(steps) < 2:  # its bounds leave no room
         return Difference(f.name, "parameter", ("change",), (f.unit,), (), ())
     starts: FloatArray | None = None
-    made: list[MissingForces] = []
+    forces: list[MissingForces] = []
     for step in steps:
         own = p.copy()
         own[at] += step
-        if not made:
+        if not forces:
             first = runs.starts(own)
             if np.max(np.abs(first - questioned.starts)) < _SAME_START:
                 starts = questioned.starts
-        made.append(runs.forces(own, starts))
+        forces.append(runs.forces(own, starts))
     between = (steps[1:] + steps[:-1]) / 2
     log_prior = np.log(np.diff(steps)) - 0.5 * (between / (_WIDTH * f.scale)) ** 2
-    family = _family(steps[:, None], 0, log_prior, made, questioned.forces)
+    family = _family(steps[:, None], 0, log_prior, forces, questioned.forces)
     # equations of other units are compared by what each errs by in any second
-    white = np.array([e.sizes.white for e in questioned.known.errors])
+    white = np.array([e.sizes.white for e in questioned.known_state.errors])
     moments = np.abs(family.change).sum(axis=(0, 1)) / white
     location = runs.equations[int(np.argmax(np.nan_to_num(moments)))].location
     families = _normalised([family])
@@ -166,9 +166,9 @@ def _of_effect(
         grid = _grid(own[at])
         rows = np.tile(shape, (len(grid), 1))
         rows[:, at] = grid
-        made = [simulated(row) for row in rows]
+        forces = [simulated(row) for row in rows]
         equal = np.zeros(len(grid) - 1)
-        family = _family(rows, at, equal, made, questioned.forces)
+        family = _family(rows, at, equal, forces, questioned.forces)
         families.append(inverse.jumping(family) if inverse else family)
     labels, units = tuple(q.name for q in own), tuple(q.unit for q in own)
     return Difference(name, kind, labels, units, locations, _normalised(families))
@@ -178,7 +178,7 @@ def _simulated(
     questioned: NewRecordings, name: str, effect: Effect
 ) -> Callable[[FloatArray], MissingForces]:
     """Missing forces with an effect in the model, by its sizes (n_s,)."""
-    model = ExtendedModel(questioned.known.model, name, effect)
+    model = ExtendedModel(questioned.known_state.model, name, effect)
     runs = ShortRuns(model, questioned.runs.windows.datasets, like=questioned.runs)
     p = model.parameters.values
     # without states or memory of its own, it begins where the model beneath does
@@ -212,36 +212,40 @@ class _SensorInverse:
             return None
         parameters = effect.parameters()
         labels = tuple(q.name for q in parameters)
-        made = cls(questioned, effect, effect.row(questioned.known.model), labels)
+        inverse = cls(questioned, effect, effect.row(questioned.known_state.model), labels)
         sizes = np.array([q.value for q in parameters])
-        return None if None in made._corrected(sizes) else made
+        return None if None in inverse._corrected_datasets(sizes) else inverse
 
-    def _corrected(self, sizes: FloatArray) -> list[Dataset | None]:
+    def _corrected_datasets(self, sizes: FloatArray) -> list[Dataset | None]:
         of = dict(zip(self.labels, sizes.tolist(), strict=True))
-        channel = self.questioned.known.model.outputs[self.output].name
-        found: list[Dataset | None] = []
+        channel = self.questioned.known_state.model.outputs[self.output].name
+        datasets: list[Dataset | None] = []
         for dataset in self.questioned.runs.windows.datasets:
             if channel not in names(dataset.outputs):
-                found.append(dataset)
+                datasets.append(dataset)
                 continue
             without = self.effect.inverse(dataset.output(channel), dataset.sample_time, of)
             measurements = dataset.measurements.copy()
             if without is not None:
                 measurements[:, names(dataset.outputs).index(channel)] = without
-            found.append(None if without is None else replace(dataset, measurements=measurements))
-        return found
+            datasets.append(
+                None if without is None else replace(dataset, measurements=measurements)
+            )
+        return datasets
 
     def _runs(self, sizes: FloatArray) -> ShortRuns:
-        datasets = [d for d in self._corrected(sizes) if d is not None]
-        known = self.questioned.known.model
-        return ShortRuns(known, datasets, like=self.questioned.runs)
+        datasets = [d for d in self._corrected_datasets(sizes) if d is not None]
+        model = self.questioned.known_state.model
+        return ShortRuns(model, datasets, like=self.questioned.runs)
 
     def forces(self, sizes: FloatArray) -> MissingForces:
         """Missing forces without the error, by its sizes (n_s,)."""
-        made = self._runs(sizes).forces(self.questioned.known.model.parameters.values)
+        forces = self._runs(sizes).forces(self.questioned.known_state.model.parameters.values)
         # the last samples of a recording have no later ones: nothing is said there
-        unknown = np.isnan(made.force)
-        return MissingForces(np.where(unknown, self.questioned.forces.force, made.force), made.held)
+        unknown = np.isnan(forces.force)
+        return MissingForces(
+            np.where(unknown, self.questioned.forces.force, forces.force), forces.at_rest
+        )
 
     def jumping(self, family: DifferenceFamily) -> DifferenceFamily:
         """With what the window shows in which the error begins."""
@@ -266,13 +270,13 @@ class _SensorInverse:
 
 def _shapes(parameters: Sequence[Parameter]) -> list[tuple[FloatArray, int]]:
     """Sizes that give an effect its shape, with the position of the one that is its amplitude."""
-    found: dict[tuple[float, ...], tuple[FloatArray, int]] = {}
+    shapes: dict[tuple[float, ...], tuple[FloatArray, int]] = {}
     for row in variants(parameters):
         at = next((i for i in range(len(row)) if row[i] and is_amplitude(parameters, i)), 0)
         shape = row.copy()
         shape[at] = 0.0
-        found.setdefault((at, *shape), (shape, at))
-    return list(found.values())
+        shapes.setdefault((at, *shape), (shape, at))
+    return list(shapes.values())
 
 
 def _grid(parameter: Parameter) -> FloatArray:
@@ -295,21 +299,21 @@ def _family(
     values: FloatArray,
     amplitude: int,
     log_prior: FloatArray,
-    made: Sequence[MissingForces],
+    forces: Sequence[MissingForces],
     base: MissingForces,
 ) -> DifferenceFamily:
     """From forces at ascending amplitudes; ``log_prior``: of each stretch between two of them."""
-    change = np.array([f.force for f in made]) - base.force
+    change = np.array([f.force for f in forces]) - base.force
     fine: BoolArray = np.array([np.isfinite(c[np.isfinite(base.force)]).all() for c in change])
     change = np.nan_to_num(change)
     size = values[:, amplitude]
     # what is too small to matter lies between the signs
-    kept = fine[1:] & fine[:-1] & (size[1:] * size[:-1] > 0)
-    prior = log_prior[kept] - logsumexp(log_prior[kept]) if kept.any() else log_prior[:0]
-    slope = np.diff(change, axis=0)[kept]
-    return DifferenceFamily(values[:-1][kept], values[1:][kept], prior, change[:-1][kept], slope)
+    mask = fine[1:] & fine[:-1] & (size[1:] * size[:-1] > 0)
+    prior = log_prior[mask] - logsumexp(log_prior[mask]) if mask.any() else log_prior[:0]
+    slope = np.diff(change, axis=0)[mask]
+    return DifferenceFamily(values[:-1][mask], values[1:][mask], prior, change[:-1][mask], slope)
 
 
 def _normalised(families: Sequence[DifferenceFamily]) -> tuple[DifferenceFamily, ...]:
-    kept = [f for f in families if len(f.prior)]
-    return tuple(replace(f, prior=f.prior - np.log(len(kept))) for f in kept)
+    nonempty = [f for f in families if len(f.prior)]
+    return tuple(replace(f, prior=f.prior - np.log(len(nonempty))) for f in nonempty)

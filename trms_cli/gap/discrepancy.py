@@ -39,7 +39,7 @@ class LinearSystem:
 
     f: FloatArray  #: (m, c, n, n) array
     h: FloatArray  #: (m, c, n_y, n) array
-    seen: BoolArray  #: (m, c, n_y) array of bool; where an output was measured
+    measured: BoolArray  #: (m, c, n_y) array of bool; where an output was measured
     r: FloatArray  #: (n_y,) array; variance of each output's noise
     start: FloatArray  #: (n, n) array; covariance of the state at each window's first sample
 
@@ -129,15 +129,15 @@ def _backward(
     With it its precision, (m, n, n). ``e``, (m, c, n_y) array: innovations.
     """
     m, c, _, n = system.h.shape
-    h = system.h * system.seen[..., None]
+    h = system.h * system.measured[..., None]
     precision = np.swapaxes(filter_.root, -1, -2) @ filter_.root
     back, spread = np.zeros((m, n)), np.zeros((m, n, n))
     for t in range(c - 1, -1, -1):
-        turned = np.swapaxes(h[:, t], 1, 2)
+        h_transposed = np.swapaxes(h[:, t], 1, 2)
         carry = system.f[:, t] @ (np.eye(n) - filter_.k[:, t] @ h[:, t])
         over = np.swapaxes(carry, 1, 2)
-        back = _times(turned, _times(precision[:, t], e[:, t])) + _times(over, back)
-        spread = turned @ precision[:, t] @ h[:, t] + over @ spread @ carry
+        back = _times(h_transposed, _times(precision[:, t], e[:, t])) + _times(over, back)
+        spread = h_transposed @ precision[:, t] @ h[:, t] + over @ spread @ carry
         yield t, back, spread
 
 
@@ -153,12 +153,12 @@ def smooth(
     """
     assert filter_.p is not None
     m, c, _, n = system.h.shape
-    h = system.h * system.seen[..., None]
+    h = system.h * system.measured[..., None]
     x, predicted = np.zeros((m, n)), np.empty((m, c, n))
     e = np.empty((m, c, h.shape[2]))
     for t in range(c):
         predicted[:, t] = x
-        e[:, t] = np.where(system.seen[:, t], r[:, t], 0.0) - _times(h[:, t], x)
+        e[:, t] = np.where(system.measured[:, t], r[:, t], 0.0) - _times(h[:, t], x)
         x = _times(system.f[:, t], x + _times(filter_.k[:, t], e[:, t]))
     smoothed, variance = np.empty((m, c, n)), np.empty((m, c, n))
     for t, back, spread in _backward(system, filter_, e):
@@ -175,22 +175,22 @@ def _gains_of_arrays(system: LinearSystem, q: FloatArray, p_out: FloatArray | No
     for t in range(c):
         if p_out is not None:
             p_out[:, t] = p
-        seen = system.seen[:, t]
-        h = system.h[:, t] * seen[..., None]
-        crossed = p @ np.swapaxes(h, 1, 2)
-        noise = np.where(seen, system.r, 1.0)
-        s = h @ crossed + noise[:, None] * np.eye(n_y)
+        measured = system.measured[:, t]
+        h = system.h[:, t] * measured[..., None]
+        cross_covariance = p @ np.swapaxes(h, 1, 2)
+        noise = np.where(measured, system.r, 1.0)
+        s = h @ cross_covariance + noise[:, None] * np.eye(n_y)
         try:
             lower = np.linalg.cholesky(s)
         except np.linalg.LinAlgError:
             raise FloatingPointError("a covariance of the filter is not positive") from None
         root[:, t] = np.linalg.inv(lower)
         diagonal = np.einsum("mii->mi", lower)
-        logdet += 2 * np.where(seen, np.log(diagonal), 0.0).sum(axis=1)
-        w = crossed @ np.swapaxes(root[:, t], 1, 2)
+        logdet += 2 * np.where(measured, np.log(diagonal), 0.0).sum(axis=1)
+        w = cross_covariance @ np.swapaxes(root[:, t], 1, 2)
         k[:, t] = w @ root[:, t]
-        left = p - w @ np.swapaxes(w, 1, 2)
-        p = system.f[:, t] @ left @ np.swapaxes(system.f[:, t], 1, 2) + q
+        filtered_covariance = p - w @ np.swapaxes(w, 1, 2)
+        p = system.f[:, t] @ filtered_covariance @ np.swapaxes(system.f[:, t], 1, 2) + q
     return FilterGains(k, root, logdet, p_out)
 
 
@@ -199,9 +199,9 @@ def _whitened_arrays(system: LinearSystem, filter_: FilterGains, columns: FloatA
     out = np.empty_like(columns)
     x = np.zeros((m, system.f.shape[-1], count))
     for t in range(c):
-        seen = system.seen[:, t][..., None]
-        e = np.where(seen, columns[:, t] - system.h[:, t] @ x, 0.0)
-        out[:, t] = np.where(seen, filter_.root[:, t] @ e, 0.0)
+        measured = system.measured[:, t][..., None]
+        e = np.where(measured, columns[:, t] - system.h[:, t] @ x, 0.0)
+        out[:, t] = np.where(measured, filter_.root[:, t] @ e, 0.0)
         x = system.f[:, t] @ (x + filter_.k[:, t] @ e)
     return out
 
@@ -219,10 +219,10 @@ def _run(function: Any, system: LinearSystem, arrays: Sequence[Any], *sizes: int
     """Call a compiled loop over all windows: sizes, the system's matrices, then other arrays."""
     m, c, n_y, n = system.h.shape
     counts = np.full(m, c, dtype=np.int64)
-    seen = np.ascontiguousarray(system.seen, dtype=np.uint8)
+    measured = np.ascontiguousarray(system.measured, dtype=np.uint8)
     pointers = [  # each keeps its array alive
         None if array is None else array.ctypes.data_as(ctypes.c_void_p)
-        for array in (counts, system.f, system.h, seen, *arrays)
+        for array in (counts, system.f, system.h, measured, *arrays)
     ]
     return function(ctypes.c_longlong(m), pointers[0], n, n_y, *sizes, *pointers[1:])
 
@@ -334,11 +334,11 @@ class DiscrepancyChannel:
 
 def equation_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     """One for each physical equation of a model, or for each input where it names none."""
-    found = tuple(
+    channels = tuple(
         DiscrepancyChannel(signal.name, "disturbance", i, signal.unit)
         for i, signal in enumerate(model.disturbances)
     )
-    return found or input_channels(model)
+    return channels or input_channels(model)
 
 
 def input_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
@@ -369,7 +369,7 @@ class Discrepancy:
     start_share: float = 1.0  #: Standard deviation of the starts over their prior spread
 
     @cached_property
-    def forgotten(self) -> FloatArray:
+    def autocorrelation(self) -> FloatArray:
         """Factor of each force from one sample to the next, (n_d,)."""
         factor = np.exp(-self.windows.sample_time / CORRELATION_TIME)
         return np.full(len(self.channels), factor)
@@ -411,7 +411,7 @@ class Discrepancy:
         d = len(self.channels)
         f = np.zeros((m, c, n + d, n + d))
         f[..., :n, :n] = t.a
-        f[..., range(n, n + d), range(n, n + d)] = self.forgotten
+        f[..., range(n, n + d), range(n, n + d)] = self.autocorrelation
         h = np.zeros((m, c, t.y.shape[-1], n + d))
         h[..., :n] = t.h
         for i, channel in enumerate(self.channels):
@@ -436,8 +436,8 @@ class Discrepancy:
         n = self.trajectory.x.shape[-1]
         variance = np.zeros(n + len(self.channels))
         variance[n:] = shares**2
-        forgotten = np.concatenate([np.zeros(n), self.forgotten])
-        q = np.diag(variance * (1 - forgotten**2))
+        autocorrelation = np.concatenate([np.zeros(n), self.autocorrelation])
+        q = np.diag(variance * (1 - autocorrelation**2))
         system = replace(self.system, start=self.system.start + np.diag(variance))
         return gains(system, q, covariances=covariances)
 
@@ -446,13 +446,13 @@ class Discrepancy:
         t, n = self.trajectory, self.trajectory.x.shape[-1]
         m, c = t.x.shape[:2]
         variance = np.concatenate([np.zeros(n), shares**2])
-        kept = np.concatenate([np.zeros(n), self.forgotten])
+        autocorrelation = np.concatenate([np.zeros(n), self.autocorrelation])
         p = np.broadcast_to(np.diag(variance), (m, n + len(shares), n + len(shares)))
         total = np.zeros(t.y.shape[-1])
         for k in range(c):
             f, h = self.system.f[:, k], self.system.h[:, k]
             total += np.einsum("myi,mij,myj->y", h, p, h)
-            p = f @ p @ np.swapaxes(f, 1, 2) + np.diag(variance * (1 - kept**2))
+            p = f @ p @ np.swapaxes(f, 1, 2) + np.diag(variance * (1 - autocorrelation**2))
         return np.sqrt(total / (m * c))
 
     def whitened(self, filter_: FilterGains, columns: FloatArray) -> FloatArray:
@@ -475,7 +475,7 @@ class Discrepancy:
 FLOOR = 0.004
 #: No discrepancy is larger than what acts there, several times over.
 _MOST = 10.0
-_SETTLED = 0.05
+_TOLERANCE = 0.05
 
 
 def likely_shares(
@@ -498,8 +498,8 @@ def likely_shares(
     """
     shares = np.maximum(np.asarray(shares, dtype=float), least)
     n = discrepancy.trajectory.x.shape[-1]
-    chosen = np.ones(len(shares), dtype=bool) if moving is None else moving
-    later = 1 - discrepancy.forgotten**2
+    is_free = np.ones(len(shares), dtype=bool) if moving is None else moving
+    later = 1 - discrepancy.autocorrelation**2
     for _ in range(iterations):
         try:
             filter_ = discrepancy.filter(shares)
@@ -513,10 +513,10 @@ def likely_shares(
         ratio = slopes[0] / np.maximum(slopes[1], 1e-300)
         # the size is the root of the variance; half of the rest of the way is taken at a time
         after = np.clip(shares * np.clip(np.sqrt(ratio), 0.3, 4.0), least, _MOST)
-        after = np.where(chosen, after, shares)
-        settled = np.max(np.abs(np.log(after / shares))) < _SETTLED
+        after = np.where(is_free, after, shares)
+        has_converged = np.max(np.abs(np.log(after / shares))) < _TOLERANCE
         shares = after
-        if settled:
+        if has_converged:
             break
     return shares
 

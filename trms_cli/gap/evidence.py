@@ -77,20 +77,24 @@ class ChangeEvidence:
 
     def __init__(self, questioned: NewRecordings, *, ends: bool = False) -> None:
         self.questioned, self.ends = questioned, ends
-        self.known, self.runs, self.forces = questioned.known, questioned.runs, questioned.forces
-        self.series = self.known.series(self.runs, self.forces)
+        self.known_state, self.runs, self.forces = (
+            questioned.known_state,
+            questioned.runs,
+            questioned.forces,
+        )
+        self.series = self.known_state.series(self.runs, self.forces)
         #: By equation: (m,) arrays of bool; where something was measured
         self.rows = [np.isfinite(self.forces.force[:, e]) for e in range(len(self.series))]
         #: By equation: what was measured of it
         self.own = [s.only(rows) for s, rows in zip(self.series, self.rows, strict=True)]
         self._laws = self._of_laws()
-        found = [law.log_weight + law.densities.sum() for law in self._laws]
-        self.unchanged = float(logsumexp(found))
+        log_evidence = [law.log_weight + law.densities.sum() for law in self._laws]
+        self.unchanged = float(logsumexp(log_evidence))
 
     def _of_laws(self) -> list[_Law]:
         by_equation = [
             list(error.predictions(own))
-            for error, own in zip(self.known.errors, self.own, strict=True)
+            for error, own in zip(self.known_state.errors, self.own, strict=True)
         ]
         laws = []
         for number, together in enumerate(zip(*by_equation, strict=True)):
@@ -108,8 +112,8 @@ class ChangeEvidence:
                 )
             )
         total = logsumexp([law.log_weight for law in laws])
-        kept = [replace(law, log_weight=law.log_weight - total) for law in laws]
-        return [law for law in kept if law.log_weight > _NEGLIGIBLE]
+        normalised_laws = [replace(law, log_weight=law.log_weight - total) for law in laws]
+        return [law for law in normalised_laws if law.log_weight > _NEGLIGIBLE]
 
     @cached_property
     def onsets(self) -> tuple[FloatArray, float, FloatArray]:
@@ -127,16 +131,18 @@ class ChangeEvidence:
 
     def with_covariance(self, e: int, covariance: FloatArray) -> float:
         """Log evidence of a further force on an equation, (m_e, m_e) its covariance."""
-        known = {law.number: law for law in self._laws}
-        error, own = self.known.errors[e], self.own[e]
+        laws_by_number = {law.number: law for law in self._laws}
+        error, own = self.known_state.errors[e], self.own[e]
         logs = [
             law.log_weight
             + law.densities.sum()
             - law.densities[e]
-            + made.constant
-            - robust(made.whitener @ (own.force - made.mean)).sum()
-            for law, made in zip(
-                known.values(), error.predictions(own, covariance, known), strict=True
+            + prediction.constant
+            - robust(prediction.whitener @ (own.force - prediction.mean)).sum()
+            for law, prediction in zip(
+                laws_by_number.values(),
+                error.predictions(own, covariance, laws_by_number),
+                strict=True,
             )
         ]
         return float(logsumexp(logs))
@@ -165,33 +171,33 @@ class ChangeEvidence:
 
         Returns the log evidence, the most probable part and its standard deviation, (k,) arrays.
         """
-        found, parts, spreads = [], [], []
-        moved = self._moved(change, slope)
+        log_evidence, parts, spreads = [], [], []
+        equations = self._affected_equations(change, slope)
         for law in self._laws:
-            z = np.concatenate([law.parts[e] for e in moved])
-            begin = z[:, None] + self._whitened(law, change, moved)
-            added = self._whitened(law, slope, moved)
-            others = law.densities.sum() - law.densities[moved].sum()
-            constant = others + sum(law.constants[e] for e in moved)
+            z = np.concatenate([law.parts[e] for e in equations])
+            white_residual = z[:, None] + self._whitened(law, change, equations)
+            white_slope = self._whitened(law, slope, equations)
+            others = law.densities.sum() - law.densities[equations].sum()
+            constant = others + sum(law.constants[e] for e in equations)
             part = np.full(len(change), 0.5)
             for _ in range(_REWEIGHED):
-                weight = robust_weight(begin + part * added)
-                weight *= added
-                curvature = np.maximum(np.einsum("nk,nk->k", weight, added), 1e-12)
-                part = np.clip(-np.einsum("nk,nk->k", weight, begin) / curvature, 0.0, 1.0)
-            cost = robust(begin + part * added).sum(axis=0)
+                weight = robust_weight(white_residual + part * white_slope)
+                weight *= white_slope
+                curvature = np.maximum(np.einsum("nk,nk->k", weight, white_slope), 1e-12)
+                part = np.clip(-np.einsum("nk,nk->k", weight, white_residual) / curvature, 0.0, 1.0)
+            cost = robust(white_residual + part * white_slope).sum(axis=0)
             spread = 1 / np.sqrt(curvature)
             occam = np.minimum(np.log(np.sqrt(2 * np.pi) * spread), 0.0)
-            found.append(law.log_weight + constant - cost + occam)
+            log_evidence.append(law.log_weight + constant - cost + occam)
             parts.append(part)
             spreads.append(spread)
-        best = np.argmax(found, axis=0)[None]
-        chosen = [np.take_along_axis(np.array(v), best, 0)[0] for v in (parts, spreads)]
-        return (np.asarray(logsumexp(found, axis=0)), *chosen)
+        best = np.argmax(log_evidence, axis=0)[None]
+        part_and_sd = [np.take_along_axis(np.array(v), best, 0)[0] for v in (parts, spreads)]
+        return (np.asarray(logsumexp(log_evidence, axis=0)), *part_and_sd)
 
-    def _moved(self, *changes: FloatArray) -> list[int]:
+    def _affected_equations(self, *changes: FloatArray) -> list[int]:
         """Equations on which changes (k, m, e) act at all: most act on one or two."""
-        white = np.array([error.sizes.white for error in self.known.errors])
+        white = np.array([error.sizes.white for error in self.known_state.errors])
         largest = np.max([np.abs(c).max(axis=(0, 1), initial=0.0) for c in changes], axis=0)
         acts = largest > _UNSEEN * white
         return [int(e) for e in np.flatnonzero(acts)] or [int(np.argmax(largest / white))]
@@ -236,8 +242,8 @@ def judge(
     whole = len(onsets) * step
     always, begins = [], []
     for family in difference.families:
-        found = evidence.of(family.change, family.slope)
-        value, part, sd = (v[None] for v in found)
+        estimates = evidence.of(family.change, family.slope)
+        value, part, sd = (v[None] for v in estimates)
         always.append(_Trial(family, onsets[:0], value + family.prior + _ALWAYS, part, sd))
         if not len(onsets):  # runs of a single second
             continue
@@ -328,18 +334,18 @@ def _put_jumps(
         for j in np.flatnonzero(within):
             into = int(np.ceil((time - runs.begin[j]) / step - 1e-9))
             sample = min(into, jump.change.shape[2] - 1)
-            for v, seen in ((change, jump.change), (slope, jump.slope)):
+            for v, shift in ((change, jump.change), (slope, jump.slope)):
                 v[t, :, j] = 0.0
-                v[t, :, j, jump.equation] = back * seen[:, j, sample]
+                v[t, :, j, jump.equation] = back * shift[:, j, sample]
 
 
 def _most_probable(trials: Sequence[_Trial], recording: int, at: float) -> Onset:
     """The most probable onset in a recording, with its interval."""
     times = np.concatenate([trial.onsets for trial in trials])
     log = np.concatenate([logsumexp(trial.log, axis=1) for trial in trials])
-    chosen = times[:, 0] == recording
-    order = np.argsort(times[chosen, 1])
-    times, log = times[chosen, 1][order], log[chosen][order]
+    in_recording = times[:, 0] == recording
+    order = np.argsort(times[in_recording, 1])
+    times, log = times[in_recording, 1][order], log[in_recording][order]
     share = np.cumsum(np.exp(log - log.max()))
     low, high = np.interp([0.025, 0.975], share / share[-1], times)
     return Onset(time_s=at, ci95=(float(min(low, at)), float(max(high, at))))

@@ -61,7 +61,7 @@ def evidence_sections(
         _force(diagnosis),
         _before_and_after(diagnosis),
         _tests(diagnosis),
-        _not_told(diagnosis),
+        _testability(diagnosis),
         _parameters(diagnosis),
         _recordings(diagnosis, remarks),
     ]
@@ -74,12 +74,12 @@ def _is_effect(effects: Sequence[str]) -> bool:
 
 def _winner(diagnosis: DiagnosisResult) -> RaceEntry | None:
     """The competitor that is the likeliest answer; the best score where it is no effect."""
-    named = [entry for entry in diagnosis.race if _is_effect(entry.effects)]
+    entries = [entry for entry in diagnosis.race if _is_effect(entry.effects)]
     first = likeliest(diagnosis)
-    for entry in named:
+    for entry in entries:
         if first is not None and entry.effects == first.effects:
             return entry
-    return max(named, key=lambda entry: entry.score, default=None)
+    return max(entries, key=lambda entry: entry.score, default=None)
 
 
 def _race(diagnosis: DiagnosisResult) -> report.Section | None:
@@ -109,13 +109,13 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
     others = [e for e in diagnosis.race if _is_effect(e.effects) and e is not best]
     second = max(others, key=lambda entry: entry.score, default=None)
     if second is not None:
-        name, apart = cause_name(second.effects), best.score - second.score
-        if abs(apart) < _LEVEL:
+        name, lead = cause_name(second.effects), best.score - second.score
+        if abs(lead) < _LEVEL:
             text += f" Level with it is {name}."
-        elif apart > 0:
-            text += f" Next is {name}, {apart:.0f} nats below."
+        elif lead > 0:
+            text += f" Next is {name}, {lead:.0f} nats below."
         else:
-            text += f" Above it is {name} by {-apart:.0f} nats, which has more to adjust."
+            text += f" Above it is {name} by {-lead:.0f} nats, which has more to adjust."
     flexible = next((e for e in diagnosis.race if tuple(e.effects) == ("flexible",)), None)
     if flexible is not None:
         if flexible.score > best.score + 2 * (_se(flexible) + _se(best)):
@@ -144,8 +144,8 @@ def _result(entry: RaceEntry) -> str:
 def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
     """Bars of the held-out score of each competitor above the refitted model's."""
     entries = sorted((e for e in diagnosis.race if np.isfinite(e.score)), key=lambda e: -e.score)
-    kept = entries[:_MOST_BARS]
-    kept += [e for e in entries[_MOST_BARS:] if not _is_effect(e.effects)]
+    bar_entries = entries[:_MOST_BARS]
+    bar_entries += [e for e in entries[_MOST_BARS:] if not _is_effect(e.effects)]
     best = _winner(diagnosis)
     first = likeliest(diagnosis)
     alike = (
@@ -154,8 +154,8 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
         else set()
     )
     hardly = _hardly_testable(diagnosis)
-    top = max([e.score + (_se(e) if _is_effect(e.effects) else 0.0) for e in kept] + [1.0])
-    low = min(0.0, max(min((e.score for e in kept), default=0.0), -0.25 * top))
+    top = max([e.score + (_se(e) if _is_effect(e.effects) else 0.0) for e in bar_entries] + [1.0])
+    low = min(0.0, max(min((e.score for e in bar_entries), default=0.0), -0.25 * top))
 
     def colour(entry: RaceEntry) -> draw.Colour:
         if not _is_effect(entry.effects):
@@ -165,12 +165,12 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
         return "sky" if entry.effects in alike else "grey"
 
     bars = draw.Bars(
-        [cause_name(e.effects) if e.effects != ("no_gap",) else "as it was" for e in kept],
-        [max(e.score, low) for e in kept],
-        [colour(e) for e in kept],
+        [cause_name(e.effects) if e.effects != ("no_gap",) else "as it was" for e in bar_entries],
+        [max(e.score, low) for e in bar_entries],
+        [colour(e) for e in bar_entries],
         [
             e.se if e.se is not None and _is_effect(e.effects) and e.score >= low else np.nan
-            for e in kept
+            for e in bar_entries
         ],
         [
             "not significantly different from the best"
@@ -178,13 +178,13 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
             else "not significantly different from no effect"
             if e in hardly.values() and not _beats_no_effect(e)
             else ""
-            for e in kept
+            for e in bar_entries
         ],
     )
-    compared = compared_with_a_state(diagnosis)
+    is_comparison = compared_with_a_state(diagnosis)
     axis = draw.Axis(
         "log evidence above that nothing changed"
-        if compared
+        if is_comparison
         else "held-out log density above the refitted model",
         "nats",
         (1.05 * low, 1.04 * top),
@@ -194,12 +194,12 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
         [draw.Panel(axis, draw.Axis(""), [bars])],
         "How much more probable the missing forces are with each difference than with none, "
         "averaged over its sizes and onsets."
-        if compared
+        if is_comparison
         else "How much better each candidate, fitted together with the model's parameters, "
         "foretells blocks that it was not fitted to, one step ahead; whiskers: one standard error.",
         columns=1,
         width=_WIDTH,
-        height=0.8 + 0.27 * len(kept),
+        height=0.8 + 0.27 * len(bar_entries),
     )
 
 
@@ -228,15 +228,15 @@ def force_chart(traces: Traces, locations: Sequence[str]) -> draw.Chart | None:
 
     None where nothing was smoothed. Of the first place a part is enlarged below.
     """
-    shown = [name for name in locations if name in traces.force][:3]
-    if not shown:
+    places = [name for name in locations if name in traces.force][:3]
+    if not places:
         return None
     time = np.asarray(traces.force_time, dtype=float)
-    begin, end = _busiest_part(traces, shown[0])
+    begin, end = _busiest_part(traces, places[0])
     whole = (float(time[0]), float(time[-1]))
     panels = []
-    for number, name in enumerate((shown[0], *shown)):
-        enlarged = number == 1
+    for number, name in enumerate((places[0], *places)):
+        is_enlarged = number == 1
         unit, scale = wording.small_unit(traces.force_unit.get(name, ""))
         force = scale * np.asarray(traces.force[name], dtype=float)
         marks: list[draw.Mark] = []
@@ -245,13 +245,15 @@ def force_chart(traces: Traces, locations: Sequence[str]) -> draw.Chart | None:
             marks.append(draw.Band(time, force - 2 * sd, force + 2 * sd, "± 2 sd", "grey"))
         marks.append(draw.Curve(time, force, "missing", "ink", width=0.8))
         if name in traces.explained:
-            says = scale * np.asarray(traces.explained[name], dtype=float)
-            marks.append(draw.Curve(time, says, "what the cause says", "blue", width=1.3))
+            explained_force = scale * np.asarray(traces.explained[name], dtype=float)
+            marks.append(
+                draw.Curve(time, explained_force, "what the cause says", "blue", width=1.3)
+            )
         marks.append(draw.Line(y=0.0))
         if number == 0:
             marks += [draw.Line(x=begin, colour="ink"), draw.Line(x=end, colour="ink")]
-        title = f"{place_name(name)}{', enlarged' if enlarged else ''}"
-        axis = draw.Axis("time", "s", (begin, end) if enlarged else whole)
+        title = f"{place_name(name)}{', enlarged' if is_enlarged else ''}"
+        axis = draw.Axis("time", "s", (begin, end) if is_enlarged else whole)
         panels.append(draw.Panel(axis, draw.Axis("", wording.unit(unit)), marks, title))
     return draw.Chart(
         "force", panels, "Second: the part between the dotted lines, enlarged.", 1, _WIDTH, 1.9
@@ -261,11 +263,11 @@ def force_chart(traces: Traces, locations: Sequence[str]) -> draw.Chart | None:
 def _busiest_part(traces: Traces, name: str) -> tuple[float, float]:
     """The stretch in which the force (or what is said of it) has most energy."""
     time = np.asarray(traces.force_time, dtype=float)
-    wanted = min(_ENLARGED, float(time[-1] - time[0]))
+    duration = min(_ENLARGED, float(time[-1] - time[0]))
     values = np.nan_to_num(np.asarray(traces.explained.get(name, traces.force[name]), dtype=float))
     if not np.any(values):
         values = np.nan_to_num(np.asarray(traces.force[name], dtype=float))
-    width = max(1, int(np.searchsorted(time - time[0], wanted)))
+    width = max(1, int(np.searchsorted(time - time[0], duration)))
     if width >= len(time):
         return float(time[0]), float(time[-1])
     energy = np.convolve(values**2, np.ones(width), "valid")
@@ -291,8 +293,8 @@ def _before_and_after(diagnosis: DiagnosisResult) -> report.Section | None:
 
 def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[report.Table, report.Table]:
     """The gap by channel at the horizon that stands for all, and at every horizon."""
-    shown = shown_horizon(h for gaps in diagnosis.gap.values() for h in gaps)
-    caption = f"RMS of the errors of free runs of {float(shown or 0):g} s on the sealed part."
+    horizon = shown_horizon(h for gaps in diagnosis.gap.values() for h in gaps)
+    caption = f"RMS of the errors of free runs of {float(horizon or 0):g} s on the sealed part."
     of_all, heads = "", ["output", _LENGTH, "as it was", "refitted", "floor"]
     if corrected:
         heads = [*heads[:-1], "corrected", "floor", *_CLOSED]
@@ -304,9 +306,9 @@ def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[report.Tab
         )
     rows = [row for row in _gap_rows(diagnosis) if corrected or row["floor"] != ""]
     columns = [report.Column(head, head) for head in heads]
-    at_shown = [row for row in rows if shown and row[_LENGTH] == f"{float(shown):g}"]
+    rows_at_horizon = [row for row in rows if horizon and row[_LENGTH] == f"{float(horizon):g}"]
     return (
-        report.table(at_shown, [columns[0], *columns[2:]], caption),
+        report.table(rows_at_horizon, [columns[0], *columns[2:]], caption),
         report.table(rows, columns, of_all, heads=2, on_screen=False),
     )
 
@@ -408,7 +410,7 @@ def _tests(diagnosis: DiagnosisResult) -> report.Section | None:
         [name, *(by_place.get((name, channel), "") for channel in channels)]
         for name in dict.fromkeys(test.name for test in diagnosis.tests)
     ]
-    seen = [test for test in diagnosis.tests if test.rejected]
+    rejections = [test for test in diagnosis.tests if test.rejected]
     caption = (
         "Probability that noise and errors of usual size make that, corrected for the number of "
         f"tests; red: larger. {_margins(diagnosis)}"
@@ -416,7 +418,7 @@ def _tests(diagnosis: DiagnosisResult) -> report.Section | None:
     heads = ["test", *(wording.signal(channel) for channel in channels)]
     return report.Section(
         "Is there a gap at all?",
-        [_tests_words(diagnosis, seen)],
+        [_tests_words(diagnosis, rejections)],
         [report.Table(heads, rows, caption, on_screen=False)],
         folded=True,
     )
@@ -434,18 +436,18 @@ def _margins(diagnosis: DiagnosisResult) -> str:
     )
 
 
-def _tests_words(diagnosis: DiagnosisResult, seen: Sequence[GapTest]) -> str:
+def _tests_words(diagnosis: DiagnosisResult, rejections: Sequence[GapTest]) -> str:
     """What the tests say, and how that goes with the verdict."""
     of = "the refitted model's one-step errors"
     nothing = diagnosis.verdict in ("no_gap", "no_change", "parameters_only")
-    if not seen:
+    if not rejections:
         text = f"None of the tests finds {of} larger than usual."
         if not nothing:
             text += " What the race tells lies within the margin of each test: a weak gap."
         return text
-    where = dict.fromkeys(wording.signal(test.channel) for test in seen)
+    where = dict.fromkeys(wording.signal(test.channel) for test in rejections)
     text = (
-        f"{len(seen)} of {wording.count(len(diagnosis.tests), 'test')} find {of} larger than "
+        f"{len(rejections)} of {wording.count(len(diagnosis.tests), 'test')} find {of} larger than "
         f"usual, in {wording.listing(list(where))}."
     )
     if nothing:
@@ -466,7 +468,7 @@ def _parameters(diagnosis: DiagnosisResult) -> report.Section | None:
         return None
     items = sorted(diagnosis.parameters.items(), key=lambda item: -abs(item[1].moved or 0.0))
 
-    def moved(item: tuple[str, FittedParameter]) -> report.Datum:
+    def move_cell(item: tuple[str, FittedParameter]) -> report.Datum:
         by = item[1].moved
         if by is None:
             return report.Datum(None)
@@ -478,7 +480,7 @@ def _parameters(diagnosis: DiagnosisResult) -> report.Section | None:
         report.Column("before", lambda item: item[1].prior),
         report.Column("fitted", lambda item: report.Datum(item[1].fitted, sd=item[1].sd)),
         report.Column("±", lambda item: item[1].sd),
-        report.Column("moved, in sd of what was known", moved),
+        report.Column("moved, in sd of what was known", move_cell),
     ]
     more = len(items) - _MOST_PARAMETERS
     caption = f"And {more} more, which moved less: see diagnosis.json." if more > 0 else ""
@@ -511,15 +513,15 @@ def _beats_no_effect(entry: RaceEntry) -> bool:
     return entry.score > max(_LEVEL, 2 * _se(entry))
 
 
-def _not_told(diagnosis: DiagnosisResult) -> report.Section | None:
-    named = {
+def _testability(diagnosis: DiagnosisResult) -> report.Section | None:
+    cause_effects = {
         name for cause in diagnosis.causes if cause.probability >= LEAST for name in cause.effects
     }
     # what the race was decided by was tested, whatever was foreseen of it
-    unnamed = [item for item in diagnosis.not_testable if item.effect not in named]
-    raced = _hardly_testable(diagnosis)
-    hardly = [item for item in unnamed if item.effect in raced]
-    untested = [item for item in unnamed if item.effect not in raced]
+    unnamed = [item for item in diagnosis.not_testable if item.effect not in cause_effects]
+    race_entries = _hardly_testable(diagnosis)
+    hardly = [item for item in unnamed if item.effect in race_entries]
+    untested = [item for item in unnamed if item.effect not in race_entries]
     if not unnamed and not diagnosis.detectable:
         return None
     text = ["An effect that was not excited is not tested, which is not to say that it is absent."]
@@ -531,7 +533,7 @@ def _not_told(diagnosis: DiagnosisResult) -> report.Section | None:
         )
         columns = [
             report.Column("raced, but hardly testable", lambda item: wording.readable(item.effect)),
-            report.Column("against no effect", lambda item: _result(raced[item.effect])),
+            report.Column("against no effect", lambda item: _result(race_entries[item.effect])),
             report.Column("why", "reason"),
         ]
         blocks.append(report.table(hardly, columns, on_screen=False))

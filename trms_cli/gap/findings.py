@@ -61,8 +61,8 @@ def findings(
     )
     sections = (
         _causes(diagnosis),
-        _moved(diagnosis),
-        *_rejected(diagnosis),
+        _moved_parameters(diagnosis),
+        *_rejected_effects(diagnosis),
         _where(diagnosis),
         *evidence_sections(diagnosis, remarks),
     )
@@ -104,8 +104,8 @@ def headline(diagnosis: DiagnosisResult) -> str:
 
 def _of_the_refit(diagnosis: DiagnosisResult) -> str:
     """How much other parameters alone close, where they are the answer."""
-    shown = shown_horizon(h for gaps in diagnosis.gap.values() for h in gaps)
-    rows = {c: gaps[shown] for c, gaps in diagnosis.gap.items() if shown in gaps}
+    horizon = shown_horizon(h for gaps in diagnosis.gap.values() for h in gaps)
+    rows = {c: gaps[horizon] for c, gaps in diagnosis.gap.items() if horizon in gaps}
     rows = {c: row for c, row in rows.items() if row.floor > 0 and np.isfinite(row.raw)}
     if diagnosis.verdict != "parameters_only" or not rows:
         return ""
@@ -114,7 +114,7 @@ def _of_the_refit(diagnosis: DiagnosisResult) -> str:
     unit, scale = wording.small_unit(row.unit)
     raw, refit, floor = (scale * value for value in (row.raw, row.refit, row.floor))
     return (
-        f"On data kept aside the error of {wording.signal(channel)} over {float(shown):g} s "
+        f"On data kept aside the error of {wording.signal(channel)} over {float(horizon):g} s "
         f"goes from {wording.number(raw)} to {wording.quantity(refit, unit)} "
         f"(noise alone: {wording.number(floor)})."
     )
@@ -239,23 +239,29 @@ def _next(diagnosis: DiagnosisResult, folder: Path | None) -> Iterator[report.Ne
 
 
 def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
-    kept = [cause for cause in diagnosis.causes if cause.probability >= LEAST][:_MOST_CAUSES]
-    if not kept:
+    probable_causes = [cause for cause in diagnosis.causes if cause.probability >= LEAST][
+        :_MOST_CAUSES
+    ]
+    if not probable_causes:
         return None
-    sure = diagnosis.verdict != "undecided" and kept[0].probability >= _LIKELY
+    sure = diagnosis.verdict != "undecided" and probable_causes[0].probability >= _LIKELY
 
     def probability(cause: Cause) -> report.Datum:
-        judgement: report.Judgement = "good" if cause is kept[0] and sure else ""
+        judgement: report.Judgement = "good" if cause is probable_causes[0] and sure else ""
         return report.Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
 
-    rest = sum(cause.probability for cause in diagnosis.causes if cause not in kept)
-    rows = [*kept, Cause(effects=OTHERS, probability=rest)] if rest >= _REST else kept
+    rest = sum(cause.probability for cause in diagnosis.causes if cause not in probable_causes)
+    rows = (
+        [*probable_causes, Cause(effects=OTHERS, probability=rest)]
+        if rest >= _REST
+        else probable_causes
+    )
     columns = [
         report.Column("cause", lambda cause: cause_name(cause.effects)),
         report.Column("probability", probability),
         report.Column("size", lambda cause: sizes(cause.parameters)),
     ]
-    if any(confusable_with(cause, diagnosis) for cause in kept):
+    if any(confusable_with(cause, diagnosis) for cause in probable_causes):
         columns.append(
             report.Column(
                 "confusable with",
@@ -265,7 +271,7 @@ def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
             )
         )
     return report.Section(
-        "Which cause" if len(kept) == 1 else "Which of the causes",
+        "Which cause" if len(probable_causes) == 1 else "Which of the causes",
         [
             "Probabilities of all answers; they sum to one. How the race turns into probabilities "
             "is set by rigs whose truth is known, built by other code than the models."
@@ -278,7 +284,7 @@ def _parts(diagnosis: DiagnosisResult) -> list[report.Block]:
     """Probability of each effect to be part of the answer, where some answers have several."""
     if not any(len(c.effects) > 1 and c.probability >= LEAST for c in diagnosis.causes):
         return []
-    listed = [item for item in diagnosis.inclusion.items() if item[1] >= LEAST]
+    probable_effects = [item for item in diagnosis.inclusion.items() if item[1] >= LEAST]
     columns = [
         report.Column("effect", lambda item: wording.readable(item[0])),
         report.Column(
@@ -289,7 +295,7 @@ def _parts(diagnosis: DiagnosisResult) -> list[report.Block]:
     caption = (
         "Of all answers that hold the effect, alone or with others: these need not sum to one."
     )
-    return [report.table(listed, columns, caption)]
+    return [report.table(probable_effects, columns, caption)]
 
 
 #: Departures of laws that are listed.
@@ -307,7 +313,7 @@ def _model_form(diagnosis: DiagnosisResult) -> str:
     )
 
 
-def _moved(diagnosis: DiagnosisResult) -> report.Section | None:
+def _moved_parameters(diagnosis: DiagnosisResult) -> report.Section | None:
     """Which parameters moved, where other parameters may be the answer."""
     if not diagnosis.moved:
         return None
@@ -315,7 +321,7 @@ def _moved(diagnosis: DiagnosisResult) -> report.Section | None:
         report.Column("what", "words"),
         report.Column(
             "that it moved",
-            lambda moved: report.Datum(wording.percent(moved.probability), bar=moved.probability),
+            lambda item: report.Datum(wording.percent(item.probability), bar=item.probability),
         ),
         report.Column("parameter", "parameter"),
     ]
@@ -324,20 +330,20 @@ def _moved(diagnosis: DiagnosisResult) -> report.Section | None:
         "has moved: the probability that it has, and by how much."
     )
     if diagnosis.verdict != "parameters_only":
-        believed = {cause.effects: cause.probability for cause in diagnosis.causes}
-        share = wording.percent(believed.get(("parameters_only",), 0.0))
+        probabilities = {cause.effects: cause.probability for cause in diagnosis.causes}
+        share = wording.percent(probabilities.get(("parameters_only",), 0.0))
         text = (
             f"What would have moved if other parameters were the answer, which has {share}. {text}"
         )
-    shown = diagnosis.verdict in ("parameters_only", "undecided")
+    on_screen = diagnosis.verdict in ("parameters_only", "undecided")
     return report.Section(
         "Which of the parameters",
         [text],
-        [report.table(diagnosis.moved[:_MOST_MOVED], columns, on_screen=shown)],
+        [report.table(diagnosis.moved[:_MOST_MOVED], columns, on_screen=on_screen)],
     )
 
 
-def _rejected(diagnosis: DiagnosisResult) -> list[report.Section]:
+def _rejected_effects(diagnosis: DiagnosisResult) -> list[report.Section]:
     """Why not the others: the nearest, and folded away those that were not even fitted."""
 
     def score(item: Rejected) -> report.Cell:
@@ -359,10 +365,10 @@ def _rejected(diagnosis: DiagnosisResult) -> list[report.Section]:
     ]
     if any(item.upper_bound is not None for item in diagnosis.rejected):
         columns.append(report.Column("at most", bound))
-    compared = compared_with_a_state(diagnosis)
+    against_state = compared_with_a_state(diagnosis)
     caption = (
         "Nats: log evidence above that nothing changed."
-        if compared
+        if against_state
         else "Nats: held-out log density above the refitted model, of those that were fitted. At "
         "most: its first size lies below that with 95 %, beside the answer (of what is not told "
         "apart from it: alone)."
@@ -372,14 +378,16 @@ def _rejected(diagnosis: DiagnosisResult) -> list[report.Section]:
     sections = []
     if near:
         text = "The nearest of the other suspects, " + (
-            "each alone." if compared else "each fitted together with the parameters."
+            "each alone." if against_state else "each fitted together with the parameters."
         )
         rows = report.table(near, columns, caption, on_screen=False)
         sections.append(report.Section("Why not the others", [text], [rows]))
     if rest:
         text = "Every suspect that was not worth a fit, the nearest first, by the trace it leaves."
-        kept = [column for column in columns if column.head in ("suspect", "why not", "at most")]
-        rows = report.table(rest, kept, "" if near else caption, on_screen=False)
+        rest_columns = [
+            column for column in columns if column.head in ("suspect", "why not", "at most")
+        ]
+        rows = report.table(rest, rest_columns, "" if near else caption, on_screen=False)
         sections.append(report.Section("Why not the rest", [text], [rows], folded=True))
     return sections
 

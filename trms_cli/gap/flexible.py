@@ -17,7 +17,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, get_args
 
@@ -135,19 +135,19 @@ class Flexible:
         """The fitted residuals as effects of a model, by name."""
         values = self.fitted.values_at_mean_gains
         return {
-            candidate.name: _settled(candidate, values)
+            candidate.name: _with_fixed_coefficients(candidate, values)
             for candidate in self.fitted.structure.effects
         }
 
 
-def _settled(candidate: CandidateEffect, values: Mapping[str, float]) -> Residual:
+def _with_fixed_coefficients(candidate: CandidateEffect, values: Mapping[str, float]) -> Residual:
     """A residual with its coefficients as constants."""
     free = candidate.effect
     assert isinstance(free, (_FreeForce, _FreeReading))
-    given = tuple((name, values[f"{candidate.name}.{name}"]) for name in free.names)
+    coefficients = tuple((name, values[f"{candidate.name}.{name}"]) for name in free.names)
     if isinstance(free, _FreeForce):
-        return ResidualForce(equation=free.equation, terms=given, spans=free.spans)
-    return ResidualReading(axis=free.axis, terms=given, spans=free.spans)
+        return ResidualForce(equation=free.equation, terms=coefficients, spans=free.spans)
+    return ResidualReading(axis=free.axis, terms=coefficients, spans=free.spans)
 
 
 def node_of(effect: Residual) -> dict[str, Any]:
@@ -180,32 +180,34 @@ def fit_flexible(
     equation.
     """
     shares = place.share()
-    named = [k for k in shares if k in forces and k in get_args(Equation)]
-    known = sorted(named, key=lambda k: -shares[k])
-    if not known or place.together.sum() < _LEAST_GAP:
+    equations = [k for k in shares if k in forces and k in get_args(Equation)]
+    ranking = sorted(equations, key=lambda k: -shares[k])
+    if not ranking or place.together.sum() < _LEAST_GAP:
         return None
     motion = _Motion(refit)
-    first = known[0]
+    first = ranking[0]
     try:
-        best = _fitted(motion, first, forces)
+        best = _fit_residual(motion, first, forces)
         if best.foretold < _ENOUGH:
-            for other in _others(refit.structure.problem.model, first, known[1:], shares):
-                tried = _fitted(motion, first, forces, other, best)
-                best = max(best, tried, key=lambda flexible: flexible.score)
+            for other in _others(refit.structure.problem.model, first, ranking[1:], shares):
+                alternative = _fit_residual(motion, first, forces, other, best)
+                best = max(best, alternative, key=lambda flexible: flexible.score)
     except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
         return None  # what cannot be simulated is no competitor
     return best if np.isfinite(best.score) else None
 
 
-def _others(model: Model, first: str, known: list[str], shares: Mapping[str, float]) -> list[str]:
+def _others(
+    model: Model, first: str, equations: list[str], shares: Mapping[str, float]
+) -> list[str]:
     """Where a residual might explain what a force on the first equation leaves."""
     side = first.split("_")[0]
     angle = model.axes[side].angle if side in model.axes else ""
     sensor = [f"{side}_sensor"] if angle in {s.name for s in model.outputs} else []
-    return [at for at in (*sensor, *known[:1]) if shares.get(at, 0.0) > _WORTH][:1]
+    return [at for at in (*sensor, *equations[:1]) if shares.get(at, 0.0) > _WORTH][:1]
 
 
-def _fitted(
+def _fit_residual(
     motion: _Motion,
     location: str,
     forces: Mapping[str, ForceRecord],
@@ -222,18 +224,18 @@ def _fitted(
         location, other, before = other, "", None
     values, shares = dict(refit.values), refit.metric.shares.copy()
     if other.endswith("sensor"):
-        chosen = [motion.candidate(other, _READING)]
+        candidates = [motion.candidate(other, _READING)]
     else:
         places = [location, *([other] if other else [])]
-        chosen = [motion.candidate(place, _size(forces[place])) for place in places]
+        candidates = [motion.candidate(place, _size(forces[place])) for place in places]
         for place in places:
-            started, foretold = motion.regressed(place, forces[place])
-            values |= started
+            coefficients, predicted_share = motion.regress(place, forces[place])
+            values |= coefficients
             at = [c.location for c in refit.metric.discrepancy.channels].index(place)
-            shares[at] *= np.sqrt(np.clip(1 - foretold, 0.05, 1.0))
+            shares[at] *= np.sqrt(np.clip(1 - predicted_share, 0.05, 1.0))
         if before is not None:
             values |= before.fitted.values
-    structure = refit.structure.with_effects(*chosen)
+    structure = refit.structure.with_effects(*candidates)
     theta = structure.theta(values)
     metric = replace(refit.metric, shares=shares)
     fitted = structure.fit(
@@ -283,9 +285,9 @@ def _relevant(fitted: FittedModel, metric: Metric) -> tuple[dict[str, float], Fl
         move = np.asarray(covariance @ (precision * centre - pull))
         for rows in groups.values():
             size = move[rows] - centre[rows]  # of the coefficients themselves
-            decided = np.sum(1 - precision[rows] * np.diag(covariance)[rows])
-            wanted = max(float(decided), 1e-3) / max(float(size @ size), 1e-12)
-            precision[rows] = np.clip(wanted, 1 / _WIDEST**2, 1 / _NARROWEST**2)
+            effective_number = np.sum(1 - precision[rows] * np.diag(covariance)[rows])
+            new_precision = max(float(effective_number), 1e-3) / max(float(size @ size), 1e-12)
+            precision[rows] = np.clip(new_precision, 1 / _WIDEST**2, 1 / _NARROWEST**2)
     move = np.asarray(np.linalg.solve(curvature + np.diag(precision), precision * centre - pull))
     scales = objective.scales
     sd = {names[i]: scales[i] / np.sqrt(precision[i]) for r in groups.values() for i in r}
@@ -297,11 +299,11 @@ def _with_priors(structure: ModelStructure, sd: Mapping[str, float]) -> ModelStr
     free = tuple(
         replace(p, prior_sd=sd[p.name]) if p.name in sd else p for p in structure.problem.free
     )
-    made = copy.copy(structure)
-    made.problem = replace(structure.problem, free=free)
-    made.windows = copy.copy(structure.windows)
-    made.windows.problem = made.problem
-    return made
+    variant = copy.copy(structure)
+    variant.problem = replace(structure.problem, free=free)
+    variant.windows = copy.copy(structure.windows)
+    variant.windows.problem = variant.problem
+    return variant
 
 
 def _size(record: ForceRecord) -> float:
@@ -314,7 +316,6 @@ class _Motion:
     """The motion that the data show, along which terms are evaluated."""
 
     refit: Refit
-    _kept: dict[str, Any] = field(default_factory=dict)
 
     @property
     def model(self) -> Model:
@@ -330,31 +331,33 @@ class _Motion:
         """Expressions by name, (k,) each."""
         model, windows = self.model, self.refit.structure.windows
         x, u, p, w = model.symbols()
-        made = build(EffectContext(model, x, u, p, w, ca.SX.zeros(0), {}))
+        expressions = build(EffectContext(model, x, u, p, w, ca.SX.zeros(0), {}))
         inside = windows.inside
         states = self.refit.metric.discrepancy.trajectory.x[..., : model.n_x][inside]
         n = len(states)
-        function = ca.Function("along", [x, u, p, w], [ca.densify(ca.vertcat(*made.values()))])
-        given = np.repeat(self.refit.model.parameters.values[:, None], n, axis=1)
+        function = ca.Function(
+            "along", [x, u, p, w], [ca.densify(ca.vertcat(*expressions.values()))]
+        )
+        parameters = np.repeat(self.refit.model.parameters.values[:, None], n, axis=1)
         no_force = np.zeros((model.n_w, n))
-        rows = function.map(n)(states.T, windows.commands[inside].T, given, no_force)
-        return dict(zip(made, np.array(ca.DM(rows).full()), strict=True))
+        rows = function.map(n)(states.T, windows.commands[inside].T, parameters, no_force)
+        return dict(zip(expressions, np.array(ca.DM(rows).full()), strict=True))
 
     @cached_property
     def spans(self) -> tuple[tuple[str, float, float], ...]:
         """Middle and half of the range of each variable."""
-        found = []
+        ranges = []
         for name, values in self.along(variables).items():
             low, high = np.quantile(values, (0.005, 0.995))
             half = max(float(high - low) / 2, 0.02 * USUAL_SPANS[name][1])
-            found.append((name, float(high + low) / 2, half))
-        return tuple(found)
+            ranges.append((name, float(high + low) / 2, half))
+        return tuple(ranges)
 
     def terms(self, place: str) -> dict[str, FloatArray]:
         """The terms at a place by name, (k,) each."""
         spans = {**USUAL_SPANS, **{name: (m, h) for name, m, h in self.spans}}
-        given = {name: (ca.SX(m), ca.SX(h)) for name, (m, h) in spans.items()}
-        return self.along(lambda at: dict(terms(at, place, given)))
+        symbolic_spans = {name: (ca.SX(m), ca.SX(h)) for name, (m, h) in spans.items()}
+        return self.along(lambda at: dict(terms(at, place, symbolic_spans)))
 
     def candidate(self, place: str, size: float) -> CandidateEffect:
         """A residual with its coefficients free; ``size``: sd of the prior of each."""
@@ -385,7 +388,7 @@ class _Motion:
         )
         return CandidateEffect(name, effect, (place,), free, np.zeros((0, len(names))), False)
 
-    def regressed(self, location: str, record: ForceRecord) -> tuple[dict[str, float], float]:
+    def regress(self, location: str, record: ForceRecord) -> tuple[dict[str, float], float]:
         """Coefficients that fit the smoothed force, by name.
 
         With them the share of it that they foretell on held-out blocks. A trend in time stands
@@ -407,8 +410,8 @@ class _Motion:
         weights = np.linalg.solve(gram, both.T @ force)
         own = weights[: phi.shape[1]]
         name = name_of(location)
-        found = {f"{name}.{term}": float(w) for term, w in zip(columns, own, strict=True)}
-        return found, 1 - min(errors) / energy
+        coefficients = {f"{name}.{term}": float(w) for term, w in zip(columns, own, strict=True)}
+        return coefficients, 1 - min(errors) / energy
 
 
 def _trends(record: ForceRecord) -> FloatArray:
@@ -417,10 +420,10 @@ def _trends(record: ForceRecord) -> FloatArray:
     for number in np.unique(record.recording):
         here = record.recording == number
         time = record.time[here]
-        scaled = 2 * (time - time[0]) / max(float(np.ptp(time)), 1e-9) - 1
+        scaled_time = 2 * (time - time[0]) / max(float(np.ptp(time)), 1e-9) - 1
         for power in range(1, _TRENDS + 1):
             column = np.zeros(len(here))
-            column[here] = scaled**power
+            column[here] = scaled_time**power
             columns.append(column)
     return np.array(columns).T
 
@@ -492,13 +495,13 @@ def held_out_residuals(fitted: FittedModel) -> FloatArray:
     parabola = _parabola(fitted, fitted.metric)
     (r, c), n, whole = parabola.rows, parabola.n, parabola.whole
     total = parabola.curvature + np.diag(parabola.prior_root**2)
-    left = -parabola.residuals
-    for j in range(len(left)):
+    residuals = -parabola.residuals
+    for j in range(len(residuals)):
         shift = np.linalg.solve(total - r[j].T @ r[j], r[j].T @ c[j])
-        wanted = whole[j, :n, n:-1] @ shift + whole[j, :n, -1]
-        back = -np.linalg.solve(whole[j, :n, :n], wanted)
-        left[j] -= parabola.slopes[j] @ np.concatenate([back, shift])
-    return left
+        right_side = whole[j, :n, n:-1] @ shift + whole[j, :n, -1]
+        back = -np.linalg.solve(whole[j, :n, :n], right_side)
+        residuals[j] -= parabola.slopes[j] @ np.concatenate([back, shift])
+    return residuals
 
 
 def short_law(

@@ -76,7 +76,7 @@ def free_run_errors(
     """
     step = datasets[0].sample_time
     rollout = rollout or Rollout(model, step, jobs=jobs)
-    found: dict[str, dict[float, list[HorizonErrors]]] = {}
+    errors_by_channel: dict[str, dict[float, list[HorizonErrors]]] = {}
     blocks = 0
     for number, spans in groupby(sorted(parts), key=lambda part: part[0]):
         dataset = datasets[number]
@@ -95,16 +95,18 @@ def free_run_errors(
             inside = begins + samples <= limits
             if not inside.any():
                 continue
-            squared = _squared(model, rollout, dataset, begins[inside], samples, starts[inside])
-            for name, column in zip(names(dataset.outputs), squared.T, strict=True):
-                seen = ~np.isnan(column)
-                if not seen.any():  # a sensor that died before
+            squares = _mean_squared_errors(
+                model, rollout, dataset, begins[inside], samples, starts[inside]
+            )
+            for name, column in zip(names(dataset.outputs), squares.T, strict=True):
+                is_measured = ~np.isnan(column)
+                if not is_measured.any():  # a sensor that died before
                     continue
-                errors = HorizonErrors(column[seen], block_of[inside][seen])
-                found.setdefault(name, {}).setdefault(horizon, []).append(errors)
+                errors = HorizonErrors(column[is_measured], block_of[inside][is_measured])
+                errors_by_channel.setdefault(name, {}).setdefault(horizon, []).append(errors)
     return {
-        name: {horizon: joined(parts_) for horizon, parts_ in of_channel.items()}
-        for name, of_channel in found.items()
+        name: {horizon: join_errors(parts_) for horizon, parts_ in of_channel.items()}
+        for name, of_channel in errors_by_channel.items()
     }
 
 
@@ -152,14 +154,14 @@ def expected_errors(
     """
     rollout = rollout or Rollout(model, datasets[0].sample_time, jobs=jobs)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0xF100]))
-    p, made = model.parameters.values, []
+    p, simulations = model.parameters.values, []
     for dataset in datasets:
         start = StartEstimator(rollout, dataset, np.zeros(1, dtype=np.int64)).at(p).states
         y = simulated_windows(rollout, dataset, [0], len(dataset), start, p)[0]
         noisy = y + dataset.noise_sd * random.standard_normal(y.shape)
         noisy[np.isnan(dataset.measurements)] = np.nan
-        made.append(replace(dataset, measurements=noisy))
-    return free_run_errors(model, made, parts, rollout=rollout, **options)
+        simulations.append(replace(dataset, measurements=noisy))
+    return free_run_errors(model, simulations, parts, rollout=rollout, **options)
 
 
 def _firsts(
@@ -175,7 +177,7 @@ def _firsts(
     return every, of_block.astype(np.int64)
 
 
-def _squared(
+def _mean_squared_errors(
     model: Model,
     rollout: Rollout,
     dataset: Dataset,
@@ -184,13 +186,13 @@ def _squared(
     starts: FloatArray,
 ) -> FloatArray:
     """Mean squared errors, (m, n_y); NaN where nothing was measured."""
-    measured = dataset.measurements[first[:, None] + np.arange(samples)]
-    present = ~np.isnan(measured)
+    measurements = dataset.measurements[first[:, None] + np.arange(samples)]
+    present = ~np.isnan(measurements)
     y = simulated_windows(rollout, dataset, first, samples, starts, model.parameters.values)
     with np.errstate(all="ignore"):
-        squared = (measured - y) ** 2
-        squared = np.where(np.isfinite(squared), squared, np.inf)
-        total = np.sum(np.where(present, squared, 0.0), axis=1)
+        squares = (measurements - y) ** 2
+        squares = np.where(np.isfinite(squares), squares, np.inf)
+        total = np.sum(np.where(present, squares, 0.0), axis=1)
         mean: FloatArray = total / present.sum(axis=1)
     return np.where(present.any(axis=1), mean, np.nan)
 
@@ -201,7 +203,7 @@ def _near(anchors: IntArray, begin: IntArray, samples: int) -> BoolArray:
     return np.abs(begin[after] - anchors) <= 2 * samples
 
 
-def joined(errors: Sequence[HorizonErrors]) -> HorizonErrors:
+def join_errors(errors: Sequence[HorizonErrors]) -> HorizonErrors:
     """Of several parts of one channel at one horizon."""
     return HorizonErrors(
         np.concatenate([e.squared for e in errors]), np.concatenate([e.block for e in errors])
@@ -217,6 +219,6 @@ def _prior_sd(model: Model, step: float) -> FloatArray:
     rate = ca.diag(ca.jacobian(model.dynamics(x, u, p, w), x))
     of_states = ca.Function("strays", [x, u, p, w], [rate, model.noise_sd(p, step)])
     at = (model.rest(), np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w))
-    forgets, driven = (np.array(ca.DM(v).full()).ravel() for v in of_states(*at))
-    kept = np.exp(2 * step * np.minimum(forgets, -1e-3))
-    return np.where(driven > 0, driven / np.sqrt(1 - kept), sd)
+    rates, noise_sd = (np.array(ca.DM(v).full()).ravel() for v in of_states(*at))
+    squared_pole = np.exp(2 * step * np.minimum(rates, -1e-3))
+    return np.where(noise_sd > 0, noise_sd / np.sqrt(1 - squared_pole), sd)

@@ -69,12 +69,12 @@ class GainDrift:
 
     def likely_sizes(self, gains: FloatArray, variance: FloatArray) -> FloatArray:
         """Most likely size by drive (n_u,), from coefficients and their variances, each (k,)."""
-        found = []
+        sizes = []
         for i in range(self.drives):
             own = self.drive == i
             total = np.sum(gains[own] ** 2 + variance[own]) + _WORTH * USUAL_DRIFT**2
-            found.append(np.sqrt(total / (np.count_nonzero(own) + _WORTH)))
-        return np.maximum(found, LEAST_DRIFT)
+            sizes.append(np.sqrt(total / (np.count_nonzero(own) + _WORTH)))
+        return np.maximum(sizes, LEAST_DRIFT)
 
     def excess(self, gains: FloatArray, sizes: FloatArray, usual: FloatArray) -> float:
         """Nats that coefficients owe to sizes beyond the usual, by drive (n_u,)."""
@@ -89,11 +89,11 @@ def gain_drift(windows: Windows, trajectory: Trajectory) -> GainDrift:
     drives, knots = windows.commands.shape[2], basis.shape[2]
     x = np.zeros((m, n, drives * knots))
     columns = np.empty((m, c, n_y, drives * knots))
-    driven = trajectory.b * windows.commands[:, :, None]
+    input_terms = trajectory.b * windows.commands[:, :, None]
     for t in range(c):
         columns[:, t] = trajectory.h[:, t] @ x
-        forced = driven[:, t, :, :, None] * basis[:, t, None, None]
-        x = trajectory.a[:, t] @ x + forced.reshape(m, n, drives * knots)
+        forcing = input_terms[:, t, :, :, None] * basis[:, t, None, None]
+        x = trajectory.a[:, t] @ x + forcing.reshape(m, n, drives * knots)
     columns = np.where(windows.measured[..., None], columns, 0.0)
     weight = basis[windows.inside].mean(axis=0)
     return GainDrift(columns, np.repeat(np.arange(drives), knots), np.tile(weight, drives))

@@ -51,20 +51,20 @@ def refit_with_free_form(
     race: Race,
     unseen: int = 0,
     *,
-    taken: Collection[str] = (),
+    candidate_names: Collection[str] = (),
     watch: Callable[[str], object] = lambda message: None,
 ) -> FreeForm | None:
     """The refit with free laws, where it says enough to race again; None: the laws will do.
 
-    ``unseen``: as of :func:`~trms_cli.gap.competing_model.refit`. ``taken``: names of candidates,
-    which are no nuisance. ``watch``: told what is being done, may raise to stop.
+    ``unseen``: as of :func:`~trms_cli.gap.competing_model.refit`. ``candidate_names``: these
+    are no nuisance. ``watch``: told what is being done, may raise to stop.
     """
     plain = race.refit
     best = max((e.fit.score for e in race.entries), default=plain.fit.score)
     if best < plain.fit.score + _WORTH_DOUBTING:
         return None
     problem = plain.structure.problem
-    free_of_them = {name: law for name, law in MODEL_FORM.items() if name not in taken}
+    free_of_them = {name: law for name, law in MODEL_FORM.items() if name not in candidate_names}
     laws, _ = applicable_candidates(problem.model, free_of_them)
     if not laws:
         return None
@@ -73,14 +73,20 @@ def refit_with_free_form(
     while free:
         watch("laws of another form")
         try:
-            made = refit(
+            free_refit = refit(
                 model, (*problem.free, *free), problem.datasets, problem.window_length, unseen
             )
         except (FloatingPointError, np.linalg.LinAlgError):
             return None  # what cannot be reckoned with is no reason to stop
-        beyond = {name for name, law in departures(made).items() if abs(law.value) > _NEAR * _MOST}
+        beyond = {
+            name for name, law in departures(free_refit).items() if abs(law.value) > _NEAR * _MOST
+        }
         if not beyond:
-            return FreeForm(model, made) if made.fit.score > plain.fit.score + _FREE else None
+            return (
+                FreeForm(model, free_refit)
+                if free_refit.fit.score > plain.fit.score + _FREE
+                else None
+            )
         # what a law would have to bend so far for is something else, which an effect has to say
         free = [size for size in free if size.name not in beyond]
     return None
@@ -96,10 +102,12 @@ def with_effects_beneath_impulses(model: Model, effects: Mapping[str, Effect]) -
     while isinstance(base, ExtendedModel):
         own = {base.effect_name: base.effect, **own}
         base = base.base
-    made = extend_model(base, {**own, **effects})
-    known = {p.name: p for p in model.parameters}
-    made.parameters = ParameterSet([known.get(p.name, p) for p in made.parameters])
-    return made
+    extended_model = extend_model(base, {**own, **effects})
+    own_parameters = {p.name: p for p in model.parameters}
+    extended_model.parameters = ParameterSet(
+        [own_parameters.get(p.name, p) for p in extended_model.parameters]
+    )
+    return extended_model
 
 
 def _with_prior(free: FreeParameter) -> FreeParameter:

@@ -62,7 +62,7 @@ def moved_parameters(
     if fit.evidence is None or not free:
         return ()
     scales = np.array([p.scale for p in free])
-    known = np.array([p.prior_sd is not None for p in free])
+    has_prior = np.array([p.prior_sd is not None for p in free])
     n = len(free)  # behind them stand the drives' gains
     covariance = fit.evidence.covariance[:n, :n] / np.outer(scales, scales)
     # one that lies on a bound has no spread, and takes no part
@@ -70,8 +70,8 @@ def moved_parameters(
     if not len(inside):
         return ()
     z = (fit.theta - np.array([p.prior_mean for p in free])) / scales
-    moves = sampled_moves(z[inside], covariance[np.ix_(inside, inside)], known[inside], seed)
-    found = []
+    moves = sampled_moves(z[inside], covariance[np.ix_(inside, inside)], has_prior[inside], seed)
+    parameters = []
     for k, i in enumerate(inside):
         if moves.probability[k] < _LEAST or free[i].name.split(".")[0] in MODEL_FORM:
             continue
@@ -79,7 +79,7 @@ def moved_parameters(
         # the parabola knows no bounds
         value = parameter.value + float(moves.mean[k] * scales[i])
         change = float(np.clip(value, free[i].lower, free[i].upper)) - parameter.value
-        found.append(
+        parameters.append(
             MovedParameter(
                 parameter=parameter.name,
                 probability=float(moves.probability[k]),
@@ -89,48 +89,52 @@ def moved_parameters(
                 words=change_in_words(model, parameter, change, pitch, moves.sd[k] * scales[i]),
             )
         )
-    return tuple(sorted(found, key=lambda moved: -moved.probability))
+    return tuple(sorted(parameters, key=lambda item: -item.probability))
 
 
-def sampled_moves(z: FloatArray, covariance: FloatArray, known: BoolArray, seed: int = 0) -> Moves:
+def sampled_moves(
+    z: FloatArray, covariance: FloatArray, has_prior: BoolArray, seed: int = 0
+) -> Moves:
     """Spike and slab over a Gaussian posterior.
 
     ``z``, (k,) array: its mean, in standard deviations of the priors. ``covariance``, (k, k) array.
-    ``known``, (k,) array: whose priors are in it, to be taken out.
+    ``has_prior``, (k,) array: whose priors are in it, to be taken out.
     """
     k = len(z)
     precision = np.linalg.inv(covariance)
     towards = precision @ z
-    likelihood = precision - np.diag(known.astype(float))
+    likelihood = precision - np.diag(has_prior.astype(float))
     values, vectors = np.linalg.eigh(0.5 * (likelihood + likelihood.T))
     likelihood = (vectors * np.maximum(values, 0.0)) @ vectors.T
     random = np.random.default_rng(np.random.SeedSequence([seed, 0x30CE]))
-    stayed, moved = _STAYED**-2, _MOVED**-2
+    spike_precision, slab_precision = _STAYED**-2, _MOVED**-2
     has_moved = np.zeros(k, dtype=bool)
     sums = np.zeros((4, k))
     for sweep in range(_UNCOUNTED + _SWEEPS):
-        inverse = np.linalg.inv(likelihood + np.diag(np.where(has_moved, moved, stayed)))
+        inverse = np.linalg.inv(
+            likelihood + np.diag(np.where(has_moved, slab_precision, spike_precision))
+        )
         for i in range(k):
             # both states of this one, from the inverse at hand (Sherman & Morrison)
             own, mean = inverse[i, i], float(inverse[i] @ towards)
-            now = moved if has_moved[i] else stayed
+            now = slab_precision if has_moved[i] else spike_precision
             odds, means, spreads = {}, {}, {}
-            for name, prior in ((False, stayed), (True, moved)):
-                grown = 1 + (prior - now) * own
-                odds[name] = 0.5 * (np.log(prior) - np.log(grown))
-                odds[name] -= 0.5 * (prior - now) * mean**2 / grown
-                means[name], spreads[name] = mean / grown, own / grown
+            for name, prior in ((False, spike_precision), (True, slab_precision)):
+                denominator = 1 + (prior - now) * own
+                odds[name] = 0.5 * (np.log(prior) - np.log(denominator))
+                odds[name] -= 0.5 * (prior - now) * mean**2 / denominator
+                means[name], spreads[name] = mean / denominator, own / denominator
             logit = odds[True] - odds[False] + np.log(_BEFORE / (1 - _BEFORE))
             p = float(1 / (1 + np.exp(-np.clip(logit, -500, 500))))
             if sweep >= _UNCOUNTED:
                 square = spreads[True] + means[True] ** 2
                 sums[:, i] += (p, p * means[True], p * square, 1.0)
-            chosen = bool(random.uniform() < p)
-            if chosen != has_moved[i]:
-                apart = (moved if chosen else stayed) - now
+            draw = bool(random.uniform() < p)
+            if draw != has_moved[i]:
+                apart = (slab_precision if draw else spike_precision) - now
                 column = inverse[:, i].copy()
                 inverse -= apart / (1 + apart * own) * np.outer(column, column)
-                has_moved[i] = chosen
+                has_moved[i] = draw
     weight = np.maximum(sums[0], 1e-300)
     mean = sums[1] / weight
     return Moves(sums[0] / sums[3], mean, np.sqrt(np.maximum(sums[2] / weight - mean**2, 0.0)))
@@ -144,10 +148,12 @@ def change_in_words(
     ``sd``: standard deviation of the change, told where it is above zero.
     """
     what = parameter.description or parameter.name
-    value, shown = parameter.value, unit(parameter.unit)
+    value, unit_text = parameter.value, unit(parameter.unit)
     error = f" ± {number(float(sd), 2)}" if sd > 0 else ""
-    spread = f"{number(value)} → {number(value + change)}{error} {shown}".rstrip()
-    own = f"{what} {spread}" if value == 0 else f"{what} {signed(change / value)} ({spread})"
+    spread = f"{number(value)} → {number(value + change)}{error} {unit_text}".rstrip()
+    own = (
+        f"{what} {spread}" if value == 0 else f"{what} {signed_percent(change / value)} ({spread})"
+    )
     gravity = gravity_in_words(model, {parameter.name: value + change}, pitch)
     return f"{gravity}: {own}" if gravity else own
 
@@ -164,8 +170,8 @@ def gravity_in_words(model: Model, values: Mapping[str, float], pitch: float) ->
     quantities = model.quantities(x, u, p)
     if not {"gravity_moment", "arm_main"} <= quantities.keys():
         return ""
-    wanted = [quantities["gravity_moment"], quantities["arm_main"]]
-    at = ca.Function("gravity", [x, u, p], wanted)
+    outputs = [quantities["gravity_moment"], quantities["arm_main"]]
+    at = ca.Function("gravity", [x, u, p], outputs)
     before = model.parameters.values
     after = model.parameters.replaced(values).values
 
@@ -179,19 +185,19 @@ def gravity_in_words(model: Model, values: Mapping[str, float], pitch: float) ->
         return ""
     share = whole[1] / whole[0] - 1
     (old, arm), (new, _) = moment(pitch, before), moment(pitch, after)
-    known = model.parameters
-    g = known["g"].value if "g" in known else _GRAVITY
+    parameters = model.parameters
+    g = parameters["g"].value if "g" in parameters else _GRAVITY
     mass = -(new - old) / (g * arm * np.cos(pitch)) if arm > 0 and np.cos(pitch) > 0.1 else 0.0
     if abs(share) < _LEAST_SHARE:
         return ""
-    text = f"gravity moment of the beam {signed(share)}"
+    text = f"gravity moment of the beam {signed_percent(share)}"
     if abs(mass) < _LEAST_MASS:
         return text
     grams = f"{number(1e3 * abs(mass), 2)} g{'' if mass > 0 else ' less'}"
     return f"{text}, as {grams} at the nose would"
 
 
-def signed(share: float) -> str:
+def signed_percent(share: float) -> str:
     """A change in per cent with its sign, to two digits: ``−9 %``, ``+0.8 %``."""
     text = number(abs(100 * share), 2)
     return f"{'−' if share < 0 else '+'}{text} %"

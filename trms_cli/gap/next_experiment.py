@@ -124,8 +124,10 @@ def experiments(
     ``load``: whether a long load is among them.
     """
     trial = _Trial(rollout, parameters)
-    yield from _designed(trial, sample_time, model_name)
-    yield from _played(trial, sample_time, model_name, (*_PLAYED, _LOAD) if load else _PLAYED)
+    yield from _designed_experiments(trial, sample_time, model_name)
+    yield from _played_experiments(
+        trial, sample_time, model_name, (*_PLAYED, _LOAD) if load else _PLAYED
+    )
 
 
 class _Trial:
@@ -174,22 +176,24 @@ class _Trial:
             fits = self.fit([commands(t) for t in trials], first)
             return next((t for t, fit in zip(trials, fits, strict=True) if fit), None)
 
-        found = best([_rounded(share * room) for share in _SHARES])
-        if found is None or len(room) < 2:
-            return found
+        amplitudes = best([_round_amplitudes(share * room) for share in _SHARES])
+        if amplitudes is None or len(room) < 2:
+            return amplitudes
         for i in reversed(range(len(room))):  # the tail rotor's axis is the freer one
             larger = []
             for share in _SHARES:
-                trial = found.copy()
-                trial[i] = _rounded(share * room)[i]
-                if trial[i] > found[i]:
+                trial = amplitudes.copy()
+                trial[i] = _round_amplitudes(share * room)[i]
+                if trial[i] > amplitudes[i]:
                     larger.append(trial)
             better = best(larger)
-            found = found if better is None else better
-        return found
+            amplitudes = amplitudes if better is None else better
+        return amplitudes
 
 
-def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[OpenLoopExperiment]:
+def _designed_experiments(
+    trial: _Trial, sample_time: float, model_name: str
+) -> Iterator[OpenLoopExperiment]:
     model = trial.model
     rest = model.rest()
     angles = [_FROM_REST * float(rest[model.state_index(name)]) for name in model.controlled]
@@ -232,18 +236,22 @@ def _designed(trial: _Trial, sample_time: float, model_name: str) -> Iterator[Op
         amplitude = trial.amplitude(commands, _OF_INPUTS * upper - np.abs(centre), len(head))
         if amplitude is None:
             continue
-        listed = ", ".join(
+        amplitude_text = ", ".join(
             f"{name}: {size:g}" for name, size in zip(names(model.inputs), amplitude, strict=True)
         )
         keys += ["excitation.iterations=0"] * (option == "multisine")
         keys += ["reversals=true"] * reverses
-        keys += [f"duration={DURATION:g}", f"lead_in={LEAD_IN:g}", f"amplitude={{{listed}}}"]
+        keys += [
+            f"duration={DURATION:g}",
+            f"lead_in={LEAD_IN:g}",
+            f"amplitude={{{amplitude_text}}}",
+        ]
         yield OpenLoopExperiment(
-            words, commands(amplitude), _typed("excite", model_name, keys, sample_time)
+            words, commands(amplitude), _command_line("excite", model_name, keys, sample_time)
         )
 
 
-def _played(
+def _played_experiments(
     trial: _Trial, sample_time: float, model_name: str, kinds: Sequence[tuple[str, _Wave, _Wave]]
 ) -> Iterator[OpenLoopExperiment]:
     model = trial.model
@@ -272,11 +280,11 @@ def _played(
         keys += ["ref=speed"] * (not trial.angles)  # a rotor alone has no angle to refer to
         keys.append(f"sim.duration={DURATION + LEAD_IN:g}")
         yield OpenLoopExperiment(
-            words, commands(amplitude), _typed("run", model_name, keys, sample_time)
+            words, commands(amplitude), _command_line("run", model_name, keys, sample_time)
         )
 
 
-def _typed(command: str, model_name: str, keys: Sequence[str], sample_time: float) -> str:
+def _command_line(command: str, model_name: str, keys: Sequence[str], sample_time: float) -> str:
     step = "sample_time" if command == "excite" else "sim.sample_time"
     words = ["trms", command, f"model={model_name}", *keys]
     if abs(sample_time - 0.02) > 1e-9:
@@ -284,7 +292,7 @@ def _typed(command: str, model_name: str, keys: Sequence[str], sample_time: floa
     return " ".join(shlex.quote(word) for word in words)
 
 
-def _rounded(amplitude: FloatArray) -> FloatArray:
+def _round_amplitudes(amplitude: FloatArray) -> FloatArray:
     """As they are typed."""
     return np.array([float(f"{value:.3g}") for value in amplitude])
 
@@ -309,8 +317,9 @@ class _Question:
 
     candidates: tuple[CandidateEffect, ...]  #: With the rows that are simulated
     apart: bool  #: Whether they are to be told apart, the first from each other; else to be seen
-    fitted: tuple[str, ...] = ()  #: Those whose first row is their fitted size
-    hidden: Mapping[str, tuple[int, ...]] | None = None  #: Rows that the recordings do not show
+    fitted_names: tuple[str, ...] = ()  #: Those whose first row is their fitted size
+    #: Rows that the recordings do not show
+    hidden_rows: Mapping[str, tuple[int, ...]] | None = None
 
     def worth(self, recording: FittedModel) -> tuple[float, ...]:
         """Nats that a recording gives for each thing asked, in the order asked."""
@@ -318,10 +327,10 @@ class _Question:
         names = [candidate.name for candidate in self.candidates]
         if self.apart:
             first = names[0]
-            nats = [between(signs, first, other, self.fitted) for other in names[1:]]
+            nats = [between(signs, first, other, self.fitted_names) for other in names[1:]]
             return (min(nats),)
-        hidden = self.hidden or {}
-        return tuple(visibility(signs, name, hidden.get(name)) for name in names)
+        hidden_rows = self.hidden_rows or {}
+        return tuple(visibility(signs, name, hidden_rows.get(name)) for name in names)
 
 
 def advise(
@@ -351,28 +360,28 @@ def advise(
     """
     values = values or {}
     step = refit.structure.windows.sample_time
-    known = [name for name in apart if name in candidates]
-    if len(known) >= 2 and any(candidates[name].stochastic for name in known):
-        return _repeated(known, candidates, model_name, step)
+    apart_names = [name for name in apart if name in candidates]
+    if len(apart_names) >= 2 and any(candidates[name].stochastic for name in apart_names):
+        return _repetition_advice(apart_names, candidates, model_name, step)
     if shares is None:
         shares = np.maximum(FLOOR, _LEFT * refit.metric.shares)
     present = replace(refit, metric=replace(refit.metric, shares=shares))
-    question = _question(known, untested, candidates, values, present)
+    question = _question(apart_names, untested, candidates, values, present)
     if question is None:
         return None
     now = question.worth(present)
     load = any(word in s.name for s in question.candidates for word in _OF_LOAD)
-    found = [
+    predictions = [
         (question.worth(recording), experiment)
         for experiment, recording in predicted_recordings(refit, shares, model_name, load=load)
     ]
-    if not found:
+    if not predictions:
         return None
     best, experiment = max(
-        found, key=lambda pair: sum(min(n, _ENOUGH) for n in pair[0]) + 1e-6 * sum(pair[0])
+        predictions, key=lambda pair: sum(min(n, _ENOUGH) for n in pair[0]) + 1e-6 * sum(pair[0])
     )
-    lasted = sum(dataset.duration for dataset in refit.structure.problem.datasets)
-    why = _why(question, now, best, experiment, lasted, step, len(found))
+    duration = sum(dataset.duration for dataset in refit.structure.problem.datasets)
+    why = _why(question, now, best, experiment, duration, step, len(predictions))
     return NextExperiment(why=why, command=experiment.command)
 
 
@@ -384,28 +393,34 @@ def _question(
     present: FittedModel,
 ) -> _Question | None:
     if len(apart) >= 2:
-        chosen = [candidates[name] for name in apart[:_AT_ONCE]]
-        rows = tuple(with_rows(candidate, values) for candidate in chosen)
-        return _Question(rows, True, tuple(s.name for s in chosen if is_fitted(s, values)))
-    seen = [n for n in (untested or candidates) if n in candidates and not candidates[n].stochastic]
-    if not seen:
+        selection = [candidates[name] for name in apart[:_AT_ONCE]]
+        rows = tuple(with_rows(candidate, values) for candidate in selection)
+        return _Question(rows, True, tuple(s.name for s in selection if is_fitted(s, values)))
+    names = [
+        n for n in (untested or candidates) if n in candidates and not candidates[n].stochastic
+    ]
+    if not names:
         return None
-    chosen = [candidates[name] for name in seen]
+    selection = [candidates[name] for name in names]
     if untested:
-        chosen = chosen[:_AT_ONCE]
-    signs = signatures(present, chosen)
+        selection = selection[:_AT_ONCE]
+    signs = signatures(present, selection)
     # where nothing was asked after, those that the recordings show least
-    chosen = sorted(chosen, key=lambda candidate: visibility(signs, candidate.name))[:_AT_ONCE]
-    hidden = {
-        s.name: tuple(np.flatnonzero(0.5 * signs.left[signs.rows(s.name)] < VISIBLE).tolist())
-        for s in chosen
+    selection = sorted(selection, key=lambda candidate: visibility(signs, candidate.name))[
+        :_AT_ONCE
+    ]
+    hidden_rows = {
+        s.name: tuple(
+            np.flatnonzero(0.5 * signs.projected_energy[signs.rows(s.name)] < VISIBLE).tolist()
+        )
+        for s in selection
     }
     return _Question(
-        tuple(chosen), False, (), {name: rows for name, rows in hidden.items() if rows}
+        tuple(selection), False, (), {name: rows for name, rows in hidden_rows.items() if rows}
     )
 
 
-def _repeated(
+def _repetition_advice(
     apart: Sequence[str], candidates: Mapping[str, CandidateEffect], model_name: str, step: float
 ) -> NextExperiment:
     noise = [name for name in apart if candidates[name].stochastic]
@@ -416,7 +431,7 @@ def _repeated(
         why=f"a signal that repeats itself four times tells {listing(noise)}{against}: what "
         "returns with every period belongs to the rig, what does not comes from outside; how "
         "clearly was not predicted",
-        command=_typed("excite", model_name, keys, step),
+        command=_command_line("excite", model_name, keys, step),
     )
 
 
@@ -425,43 +440,43 @@ def _why(
     now: tuple[float, ...],
     best: tuple[float, ...],
     experiment: OpenLoopExperiment,
-    lasted: float,
+    duration: float,
     step: float,
-    tried: int,
+    count: int,
 ) -> str:
     names = [candidate.name for candidate in question.candidates]
     seconds = len(experiment.commands) * step
     if question.apart:
         pair = listing(names) if len(names) > 2 else " from ".join(names)
         gain = f"{_nats(best[0])} in {seconds:.0f} s, against {_nats(now[0])} in the "
-        gain += f"{lasted:.0f} s recorded"
+        gain += f"{duration:.0f} s recorded"
         of_the_best = f"the command is that of the best, {experiment.words}: {gain}"
         if best[0] < DECIDES:
             return (
-                f"none of {tried} open-loop experiments tells {pair}, and no input of this kind "
+                f"none of {count} open-loop experiments tells {pair}, and no input of this kind "
                 f"does; {of_the_best}, where {DECIDES:g} would be odds of 20 to 1"
             )
-        if best[0] * lasted < now[0] * seconds:
+        if best[0] * duration < now[0] * seconds:
             return (
                 "record longer, in the way of the present recording: none of "
-                f"{tried} open-loop experiments tells {pair} faster. Only if that cannot be done, "
+                f"{count} open-loop experiments tells {pair} faster. Only if that cannot be done, "
                 f"{of_the_best}"
             )
         return f"{experiment.words}: tells {pair} by {gain}"
-    shown = [n for n, nats in zip(names, best, strict=True) if nats >= VISIBLE]
+    visible = [n for n, nats in zip(names, best, strict=True) if nats >= VISIBLE]
     by = ", ".join(
         f"{name} {_nats(then)} against {_nats(before)}"
         for name, then, before in zip(names, best, now, strict=True)
-        if name in shown or not shown
+        if name in visible or not visible
     )
-    if not shown:
+    if not visible:
         return (
-            f"none of {tried} open-loop experiments makes {listing(names)} visible at typical "
+            f"none of {count} open-loop experiments makes {listing(names)} visible at typical "
             f"sizes ({VISIBLE:g} nats); the command is that of the best, {experiment.words}: {by} "
             "in what is recorded"
         )
-    left = [name for name in names if name not in shown]
-    rest = f"; {listing(left)} would still not show" if left else ""
+    invisible = [name for name in names if name not in visible]
+    rest = f"; {listing(invisible)} would still not show" if invisible else ""
     return (
         f"{experiment.words}: makes visible at typical sizes, in {seconds:.0f} s: {by} in what is "
         f"recorded{rest}"
@@ -490,30 +505,35 @@ def predicted_recordings(
     step = structure.windows.sample_time
     both = (p, problem.model.parameters.values)
     for experiment in experiments(rollout, both, step, model_name, load=load):
-        dataset, starts = _recorded(refit, rollout, p, experiment.commands)
-        made = ModelStructure(problem.model, problem.free, (), [dataset], problem.window_length)
-        linearisation = linearisation or TrajectoryLinearisation(made.windows)
-        linearisation.windows = made.windows
+        dataset, starts = _simulate_recording(refit, rollout, p, experiment.commands)
+        predicted_structure = ModelStructure(
+            problem.model, problem.free, (), [dataset], problem.window_length
+        )
+        linearisation = linearisation or TrajectoryLinearisation(predicted_structure.windows)
+        linearisation.windows = predicted_structure.windows
         discrepancy = Discrepancy(
-            made.windows,
+            predicted_structure.windows,
             linearisation.along(p, starts),
             refit.metric.discrepancy.channels,
             start_share=0.0,
         )
         try:
-            drift = gain_drift(made.windows, discrepancy.trajectory)
+            drift = gain_drift(predicted_structure.windows, discrepancy.trajectory)
             metric = Metric(discrepancy, shares, drift, refit.metric.drift_sizes, None)
         except FloatingPointError:  # along this motion the equations say too little
             continue
         yield (
             experiment,
             FittedModel(
-                made, CandidateFit(theta, starts, np.zeros(len(drift.drive))), metric, starts
+                predicted_structure,
+                CandidateFit(theta, starts, np.zeros(len(drift.drive))),
+                metric,
+                starts,
             ),
         )
 
 
-def _recorded(
+def _simulate_recording(
     refit: Refit, rollout: Rollout, p: FloatArray, commands: FloatArray
 ) -> tuple[Dataset, FloatArray]:
     """The outputs of a rig that is as the refitted model says, and the states at block starts.
@@ -546,11 +566,11 @@ def _recorded(
         y.append(part.y)
         x = part.ends[0]
     used = int(first[-1] + count[-1])
-    measured = np.vstack(y)[:, columns]
+    measurements = np.vstack(y)[:, columns]
     # an output that is not measured now will not be measured then
-    measured[:, np.isnan(sample.measurements).all(axis=0)] = np.nan
-    measured[:, ~np.isfinite(sample.noise_sd)] = np.nan
-    return replace(empty.part(0, used), measurements=np.ascontiguousarray(measured)), np.array(
+    measurements[:, np.isnan(sample.measurements).all(axis=0)] = np.nan
+    measurements[:, ~np.isfinite(sample.noise_sd)] = np.nan
+    return replace(empty.part(0, used), measurements=np.ascontiguousarray(measurements)), np.array(
         starts
     )
 
@@ -576,14 +596,16 @@ def with_rows(candidate: CandidateEffect, values: Mapping[str, float]) -> Candid
     """
     if not is_fitted(candidate, values):
         rows = candidate.variants
-        chosen = np.unique(np.linspace(0, len(rows) - 1, _MOST_ROWS).round().astype(int))
-        return replace(candidate, variants=rows[chosen])
+        indices = np.unique(np.linspace(0, len(rows) - 1, _MOST_ROWS).round().astype(int))
+        return replace(candidate, variants=rows[indices])
     row = np.array([values[size.name] for size in candidate.free])
     lower = np.array([size.lower for size in candidate.free])
     upper = np.array([size.upper for size in candidate.free])
     # what vanishes at zero is scaled; a size that gives the shape stays as it was fitted
-    scaled = np.array([i == 0 or size.prior_mean == 0.0 for i, size in enumerate(candidate.free)])
-    every = [np.clip(np.where(scaled, row * by, row), lower, upper) for by in _MULTIPLES]
+    is_scaled = np.array(
+        [i == 0 or size.prior_mean == 0.0 for i, size in enumerate(candidate.free)]
+    )
+    every = [np.clip(np.where(is_scaled, row * by, row), lower, upper) for by in _MULTIPLES]
     return replace(candidate, variants=np.array(every))
 
 
@@ -592,7 +614,7 @@ def is_fitted(candidate: CandidateEffect, values: Mapping[str, float]) -> bool:
     return bool(candidate.free) and all(size.name in values for size in candidate.free)
 
 
-def between(signs: Signatures, one: str, other: str, fitted: Sequence[str]) -> float:
+def between(signs: Signatures, one: str, other: str, fitted_names: Sequence[str]) -> float:
     """Nats between two effects, the smaller of: one is true, or the other is.
 
     ``½ left (1 − cos²)``: what is left of the true one's trace when the other, its size free,
@@ -600,26 +622,27 @@ def between(signs: Signatures, one: str, other: str, fitted: Sequence[str]) -> f
     the median of those that are typical.
     """
     return min(
-        _beyond(signs, one, other, one in fitted), _beyond(signs, other, one, other in fitted)
+        _beyond(signs, one, other, one in fitted_names),
+        _beyond(signs, other, one, other in fitted_names),
     )
 
 
 def visibility(signs: Signatures, name: str, rows: Sequence[int] | None = None) -> float:
     """Nats by which an effect shows at the best of its rows (or of some of them)."""
-    chosen = signs.rows(name)
+    own_rows = signs.rows(name)
     if rows is not None:
-        chosen = chosen[[row for row in rows if row < len(chosen)]]
-    return 0.5 * float(np.max(signs.left[chosen])) if len(chosen) else 0.0
+        own_rows = own_rows[[row for row in rows if row < len(own_rows)]]
+    return 0.5 * float(np.max(signs.projected_energy[own_rows])) if len(own_rows) else 0.0
 
 
-def _beyond(signs: Signatures, true: str, imitator: str, fitted: bool) -> float:
+def _beyond(signs: Signatures, true: str, imitator: str, at_fitted_size: bool) -> float:
     own, others = signs.rows(true), signs.rows(imitator)
     if not len(own):
         return 0.0
     # a trace cannot be turned round by its size: where it can, both signs are among the rows
     cosine = np.clip(signs.cosine[np.ix_(own, others)], 0.0, 1.0)
     alike = cosine.max(axis=1, initial=0.0)
-    nats = 0.5 * signs.left[own] * (1 - alike**2)
-    if fitted and signs.left[own[0]] > _NOTHING:
+    nats = 0.5 * signs.projected_energy[own] * (1 - alike**2)
+    if at_fitted_size and signs.projected_energy[own[0]] > _NOTHING:
         return float(nats[0])
     return float(np.median(nats))

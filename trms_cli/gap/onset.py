@@ -49,104 +49,119 @@ def diagnose_onset(
     problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
 ) -> DiagnosisResult | None:
     """A diagnosis of what began within the recordings; None where nothing clearly did."""
-    recorded = [
+    recordings = [
         without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
         for d in problem.datasets
     ]
-    if len({names(d.outputs) for d in recorded}) > 1:
+    if len({names(d.outputs) for d in recordings}) > 1:
         return None  # each is compared with what is known of all
     for share in _FIRST:
-        cuts = [max(int(share * len(d)), round(_LEAST / d.sample_time)) for d in recorded]
-        if any(2 * cut > len(d) for cut, d in zip(cuts, recorded, strict=True)):
+        cuts = [max(int(share * len(d)), round(_LEAST / d.sample_time)) for d in recordings]
+        if any(2 * cut > len(d) for cut, d in zip(cuts, recordings, strict=True)):
             return None
         try:
-            look, found = _compared(problem, recorded, cuts, watch)
-            ended = None if found is None else _ended(problem, recorded, cuts, watch)
+            look, begin_comparison = _compare_beginnings(problem, recordings, cuts, watch)
+            end_comparison = (
+                None
+                if begin_comparison is None
+                else _compare_ends(problem, recordings, cuts, watch)
+            )
         except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
             return None  # a look that fails is no reason to lose a diagnosis
-        times = [cut * d.sample_time for cut, d in zip(cuts, recorded, strict=True)]
-        told = ", ".join(f"{t:.3g}" for t in times)
-        if ended is not None and _clear(ended) and _rather(ended, found):
+        times = [cut * d.sample_time for cut, d in zip(cuts, recordings, strict=True)]
+        length = ", ".join(f"{t:.3g}" for t in times)
+        if (
+            end_comparison is not None
+            and _clear(end_comparison)
+            and _rather(end_comparison, begin_comparison)
+        ):
             return _with_warning(
-                change_result(problem, ended),
-                f"what ended is told against the last {told} s, taken for the known state",
+                change_result(problem, end_comparison),
+                f"what ended is told against the last {length} s, taken for the known state",
             )
-        if found is not None and _clear(found):
+        if begin_comparison is not None and _clear(begin_comparison):
             return _with_warning(
-                change_result(problem, _later(found, times)),
-                f"what began is told against the first {told} s, taken for the known state",
+                change_result(problem, _later(begin_comparison, times)),
+                f"what began is told against the first {length} s, taken for the known state",
             )
         if look.unchanged > _CALM:
             return None
     return None
 
 
-def _clear(found: StateComparison) -> bool:
+def _clear(comparison: StateComparison) -> bool:
     """Whether something changed, at a moment, and has a name."""
-    known = found.unchanged < _TOLD and found.unnamed < _OTHER
-    return known and found.judged[0].began is not None
+    has_name = comparison.unchanged < _TOLD and comparison.unnamed < _OTHER
+    return has_name and comparison.judged[0].began is not None
 
 
-def _rather(ended: StateComparison, began: StateComparison | None) -> bool:
+def _rather(end_comparison: StateComparison, begin_comparison: StateComparison | None) -> bool:
     """Whether an effect that ends explains more than anything that begins."""
-    if ended.judged[0].difference.kind != "effect":
+    if end_comparison.judged[0].difference.kind != "effect":
         return False
-    return began is None or float(ended.gains[0] - began.gains[0]) > _RATHER_ENDS
+    return (
+        begin_comparison is None
+        or float(end_comparison.gains[0] - begin_comparison.gains[0]) > _RATHER_ENDS
+    )
 
 
 def _with_warning(result: DiagnosisResult, warning: str) -> DiagnosisResult:
     return replace(result, warnings=(*result.warnings, warning))
 
 
-def _ended(
+def _compare_ends(
     problem: GapProblem,
-    recorded: list[Dataset],
+    recordings: list[Dataset],
     cuts: list[int],
     watch: Callable[[float, str], bool],
 ) -> StateComparison:
     """The beginnings of recordings against their last parts."""
-    pairs = list(zip(recorded, cuts, strict=True))
+    pairs = list(zip(recordings, cuts, strict=True))
     last = [d.part(len(d) - cut, len(d)) for d, cut in pairs]
     before = [d.part(0, len(d) - cut) for d, cut in pairs]
-    known = known_state(problem.model, nominal_parameters(problem.model), last)
-    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
+    reference_state = known_state(problem.model, nominal_parameters(problem.model), last)
+    candidates, inapplicable = applicable_candidates(problem.model, problem.candidates)
 
-    def later(share: float, said: str) -> bool:
-        return watch(0.65 + 0.35 * share, said)
+    def later(share: float, message: str) -> bool:
+        return watch(0.65 + 0.35 * share, message)
 
-    return compare_with(known, before, candidates, left_out, problem.jobs, later, ends=True)
+    return compare_with(
+        reference_state, before, candidates, inapplicable, problem.jobs, later, ends=True
+    )
 
 
-def _compared(
+def _compare_beginnings(
     problem: GapProblem,
-    recorded: list[Dataset],
+    recordings: list[Dataset],
     cuts: list[int],
     watch: Callable[[float, str], bool],
 ) -> tuple[StateComparison, StateComparison | None]:
     """The rests of recordings against their beginnings: a look, and all if it sees something."""
-    first = [d.part(0, cut) for d, cut in zip(recorded, cuts, strict=True)]
-    rest = [d.part(cut, len(d)) for d, cut in zip(recorded, cuts, strict=True)]
-    known = known_state(problem.model, nominal_parameters(problem.model), first)
-    look = compare_with(known, rest, {}, {}, watch=lambda share, said: watch(0.3 * share, said))
+    first = [d.part(0, cut) for d, cut in zip(recordings, cuts, strict=True)]
+    rest = [d.part(cut, len(d)) for d, cut in zip(recordings, cuts, strict=True)]
+    reference_state = known_state(problem.model, nominal_parameters(problem.model), first)
+    look = compare_with(
+        reference_state, rest, {}, {}, watch=lambda share, message: watch(0.3 * share, message)
+    )
     watch(0.3, "since when")
     if look.unchanged > _LOOKED_AT:
         return look, None
-    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
+    candidates, inapplicable = applicable_candidates(problem.model, problem.candidates)
 
-    def later(share: float, said: str) -> bool:
-        return watch(0.3 + 0.35 * share, said)
+    def later(share: float, message: str) -> bool:
+        return watch(0.3 + 0.35 * share, message)
 
-    return look, compare_with(known, rest, candidates, left_out, problem.jobs, later)
+    return look, compare_with(reference_state, rest, candidates, inapplicable, problem.jobs, later)
 
 
-def _later(found: StateComparison, times: list[float]) -> StateComparison:
+def _later(comparison: StateComparison, times: list[float]) -> StateComparison:
     """With onsets counted from the beginning of the recordings and not of their rests."""
-    judged = []
-    for j in found.judged:
+    judgements = []
+    for j in comparison.judged:
         onset = j.onset
         if onset is not None:
             by = times[j.recording]
             low, high = onset.ci95
             onset = replace(onset, time_s=onset.time_s + by, ci95=(low + by, high + by))
-        judged.append(replace(j, onset=onset))
-    return replace(found, judged=tuple(judged), begins=tuple(times))
+        judgements.append(replace(j, onset=onset))
+    return replace(comparison, judged=tuple(judgements), begins=tuple(times))

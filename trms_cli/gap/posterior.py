@@ -187,16 +187,16 @@ def outside_behinds(race: Race, constants: Calibration) -> dict[str, FloatArray]
     they owe without one.
     """
     places = {c.location for c in race.refit.metric.discrepancy.channels}
-    found = {}
+    behinds = {}
     for axis in ("pitch", "yaw"):
         if (place := f"{axis}_moment") in places:
-            found[axis] = np.array(
+            behinds[axis] = np.array(
                 [
                     _excess(race, fitted, constants, place if i <= _RUN else "").sum()
                     for i, fitted in enumerate((race.refit, *race.entries))
                 ]
             )
-    return found
+    return behinds
 
 
 def _excess(
@@ -243,7 +243,7 @@ def posterior_of(
     behinds = excesses(race, constants)
     features = features_of(race, behinds, constants, runs, flexible)
     shares = place.share()
-    known = [
+    axes = [
         axis
         for axis in features.outside
         if f"{axis}{DISTURBANCE}" in candidates
@@ -252,36 +252,36 @@ def posterior_of(
     sizes = dict(zip(place.locations, place.sizes.tolist(), strict=True))
     features = replace(
         features,
-        outside={axis: features.outside[axis] for axis in known},
+        outside={axis: features.outside[axis] for axis in axes},
         sensor={
             axis: shares.get(f"{axis}_sensor", 0.0) / max(shares[f"{axis}_moment"], 1e-9)
-            for axis in known
+            for axis in axes
         },
-        force={axis: sizes[f"{axis}_moment"] for axis in known},
+        force={axis: sizes[f"{axis}_moment"] for axis in axes},
         memory={
             axis: record.correlation_time(record.force)
-            for axis in known
+            for axis in axes
             for record in (forces[f"{axis}_moment"],)
         },
     )
-    if known and features.behind > 0:
-        axis = max(known, key=lambda axis: shares[f"{axis}_moment"])
+    if axes and features.behind > 0:
+        axis = max(axes, key=lambda axis: shares[f"{axis}_moment"])
         # the regression knows paths and the last moments, which the terms of the flexible do not
         dependence = exogenous(forces[f"{axis}_moment"], problem.seed)
-        remembered = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
-        features = replace(features, foretold=float(np.fmax(features.foretold, remembered)))
+        predictable_share = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
+        features = replace(features, foretold=float(np.fmax(features.foretold, predictable_share)))
     coarse = coarse_sensor(problem, candidates)
     special = special_cases(race.entries, candidates)
 
-    def believed(those: Features) -> dict[tuple[str, ...], float]:
-        found = merged(probabilities_of(those, constants.weights), special)
-        return _with_coarse_sensor(found, coarse)
+    def probabilities_given(own_features: Features) -> dict[tuple[str, ...], float]:
+        by_cause = merged(probabilities_of(own_features, constants.weights), special)
+        return _with_coarse_sensor(by_cause, coarse)
 
-    probabilities = believed(features)
+    probabilities = probabilities_given(features)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(race.refit.structure.windows)
     resampled = tuple(
-        believed(resampled_features(features, race, behinds, random.integers(0, m, m)))
+        probabilities_given(resampled_features(features, race, behinds, random.integers(0, m, m)))
         for _ in range(_RESAMPLES)
     )
     entries = {e.names: e for e in race.entries}
@@ -328,9 +328,9 @@ def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
             group += [n for n in entry.names if n not in best.names]
     pairs = []
     signs = race.tight
-    known = sorted(set(signs.names))
+    effects = sorted(set(signs.names))
     for name in best.names:
-        alike = [n for n in known if n != name and signs.alike(name, n) > _ALIKE]
+        alike = [n for n in effects if n != name and signs.alike(name, n) > _ALIKE]
         members = [name, *dict.fromkeys((*(group if len(best.names) == 1 else ()), *alike))]
         if len(members) > 1:
             pairs.append(tuple(members))
@@ -347,17 +347,17 @@ def special_cases(
     Stribeck friction with hardly an excess at rest is Coulomb friction, which then has to be among
     what was fitted.
     """
-    fitted = {entry.names for entry in entries}
-    found = {}
+    fitted_names = {entry.names for entry in entries}
+    cases = {}
     for entry in entries:
-        names_ = (_as_told(c, entry.values, candidates) for c in entry.structure.effects)
+        names_ = (_effect_name(c, entry.values, candidates) for c in entry.structure.effects)
         other = tuple(sorted(names_))
-        if other != entry.names and other in fitted:
-            found[entry.names] = other
-    return found
+        if other != entry.names and other in fitted_names:
+            cases[entry.names] = other
+    return cases
 
 
-def _as_told(
+def _effect_name(
     candidate: CandidateEffect,
     values: Mapping[str, float],
     candidates: Mapping[str, CandidateEffect],
@@ -381,13 +381,13 @@ def merged(
     special: Mapping[tuple[str, ...], tuple[str, ...]],
 ) -> dict[tuple[str, ...], float]:
     """Each cause's probability given to the one that it is a special case of, descending."""
-    found: dict[tuple[str, ...], float] = {}
+    totals: dict[tuple[str, ...], float] = {}
     for names_, probability in probabilities.items():
         part = simulated_part(names_)
         beside = [n for n in names_ if n not in part]
         own = tuple(sorted((*special.get(part, part), *beside)))
-        found[own] = found.get(own, 0.0) + probability
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+        totals[own] = totals.get(own, 0.0) + probability
+    return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
 def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]) -> str:
@@ -396,11 +396,11 @@ def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]
     The name of its effect; empty where there is none.
     """
     quanta = {}
-    for axis, described in problem.model.axes.items():
+    for axis, definition in problem.model.axes.items():
         for dataset in problem.datasets[:1]:
             names_ = [s.name for s in dataset.outputs]
-            if described.angle in names_:
-                quanta[axis] = quantum_of(dataset.measurements[:, names_.index(described.angle)])
+            if definition.angle in names_:
+                quanta[axis] = quantum_of(dataset.measurements[:, names_.index(definition.angle)])
     coarse = [
         axis
         for axis, quantum in quanta.items()
@@ -416,12 +416,12 @@ def _with_coarse_sensor(
     """Give the effect of a coarse sensor its share of every answer but that of no name."""
     if not coarse:
         return dict(probabilities)
-    divided: dict[tuple[str, ...], float] = {}
+    shares: dict[tuple[str, ...], float] = {}
     for names_, probability in probabilities.items():
         if names_ == ("none_of_these",):
-            divided[names_] = divided.get(names_, 0.0) + probability
+            shares[names_] = shares.get(names_, 0.0) + probability
             continue
-        joined = (coarse,) if names_[0] in NO_EFFECT else tuple(sorted((*names_, coarse)))
-        divided[joined] = divided.get(joined, 0.0) + _COARSE * probability
-        divided[names_] = divided.get(names_, 0.0) + (1 - _COARSE) * probability
-    return dict(sorted(divided.items(), key=lambda item: -item[1]))
+        combination = (coarse,) if names_[0] in NO_EFFECT else tuple(sorted((*names_, coarse)))
+        shares[combination] = shares.get(combination, 0.0) + _COARSE * probability
+        shares[names_] = shares.get(names_, 0.0) + (1 - _COARSE) * probability
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))

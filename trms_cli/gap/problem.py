@@ -100,29 +100,29 @@ def mean_pitch(datasets: Sequence[Dataset]) -> float:
 
 def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...]:
     """What recordings cannot tell, by how little the axes move."""
-    held: dict[str, str] = {}
+    still_axes: dict[str, str] = {}
     for name, axis in model.axes.items():
-        measured = [
+        columns = [
             d.measurements[:, i]
             for d in datasets
             for i, output in enumerate(d.outputs)
             if output.name == axis.angle
         ]
-        angle = np.concatenate(measured) if measured else np.zeros(0)
+        angle = np.concatenate(columns) if columns else np.zeros(0)
         angle = angle[np.isfinite(angle)]
         if not len(angle):
             continue
         middle = float(np.median(angle))
         near = float(np.mean(np.abs(angle - middle) < _ONE_POINT / 2))
         if near > _MOST_OF_THE_TIME:
-            held[name] = f"{number(middle, 2)} rad for {100 * near:.0f} % of the time"
-    if not held:
+            still_axes[name] = f"{number(middle, 2)} rad for {100 * near:.0f} % of the time"
+    if not still_axes:
         return ()
-    are = "is held at one point" if len(held) == 1 else "are each held at one point"
+    are = "is held at one point" if len(still_axes) == 1 else "are each held at one point"
     return (
-        f"{listing(list(held))} {are} ({', '.join(held.values())}): a torque on such an axis shows "
-        "with its place, sign and size, and whether the axis sticks or slides; what makes it (a "
-        "weight, a pull, a parameter) does not",
+        f"{listing(list(still_axes))} {are} ({', '.join(still_axes.values())}): a torque on such "
+        "an axis shows with its place, sign and size, and whether the axis sticks or slides; "
+        "what makes it (a weight, a pull, a parameter) does not",
     )
 
 
@@ -156,9 +156,9 @@ def divide(
     if len(whole) >= _SEVERAL:
         whole = tuple(with_noise(dataset) for dataset in whole)
         count = min(max(1, round(share * len(whole))), len(whole) - 1)
-        kept = len(whole) - count
-        fitted = whole[:kept]
-        sealed = tuple((i, 0, len(whole[i])) for i in range(kept, len(whole)))
+        fitted_count = len(whole) - count
+        fitted = whole[:fitted_count]
+        sealed = tuple((i, 0, len(whole[i])) for i in range(fitted_count, len(whole)))
     else:
         parts, spans = [], []
         for i, dataset in enumerate(whole):
@@ -173,8 +173,8 @@ def divide(
             for dataset, part in zip(whole, fitted, strict=True)
         )
     fitted = _newest(fitted, most)
-    left = sum(dataset.duration for dataset in fitted)
-    block = min(block, left / _FEWEST_BLOCKS)
+    fitted_duration = sum(dataset.duration for dataset in fitted)
+    block = min(block, fitted_duration / _FEWEST_BLOCKS)
     if block < 2.0:
         raise ConfigurationError(
             f"{total:.3g} s of recording are too short to fit, compare and seal",
@@ -190,14 +190,14 @@ def divide(
 
 def _newest(datasets: Sequence[Dataset], most: float) -> tuple[Dataset, ...]:
     """The end of recordings, so many seconds in all."""
-    kept: list[Dataset] = []
+    parts: list[Dataset] = []
     for dataset in reversed(datasets):
-        wanted = most - sum(len(other) * other.sample_time for other in kept)
-        samples = min(len(dataset), wanted / dataset.sample_time)
+        remaining_time = most - sum(len(other) * other.sample_time for other in parts)
+        samples = min(len(dataset), remaining_time / dataset.sample_time)
         if samples < 1:
             break
-        kept.insert(0, dataset.part(len(dataset) - round(samples), len(dataset)))
-    return tuple(kept)
+        parts.insert(0, dataset.part(len(dataset) - round(samples), len(dataset)))
+    return tuple(parts)
 
 
 def without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]) -> Dataset:
@@ -214,8 +214,8 @@ def without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float])
         hits = np.flatnonzero(touching[first : first + samples])
         if len(hits):
             measurements[first + hits[0] : first + samples] = np.nan
-    lost = float(np.mean(np.isnan(measurements).all(axis=1)))
-    remark = f"{100 * lost:.0f} % of the samples left out, from contacts with a stop on"
+    missing_share = float(np.mean(np.isnan(measurements).all(axis=1)))
+    remark = f"{100 * missing_share:.0f} % of the samples left out, from contacts with a stop on"
     return replace(dataset, measurements=measurements, remarks=(*dataset.remarks, remark))
 
 
@@ -228,9 +228,9 @@ def with_noise(dataset: Dataset) -> Dataset:
     quanta = np.array([quantum_of(column) for column in dataset.measurements.T])
     ripple, rounding = noise_estimate(dataset.measurements), quanta / np.sqrt(12)
     # what a step makes of a moving angle is not quite white, and looks like a little more of it
-    read = np.where(ripple < _RIPPLE * rounding, rounding, np.maximum(ripple, rounding))
+    estimate = np.where(ripple < _RIPPLE * rounding, rounding, np.maximum(ripple, rounding))
     motion = np.ma.masked_invalid(dataset.measurements).std(axis=0).filled(0.0)
-    noise = np.where(read > 0, read, dataset.noise_sd)
+    noise = np.where(estimate > 0, estimate, dataset.noise_sd)
     return replace(dataset, noise_sd=np.maximum(noise, np.maximum(_PRECISION * motion, 1e-9)))
 
 
@@ -303,7 +303,7 @@ class CandidateEffect:
         Of the sizes that can make the effect vanish the most usual one counts: the others may be
         zero. The prior's 68 % are the typical range; ``values``: by name, ``<effect>.<size>``.
         """
-        found = []
+        surprises = []
         for i, parameter in enumerate(self.effect.parameters()):
             if i and not _vanishes(parameter):
                 continue
@@ -312,8 +312,8 @@ class CandidateEffect:
             least = max(min(abs(low), abs(high)) if low * high > 0 else 0.0, most / _DECADE)
             spread = max(np.log(most / least) / 2, np.log(2))
             size = max(abs(values[f"{self.name}.{parameter.name}"]), 1e-9 * most)
-            found.append(float(0.5 * (np.log(size / np.sqrt(least * most)) / spread) ** 2))
-        return min(found)
+            surprises.append(float(0.5 * (np.log(size / np.sqrt(least * most)) / spread) ** 2))
+        return min(surprises)
 
     @property
     def simulated(self) -> bool:
@@ -326,17 +326,17 @@ def applicable_candidates(
 ) -> tuple[dict[str, CandidateEffect], dict[str, str]]:
     """Those effects that a model can carry and does not have already.
 
-    Returns ``left_out``: why the others cannot be the cause here.
+    Returns ``inapplicable``: why the others cannot be the cause here.
     """
-    applicable, left_out = {}, {}
+    applicable, inapplicable = {}, {}
     for name, effect in effects.items():
         if name in effect_names(model):
-            left_out[name] = "the nominal model has it already"
+            inapplicable[name] = "the nominal model has it already"
             continue
         try:
             with_effect = ExtendedModel(model, name, effect)
         except ModelError as error:
-            left_out[name] = str(error.args[0] if error.args else error)
+            inapplicable[name] = str(error.args[0] if error.args else error)
             continue
         applicable[name] = CandidateEffect(
             name,
@@ -346,12 +346,12 @@ def applicable_candidates(
             variants(effect.parameters()),
             type(effect).noise_sd is not Effect.noise_sd,
         )
-    return applicable, left_out
+    return applicable, inapplicable
 
 
-def joint(model: Model, chosen: Sequence[CandidateEffect]) -> Model:
+def joint(model: Model, candidates: Sequence[CandidateEffect]) -> Model:
     """The model with several effects."""
-    return extend_model(model, {candidate.name: candidate.effect for candidate in chosen})
+    return extend_model(model, {candidate.name: candidate.effect for candidate in candidates})
 
 
 def locations(effect: Effect, model: ExtendedModel) -> tuple[str, ...]:
@@ -377,9 +377,9 @@ def locations(effect: Effect, model: ExtendedModel) -> tuple[str, ...]:
             return (f"{rotor}_tacho",)
         return (f"{axis}_sensor",) if axis else ("pitch_sensor", "yaw_sensor")
     if overrides("disturbance"):
-        touched = _touched(model)
-        if touched:
-            return touched
+        equations = _disturbed_equations(model)
+        if equations:
+            return equations
     if rotor:
         return (f"{rotor}_motor",)
     return (f"{axis}_moment",) if axis else ()
@@ -401,7 +401,7 @@ def variants(parameters: Sequence[Parameter]) -> FloatArray:
     for i in amplitudes:
         base = defaults.copy()
         base[amplitudes] = 0.0
-        values = _tried(parameters[i])
+        values = _trial_values(parameters[i])
         if any(p.name == "frequency" for p in parameters):
             values = values[len(values) // 2 :][:1]
         for value, shape in itertools.product(values, _shapes(parameters, shapes)):
@@ -421,24 +421,24 @@ def _vanishes(parameter: Parameter) -> bool:
     return parameter.value == 0.0 and parameter.unit not in ("rad",) and parameter.name != "height"
 
 
-def _tried(parameter: Parameter) -> list[float]:
+def _trial_values(parameter: Parameter) -> list[float]:
     low, high = parameter.typical or (parameter.value / 3, parameter.value * 3)
-    signed = low < 0 < high
-    if signed or low == 0:
+    has_both_signs = low < 0 < high
+    if has_both_signs or low == 0:
         middle = max(abs(low), abs(high)) / 2
         multiples: tuple[float, ...] = (0.4, 1.5)
     else:
         middle = float(np.sqrt(low * high))
         multiples = _MULTIPLES
     values = [middle * k for k in multiples]
-    if signed or parameter.lower < 0:
+    if has_both_signs or parameter.lower < 0:
         values += [-v for v in values]
     return [v for v in values if parameter.lower <= v <= parameter.upper]
 
 
-def _shapes(parameters: Sequence[Parameter], chosen: Sequence[int]) -> list[tuple[float, ...]]:
+def _shapes(parameters: Sequence[Parameter], indices: Sequence[int]) -> list[tuple[float, ...]]:
     options = []
-    for i in chosen:
+    for i in indices:
         p = parameters[i]
         if p.name == "arm":
             options.append([p.value, -p.value])
@@ -477,7 +477,7 @@ def _free(effect: str, index: int, parameter: Parameter) -> FreeParameter:
     )
 
 
-def _touched(model: ExtendedModel) -> tuple[str, ...]:
+def _disturbed_equations(model: ExtendedModel) -> tuple[str, ...]:
     """Equations on which an effect puts a torque, as its expressions say."""
     base, effect = model.base, model.effect
     x, u, p, w = base.symbols()

@@ -34,7 +34,7 @@ from trms_cli.gap.problem import CandidateEffect, is_amplitude
 from trms_cli.gap.signatures import EffectTraces, Signatures, project_traces
 
 Item = TypeVar("Item")
-Made = TypeVar("Made")
+Outcome = TypeVar("Outcome")
 Fitted = TypeVar("Fitted", bound=FittedModel)
 
 #: A tighter metric than the refit's own: what an effect does is not excused as discrepancy there.
@@ -82,16 +82,16 @@ class Race:
 class Checkpoint:
     """Where searches ended, so that an interrupted diagnosis goes on instead of beginning again.
 
-    ``kept``: what an interrupted diagnosis had kept. ``keep``: told everything whenever something
+    ``points``: what an interrupted diagnosis had kept. ``keep``: told everything whenever something
     is added, as JSON has it.
     """
 
     def __init__(
         self,
-        kept: Mapping[str, Any] | None = None,
+        points: Mapping[str, Any] | None = None,
         keep: Callable[[Mapping[str, Any]], None] = lambda everything: None,
     ) -> None:
-        self._points: dict[str, Any] = dict(kept or {})
+        self._points: dict[str, Any] = dict(points or {})
         self._keep, self._prefix = keep, ""
         self._lock = Lock()
 
@@ -103,10 +103,10 @@ class Checkpoint:
 
     def point(self, key: str) -> dict[str, FloatArray] | None:
         """Parameters, starts, gains, sizes of the discrepancy under a key; None: not there yet."""
-        known = self._points.get(self._prefix + key)
-        if known is None:
+        stored_point = self._points.get(self._prefix + key)
+        if stored_point is None:
             return None
-        return {name: np.array(values) for name, values in known.items()}
+        return {name: np.array(values) for name, values in stored_point.items()}
 
     def add(self, key: str, fitted: FittedModel) -> None:
         """Note where a search ended."""
@@ -201,32 +201,34 @@ class _Search:
     def alone(self, signs: Sequence[Signatures]) -> list[FittedModel]:
         """Single effects that are promising by any of some metrics, the best in their own."""
         effort = self._effort
-        listed = short_list(signs, self._candidates, effort.listed * len(signs) // 2)
-        worth = [n for n in listed if max(s.best(n)[0] for s in signs) > _HOPELESS]
-        listed = worth or listed[:1]
+        names = short_list(signs, self._candidates, effort.listed * len(signs) // 2)
+        worth = [n for n in names if max(s.best(n)[0] for s in signs) > _HOPELESS]
+        names = worth or names[:1]
         refit = self._refit.refitted(self._middle, iterations=5).fit.score
 
         def single(name: str) -> FittedModel:
             candidate = self._candidates[name]
             structure = self._refit.structure.with_effects(candidate)
-            known = [sign for sign in (signs[0], signs[-1]) if len(sign.rows(name))]
-            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in known]
+            own_signs = [sign for sign in (signs[0], signs[-1]) if len(sign.rows(name))]
+            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in own_signs]
             more = _other_frequencies(candidate, signs[0], 0.3)
             return self._once(
-                f"single {name}", structure, lambda: self._found(structure, sizes, more=more)
+                f"single {name}",
+                structure,
+                lambda: self._fit_from_sizes(structure, sizes, more=more),
             )
 
         def final(entry: FittedModel) -> FittedModel:
             key = "final " + "+".join(entry.names)
-            return self._once(key, entry.structure, lambda: assessed(entry))
+            return self._once(key, entry.structure, lambda: assess(entry))
 
-        def assessed(entry: FittedModel) -> FittedModel:
+        def assess(entry: FittedModel) -> FittedModel:
             if entry.fit.score < refit + _ENTRANCE / 2:
                 # it explains nothing: the discrepancy that it leaves is the refit's
                 return entry.refitted(self._refit.metric, iterations=4, tolerance=0.5)
             return entry.in_own_metric()
 
-        entries = self._each(single, listed, (0.0, 0.55), "fitting {}")
+        entries = self._each(single, names, (0.0, 0.55), "fitting {}")
         entries.sort(key=lambda e: -e.fit.score)
         self._least = max((entry.fit.score for entry in entries), default=-np.inf)
         return self._each(final, entries[: effort.finalists], (0.55, 0.75), "comparing")
@@ -235,35 +237,39 @@ class _Search:
         """Single effects that begin within the recordings, by their names."""
         refit, least = self._refit, self._refit.fit.score
         gains = promised_beginnings(refit, self._traces)
-        chosen = later_and_better(
+        beginnings = later_and_better(
             gains, self._traces.names, _PROMISES_LATER, self._effort.finalists
         )
-        known = {entry.names: entry.fit.score for entry in alone}
+        scores = {entry.names: entry.fit.score for entry in alone}
         jumps = promised_jumps(refit, self._traces)
 
-        def jumped(name: str) -> FittedModel:
+        def fit_jump(name: str) -> FittedModel:
             candidate, jump = self._candidates[name], jumps[name]
-            gated = beginning_at(refit.structure.with_effects(candidate), jump.window, jump.sample)
+            gated_structure = beginning_at(
+                refit.structure.with_effects(candidate), jump.window, jump.sample
+            )
             sizes = _sizes_scaled_by(candidate, self._traces.sizes[jump.row], jump.factor)
 
             def search() -> FittedModel:
-                points = _points(gated, refit, [sizes, sizes])
+                points = _points(gated_structure, refit, [sizes, sizes])
                 calm = calm_metric(refit.metric)
-                return _searched(gated, refit, calm, points).in_own_metric()
+                return _fit_from_points(gated_structure, refit, calm, points).in_own_metric()
 
-            return self._once(f"jump {jump.window} {jump.sample} {name}", gated, search)
+            return self._once(f"jump {jump.window} {jump.sample} {name}", gated_structure, search)
 
-        def begun(name: str) -> FittedModel:
+        def fit_beginning(name: str) -> FittedModel:
             if name in jumps:
-                return jumped(name)
-            candidate, (row, window) = self._candidates[name], chosen[name]
+                return fit_jump(name)
+            candidate, (row, window) = self._candidates[name], beginnings[name]
             structure = refit.structure.with_effects(candidate)
             sizes = _sizes_of_row(candidate, self._traces.sizes[row])
 
             def search(first: int) -> FittedModel:
-                gated = beginning_at(structure, first)
+                gated_structure = beginning_at(structure, first)
                 return self._once(
-                    f"from {first} {name}", gated, lambda: self._found(gated, [sizes, sizes])
+                    f"from {first} {name}",
+                    gated_structure,
+                    lambda: self._fit_from_sizes(gated_structure, [sizes, sizes]),
                 )
 
             ends = [search(first) for first in sorted({window, max(window - 1, 1)})]
@@ -273,49 +279,54 @@ class _Search:
 
             def final() -> FittedModel:
                 point = [(best.fit.theta, best.fit.starts)]
-                moved = exact.fit(
+                exact_fit = exact.fit(
                     self._middle, point, centres=best.centres, gains=best.fit.gains, iterations=8
                 )
-                return moved.in_own_metric()
+                return exact_fit.in_own_metric()
 
             return self._once(key, exact, final)
 
-        made = self._each(
-            begun, [*jumps, *(n for n in chosen if n not in jumps)], (0.75, 0.8), "since when {}"
+        entries = self._each(
+            fit_beginning,
+            [*jumps, *(n for n in beginnings if n not in jumps)],
+            (0.75, 0.8),
+            "since when {}",
         )
         return {
             entry.names: entry
-            for entry in made
-            if entry.fit.score > max(known.get(entry.names, least), least) + _LATER
+            for entry in entries
+            if entry.fit.score > max(scores.get(entry.names, least), least) + _LATER
         }
 
     def together(
         self, signs: Sequence[Signatures], alone: Sequence[FittedModel]
     ) -> list[FittedModel]:
         """Several effects at once."""
-        chosen = promising_pairs(signs, self._candidates, self._effort.pairs * len(signs) // 2)
+        pairs = promising_pairs(signs, self._candidates, self._effort.pairs * len(signs) // 2)
         singles = {entry.names[0]: entry for entry in alone}
-        found = self._each(
-            lambda place: self._pair(place, singles), chosen, (0.75, 0.85), "two at once"
+        entries = self._each(
+            lambda place: self._pair(place, singles), pairs, (0.75, 0.85), "two at once"
         )
         best = max(alone, key=lambda e: e.fit.score)
-        first = max(found, key=lambda e: e.fit.score, default=best)
+        first = max(entries, key=lambda e: e.fit.score, default=best)
         if first.fit.score > best.fit.score + _ENTRANCE:
             best = first
         while True:
             if len(best.names) > 1:
-                places = self._exchanges(best, (*alone, *found), signs)
-                made = self._joined(places, "in the stead of one of " + "+".join(best.names))
-                found += made
-                best = max((best, *made), key=lambda e: e.fit.score)
+                places = self._exchanges(best, (*alone, *entries), signs)
+                new_entries = self._fit_places(
+                    places, "in the stead of one of " + "+".join(best.names)
+                )
+                entries += new_entries
+                best = max((best, *new_entries), key=lambda e: e.fit.score)
             if len(best.names) >= self._effort.deepest:
-                return found
-            places = self._partners(best, found)
-            made = self._joined(places, "beside " + "+".join(best.names))
-            found += made
-            deeper = max(made, key=lambda e: e.fit.score, default=best)
+                return entries
+            places = self._partners(best, entries)
+            new_entries = self._fit_places(places, "beside " + "+".join(best.names))
+            entries += new_entries
+            deeper = max(new_entries, key=lambda e: e.fit.score, default=best)
             if deeper.fit.score < best.fit.score + _ENTRANCE or deeper is best:
-                return found
+                return entries
             best = deeper
 
     def _pair(
@@ -326,40 +337,42 @@ class _Search:
         ``singles``: what was fitted of each alone, from which the search begins, too.
         """
         sign, *rows = place
-        chosen = [self._candidates[sign.names[row]] for row in rows]
-        structure = self._refit.structure.with_effects(*chosen)
+        candidates = [self._candidates[sign.names[row]] for row in rows]
+        structure = self._refit.structure.with_effects(*candidates)
         sizes: dict[str, float] = {}
-        for candidate, row in zip(chosen, rows, strict=True):
+        for candidate, row in zip(candidates, rows, strict=True):
             sizes |= _scaled_sizes(candidate, sign, row, 0.3)
         key = "pair " + "+".join(structure.names)
-        known = max(
+        best_single = max(
             (singles[name] for name in structure.names if name in singles),
             key=lambda e: e.fit.score,
             default=None,
         )
-        found = self._once(key, structure, lambda: self._found(structure, [sizes, sizes], known))
-        if found.fit.score < self._least:
+        entry = self._once(
+            key, structure, lambda: self._fit_from_sizes(structure, [sizes, sizes], best_single)
+        )
+        if entry.fit.score < self._least:
             return None
-        return self._once("final " + key, structure, found.in_own_metric)
+        return self._once("final " + key, structure, entry.in_own_metric)
 
-    def _partners(self, best: FittedModel, tried: Sequence[FittedModel]) -> list[_Place]:
+    def _partners(self, best: FittedModel, entries: Sequence[FittedModel]) -> list[_Place]:
         """Effects whose traces point at what the best leaves over."""
-        known = {frozenset(entry.names) for entry in tried}
+        raced_names = {frozenset(entry.names) for entry in entries}
         places = self._beside(best, best.names)
-        return [p for p in places if p.promise > _ENTRANCE and p.names not in known]
+        return [p for p in places if p.promise > _ENTRANCE and p.names not in raced_names]
 
     def _exchanges(
-        self, best: FittedModel, tried: Sequence[FittedModel], signs: Sequence[Signatures]
+        self, best: FittedModel, entries: Sequence[FittedModel], signs: Sequence[Signatures]
     ) -> list[_Place]:
         """Others in the stead of one of the best's effects: rivals for what it explains.
 
         They promise about as much about what the rest leaves, or have a trace like its own about
         the refit: a strong effect beside them bends what traces promise.
         """
-        known = {frozenset(entry.names): entry for entry in tried}
-        found: list[tuple[float, _Place]] = []
+        entries_by_names = {frozenset(entry.names): entry for entry in entries}
+        rivals: list[tuple[float, _Place]] = []
         for name in best.names:
-            base = known.get(frozenset(best.names) - {name})
+            base = entries_by_names.get(frozenset(best.names) - {name})
             if base is None:
                 continue
             beside = project_traces(base, self._traces)
@@ -368,13 +381,17 @@ class _Search:
                 continue
             for other in self._candidates:
                 place = _Place(base, beside, other)
-                if other in best.names or place.names in known or not len(beside.rows(other)):
+                if (
+                    other in best.names
+                    or place.names in entries_by_names
+                    or not len(beside.rows(other))
+                ):
                     continue
                 alike = max(sign.alike(name, other) for sign in signs)
                 if place.promise > _RIVAL * own or alike > _RIVAL_TRACE:
-                    found.append((max(place.promise / own, alike), place))
-        found.sort(key=lambda item: -item[0])
-        return [place for _, place in found[: self._effort.pairs]]
+                    rivals.append((max(place.promise / own, alike), place))
+        rivals.sort(key=lambda item: -item[0])
+        return [place for _, place in rivals[: self._effort.pairs]]
 
     def _beside(self, base: FittedModel, but_for: Sequence[str]) -> list[_Place]:
         """The most promising, in the fit's own metric and in a tighter one.
@@ -383,63 +400,65 @@ class _Search:
         """
         signs = [project_traces(base, self._traces), project_traces(_tightened(base), self._traces)]
         others = {n: c for n, c in self._candidates.items() if n not in but_for}
-        listed = short_list(signs, others, self._effort.pairs)
+        names = short_list(signs, others, self._effort.pairs)
         return [
-            _Place(base, max(signs, key=lambda sign: sign.best(name)[0]), name) for name in listed
+            _Place(base, max(signs, key=lambda sign: sign.best(name)[0]), name) for name in names
         ]
 
-    def _joined(self, places: Sequence[_Place], message: str) -> list[FittedModel]:
-        def joined(place: _Place) -> FittedModel:
+    def _fit_places(self, places: Sequence[_Place], message: str) -> list[FittedModel]:
+        def fit_place(place: _Place) -> FittedModel:
             base, partner = place.base, self._candidates[place.name]
             structure = self._refit.structure.with_effects(*base.structure.effects, partner)
             return self._once(
                 "joint " + "+".join((*base.names, place.name)),
                 structure,
-                lambda: _paired(base, partner, place.beside, structure),
+                lambda: _fit_partner(base, partner, place.beside, structure),
             )
 
-        return self._each(joined, places, (0.85, 0.95), message)
+        return self._each(fit_place, places, (0.85, 0.95), message)
 
-    def _found(
+    def _fit_from_sizes(
         self,
         structure: ModelStructure,
         sizes: Sequence[Mapping[str, float]],
-        known: FittedModel | None = None,
+        partial_fit: FittedModel | None = None,
         more: Sequence[Mapping[str, float]] = (),
     ) -> FittedModel:
-        """Also from ``known``, a fit with a part of the effects, and at ``more`` sizes."""
+        """Also from ``partial_fit``, a fit with a part of the effects, and at ``more`` sizes."""
         points = _points(structure, self._refit, sizes)
         for own in more:
             theta = structure.theta({**self._refit.values, **own})
             points.append((theta, structure.starts(theta, self._refit.fit.starts)))
-        if known is not None:
-            theta = structure.theta({**sizes[0], **known.values})
-            starts = known.fit.starts[:, : self._refit.centres.shape[1]]
+        if partial_fit is not None:
+            theta = structure.theta({**sizes[0], **partial_fit.values})
+            starts = partial_fit.fit.starts[:, : self._refit.centres.shape[1]]
             points.append((theta, structure.starts(theta, starts)))
-        return _searched(structure, self._refit, self._middle, points)
+        return _fit_from_points(structure, self._refit, self._middle, points)
 
     def _once(
         self, key: str, structure: ModelStructure, search: Callable[[], FittedModel]
     ) -> FittedModel:
         """What a search finds, or where it had ended before the race was interrupted."""
-        known, refit = self._checkpoint.point(key), self._refit
-        if known is None:
-            made = search()
-            self._checkpoint.add(key, made)
-            return made
-        metric = replace(refit.metric, shares=known["shares"], drift_sizes=known["drift"])
-        points = [(known["theta"], known["starts"])]
+        stored_point, refit = self._checkpoint.point(key), self._refit
+        if stored_point is None:
+            entry = search()
+            self._checkpoint.add(key, entry)
+            return entry
+        metric = replace(
+            refit.metric, shares=stored_point["shares"], drift_sizes=stored_point["drift"]
+        )
+        points = [(stored_point["theta"], stored_point["starts"])]
         return structure.fit(
-            metric, points, centres=refit.centres, gains=known["gains"], iterations=0
+            metric, points, centres=refit.centres, gains=stored_point["gains"], iterations=0
         )
 
     def _each(
         self,
-        work: Callable[[Item], Made | None],
+        work: Callable[[Item], Outcome | None],
         items: Sequence[Item],
         share: tuple[float, float],
         message: str,
-    ) -> list[Made]:
+    ) -> list[Outcome]:
         """The work on each item, in threads; compiled loops let go of the interpreter's lock.
 
         What the work makes nothing of is left out.
@@ -448,7 +467,7 @@ class _Search:
         if not items or not self._watch(low, message.format(items[0])):
             return []
 
-        def guarded(item: Item) -> Made | None:
+        def attempt(item: Item) -> Outcome | None:
             # A model that can no longer be reckoned with is no competitor, and no reason to stop.
             try:
                 return work(item)
@@ -456,15 +475,15 @@ class _Search:
                 return None
 
         with ThreadPoolExecutor(max(1, self._jobs)) as pool:
-            made: list[Made] = []
-            for k, result in enumerate(pool.map(guarded, items)):
+            results: list[Outcome] = []
+            for k, result in enumerate(pool.map(attempt, items)):
                 if result is not None:
-                    made.append(result)
-                done = low + (high - low) * (k + 1) / len(items)
-                if not self._watch(done, message.format(items[k])):
+                    results.append(result)
+                progress = low + (high - low) * (k + 1) / len(items)
+                if not self._watch(progress, message.format(items[k])):
                     pool.shutdown(wait=True, cancel_futures=True)
                     break
-        return made
+        return results
 
 
 def _tightened(fitted: Fitted) -> Fitted:
@@ -490,12 +509,12 @@ def short_list(
         )
         for sign in signs
     ]
-    chosen: list[str] = []
+    names: list[str] = []
     for places in zip_longest(*orders):
         for name in places:
-            if name is not None and name not in chosen and len(chosen) < count:
-                chosen.append(name)
-    return chosen
+            if name is not None and name not in names and len(names) < count:
+                names.append(name)
+    return names
 
 
 def promising_pairs(
@@ -505,19 +524,19 @@ def promising_pairs(
 
     ``candidates``: no other effect is taken.
     """
-    chosen: dict[frozenset[str], tuple[Signatures, int, int]] = {}
+    pairs: dict[frozenset[str], tuple[Signatures, int, int]] = {}
     orders = [[(sign, i, j) for _, i, j in sign.pairs(_ENTRANCE)] for sign in signs]
     for places in zip_longest(*orders):
         for place in places:
-            if place is None or len(chosen) >= count:
+            if place is None or len(pairs) >= count:
                 continue
             names = frozenset(place[0].names[row] for row in place[1:])
             if names <= candidates.keys():
-                chosen.setdefault(names, place)
-    return list(chosen.values())
+                pairs.setdefault(names, place)
+    return list(pairs.values())
 
 
-def _searched(
+def _fit_from_points(
     structure: ModelStructure,
     base: FittedModel,
     metric: Metric,
@@ -570,10 +589,10 @@ def _other_frequencies(
         return []
     rows = sign.rows(candidate.name)
     best = rows[np.argsort(-sign.gain[rows])]
-    chosen: dict[float, int] = {}
+    row_by_frequency: dict[float, int] = {}
     for row in best.tolist():
-        chosen.setdefault(float(sign.sizes[row][at]), row)
-    others = list(chosen.values())[1 : 1 + _FREQUENCIES]
+        row_by_frequency.setdefault(float(sign.sizes[row][at]), row)
+    others = list(row_by_frequency.values())[1 : 1 + _FREQUENCIES]
     return [_scaled_sizes(candidate, sign, row, least) for row in others]
 
 
@@ -584,7 +603,7 @@ def _sizes_of_row(candidate: CandidateEffect, values: FloatArray) -> dict[str, f
 def _scaled_sizes(
     candidate: CandidateEffect, sign: Signatures, row: int, least: float
 ) -> dict[str, float]:
-    by = float(np.clip(sign.towards[row] / max(sign.left[row], 1e-12), least, 2.0))
+    by = float(np.clip(sign.towards[row] / max(sign.projected_energy[row], 1e-12), least, 2.0))
     return _sizes_scaled_by(candidate, sign.sizes[row], by)
 
 
@@ -594,15 +613,17 @@ def _sizes_scaled_by(
     """Sizes by name, those that can make the effect vanish scaled, within their bounds."""
     sizes = {}
     for i, (free, size) in enumerate(zip(candidate.free, values, strict=True)):
-        scaled = is_amplitude(candidate.effect.parameters(), i)
-        sizes[free.name] = float(np.clip(size * factor, free.lower, free.upper) if scaled else size)
+        is_scaled = is_amplitude(candidate.effect.parameters(), i)
+        sizes[free.name] = float(
+            np.clip(size * factor, free.lower, free.upper) if is_scaled else size
+        )
     return sizes
 
 
-def _paired(
+def _fit_partner(
     best: FittedModel, partner: CandidateEffect, signs: Signatures, structure: ModelStructure
 ) -> FittedModel:
     sizes = _promising_sizes(partner, signs, 0.2)
     theta = structure.theta({**best.values, **sizes})
     starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
-    return _searched(structure, best, _between(best), [(theta, starts)]).in_own_metric()
+    return _fit_from_points(structure, best, _between(best), [(theta, starts)]).in_own_metric()

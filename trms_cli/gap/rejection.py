@@ -44,10 +44,10 @@ def rejected_effects(
     reasons = {row.effect: row.reason for row in unseen}
     own = float(race.refit.fit.predictive.sum())
     # a torque from outside is estimated, not fitted: nothing was judged beside it
-    fitted = answer if any(e.names == answer for e in race.entries) else ()
+    fitted_answer = answer if any(e.names == answer for e in race.entries) else ()
     # of several that hold a suspect, it alone tells most of it
     alone = {e.names[0]: e for e in race.entries if len(e.names) == 1}
-    found: list[tuple[float, Rejected]] = []
+    ranking: list[tuple[float, Rejected]] = []
     for name in [*candidates, *(n for n in reasons if n not in candidates)]:
         if name in answer:
             continue
@@ -55,34 +55,35 @@ def rejected_effects(
         entry = alone.get(name)
         if candidate is None or not candidate.simulated:
             why = reasons.get(name) or _not_from_outside(name, posterior)
-            found.append((-np.inf, _plain(name, why)))
+            ranking.append((-np.inf, _plain(name, why)))
             continue
         bound = upper_bound(beside, candidate)
         if entry is None or not np.isfinite(entry.fit.score):
-            why = _of_trace(name, fitted, race, beside, reasons)
+            why = _of_trace(name, fitted_answer, race, beside, reasons)
             nearness = -1e6 + _promise(beside, name)
-            found.append((nearness, _plain(name, why, bound, candidate.free[0].unit)))
+            ranking.append((nearness, _plain(name, why, bound, candidate.free[0].unit)))
             continue
         score, size = entry.fit.score - own, _first_size(entry, candidate)
-        why, alike = _of_fit(name, score, fitted, race, posterior)
-        if bound is None or alike or not fitted:  # it may be the answer itself, or beside none
+        why, alike = _of_fit(name, score, fitted_answer, race, posterior)
+        # it may be the answer itself, or beside none
+        if bound is None or alike or not fitted_answer:
             alone_at_most = abs(size.value) + 1.645 * size.sd
             bound = alone_at_most if np.isfinite(alone_at_most) else bound
         row = Rejected(
             effect=name, score=score, size=size, upper_bound=bound, reason=why, unit=size.unit
         )
-        found.append((score, row))
-    found.sort(key=lambda item: -item[0])
-    return tuple(row for _, row in found)
+        ranking.append((score, row))
+    ranking.sort(key=lambda item: -item[0])
+    return tuple(row for _, row in ranking)
 
 
 def inclusion(probabilities: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     """Probability of each effect to be part of the answer, descending."""
-    found: dict[str, float] = {}
+    totals: dict[str, float] = {}
     for effects, probability in probabilities.items():
         for name in effects if effects[0] not in NO_EFFECT else ():
-            found[name] = found.get(name, 0.0) + probability
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+            totals[name] = totals.get(name, 0.0) + probability
+    return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
 def upper_bound(signs: Signatures, candidate: CandidateEffect) -> float | None:
@@ -96,10 +97,10 @@ def upper_bound(signs: Signatures, candidate: CandidateEffect) -> float | None:
     free = candidate.free[0]
     least: tuple[float, float] | None = None
     for row in signs.rows(candidate.name):
-        size, left = abs(float(signs.sizes[row][0])), float(signs.left[row])
-        if not (size > 0 and left > 1e-6):
+        size, energy = abs(float(signs.sizes[row][0])), float(signs.projected_energy[row])
+        if not (size > 0 and energy > 1e-6):
             continue
-        mean, sd = float(signs.towards[row]) / left, left**-0.5
+        mean, sd = float(signs.towards[row]) / energy, energy**-0.5
         if free.lower < 0:  # of either sign: of its amount
             times = abs(mean) + float(ndtri(_LEVEL)) * sd
         else:  # normal, and not below zero
@@ -131,7 +132,7 @@ def _promise(signs: Signatures, name: str) -> float:
     return signs.best(name)[0] if len(signs.rows(name)) else -np.inf
 
 
-def _called(effects: Sequence[str]) -> str:
+def _in_words(effects: Sequence[str]) -> str:
     return listing([readable(name) for name in effects])
 
 
@@ -148,28 +149,30 @@ def _of_fit(
         text = f"explains {score:.0f} nats more than other parameters alone"
         features = posterior.features
         if (name,) in features.names and features.behind > _NATS:
-            left = float(features.behinds[features.names.index((name,))]) / features.behind
-            text += f" and leaves {percent(min(max(left, 0.0), 1.0))} of the gap"
+            remaining_share = (
+                float(features.behinds[features.names.index((name,))]) / features.behind
+            )
+            text += f" and leaves {percent(min(max(remaining_share, 0.0), 1.0))} of the gap"
         return text, False
     behind = best.fit.score - own - score
     group = next((g for g in posterior.confusable if name in g and set(g) & set(answer)), None)
     if group is not None:
-        return f"not told apart from {_called(answer)}: {_by_how_much(behind)}", True
+        return f"not told apart from {_in_words(answer)}: {_by_how_much(behind)}", True
     together = entries.get(tuple(sorted((*answer, name))))
     if together is not None:
         more = together.fit.score - best.fit.score
         if more > _NOTHING:
             return (
-                f"alone it explains {behind:.0f} nats less than {_called(answer)}; beside it, "
+                f"alone it explains {behind:.0f} nats less than {_in_words(answer)}; beside it, "
                 f"{more:.0f} nats more"
             ), False
         if behind > _NATS:
-            less = f"explains {behind:.0f} nats less than {_called(answer)}"
+            less = f"explains {behind:.0f} nats less than {_in_words(answer)}"
             return f"{less}, and adds nothing beside it", False
     if behind < _NATS:
         p = posterior.probabilities.get((name,), 0.0)
-        return f"{_by_how_much(behind)} as {_called(answer)}: probability {percent(p)}", True
-    return f"explains {behind:.0f} nats less than {_called(answer)}", False
+        return f"{_by_how_much(behind)} as {_in_words(answer)}: probability {percent(p)}", True
+    return f"explains {behind:.0f} nats less than {_in_words(answer)}", False
 
 
 def _by_how_much(behind: float) -> str:
@@ -191,24 +194,24 @@ def _of_trace(
         return reasons[name]
     if not len(beside.rows(name)):
         return "no simulation with it stays finite"
-    known = [other for other in answer if len(race.tight.rows(other))]
-    alike = [other for other in known if race.tight.alike(name, other) > _ALIKE]
+    simulated_answers = [other for other in answer if len(race.tight.rows(other))]
+    alike = [other for other in simulated_answers if race.tight.alike(name, other) > _ALIKE]
     if alike:
-        return f"leaves the same trace as {_called(alike)}: not told apart by such recordings"
+        return f"leaves the same trace as {_in_words(alike)}: not told apart by such recordings"
     before = max(_promise(race.signatures, name), _promise(race.tight, name))
     after = _promise(beside, name)
-    told = f"what {_called(answer)} leaves" if answer else "what the refitted model leaves"
+    remainder = f"what {_in_words(answer)} leaves" if answer else "what the refitted model leaves"
     rows = beside.rows(name)
     if np.all(beside.towards[rows] <= 0):
-        return f"its trace points the other way than {told}"
+        return f"its trace points the other way than {remainder}"
     if answer and before > _NOTHING and after < _NOTHING:
         return (
-            f"once {_called(answer)} is in the model nothing is left for it: "
+            f"once {_in_words(answer)} is in the model nothing is left for it: "
             f"{number(after, 2)} nats"
         )
     if after < _A_NAT:
-        return f"its trace explains nothing of {told}"
-    return f"its trace explains at most {number(after, 2)} nats of {told}"
+        return f"its trace explains nothing of {remainder}"
+    return f"its trace explains at most {number(after, 2)} nats of {remainder}"
 
 
 def _not_from_outside(name: str, posterior: Posterior) -> str:

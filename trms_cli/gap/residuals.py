@@ -63,26 +63,26 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     columns = objective.columns(residuals)
     measured = structure.windows.measured
     z = np.where(measured, np.clip(columns[..., -1], -6, 6), 0.0)
-    take = _taken_by_fits(columns[..., :-1], structure, objective)
+    take = _fit_projection(columns[..., :-1], structure, objective)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0x6A9]))
     commands = structure.windows.commands
-    observed = _statistics(z, measured, commands, structure.windows.sample_time)
-    drawn: dict[tuple[str, int], list[float]] = {key: [] for key in observed}
+    statistics = _statistics(z, measured, commands, structure.windows.sample_time)
+    bootstrap: dict[tuple[str, int], list[float]] = {key: [] for key in statistics}
     target = structure.windows.target
     quanta = np.array([quantum_of(target[..., i]) for i in range(target.shape[2])])
-    for drawn_residual in _drawn(metric, quanta, draws, random):
+    for bootstrap_residual in _bootstrap_residuals(metric, quanta, draws, random):
         white = np.where(
-            measured, np.clip(metric.whitened(drawn_residual[..., None])[..., 0], -6, 6), 0.0
+            measured, np.clip(metric.whitened(bootstrap_residual[..., None])[..., 0], -6, 6), 0.0
         )
-        left = np.where(measured, take(white), 0.0)
-        again = _statistics(left, measured, commands, structure.windows.sample_time)
+        innovations = np.where(measured, take(white), 0.0)
+        again = _statistics(innovations, measured, commands, structure.windows.sample_time)
         for key, value in again.items():
-            drawn[key].append(value)
+            bootstrap[key].append(value)
     outputs = names(structure.problem.model.outputs)
-    keys = list(observed)
+    keys = list(statistics)
     counts = measured.sum(axis=(0, 1))
     lags = _lags(z.shape[1], structure.windows.sample_time)
-    allowed = {
+    lag_counts = {
         "whiteness": lags,
         "squares": lags,
         "inputs": (lags + 1) * commands.shape[2],
@@ -90,30 +90,30 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     p = np.array(
         [
             _tail(
-                observed[name, i],
-                np.array(drawn[name, i]),
+                statistics[name, i],
+                np.array(bootstrap[name, i]),
                 times=POWER if name in _OF_POWER else 1.0,
-                beyond=CORRELATION**2 * counts[i] * allowed.get(name, 0),
+                beyond=CORRELATION**2 * counts[i] * lag_counts.get(name, 0),
             )
             for name, i in keys
         ]
     )
-    corrected = holm(p)
+    corrected_p = holm(p)
     return tuple(
         GapTest(
             name=name,
             channel=outputs[i],
-            statistic=observed[name, i],
+            statistic=statistics[name, i],
             p_value=float(p[k]),
-            p_corrected=float(corrected[k]),
-            rejected=bool(corrected[k] < _LEVEL),
+            p_corrected=float(corrected_p[k]),
+            rejected=bool(corrected_p[k] < _LEVEL),
             margin=POWER if name in _OF_POWER else CORRELATION,
         )
         for k, (name, i) in enumerate(keys)
     )
 
 
-def _drawn(
+def _bootstrap_residuals(
     metric: Metric, quanta: FloatArray, draws: int, random: np.random.Generator
 ) -> Iterator[FloatArray]:
     """Residuals (m, c, n_y) of rigs that move about the recording as the metric says."""
@@ -121,7 +121,7 @@ def _drawn(
     system, trajectory = discrepancy.system, discrepancy.trajectory
     m, c, _, n = system.h.shape
     sizes = metric.shares
-    spread = sizes * np.sqrt(1 - discrepancy.forgotten**2)
+    spread = sizes * np.sqrt(1 - discrepancy.autocorrelation**2)
     n_x = n - len(spread)
     x = np.zeros((m, n, draws))
     x[:, n_x:] = sizes[:, None] * random.standard_normal((m, len(spread), draws))
@@ -134,11 +134,11 @@ def _drawn(
     away += noise[:, None] * random.standard_normal(away.shape)
     coarse = np.maximum(quanta, 1e-12)[:, None]
     y = trajectory.y[..., None] + away
-    rounded = np.where(quanta[:, None] > 0, coarse * np.round(y / coarse), y)
+    rounded_outputs = np.where(quanta[:, None] > 0, coarse * np.round(y / coarse), y)
     drift = metric.drift.sd(metric.drift_sizes)
     for k in range(draws):
-        wandered = metric.drift.columns @ (drift * random.standard_normal(len(drift)))
-        yield rounded[..., k] - trajectory.y + wandered
+        drift_outputs = metric.drift.columns @ (drift * random.standard_normal(len(drift)))
+        yield rounded_outputs[..., k] - trajectory.y + drift_outputs
 
 
 def _statistics(
@@ -150,7 +150,7 @@ def _statistics(
     u = commands - commands.mean(axis=1, keepdims=True)
     spectrum_u = np.fft.rfft(u, size, axis=1)
     power_u = np.maximum(np.mean(u**2, axis=(0, 1)), 1e-12)
-    found: dict[tuple[str, int], float] = {}
+    statistics: dict[tuple[str, int], float] = {}
     for i in range(z.shape[2]):
         count = int(measured[..., i].sum())
         if count < 10 * lags:
@@ -158,20 +158,20 @@ def _statistics(
         e = z[..., i]
         power = float(np.sum(e**2) / count)
         spectrum = np.fft.rfft(e, size, axis=1)
-        found["variance", i] = power
-        found["whiteness", i] = _portmanteau(spectrum, spectrum, lags, count, power**2)
+        statistics["variance", i] = power
+        statistics["whiteness", i] = _portmanteau(spectrum, spectrum, lags, count, power**2)
         squares = np.where(measured[..., i], e**2 - power, 0.0)
         spread = max(float(np.sum(squares**2) / count), 1e-12)
         of_squares = np.fft.rfft(squares, size, axis=1)
-        found["squares", i] = _portmanteau(of_squares, of_squares, lags, count, spread**2)
-        found["inputs", i] = math.fsum(
+        statistics["squares", i] = _portmanteau(of_squares, of_squares, lags, count, spread**2)
+        statistics["inputs", i] = math.fsum(
             _portmanteau(spectrum, spectrum_u[..., k], lags, count, power * power_u[k], zero=True)
             for k in range(u.shape[2])
         )
         density = np.sum(np.abs(np.fft.rfft(e, axis=1)) ** 2, axis=0)[1:]
         bands = np.array([b.mean() for b in np.array_split(density, _BANDS)])
-        found["bands", i] = float(np.max(bands) / np.mean(density))
-    return found
+        statistics["bands", i] = float(np.max(bands) / np.mean(density))
+    return statistics
 
 
 def _lags(samples: int, sample_time: float) -> int:
@@ -190,12 +190,14 @@ def _portmanteau(
     zero: bool = False,
 ) -> float:
     """Sum of squared correlations; the first lags behind the second (closed loops)."""
-    crossed = np.fft.irfft(one * np.conj(other), axis=1)[:, : lags + 1].sum(axis=0) / count
-    chosen = crossed if zero else crossed[1:]
-    return float(count * np.sum(chosen**2) / max(scale, 1e-300))
+    cross_correlation = (
+        np.fft.irfft(one * np.conj(other), axis=1)[:, : lags + 1].sum(axis=0) / count
+    )
+    correlations = cross_correlation if zero else cross_correlation[1:]
+    return float(count * np.sum(correlations**2) / max(scale, 1e-300))
 
 
-def _taken_by_fits(
+def _fit_projection(
     slopes: FloatArray, structure: ModelStructure, objective: InnovationObjective
 ) -> Callable[[FloatArray], FloatArray]:
     """What is left of innovations (m, c, n_y) when starts and parameters were fitted to them."""
@@ -210,17 +212,17 @@ def _taken_by_fits(
     inner = np.einsum("mkf,mkg->fg", b, free) + prior
     inverse = np.linalg.pinv(inner, hermitian=True, rcond=1e-12)
 
-    def left(z: FloatArray) -> FloatArray:
+    def remainder(z: FloatArray) -> FloatArray:
         v = z.reshape(m, -1)
         v = v - np.einsum("mkn,mn->mk", thin, np.einsum("mkn,mk->mn", thin, v))
         theta = inverse @ np.einsum("mkf,mk->f", free, z.reshape(m, -1))
         v = v - free @ theta
         return v.reshape(z.shape)
 
-    return left
+    return remainder
 
 
-def _tail(value: float, drawn: FloatArray, times: float, beyond: float) -> float:
+def _tail(value: float, draws: FloatArray, times: float, beyond: float) -> float:
     """Probability of a statistic so large, by a gamma law with the mean and spread of the draws.
 
     ``times``, ``beyond``: the margin, by which a statistic is larger than the draws and still of
@@ -229,7 +231,7 @@ def _tail(value: float, drawn: FloatArray, times: float, beyond: float) -> float
     """
     from scipy.special import gammaincc  # scipy.stats takes half a second to import
 
-    mean, variance = float(drawn.mean()), max(float(drawn.var(ddof=1)), 1e-12)
+    mean, variance = float(draws.mean()), max(float(draws.var(ddof=1)), 1e-12)
     variance = times**2 * variance + 2 * beyond * variance / max(mean, 1e-12)
     mean = times * mean + beyond
     return float(gammaincc(mean**2 / variance, max(value, 0.0) * mean / variance))
@@ -252,9 +254,9 @@ class Location:
 
     def share(self, blocks: IntArray | None = None) -> dict[str, float]:
         """Share of the gap by place, from some blocks (with repetition); None: from all."""
-        chosen = slice(None) if blocks is None else blocks
-        total = max(float(self.together[chosen].sum()), 1e-9)
-        gains = np.clip(self.gains[:, chosen].sum(axis=1) / total, 0.0, 1.0)
+        selection = slice(None) if blocks is None else blocks
+        total = max(float(self.together[selection].sum()), 1e-9)
+        gains = np.clip(self.gains[:, selection].sum(axis=1) / total, 0.0, 1.0)
         return dict(zip(self.locations, gains.tolist(), strict=True))
 
 
@@ -276,9 +278,11 @@ def locate(nominal: FittedModel, usual: Mapping[str, float]) -> Location:
     for i in range(len(channels)):
         moving = np.arange(len(channels)) == i
         first = np.where(moving, begins, floor)
-        found = likely_shares(every, r, first, moving=moving, iterations=_ITERATIONS, least=floor)
-        gains.append(log_likelihood(every, r, found) - none)
-        shares.append(found[i])
+        estimate = likely_shares(
+            every, r, first, moving=moving, iterations=_ITERATIONS, least=floor
+        )
+        gains.append(log_likelihood(every, r, estimate) - none)
+        shares.append(estimate[i])
     start = np.maximum(floor, 0.7 * np.array(shares))
     both = likely_shares(every, r, start, iterations=_ITERATIONS, least=floor)
     together = log_likelihood(every, r, both) - none
@@ -300,9 +304,9 @@ def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRe
     inside = windows.inside
     states = discrepancy.trajectory.x[..., : model.n_x]
     # as recorded: what is fitted of a recording may begin within it
-    recorded = np.concatenate([d.time for d in structure.problem.datasets])
+    recorded_time = np.concatenate([d.time for d in structure.problem.datasets])
     sample = windows.first[:, None] + np.arange(inside.shape[1])
-    time = recorded[np.minimum(sample, len(recorded) - 1)]
+    time = recorded_time[np.minimum(sample, len(recorded_time) - 1)]
     starts = np.cumsum([0, *(len(d) for d in structure.problem.datasets)])
     recording = np.searchsorted(starts, windows.first, side="right") - 1
     motion = _motion(model, states, windows.commands, windows.sample_time)

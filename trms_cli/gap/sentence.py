@@ -25,7 +25,7 @@ def sentence(
     causes: Sequence[Cause],
     where: Sequence[LocationShare],
     shrinkage: Shrinkage,
-    moved: Sequence[MovedParameter] = (),
+    moved_parameters: Sequence[MovedParameter] = (),
     law: Sequence[str] = (),
     *,
     other_form: bool = False,
@@ -44,14 +44,14 @@ def sentence(
             "other parameters to explain these recordings." + _above_floor(shrinkage)
         )
     if posterior.verdict == "parameters_only":
-        which = listing([item.words for item in moved[:_MOVED_TOLD]])
+        which = listing([item.words for item in moved_parameters[:_MOVED_TOLD]])
         return (
             "No effect is missing: other values of the parameters"
             + (" and laws of another form" if other_form else "")
             + " explain these recordings, with "
             f"probability {probability_text(top.probability)}"
             + (f"; what moved is likeliest the {which}." if which else ".")
-            + _left_over(shrinkage)
+            + _remaining_error(shrinkage)
         )
     if posterior.verdict == "none_of_these":
         return (
@@ -60,25 +60,25 @@ def sentence(
             + "".join(f" {w}" for w in law[:1])
         )
     if posterior.verdict == "undecided":
-        listed = ", ".join(
+        causes_text = ", ".join(
             f"{_effects(c.effects)} ({c.probability:.2f})"
             for c in causes[:3]
             if c.probability > 0.05
         )
-        return f"These recordings do not decide what causes the gap: {listed}."
-    told = sizes(dict(list(top.parameters.items())[:3]))
+        return f"These recordings do not decide what causes the gap: {causes_text}."
+    sizes_text = sizes(dict(list(top.parameters.items())[:3]))
     causes_it = "causes it" if len(top.effects) == 1 else "cause it"
     text = (
         f"The gap lies in {place}, and {_effects(top.effects)} {causes_it}, with probability "
-        f"{probability_text(top.probability)}" + (f" ({told})" if told else "")
+        f"{probability_text(top.probability)}" + (f" ({sizes_text})" if sizes_text else "")
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
     shrink = shrinkage.shrink.get("all", {}).get(TOLD_AT)
     if shrink is not None and shrink.fraction is not None:
         if shrink.fraction > 0:
-            closed = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
-            text += f"; on data kept aside, adding it closes {closed}"
+            share_text = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
+            text += f"; on data kept aside, adding it closes {share_text}"
         else:
             text += "; on data kept aside, adding it closes nothing of the gap at 2 s"
     likely = {n for cause in causes if cause.probability >= LEAST_ALIKE for n in cause.effects}
@@ -89,7 +89,7 @@ def sentence(
     return text + "." + _still_missing(shrinkage)
 
 
-def _left_over(shrinkage: Shrinkage) -> str:
+def _remaining_error(shrinkage: Shrinkage) -> str:
     """What the refitted model still lacks on the sealed part, where that is much.
 
     The verdict compares causes on the part that was fitted. A short recording can be fitted by

@@ -49,15 +49,17 @@ class ObservableEquation:
     order: int  #: How often the force is integrated to the output: 2 for an angle, 1 for a speed
 
 
-def observable_equations(model: Model, measured: Sequence[str]) -> tuple[ObservableEquation, ...]:
+def observable_equations(
+    model: Model, measured_outputs: Sequence[str]
+) -> tuple[ObservableEquation, ...]:
     """Equations of the axes whose angles, and of the rotors whose speeds, are measured."""
     outputs, forces = names(model.outputs), names(model.disturbances)
-    found = [(axis.moment, axis.angle, 2) for axis in model.axes.values()]
-    found += [(f"{rotor}_motor", SPEEDS.get(rotor, ""), 1) for rotor in model.rotors]
+    equations = [(axis.moment, axis.angle, 2) for axis in model.axes.values()]
+    equations += [(f"{rotor}_motor", SPEEDS.get(rotor, ""), 1) for rotor in model.rotors]
     return tuple(
         ObservableEquation(force, model.disturbances[i].unit, i, outputs.index(output), order)
-        for force, output, order in found
-        if output in outputs and output in measured and force in forces
+        for force, output, order in equations
+        if output in outputs and output in measured_outputs and force in forces
         for i in (forces.index(force),)
     )
 
@@ -66,7 +68,7 @@ class MissingForces(NamedTuple):
     """Missing forces of windows."""
 
     force: FloatArray  #: (m, e) array; in the equations' units, NaN where nothing was measured
-    held: BoolArray  #: (m, e) array; the simulated axis rests, so that its force is not seen
+    at_rest: BoolArray  #: (m, e) array; the simulated axis rests, so that its force is not seen
 
 
 class ShortRuns:
@@ -85,11 +87,11 @@ class ShortRuns:
     ) -> None:
         self.model = model
         problem = FitProblem(model=model, datasets=tuple(datasets), window_length=length, jobs=1)
-        known = like.windows.rollout if like is not None and like.model is model else None
-        windows = Windows(problem, with_parameters=False, rollout=known)
+        shared_rollout = like.windows.rollout if like is not None and like.model is model else None
+        windows = Windows(problem, with_parameters=False, rollout=shared_rollout)
         self.windows: Windows = windows
-        measured = {name for dataset in datasets for name in names(dataset.outputs)}
-        self.equations = observable_equations(model, sorted(measured))
+        measured_names = {name for dataset in datasets for name in names(dataset.outputs)}
+        self.equations = observable_equations(model, sorted(measured_names))
         step, count = windows.sample_time, windows.inside.shape[1]
         whole = windows.count == count
         #: (m,) array; of each window: its recording, and its beginning in s from that one's
@@ -117,9 +119,9 @@ class ShortRuns:
         first = max(3, round(_SETTLED / self.windows.sample_time))
         for _ in range(_CORRECTIONS if rotors else 0):
             with np.errstate(all="ignore"):
-                seen = self.windows.measured[:, :first]
+                is_measured = self.windows.measured[:, :first]
                 away = self.windows.residuals(p, starts).r[:, :first].sum(axis=1)
-                away /= np.maximum(seen.sum(axis=1), 1)
+                away /= np.maximum(is_measured.sum(axis=1), 1)
             for e in rotors:
                 row = self.model.state_index(self.model.outputs[e.output].name)
                 starts[:, row] -= np.nan_to_num(away[:, e.output])
@@ -130,12 +132,12 @@ class ShortRuns:
         windows = self.windows
         with np.errstate(all="ignore"):
             r = windows.residuals(p, self.starts(p) if starts is None else starts).r
-        chosen = [e.output for e in self.equations]
-        seen = windows.measured[..., chosen].all(axis=1) & self._whole[:, None]
-        simulated = (r + np.where(windows.measured, windows.target, 0.0))[..., chosen]
-        force = -np.einsum("mce,ec->me", r[..., chosen], self._weights) / self._gain
-        force = np.where(seen & np.isfinite(force), force, np.nan)
-        late = simulated[:, len(self._t) // 2 :]
+        outputs = [e.output for e in self.equations]
+        is_measured = windows.measured[..., outputs].all(axis=1) & self._whole[:, None]
+        simulated_outputs = (r + np.where(windows.measured, windows.target, 0.0))[..., outputs]
+        force = -np.einsum("mce,ec->me", r[..., outputs], self._weights) / self._gain
+        force = np.where(is_measured & np.isfinite(force), force, np.nan)
+        late = simulated_outputs[:, len(self._t) // 2 :]
         still = np.ptp(late, axis=1) < _HELD
         return MissingForces(force, still & np.array([e.order == 2 for e in self.equations]))
 
@@ -145,8 +147,8 @@ class ShortRuns:
         ``shift``: (m, c) array; of the measured output, by window and sample. Where a sensor jumps
         the run has begun already, and the force of a moment is all that the window shows.
         """
-        weighed = self._weights[equation] * np.nan_to_num(shift)
-        later = np.cumsum(weighed[:, ::-1], axis=1)[:, ::-1]
+        weighted_shift = self._weights[equation] * np.nan_to_num(shift)
+        later = np.cumsum(weighted_shift[:, ::-1], axis=1)[:, ::-1]
         return later / self._gain[:, [equation]]
 
     def gate(self, onset: FloatArray) -> FloatArray:
@@ -156,11 +158,11 @@ class ShortRuns:
         """
         into = np.maximum(onset[:, None, None] - self.begin[:, None], 0.0)
         after = np.maximum(self._t - into, 0.0)
-        shown = [
+        shares = [
             np.einsum("kmc,c->km", after**e.order / e.order, w)
             for e, w in zip(self.equations, self._weights, strict=True)
         ]
-        return np.stack(shown, axis=-1)
+        return np.stack(shares, axis=-1)
 
     def _mobilities(self) -> FloatArray:
         """What a unit of force accelerates each output by, (m, e)."""
@@ -177,8 +179,10 @@ class ShortRuns:
         values = model.parameters.values
         starts = self.windows.starts(values)[:, : model.n_x]
         commands = self.windows.commands[:, 0]
-        found = gain.map(len(starts))(starts.T, commands.T, np.tile(values[:, None], len(starts)))
-        return np.asarray(ca.DM(found).full().T)
+        mobilities = gain.map(len(starts))(
+            starts.T, commands.T, np.tile(values[:, None], len(starts))
+        )
+        return np.asarray(ca.DM(mobilities).full().T)
 
 
 def _weights(t: FloatArray, order: int) -> FloatArray:

@@ -22,7 +22,7 @@ from trms_cli.gap.free_runs import (
     HorizonErrors,
     expected_errors,
     free_run_errors,
-    joined,
+    join_errors,
 )
 from trms_cli.gap.problem import GapProblem, Parts
 from trms_cli.models.dry_friction import SPEEDS
@@ -60,23 +60,23 @@ class SealedRuns:
     def errors(self, model: Model, rollout: Rollout | None = None) -> Errors:
         """By channel and horizon; ``rollout``: of the model's structure, where one is at hand."""
         # the model stands beside its errors so that its identity stays its own
-        known = self._errors.get(id(model))
-        if known is None:
+        entry = self._errors.get(id(model))
+        if entry is None:
             own = self._parts
-            made = free_run_errors(model, own.whole, own.sealed, rollout=rollout, **self._options)
-            known = self._errors[id(model)] = (model, made)
-        return known[1]
+            errors = free_run_errors(model, own.whole, own.sealed, rollout=rollout, **self._options)
+            entry = self._errors[id(model)] = (model, errors)
+        return entry[1]
 
     def floor(self, model: Model, rollout: Rollout | None = None) -> Errors:
         """What a model leaves of its own simulation, seen through the sensors' noise."""
-        known = self._floors.get(id(model))
-        if known is None:
+        entry = self._floors.get(id(model))
+        if entry is None:
             own, seed = self._parts, self._problem.seed
-            made = expected_errors(
+            errors = expected_errors(
                 model, own.whole, own.sealed, seed=seed, rollout=rollout, **self._options
             )
-            known = self._floors[id(model)] = (model, made)
-        return known[1]
+            entry = self._floors[id(model)] = (model, errors)
+        return entry[1]
 
 
 def farthest_errors(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> FloatArray:
@@ -98,14 +98,16 @@ def harm(before: Errors, after: Errors, floor: Errors, stray: Mapping[str, float
     Errors below :data:`_AT_FLOOR` are alike; ``stray`` as of :func:`farthest_errors`. NaN where
     there is none.
     """
-    found = []
+    log_factors = []
     for channel, by_horizon in before.items():
         longest = max(by_horizon)
         least = _AT_FLOOR * float(np.hypot(floor[channel][longest].rms, stray[channel]))
         if least > 0:
             one, other = (e[channel][longest].rms / least for e in (before, after))
-            found.append(float(np.log(np.clip(other, 1.0, _RUINED) / np.clip(one, 1.0, _RUINED))))
-    return max(found, default=float("nan"))
+            log_factors.append(
+                float(np.log(np.clip(other, 1.0, _RUINED) / np.clip(one, 1.0, _RUINED)))
+            )
+    return max(log_factors, default=float("nan"))
 
 
 def measure_shrinkage(
@@ -136,7 +138,7 @@ def measure_shrinkage(
     units = {s.name: s.unit for d in parts.whole for s in d.outputs}
     gap: dict[str, dict[str, Gap]] = {}
     shrink: dict[str, dict[str, Shrink]] = {}
-    pooled: dict[str, dict[str, _Pair]] = {}
+    pairs: dict[str, dict[str, _Pair]] = {}
     for channel, by_horizon in before.items():
         for horizon, reference in by_horizon.items():
             key = repr(float(horizon))
@@ -147,10 +149,10 @@ def measure_shrinkage(
             if turns is not None and horizon in turns[0].get(channel, {}):
                 one, other = (turn[channel][horizon] for turn in turns)
                 own = own.beside(_Pair.of(one, other, floor))
-            pooled.setdefault(key, {})[channel] = own
-            shrink.setdefault(channel, {})[key] = _pooled([own], [channel], problem.seed)
+            pairs.setdefault(key, {})[channel] = own
+            shrink.setdefault(channel, {})[key] = _pooled_shrink([own], [channel], problem.seed)
     shrink["all"] = {
-        key: _pooled(list(p.values()), list(p), problem.seed) for key, p in pooled.items()
+        key: _pooled_shrink(list(p.values()), list(p), problem.seed) for key, p in pairs.items()
     }
     worse = tuple(
         channel
@@ -194,7 +196,7 @@ _IN_TURN = 1_000_000
 _COMMON, _OWN, _APART, _FREEDOM, _OF_TACHOS = 0.3, 0.35, 0.6, 4.0, 0.25
 
 
-def _pooled(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -> Shrink:
+def _pooled_shrink(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -> Shrink:
     """Of channels together, blocks resampled in all at once.
 
     The share is that of sealed blocks. Its interval is that of another recording of the rig: as
@@ -219,13 +221,14 @@ def _pooled(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -> Shrin
             # below the floor by chance is no more than all of the gap
             return float(min(1 - (corrected - 1) / (refit - 1), 1.0))
 
-    sealed = blocks < _IN_TURN
-    told, of_all = fraction(sealed.astype(float)), fraction(np.ones(len(blocks)))
-    if not np.isfinite(told):
+    is_sealed = blocks < _IN_TURN
+    sealed_fraction = fraction(is_sealed.astype(float))
+    overall_fraction = fraction(np.ones(len(blocks)))
+    if not np.isfinite(sealed_fraction):
         return Shrink(fraction=None, ci95=None)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0x5412]))
     even = np.full(len(blocks), 1 / len(blocks))
-    drawn = random.multinomial(np.count_nonzero(sealed), even, _RESAMPLES)
+    draws = random.multinomial(np.count_nonzero(is_sealed), even, _RESAMPLES)
     with np.errstate(all="ignore"):
         ratio = np.abs(np.log(sums[..., 1].sum(axis=1) / sums[..., 0].sum(axis=1))) / 2
     differ = np.clip(np.nan_to_num(ratio, nan=np.inf) / _APART, 0.0, 1.0)[:, None]
@@ -234,13 +237,19 @@ def _pooled(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -> Shrin
     tails = np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, (_RESAMPLES, len(parts), 1)))
     common, own = (random.standard_normal((_RESAMPLES, len(parts), k)) for k in (1, 2))
     factors = np.exp(2 * size * tails * (_COMMON * common + _OWN * differ * own))
-    found = np.array([fraction(w.astype(float), f) for w, f in zip(drawn, factors, strict=True)])
-    found = found[np.isfinite(found)]
-    if len(blocks) < 2 or len(found) < _RESAMPLES / 2 or not np.isfinite(of_all):
-        return Shrink(fraction=told, ci95=None)
-    low, high = np.quantile(found, [0.025, 0.975]) + told - of_all
+    fractions = np.array(
+        [fraction(w.astype(float), f) for w, f in zip(draws, factors, strict=True)]
+    )
+    fractions = fractions[np.isfinite(fractions)]
+    if len(blocks) < 2 or len(fractions) < _RESAMPLES / 2 or not np.isfinite(overall_fraction):
+        return Shrink(fraction=sealed_fraction, ci95=None)
+    low, high = np.quantile(fractions, [0.025, 0.975]) + sealed_fraction - overall_fraction
     return Shrink(
-        fraction=told, ci95=(float(min(low, told)), float(np.clip(high, told, max(told, 1.0))))
+        fraction=sealed_fraction,
+        ci95=(
+            float(min(low, sealed_fraction)),
+            float(np.clip(high, sealed_fraction, max(sealed_fraction, 1.0))),
+        ),
     )
 
 
@@ -261,7 +270,7 @@ def _in_turn(
         return None
     windows = refit.structure.windows
     ends = np.cumsum([len(dataset) for dataset in windows.datasets])
-    made: list[list[Errors]] = [[], []]
+    block_errors: list[list[Errors]] = [[], []]
     acts = begins_at(corrected) or 0  # before, the corrected model is not the rig's
     for j, (first, count) in enumerate(zip(windows.first, windows.count, strict=True)):
         if j < acts:
@@ -269,17 +278,17 @@ def _in_turn(
         number = int(np.searchsorted(ends, first, side="right"))
         begin = int(first - (ends[number] - len(windows.datasets[number])))
         span = (number, begin, begin + int(count))
-        for fitted, found in zip((refit, corrected), made, strict=True):
+        for fitted, own_errors in zip((refit, corrected), block_errors, strict=True):
             own = fitted.structure.windows.rollout
             errors = free_run_errors(
                 fitted.without(j), parts.whole, [span], block=parts.block, rollout=own, jobs=jobs
             )
-            found.append(_numbered(errors, j))
-    before, after = (_together(found) for found in made)
+            own_errors.append(_with_block_number(errors, j))
+    before, after = (_together(own_errors) for own_errors in block_errors)
     return before, after
 
 
-def _numbered(errors: Errors, block: int) -> Errors:
+def _with_block_number(errors: Errors, block: int) -> Errors:
     """As of one block of that number."""
     return {
         name: {h: replace(e, block=np.full_like(e.block, block)) for h, e in by_horizon.items()}
@@ -288,14 +297,14 @@ def _numbered(errors: Errors, block: int) -> Errors:
 
 
 def _together(errors: Sequence[Errors]) -> Errors:
-    found: dict[str, dict[float, list[HorizonErrors]]] = {}
+    errors_by_channel: dict[str, dict[float, list[HorizonErrors]]] = {}
     for one in errors:
         for name, by_horizon in one.items():
             for horizon, e in by_horizon.items():
-                found.setdefault(name, {}).setdefault(horizon, []).append(e)
+                errors_by_channel.setdefault(name, {}).setdefault(horizon, []).append(e)
     return {
-        name: {horizon: joined(parts) for horizon, parts in by_horizon.items()}
-        for name, by_horizon in found.items()
+        name: {horizon: join_errors(parts) for horizon, parts in by_horizon.items()}
+        for name, by_horizon in errors_by_channel.items()
     }
 
 
@@ -325,7 +334,7 @@ def sealed_comparison(
     turns = None
     if corrected is not None and problem.effort != "quick":
         turns = _in_turn(parts, refit, corrected, problem.jobs)
-    measured = measure_shrinkage(
+    shrinkage = measure_shrinkage(
         problem, parts, problem.model, refit.model, last, (plain, richer), runs, turns
     )
-    return SealedComparison(measured, models)
+    return SealedComparison(shrinkage, models)

@@ -36,16 +36,16 @@ class Signatures:
     names: tuple[str, ...]  #: Of the effect of each row
     sizes: tuple[FloatArray, ...]  #: tuple of (n_s,) arrays; at which each row was simulated
     energy: FloatArray  #: (k,) array; squared length of each trace, in noise variances
-    left: FloatArray  #: (k,) array; the same after projection
+    projected_energy: FloatArray  #: (k,) array; the same after projection
     #: (k,) array; inner product of each projected trace with what the nominal fit left over: the
-    #: residual is best explained by ``towards/left`` times the row's change
+    #: residual is best explained by ``towards/projected_energy`` times the row's change
     towards: FloatArray
     cosine: FloatArray  #: (k, k) array; between projected traces
 
     @property
     def gain(self) -> FloatArray:
         """Nats by which each row lowers the cost, its change taken up to three times, (k,)."""
-        return projected_gain(np.maximum(self.left, 1e-12), self.towards)
+        return projected_gain(np.maximum(self.projected_energy, 1e-12), self.towards)
 
     def pairs(self, least: float) -> list[tuple[float, int, int]]:
         """Pairs of rows of two effects, best first, each pair of effects once.
@@ -55,23 +55,24 @@ class Signatures:
         act backwards or beyond three times its size they are no pair.
         """
         rows = np.array([r for n in dict.fromkeys(self.names) for r in self._promising(n)])
-        length = np.sqrt(self.left[rows])
+        length = np.sqrt(self.projected_energy[rows])
         towards, cosine = self.towards[rows] / length, self.cosine[np.ix_(rows, rows)]
         with np.errstate(all="ignore"):
-            turned = 1 / (1 - cosine**2)
-            by = (towards[:, None] - cosine * towards[None, :]) * turned  # (i, j): size of i
+            inverse_determinant = 1 / (1 - cosine**2)
+            # (i, j): size of i
+            by = (towards[:, None] - cosine * towards[None, :]) * inverse_determinant
             together = 0.5 * (by * towards[:, None] + by.T * towards[None, :])
         multiple = by / length[:, None]
         alone = self.gain[rows]
         fine = (multiple > 0) & (multiple < 3) & (np.abs(cosine) < _PARALLEL)
         fine &= fine.T & (together > np.maximum(alone[:, None], alone[None, :]) + least)
-        found: dict[frozenset[str], tuple[float, int, int]] = {}
+        best_pairs: dict[frozenset[str], tuple[float, int, int]] = {}
         for i, j in np.argwhere(np.triu(fine, 1)):
             key = frozenset((self.names[rows[i]], self.names[rows[j]]))
             gain = float(together[i, j])
-            if len(key) == 2 and gain > found.get(key, (0.0,))[0]:
-                found[key] = (gain, int(rows[i]), int(rows[j]))
-        return sorted(found.values(), reverse=True)
+            if len(key) == 2 and gain > best_pairs.get(key, (0.0,))[0]:
+                best_pairs[key] = (gain, int(rows[i]), int(rows[j]))
+        return sorted(best_pairs.values(), reverse=True)
 
     def _promising(self, name: str) -> IntArray:
         """Rows of an effect that are worth a look beside another one."""
@@ -96,8 +97,9 @@ class Signatures:
         Each of the size at which it is largest.
         """
         rows = self.rows(name)
-        energy, left = float(self.energy[rows].max()), float(self.left[rows].max())
-        return float(np.sqrt(energy)), float(np.sqrt(min(max(left, 0.0), energy)))
+        energy = float(self.energy[rows].max())
+        projected_energy = float(self.projected_energy[rows].max())
+        return float(np.sqrt(energy)), float(np.sqrt(min(max(projected_energy, 0.0), energy)))
 
     def least_size(self, name: str) -> float | None:
         """Smallest value of the first size that would show, None where none of those tried does.
@@ -105,12 +107,12 @@ class Signatures:
         Traces are not proportional to sizes (a dead zone, a friction that holds): the smallest
         tried size that is visible is scaled down by what it exceeds the threshold.
         """
-        found = []
+        trace_lengths = []
         for row in self.rows(name):
-            size, length = abs(self.sizes[row][0]), np.sqrt(max(self.left[row], 0.0))
+            size, length = abs(self.sizes[row][0]), np.sqrt(max(self.projected_energy[row], 0.0))
             if size > 0 and length > 0:
-                found.append((size, length))
-        visible = [(size, length) for size, length in found if length >= VISIBLE]
+                trace_lengths.append((size, length))
+        visible = [(size, length) for size, length in trace_lengths if length >= VISIBLE]
         if visible:
             size, length = min(visible)
             return float(size * VISIBLE / length)
@@ -180,26 +182,26 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
     across = total[:n_f, n_f:].copy()
     across[:, -1] += root * (point - objective.means)
     inner = total[:n_f, :n_f] + np.diag(root * objective.scales)
-    left = total[n_f:, n_f:] - across.T @ np.linalg.solve(inner, across)
-    energy = np.maximum(np.diag(left)[:-1], 1e-12)
+    gram = total[n_f:, n_f:] - across.T @ np.linalg.solve(inner, across)
+    energy = np.maximum(np.diag(gram)[:-1], 1e-12)
     length = np.sqrt(energy)
     return Signatures(
         traces.names,
         traces.sizes,
         raw,
         energy,
-        -left[:-1, -1],
-        left[:-1, :-1] / np.outer(length, length),
+        -gram[:-1, -1],
+        gram[:-1, :-1] / np.outer(length, length),
     )
 
 
-def projected_gain(left: FloatArray, towards: FloatArray) -> FloatArray:
+def projected_gain(projected_energy: FloatArray, towards: FloatArray) -> FloatArray:
     """Nats by which traces lower the cost, their changes taken up to three times, (k,) array.
 
-    ``left``, ``towards``, (k,) arrays: as of :class:`Signatures`.
+    ``projected_energy``, ``towards``, (k,) arrays: as of :class:`Signatures`.
     """
-    by = np.clip(towards / left, 0.0, 3.0)
-    return np.asarray(np.maximum(by * towards - 0.5 * by**2 * left, 0.0))
+    by = np.clip(towards / projected_energy, 0.0, 3.0)
+    return np.asarray(np.maximum(by * towards - 0.5 * by**2 * projected_energy, 0.0))
 
 
 def window_products(fitted: FittedModel, traces: EffectTraces) -> Iterator[FloatArray]:
@@ -237,7 +239,9 @@ def _products(fitted: FittedModel, traces: EffectTraces) -> Iterator[tuple[Float
 def whitened_part(metric: Metric, rows: slice, columns: FloatArray) -> FloatArray:
     """Innovations of columns (m, c, n_y, k) of some windows."""
     system, filter_ = metric.discrepancy.system, metric.filter_
-    part = LinearSystem(system.f[rows], system.h[rows], system.seen[rows], system.r, system.start)
+    part = LinearSystem(
+        system.f[rows], system.h[rows], system.measured[rows], system.r, system.start
+    )
     gains = FilterGains(
         np.ascontiguousarray(filter_.k[rows]),
         np.ascontiguousarray(filter_.root[rows]),

@@ -54,7 +54,7 @@ class ForceSeries:
     """Missing forces of one equation over windows of some recordings, linear in the parameters."""
 
     force: FloatArray  #: (m,) array; with the parameters at the centres of their priors
-    seen: BoolArray  #: (m,) array
+    is_observed: BoolArray  #: (m,) array
     slopes: FloatArray  #: (m, n_f) array; per prior standard deviation of each parameter
     recording: IntArray  #: (m,) array
     time: FloatArray  #: (m,) array; s
@@ -130,22 +130,22 @@ class StandingError:
         """
         from scipy.optimize import minimize  # 0.4 s to import
 
-        seen = reference.only(reference.seen)
+        observed_series = reference.only(reference.is_observed)
         centres, spreads = _beliefs(scale)
 
         def cost(v: FloatArray) -> float:
             with np.errstate(all="ignore"):
-                value = -_log_density(seen, ErrorSizes(*np.exp(v)))
+                value = -_log_density(observed_series, ErrorSizes(*np.exp(v)))
             return value + 0.5 * float(np.sum(((v - centres) / spreads) ** 2))
 
-        found = minimize(
+        solution = minimize(
             cost,
             centres if begin is None else np.log(begin),
             method="L-BFGS-B",
             bounds=[(c - 6, c + 6) for c in centres],
             options={"maxiter": 40},
         )
-        return cls(seen, scale, ErrorSizes(*np.exp(found.x)), sessions)
+        return cls(observed_series, scale, ErrorSizes(*np.exp(solution.x)), sessions)
 
     def predictions(
         self, series: ForceSeries, more: FloatArray | float = 0.0, only: Collection[int] = ()
@@ -156,9 +156,9 @@ class StandingError:
         further force on them. ``only``: which of the sizes; empty: all.
         """
         own = series.slopes @ self.reference.slopes.T
-        known = cho_factor(covariance(self.reference, self.sizes), lower=True)
-        mean = own @ cho_solve(known, self.reference.force)
-        taken = own @ cho_solve(known, own.T)
+        reference_factor = cho_factor(covariance(self.reference, self.sizes), lower=True)
+        mean = own @ cho_solve(reference_factor, self.reference.force)
+        explained_covariance = own @ cho_solve(reference_factor, own.T)
         spread = _VARIES * np.sqrt(1 + 2 / max(self.sessions, 1))
         for number, (offset, slow) in enumerate(product(_FACTORS, _FACTORS)):
             if only and number not in only:
@@ -171,8 +171,10 @@ class StandingError:
                 self.sizes.between * offset,
             )
             weight = -0.5 * float(np.sum((np.log([offset, slow]) / spread) ** 2))
-            left = covariance(series, sizes) - taken
-            size, turn = np.linalg.eigh((left + left.T) / 2 + more)
+            conditional_covariance = covariance(series, sizes) - explained_covariance
+            size, turn = np.linalg.eigh(
+                (conditional_covariance + conditional_covariance.T) / 2 + more
+            )
             size = np.maximum(size, 1e-12 * size[-1:])
             whitener = (turn / np.sqrt(size)) @ turn.T
             yield ForcePrediction(weight, mean, whitener, -0.5 * float(np.log(size).sum()))

@@ -33,8 +33,8 @@ def law_evidence(evidence: ChangeEvidence) -> FloatArray:
             for basis, size in itertools.product(bases, _sizes(evidence, e))
         ]
         # of a single window nothing can be a law
-        known = logsumexp(values) - np.log(len(values)) if values else evidence.unchanged
-        evidences.append(known)
+        log_evidence = logsumexp(values) - np.log(len(values)) if values else evidence.unchanged
+        evidences.append(log_evidence)
     return np.array(evidences)
 
 
@@ -54,15 +54,17 @@ def with_random_torque(evidence: ChangeEvidence, score: DifferenceScore) -> Diff
     trials = list(itertools.product(_sizes(evidence, e), _TIMES))
     length = evidence.runs.length
     logs = [
-        evidence.with_covariance(e, size**2 * _averaged(apart / length, time / length))
+        evidence.with_covariance(
+            e, size**2 * _window_mean_covariance(apart / length, time / length)
+        )
         for size, time in trials
     ]
     varying = float(logsumexp(logs) - np.log(len(logs)))
     half = np.log(0.5)
-    joined = replace(score, always=float(np.logaddexp(score.always, varying) + half))
-    joined = replace(joined, begins=score.begins + half)
+    mixture = replace(score, always=float(np.logaddexp(score.always, varying) + half))
+    mixture = replace(mixture, begins=score.begins + half)
     if varying <= score.evidence:
-        return joined
+        return mixture
     weights = np.exp(np.array(logs) - max(logs))
     sizes = np.array([size for size, _ in trials])
     mean = float(weights @ sizes / weights.sum())
@@ -70,7 +72,7 @@ def with_random_torque(evidence: ChangeEvidence, score: DifferenceScore) -> Diff
     # nothing foretells it, so that nothing is drawn beside the force that is missing
     difference = replace(score.difference, labels=("deviation",))
     return replace(
-        joined,
+        mixture,
         difference=difference,
         value=np.array([mean]),
         sd=np.array([spread]),
@@ -81,19 +83,19 @@ def with_random_torque(evidence: ChangeEvidence, score: DifferenceScore) -> Diff
 
 
 def _sizes(evidence: ChangeEvidence, e: int) -> FloatArray:
-    error = evidence.known.errors[e]
+    error = evidence.known_state.errors[e]
     least = min(float(error.sizes.white), 0.3 * error.scale)
     return np.geomspace(least, error.scale, _SIZES)
 
 
-def _averaged(apart: FloatArray, time: float) -> FloatArray:
+def _window_mean_covariance(apart: FloatArray, time: float) -> FloatArray:
     """Covariance of means over windows of unit length, of a process of unit variance.
 
     ``apart``: (m, m) array; between the beginnings of windows, in lengths. ``time``: the same unit.
     """
-    lost = 1 - np.exp(-1 / time)
-    near = 2 * time * (1 - time * lost)
-    far = time**2 * lost**2 * np.exp((1 - np.maximum(apart, 1.0)) / time)
+    decay = 1 - np.exp(-1 / time)
+    near = 2 * time * (1 - time * decay)
+    far = time**2 * decay**2 * np.exp((1 - np.maximum(apart, 1.0)) / time)
     return np.where(apart < 0.5, near, far)
 
 

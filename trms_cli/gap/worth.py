@@ -49,7 +49,7 @@ def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, t
 
     Rounded to hundredths, so that they can be typed; angles that were not recorded have none.
     """
-    found = {}
+    sines = {}
     for axis in axes:
         columns = [
             d.measurements[:, i]
@@ -64,8 +64,8 @@ def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, t
         low, high = (float(v) for v in np.quantile(values, _RANGE))
         amplitude = round(min(0.5 * (high - low), LARGEST[axis]), 2)
         offset = round(0.5 * (low + high), 2)
-        found[axis] = (max(amplitude, _SMALLEST), offset if abs(offset) >= _SMALLEST else 0.0)
-    return found
+        sines[axis] = (max(amplitude, _SMALLEST), offset if abs(offset) >= _SMALLEST else 0.0)
+    return sines
 
 
 def worth_of(
@@ -110,9 +110,9 @@ def tracking(
         loop.run(watch)
     reference = loop.history.columns("/reference")
     state = loop.history.columns("/plant/state")
-    counted = loop.history.times("/reference") >= _RISING
+    is_counted = loop.history.times("/reference") >= _RISING
     errors = {
-        name: _rms(np.asarray(state[name] - reference[name])[counted])
+        name: _rms(np.asarray(state[name] - reference[name])[is_counted])
         for name in controlled
         if name in state
     }
@@ -126,23 +126,23 @@ def gain_in_words(
 
     ``noise``: standard deviation of each angle's sensor, rad.
     """
-    parts, gained, lost = [], False, False
+    parts, is_better, is_worse = [], False, False
     unit, scale = small_unit("rad")
     for axis, old in before.items():
         new = after[axis]
         share = 1 - new / old if old > 0 else 0.0
         same = abs(share) < _CHANGED or abs(new - old) < _ABOVE_NOISE * noise.get(axis, 0.0)
-        gained |= share > 0 and not same
-        lost |= share < 0 and not same
+        is_better |= share > 0 and not same
+        is_worse |= share < 0 and not same
         way = f"{percent(abs(share))} {'less' if share > 0 else 'more'}"
         figures = f"{number(scale * old, 2)} → {number(scale * new, 2)} {unit}"
         parts.append(f"{signal(axis)} {figures} ({'about the same' if same else way})")
     text = f"Simulated on such a rig, {name} tracks with the model as it was and corrected: RMS of "
     text += listing(parts)
     text += f", from {_RISING:g} s on"
-    if lost:
+    if is_worse:
         text += "; what the correction adds does not suit this controller throughout"
-    elif not gained:
+    elif not is_better:
         text += "; the controller and its observer make up for what the model lacks"
     return f"{text}."
 

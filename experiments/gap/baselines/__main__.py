@@ -30,19 +30,19 @@ def main(argv: Sequence[str]) -> int:
     try:
         if argv[0] == "train":
             return _train(_words(argv[1:], ("outputs", "rigs", "jobs", "sample_time")))
-        given = _words(argv, _KEYS)
+        options = _words(argv, _KEYS)
         for key in ("method", "in", "out"):
-            if key not in given:
+            if key not in options:
                 raise ConfigurationError(f"{key} is not given", where=key, remedy=f"{key}=…")
-        folder = Path(given["in"])
-        truth = effects_of(Path(given["key"]), folder) if given["method"] == "oracle" else None
+        folder = Path(options["in"])
+        truth = effects_of(Path(options["key"]), folder) if options["method"] == "oracle" else None
         failed = run_baseline(
-            given["method"],
+            options["method"],
             folder,
-            Path(given["out"]),
-            int(given.get("jobs", 2)),
+            Path(options["out"]),
+            int(options.get("jobs", 2)),
             truth=truth,
-            cases=int(given["cases"]) if "cases" in given else None,
+            cases=int(options["cases"]) if "cases" in options else None,
         )
     except TrmsError as error:
         sys.stderr.write(f"{error}\n")
@@ -53,22 +53,22 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _words(argv: Sequence[str], keys: Sequence[str]) -> dict[str, str]:
-    found = {}
+    options = {}
     for word in argv:
         key, equals, value = word.partition("=")
         if key not in keys or not equals:
             raise ConfigurationError(
                 f"{word!r} given", where="the command line", remedy=f"keys are {', '.join(keys)}"
             )
-        found[key] = value
-    if found.get("method") == "oracle" and "key" not in found:
+        options[key] = value
+    if options.get("method") == "oracle" and "key" not in options:
         raise ConfigurationError(
             "the oracle has to be told the truth", where="key", remedy="key=DIR.key"
         )
-    return found
+    return options
 
 
-def _train(given: dict[str, str]) -> int:
+def _train(options: dict[str, str]) -> int:
     """Train for the bench's model at 50 Hz, four channels or the angles alone."""
     from experiments.gap.baselines.classifier import RIGS, train_classifier
     from experiments.gap.baselines.run import bench_effects
@@ -76,17 +76,17 @@ def _train(given: dict[str, str]) -> int:
     from trms_cli.models.newtonian import Newtonian
 
     model = Newtonian()
-    outputs = names(model.outputs)[: int(given.get("outputs", 4))]
-    found = train_classifier(
+    outputs = names(model.outputs)[: int(options.get("outputs", 4))]
+    classifier = train_classifier(
         model,
         bench_effects(),
         outputs,
-        float(given.get("sample_time", 0.02)),
-        rigs_each=int(given.get("rigs", RIGS)),
-        jobs=int(given.get("jobs", 2)),
+        float(options.get("sample_time", 0.02)),
+        rigs_each=int(options.get("rigs", RIGS)),
+        jobs=int(options.get("jobs", 2)),
         tell=print,
     )
-    print(f"right on rigs that it was not trained on: {found.accuracy:.0%}")
+    print(f"right on rigs that it was not trained on: {classifier.accuracy:.0%}")
     return 0
 
 

@@ -82,7 +82,9 @@ def diagnosis(
 
 def places(candidates: Sequence[CandidateEffect], share: float) -> tuple[LocationShare, ...]:
     """Where named effects act, each with an equal part of a share of the gap."""
-    named = list(dict.fromkeys(place for candidate in candidates for place in candidate.locations))
+    locations = list(
+        dict.fromkeys(place for candidate in candidates for place in candidate.locations)
+    )
     return tuple(
-        LocationShare(location=p, share=share / len(named), ci95=(0.0, 1.0)) for p in named
+        LocationShare(location=p, share=share / len(locations), ci95=(0.0, 1.0)) for p in locations
     )

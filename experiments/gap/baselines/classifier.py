@@ -182,25 +182,25 @@ def marks(model: Model, datasets: Sequence[Dataset], block: float) -> FloatArray
     second = np.gradient(derivative, moved.step, axis=0)
     slopes = np.gradient(moved.u, moved.step, axis=0)
     common = np.hstack([moved.x, derivative, second, moved.u, slopes, np.ones((len(moved.x), 1))])
-    found: list[float] = []
+    features: list[float] = []
     for i, place in enumerate(names(model.disturbances)):
         force = moved.force[:, i]
         nuisances = moved.of_parameters[:, i] * scales
         ridge = float(np.var(force)) * len(force) / moved.independent
         inner = nuisances.T @ nuisances + ridge * np.eye(len(free))
         gain = np.linalg.solve(inner, nuisances.T) if len(free) else nuisances.T
-        chosen = [k for k, term in enumerate(terms) if term.location == place]
-        both = np.hstack([force[:, None], library[:, chosen], common])
-        left = both - nuisances @ (gain @ both)
-        size = np.sqrt(np.mean(left**2, axis=0))
-        unit = left / np.maximum(size, 1e-12 + 1e-6 * np.sqrt(np.mean(both**2, axis=0)))
-        found.append(float(np.log(size[0] + 1e-12)))
-        found.append(float(np.log(size[0] / (np.sqrt(np.mean(force**2)) + 1e-12) + 1e-6)))
-        found += _bands(left[:, 0], moved.step)
-        found += (unit[:, 1:].T @ unit[:, 0] / len(unit)).tolist()
+        term_columns = [k for k, term in enumerate(terms) if term.location == place]
+        both = np.hstack([force[:, None], library[:, term_columns], common])
+        residuals = both - nuisances @ (gain @ both)
+        size = np.sqrt(np.mean(residuals**2, axis=0))
+        unit = residuals / np.maximum(size, 1e-12 + 1e-6 * np.sqrt(np.mean(both**2, axis=0)))
+        features.append(float(np.log(size[0] + 1e-12)))
+        features.append(float(np.log(size[0] / (np.sqrt(np.mean(force**2)) + 1e-12) + 1e-6)))
+        features += _bands(residuals[:, 0], moved.step)
+        features += (unit[:, 1:].T @ unit[:, 0] / len(unit)).tolist()
     for signal_noise in _of_channels(datasets):
-        found += signal_noise
-    values = np.nan_to_num(np.array(found), nan=0.0, posinf=0.0, neginf=0.0)
+        features += signal_noise
+    values = np.nan_to_num(np.array(features), nan=0.0, posinf=0.0, neginf=0.0)
     return values
 
 
@@ -217,7 +217,7 @@ def _bands(force: FloatArray, step: float) -> list[float]:
 
 def _of_channels(datasets: Sequence[Dataset]) -> list[list[float]]:
     """Logarithms of each channel's noise and typical step, over the declared noise."""
-    found = []
+    rows = []
     for i, sd in enumerate(datasets[0].noise_sd):
         values = np.concatenate([d.measurements[:, i] for d in datasets])
         noise = float(noise_estimate(values[:, None])[0])
@@ -226,12 +226,12 @@ def _of_channels(datasets: Sequence[Dataset]) -> list[list[float]]:
         step = float(np.median(steps)) if steps.size else 0.0
         least = float(np.min(steps)) if steps.size else 0.0
         unit = max(float(sd), 1e-9)
-        found.append([float(np.log(v / unit + 1e-2)) for v in (noise, step, least)])
-    return found
+        rows.append([float(np.log(v / unit + 1e-2)) for v in (noise, step, least)])
+    return rows
 
 
 #: Rigs of each class, and the share that the ridge is chosen on.
-RIGS, _HELD = 40, 0.2
+RIGS, _VALIDATION_SHARE = 40, 0.2
 #: Rigs without effect, as a multiple of those of an effect.
 _PLAIN = 4
 _RIDGES = (0.3, 3.0, 30.0)
@@ -239,7 +239,7 @@ NO_EFFECT = "parameters_only"
 #: A class that is less likely than this is not decided for.
 _LIKELY = 0.5
 #: Causes of less probability are not told.
-_TOLD = 1e-3
+_LEAST_PROBABILITY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -252,9 +252,9 @@ class TrainedClassifier:
     weights: FloatArray  #: (classes, n + 1) array
     accuracy: float  #: On rigs that the weights were not fitted to
 
-    def probabilities(self, found: FloatArray) -> FloatArray:
+    def probabilities(self, features: FloatArray) -> FloatArray:
         """Of each class, for marks (k, n)."""
-        return _softmax(_design((found - self.mean) / self.sd) @ self.weights.T)
+        return _softmax(_design((features - self.mean) / self.sd) @ self.weights.T)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,30 +274,31 @@ class Classifier:
             parts.whole[0].sample_time,
             jobs=problem.jobs,
         )
-        told = model.probabilities(marks(problem.model, parts.fitted, parts.block)[None])[0]
-        order = np.argsort(-told, kind="stable")
+        features = marks(problem.model, parts.fitted, parts.block)
+        probabilities = model.probabilities(features[None])[0]
+        order = np.argsort(-probabilities, kind="stable")
         best = model.classes[int(order[0])]
         plain = refit(problem, parts)
-        corrected, chosen = plain, []
-        found, _ = applicable_candidates(problem.model, problem.candidates)
-        likely = float(told[order[0]]) >= _LIKELY
-        if best in found and likely:
-            chosen = [found[best]]
-            corrected = fit_with(problem, parts, chosen)
+        corrected, selected_candidates = plain, []
+        candidates, _ = applicable_candidates(problem.model, problem.candidates)
+        likely = float(probabilities[order[0]]) >= _LIKELY
+        if best in candidates and likely:
+            selected_candidates = [candidates[best]]
+            corrected = fit_with(problem, parts, selected_candidates)
         return diagnosis(
             problem,
-            "effect" if chosen else "parameters_only" if likely else "undecided",
+            "effect" if selected_candidates else "parameters_only" if likely else "undecided",
             [
                 Cause(
                     effects=(model.classes[i],),
-                    probability=float(told[i]),
+                    probability=float(probabilities[i]),
                     parameters=corrected.sizes() if model.classes[i] == best else {},
                 )
                 for i in order
-                if told[i] > _TOLD
+                if probabilities[i] > _LEAST_PROBABILITY
             ],
             measure_shrinkage(problem, parts, problem.model, plain.model, corrected.model),
-            where=places(chosen, 1.0),
+            where=places(selected_candidates, 1.0),
             parameters=corrected.nominal(),
             refit=plain.values,
             sentence=f"The recording looks like those of synthetic rigs with {best}.",
@@ -330,9 +331,9 @@ def train_classifier(
     tell : callable
         Told a line an effect.
     """
-    found, _ = applicable_candidates(model, candidates)
-    kept = {name: s.effect for name, s in found.items() if not s.stochastic}
-    file = _file(model, kept, outputs, sample_time, rigs_each)
+    applicable_effects, _ = applicable_candidates(model, candidates)
+    effects = {name: s.effect for name, s in applicable_effects.items() if not s.stochastic}
+    file = _file(model, effects, outputs, sample_time, rigs_each)
     if file.is_file():
         with np.load(file) as saved:
             return TrainedClassifier(
@@ -344,17 +345,17 @@ def train_classifier(
             )
     requests = [
         Request(model, name, effect, tuple(outputs), sample_time, rigs_each, seed)
-        for seed, (name, effect) in enumerate(kept.items(), start=1)
+        for seed, (name, effect) in enumerate(effects.items(), start=1)
     ]
     requests += [
         Request(model, NO_EFFECT, None, tuple(outputs), sample_time, rigs_each, 10_000 + k)
         for k in range(_PLAIN)
     ]
     labels, rows = [], []
-    for request, made in zip(requests, _made(requests, jobs), strict=True):
-        tell(f"{request.name}: {len(made)} rigs")
-        labels += [request.name] * len(made)
-        rows.append(made)
+    for request, class_features in zip(requests, _simulate_features(requests, jobs), strict=True):
+        tell(f"{request.name}: {len(class_features)} rigs")
+        labels += [request.name] * len(class_features)
+        rows.append(class_features)
     model_ = _fitted(labels, np.concatenate(rows))
     file.parent.mkdir(parents=True, exist_ok=True)
     draft = file.with_suffix(".draft.npz")
@@ -370,7 +371,7 @@ def train_classifier(
     return model_
 
 
-def _made(requests: Sequence[Request], jobs: int) -> list[FloatArray]:
+def _simulate_features(requests: Sequence[Request], jobs: int) -> list[FloatArray]:
     if jobs == 1:
         return [rigs(request) for request in requests]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -384,10 +385,10 @@ def _file(
     sample_time: float,
     count: int,
 ) -> Path:
-    said = [f"{p.name} {p.value!r} {p.prior_sd!r}" for p in model.parameters]
-    said += [f"{name} {effect!r}" for name, effect in candidates.items()]
-    said += [type(model).__qualname__, repr((tuple(outputs), sample_time, count, "marks 1"))]
-    digest = hashlib.sha256("\n".join(said).encode()).hexdigest()[:16]
+    key_parts = [f"{p.name} {p.value!r} {p.prior_sd!r}" for p in model.parameters]
+    key_parts += [f"{name} {effect!r}" for name, effect in candidates.items()]
+    key_parts += [type(model).__qualname__, repr((tuple(outputs), sample_time, count, "marks 1"))]
+    digest = hashlib.sha256("\n".join(key_parts).encode()).hexdigest()[:16]
     return cache_folder().parent / "baselines" / f"classifier-{digest}.npz"
 
 
@@ -397,12 +398,12 @@ def _fitted(labels: Sequence[str], values: FloatArray) -> TrainedClassifier:
     target = np.array([classes.index(label) for label in labels])
     mean, sd = values.mean(axis=0), np.maximum(values.std(axis=0), 1e-9)
     design = _design((values - mean) / sd)
-    held = np.random.default_rng(0).random(len(target)) < _HELD
+    is_validation = np.random.default_rng(0).random(len(target)) < _VALIDATION_SHARE
     scores = {}
     for ridge in _RIDGES:
-        weights = _logistic(design[~held], target[~held], len(classes), ridge)
-        told = np.argmax(design[held] @ weights.T, axis=1)
-        scores[ridge] = float(np.mean(told == target[held]))
+        weights = _logistic(design[~is_validation], target[~is_validation], len(classes), ridge)
+        predictions = np.argmax(design[is_validation] @ weights.T, axis=1)
+        scores[ridge] = float(np.mean(predictions == target[is_validation]))
     best = max(scores, key=lambda ridge: scores[ridge])
     weights = _logistic(design, target, len(classes), best)
     return TrainedClassifier(classes, mean, sd, weights, scores[best])
@@ -434,6 +435,6 @@ def _logistic(design: FloatArray, target: FloatArray, classes: int, ridge: float
         return value + 0.5 * ridge * float(np.sum(weights**2)), slope.ravel()
 
     start = np.zeros(classes * design.shape[1])
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": 150})
-    weights: FloatArray = found.x.reshape(classes, -1)
+    solution = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": 150})
+    weights: FloatArray = solution.x.reshape(classes, -1)
     return weights

@@ -80,7 +80,7 @@ def nominal_free(model: Model) -> tuple[FreeParameter, ...]:
 def fit_problem(
     problem: GapProblem,
     parts: Parts,
-    chosen: Sequence[CandidateEffect] = (),
+    effects: Sequence[CandidateEffect] = (),
     starts: Mapping[str, float] | None = None,
     **settings: object,
 ) -> FitProblem:
@@ -88,9 +88,9 @@ def fit_problem(
 
     ``starts``: where a search begins instead of at the prior's centre or the typical size.
     """
-    model = with_values(joint(problem.model, chosen), starts or {})
+    model = with_values(joint(problem.model, effects), starts or {})
     priors = {p.name: p for p in nominal_free(problem.model)}
-    priors |= {p.name: p for candidate in chosen for p in candidate.free}
+    priors |= {p.name: p for candidate in effects for p in candidate.free}
     free = tuple(_started(priors[p.name], p.value) for p in model.parameters if p.name in priors)
     return FitProblem(
         model=model,
@@ -103,15 +103,15 @@ def fit_problem(
     )
 
 
-def map_fit(asked: FitProblem, starts: int = 2) -> Fit:
+def map_fit(problem: FitProblem, starts: int = 2) -> Fit:
     """Maximum a posteriori by multiple shooting from several starts."""
-    if not asked.free:
-        return Fit(asked.model, (), np.zeros(0), np.zeros(0))
-    found = MultipleShooting(starts=starts).fit(asked, SilentProgress())
-    n = len(asked.free)
-    covariance = np.full((n, n), np.nan) if found.covariance is None else found.covariance
+    if not problem.free:
+        return Fit(problem.model, (), np.zeros(0), np.zeros(0))
+    fit_result = MultipleShooting(starts=starts).fit(problem, SilentProgress())
+    n = len(problem.free)
+    covariance = np.full((n, n), np.nan) if fit_result.covariance is None else fit_result.covariance
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return Fit(with_values(asked.model, found.values), asked.free, found.theta, sd)
+    return Fit(with_values(problem.model, fit_result.values), problem.free, fit_result.theta, sd)
 
 
 def refit(problem: GapProblem, parts: Parts) -> Fit:

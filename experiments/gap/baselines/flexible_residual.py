@@ -86,9 +86,9 @@ class LearntForce(Effect):
 def inputs(at: EffectContext) -> ca.SX:
     """What the force may depend on: angles, rates, rotor speeds, commands."""
     model = at.model
-    found = [at.angle(axis) for axis in model.axes] + [at.rate(axis) for axis in model.axes]
-    found += [at.speed(r) for r in model.rotors if SPEEDS[r] in model.state_names]
-    return ca.vertcat(*found, at.u)
+    signals = [at.angle(axis) for axis in model.axes] + [at.rate(axis) for axis in model.axes]
+    signals += [at.speed(r) for r in model.rotors if SPEEDS[r] in model.state_names]
+    return ca.vertcat(*signals, at.u)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,13 +131,14 @@ def learnt(model: Model, moved: Motion, seed: int) -> tuple[LearntForce, dict[st
     x, u, p, w = model.symbols()
     s = inputs(EffectContext(model, x, u, p, w, ca.SX.zeros(0), {}))
     n = len(moved.x)
-    given = (np.repeat(model.parameters.values[:, None], n, axis=1), np.zeros((model.n_w, n)))
+    parameters = np.repeat(model.parameters.values[:, None], n, axis=1)
+    disturbances = np.zeros((model.n_w, n))
     along = ca.Function("inputs", [x, u, p, w], [ca.densify(s)]).map(n)
-    seen = np.array(ca.DM(along(moved.x.T, moved.u.T, *given)).full()).T
-    layer = _layer(seen, seed)
-    symbol = ca.SX.sym("s", seen.shape[1])
+    input_samples = np.array(ca.DM(along(moved.x.T, moved.u.T, parameters, disturbances)).full()).T
+    layer = _layer(input_samples, seed)
+    symbol = ca.SX.sym("s", input_samples.shape[1])
     features = ca.Function("features", [symbol], [ca.densify(layer(symbol))]).map(n)
-    columns = np.array(ca.DM(features(seen.T)).full()).T
+    columns = np.array(ca.DM(features(input_samples.T)).full()).T
     coefficients, foretold = {}, {}
     for i, place in enumerate(names(model.disturbances)):
         c, share = _ridged(columns, moved.force[:, i], moved)
@@ -146,9 +147,9 @@ def learnt(model: Model, moved: Motion, seed: int) -> tuple[LearntForce, dict[st
     return LearntForce(layer, coefficients), foretold
 
 
-def _layer(seen: FloatArray, seed: int) -> Layer:
+def _layer(input_samples: FloatArray, seed: int) -> Layer:
     random = np.random.default_rng(np.random.SeedSequence([seed, 0x1A7E]))
-    n_s = seen.shape[1]
+    n_s = input_samples.shape[1]
     weights = random.standard_normal((_UNITS, n_s)) / np.sqrt(n_s)
     weights *= np.resize(_STEEPNESS, _UNITS)[:, None]
     # Every third unit looks at one input alone: most forces of rigs do.
@@ -157,7 +158,9 @@ def _layer(seen: FloatArray, seed: int) -> Layer:
         alone[k // 3 % n_s] = _STEEPNESS[-1] * random.uniform(0.2, 2.0)
         weights[k] = alone
     offsets = random.standard_normal(_UNITS) * np.where(np.arange(_UNITS) % 3, 1.0, 0.3)
-    return Layer(seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9), weights, offsets)
+    return Layer(
+        input_samples.mean(axis=0), np.maximum(input_samples.std(axis=0), 1e-9), weights, offsets
+    )
 
 
 def _ridged(columns: FloatArray, force: FloatArray, moved: Motion) -> tuple[FloatArray, float]:

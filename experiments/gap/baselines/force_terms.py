@@ -63,8 +63,8 @@ class Memory(Effect):
 
     def after(self, at: EffectContext, step: float) -> ca.SX:
         """The states a step (s) later, the motion as it is."""
-        kept = ca.DM([float(np.exp(-step / t)) for t in _TIMES])
-        return self._followed(at) + kept * (at.own - self._followed(at)) + step * self._slipped(at)
+        decay = ca.DM([float(np.exp(-step / t)) for t in _TIMES])
+        return self._followed(at) + decay * (at.own - self._followed(at)) + step * self._slipped(at)
 
     def _followed(self, at: EffectContext) -> ca.SX:
         """What the states would come to: commands, loads; the slip by itself stays."""
@@ -164,9 +164,10 @@ def columns(model: Model, moved: Motion) -> tuple[tuple[Term, ...], FloatArray]:
     terms, function, memory = _functions(model, moved.step)
     along = _remembered(model, moved, memory)
     n = len(moved.x)
-    given = (np.repeat(model.parameters.values[:, None], n, axis=1), np.zeros((model.n_w, n)))
-    found = function.map(n)(along.T, moved.x.T, moved.u.T, *given)
-    return terms, np.array(ca.DM(found).full()).T
+    parameters = np.repeat(model.parameters.values[:, None], n, axis=1)
+    disturbances = np.zeros((model.n_w, n))
+    values = function.map(n)(along.T, moved.x.T, moved.u.T, parameters, disturbances)
+    return terms, np.array(ca.DM(values).full()).T
 
 
 @lru_cache(maxsize=8)

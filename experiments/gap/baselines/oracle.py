@@ -30,22 +30,22 @@ class Oracle:
         begun = time.perf_counter()
         parts = parts_of(problem)
         plain = refit(problem, parts)
-        found, _ = applicable_candidates(problem.model, problem.candidates)
-        chosen = [found[name] for name in self.effects if name in found]
+        candidates, _ = applicable_candidates(problem.model, problem.candidates)
+        selected_candidates = [candidates[name] for name in self.effects if name in candidates]
         verdict: Verdict = "parameters_only"
         fit, cause = plain, "parameters_only"
-        if self.effects and not chosen:
+        if self.effects and not selected_candidates:
             verdict, cause = "none_of_these", "none_of_these"
         effects: tuple[str, ...] = (cause,)
-        if chosen:
-            fit = fit_with(problem, parts, chosen)
-            verdict, effects = "effect", tuple(s.name for s in chosen)
+        if selected_candidates:
+            fit = fit_with(problem, parts, selected_candidates)
+            verdict, effects = "effect", tuple(s.name for s in selected_candidates)
         return diagnosis(
             problem,
             verdict,
             [Cause(effects=effects, probability=1.0, parameters=fit.sizes())],
             measure_shrinkage(problem, parts, problem.model, plain.model, fit.model),
-            where=places(chosen, 1.0),
+            where=places(selected_candidates, 1.0),
             parameters=fit.nominal(),
             refit=plain.values,
             sentence="The effects were told, and fitted.",

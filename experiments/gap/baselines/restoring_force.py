@@ -81,8 +81,8 @@ def savgol(values: FloatArray, step: float, order: int) -> FloatArray:
     from scipy.signal import savgol_filter
 
     reach = max(_FEWEST, round(_REACH / step)) // 2 * 2 + 1
-    found: FloatArray = savgol_filter(values, reach, _DEGREE, deriv=order, delta=step, axis=0)
-    return found
+    derivative: FloatArray = savgol_filter(values, reach, _DEGREE, deriv=order, delta=step, axis=0)
+    return derivative
 
 
 def _smoothed(
@@ -90,7 +90,11 @@ def _smoothed(
 ) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     """States, commands, the states' derivatives, and where these can be believed."""
     n, step = len(dataset), dataset.sample_time
-    x = _unmeasured(model, dataset) if not equations.shown(dataset) else np.zeros((n, model.n_x))
+    x = (
+        _unmeasured(model, dataset)
+        if not equations.has_measured_states(dataset)
+        else np.zeros((n, model.n_x))
+    )
     derivative = savgol(x, step, 1)
     good = np.ones(n, dtype=bool)
     edge = max(_FEWEST, round(_REACH / step))
@@ -119,8 +123,8 @@ def _unmeasured(model: Model, dataset: Dataset) -> FloatArray:
     n = len(dataset)
     rollout = Rollout(model, dataset.sample_time)
     anchors = np.arange(0, n, max(1, round(_ANCHORED / dataset.sample_time)), dtype=np.int64)
-    known = StartEstimator(rollout, dataset, anchors).at(model.parameters.values).states
-    columns = [np.interp(np.arange(n), anchors, known[:, i]) for i in range(model.n_x)]
+    anchor_states = StartEstimator(rollout, dataset, anchors).at(model.parameters.values).states
+    columns = [np.interp(np.arange(n), anchors, anchor_states[:, i]) for i in range(model.n_x)]
     return np.stack(columns, axis=1)
 
 
@@ -147,7 +151,7 @@ class _Equations:
         slope = ca.densify(ca.jacobian(rate, x)[:, self._momenta])
         self._rate = compile_function(ca.Function("rate", [x, u, p, w], [ca.densify(rate), slope]))
 
-    def shown(self, dataset: Dataset) -> bool:
+    def has_measured_states(self, dataset: Dataset) -> bool:
         """Whether all states but the momenta are measured, and the angles that give those."""
         measured = {s.name for s in dataset.outputs}
         hidden = [i for i, name in enumerate(self._model.state_names) if name not in measured]
@@ -171,8 +175,8 @@ class _Equations:
         if not rows or not self._momenta:
             return []
         rate, slope = self._at(self._rate, x, u)
-        wanted = np.stack([rates[self._angles[k]] for k in rows], axis=1) - rate[:, rows, 0]
-        x[:, self._momenta] += np.einsum("nij,nj->ni", np.linalg.pinv(slope[:, rows]), wanted)
+        rate_errors = np.stack([rates[self._angles[k]] for k in rows], axis=1) - rate[:, rows, 0]
+        x[:, self._momenta] += np.einsum("nij,nj->ni", np.linalg.pinv(slope[:, rows]), rate_errors)
         return self._momenta
 
     def force(

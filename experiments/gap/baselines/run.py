@@ -63,15 +63,15 @@ def _write(
     values: dict[str, float],
     path: Path,
 ) -> None:
-    chosen = {name: problem.candidates[name] for name in effects}
+    effects_by_name = {name: problem.candidates[name] for name in effects}
     nominal = [name for name in values if name in problem.model.parameters]
-    model: Model = extend_model(problem.model, chosen)
+    model: Model = extend_model(problem.model, effects_by_name)
     document = model_document(
         problem.datasets[0].name,
         model,
         ModelOrigin(
             option=problem.model_name,
-            effects={name: arguments_of(effect) for name, effect in chosen.items()},
+            effects={name: arguments_of(effect) for name, effect in effects_by_name.items()},
         ),
         values=values,
         deviations={name: p.sd for name, p in answer.parameters.items() if p.sd == p.sd},
@@ -228,18 +228,21 @@ def run_baseline(
     folder_out.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
     begun = perf_counter()
-    known = truth or {}
+    effects_by_recording = truth or {}
     tasks = {
-        r.stem: (name, tuple(known.get(r.stem, ())), r, folder_out, problem_of) for r in waiting
+        r.stem: (name, tuple(effects_by_recording.get(r.stem, ())), r, folder_out, problem_of)
+        for r in waiting
     }
-    for done, (stem, future) in enumerate(side_by_side(_answer, tasks, jobs, _TASKS), start=1):
+    for count, (stem, future) in enumerate(side_by_side(_answer, tasks, jobs, _TASKS), start=1):
         problem = future.exception()
         if problem is None:
-            said = future.result()
+            message = future.result()
         else:
-            failed[stem] = said = str(problem) if isinstance(problem, TrmsError) else repr(problem)
+            failed[stem] = message = (
+                str(problem) if isinstance(problem, TrmsError) else repr(problem)
+            )
         minutes = (perf_counter() - begun) / 60
-        tell(f"{done:4d} of {len(waiting)}  {stem}  {said}  {minutes:.1f} min")
+        tell(f"{count:4d} of {len(waiting)}  {stem}  {message}  {minutes:.1f} min")
     return failed
 
 
@@ -260,5 +263,5 @@ def _answer(
     (draft / "blind.json").write_text(seconds + "\n", encoding="utf-8")
     draft.replace(out / recording.stem)
     first = answer.causes[0] if answer.causes else None
-    named = f"{'+'.join(first.effects)} {first.probability:.2f}" if first else ""
-    return f"{answer.verdict:15}  {named}"
+    cause_text = f"{'+'.join(first.effects)} {first.probability:.2f}" if first else ""
+    return f"{answer.verdict:15}  {cause_text}"

@@ -55,23 +55,25 @@ class SparseRegression:
         parts = parts_of(problem)
         fit = refit(problem, parts)
         moved = motion(fit.model, parts.fitted, [p.name for p in fit.free], parts.block)
-        found = sparse_terms(fit, moved)
-        corrected = with_terms(fit, moved, tuple(found)) if found else fit.model
-        causes = _causes(found, problem)
+        supported_terms = sparse_terms(fit, moved)
+        corrected = with_terms(fit, moved, tuple(supported_terms)) if supported_terms else fit.model
+        causes = _causes(supported_terms, problem)
         return diagnosis(
             problem,
-            "effect" if found else "parameters_only",
+            "effect" if supported_terms else "parameters_only",
             causes,
             measure_shrinkage(problem, parts, problem.model, fit.model, corrected),
-            where=_where(found, applicable_candidates(problem.model, problem.candidates)[0]),
-            confusable=[term.effects for term in found if len(term.effects) > 1],
+            where=_where(
+                supported_terms, applicable_candidates(problem.model, problem.candidates)[0]
+            ),
+            confusable=[term.effects for term in supported_terms if len(term.effects) > 1],
             parameters=fit.nominal(),
             refit=fit.values,
-            sentence=_sentence(found),
+            sentence=_sentence(supported_terms),
             description=[
                 f"{term.location}: {entry.coefficient:+.3g} × {term.name}, "
                 f"{100 * entry.share:.0f} % of the residual force"
-                for term, entry in found.items()
+                for term, entry in supported_terms.items()
             ],
             seconds={"all": time.perf_counter() - begun},
         )
@@ -85,30 +87,30 @@ def sparse_terms(fit: Fit, moved: Motion) -> dict[Term, SupportedTerm]:
     """
     terms, values = columns(fit.model, moved)
     scales = np.array([p.scale for p in fit.free])
-    found: dict[Term, SupportedTerm] = {}
+    supported_terms: dict[Term, SupportedTerm] = {}
     for i, place in enumerate(names(fit.model.disturbances)):
-        chosen = [k for k, term in enumerate(terms) if term.location == place]
-        if not chosen:
+        term_columns = [k for k, term in enumerate(terms) if term.location == place]
+        if not term_columns:
             continue
         force = moved.force[:, i]
-        library = values[:, chosen]
+        library = values[:, term_columns]
         # A parameter moves by its prior; neighbouring samples of a smoothed force are one.
         ridge = float(np.var(force)) * len(force) / moved.independent
         outside = _Projector(moved.of_parameters[:, i] * scales, ridge)
         y, columns_ = outside(force[:, None])[:, 0], outside(library)
-        kept = _regressed(columns_, y, moved.block)
-        rss = _rss(columns_, y, kept)
-        for k, value in kept.items():
-            without = _rss(columns_, y, {j: c for j, c in kept.items() if j != k})
+        coefficients = _regressed(columns_, y, moved.block)
+        rss = _rss(columns_, y, coefficients)
+        for k, value in coefficients.items():
+            without = _rss(columns_, y, {j: c for j, c in coefficients.items() if j != k})
             gain = 0.5 * moved.independent * float(np.log(without / rss))
             share = 1 - rss / without
             if gain < 0.5 * np.log(moved.independent) + np.log(len(terms)):
                 continue
-            found[terms[chosen[k]]] = SupportedTerm(value, gain, share)
-    return dict(sorted(found.items(), key=lambda item: -item[1].gain))
+            supported_terms[terms[term_columns[k]]] = SupportedTerm(value, gain, share)
+    return dict(sorted(supported_terms.items(), key=lambda item: -item[1].gain))
 
 
-def with_terms(fit: Fit, moved: Motion, chosen: tuple[Term, ...]) -> Model:
+def with_terms(fit: Fit, moved: Motion, selected_terms: tuple[Term, ...]) -> Model:
     """The refitted model with some terms; their coefficients together with all parameters.
 
     All equations at once, each in units of its force, the parameters held by their priors.
@@ -117,18 +119,18 @@ def with_terms(fit: Fit, moved: Motion, chosen: tuple[Term, ...]) -> Model:
     places = names(fit.model.disturbances)
     scales = np.array([p.scale for p in fit.free])
     size = np.maximum(np.std(moved.force, axis=0), 1e-300)
-    n_f, rows, wanted = len(fit.free), [], []
+    n_f, rows, targets = len(fit.free), [], []
     worth = np.sqrt(moved.independent / len(moved.force))
     for i, place in enumerate(places):
-        block = np.zeros((len(moved.force), n_f + len(chosen)))
+        block = np.zeros((len(moved.force), n_f + len(selected_terms)))
         block[:, :n_f] = moved.of_parameters[:, i] * scales
-        for k, term in enumerate(chosen):
+        for k, term in enumerate(selected_terms):
             if term.location == place:
                 block[:, n_f + k] = values[:, terms.index(term)]
         rows.append(block * worth / size[i])
-        wanted.append(moved.force[:, i] * worth / size[i])
-    own = np.hstack([np.eye(n_f), np.zeros((n_f, len(chosen)))])
-    a, b = np.vstack([*rows, own]), np.concatenate([*wanted, np.zeros(n_f)])
+        targets.append(moved.force[:, i] * worth / size[i])
+    own = np.hstack([np.eye(n_f), np.zeros((n_f, len(selected_terms)))])
+    a, b = np.vstack([*rows, own]), np.concatenate([*targets, np.zeros(n_f)])
     width = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
     solved, *_ = np.linalg.lstsq(a / width, b, rcond=1e-10)
     solved = solved / width
@@ -136,7 +138,7 @@ def with_terms(fit: Fit, moved: Motion, chosen: tuple[Term, ...]) -> Model:
     high = np.array([p.upper for p in fit.free])
     theta = np.clip(fit.theta + solved[:n_f] * scales, low, high)
     parameters = dict(zip((p.name for p in fit.free), theta.tolist(), strict=True))
-    coefficients = dict(zip(chosen, solved[n_f:].tolist(), strict=True))
+    coefficients = dict(zip(selected_terms, solved[n_f:].tolist(), strict=True))
     added = AddedForces(coefficients=coefficients)
     return extend_model(with_values(fit.model, parameters), {"regressed_force": added})
 
@@ -150,8 +152,8 @@ class _Projector:
         self._gain = np.linalg.solve(inner, nuisances.T) if nuisances.size else nuisances.T
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        left: FloatArray = values - self._n @ (self._gain @ values)
-        return left
+        residual: FloatArray = values - self._n @ (self._gain @ values)
+        return residual
 
 
 def _regressed(columns_: FloatArray, y: FloatArray, block: IntArray) -> dict[int, float]:
@@ -164,49 +166,53 @@ def _regressed(columns_: FloatArray, y: FloatArray, block: IntArray) -> dict[int
             continue
         errors[-1, f] = np.mean(y[test] ** 2)
         for t, threshold in enumerate(_THRESHOLDS):
-            kept = _thresholded(columns_[train], y[train], threshold)
-            left = y[test] - sum(c * columns_[test, k] for k, c in kept.items())
-            errors[t, f] = np.mean(left**2)
+            coefficients = _thresholded(columns_[train], y[train], threshold)
+            residual = y[test] - sum(c * columns_[test, k] for k, c in coefficients.items())
+            errors[t, f] = np.mean(residual**2)
     mean = errors.mean(axis=1)
     best = int(np.argmin(mean))
     spread = np.std(errors[best] - errors, axis=1, ddof=1) / np.sqrt(_FOLDS)
     # The last row is the empty model; the sparsest within one standard error of the best.
     near = [t for t in range(len(mean)) if mean[t] <= mean[best] + spread[t]]
-    chosen = max(near)
-    return {} if chosen == len(_THRESHOLDS) else _thresholded(columns_, y, _THRESHOLDS[chosen])
+    threshold_index = max(near)
+    return (
+        {}
+        if threshold_index == len(_THRESHOLDS)
+        else _thresholded(columns_, y, _THRESHOLDS[threshold_index])
+    )
 
 
 def _thresholded(columns_: FloatArray, y: FloatArray, threshold: float) -> dict[int, float]:
     """Least squares, small contributions dropped, again."""
     size = np.std(columns_, axis=0)
-    kept = np.flatnonzero(size > 1e-12 * max(1e-300, float(size.max(initial=0.0))))
+    active_set = np.flatnonzero(size > 1e-12 * max(1e-300, float(size.max(initial=0.0))))
     least = threshold * float(np.std(y))
     for _ in range(_SWEEPS):
-        if not kept.size:
+        if not active_set.size:
             return {}
-        scaled = columns_[:, kept] / size[kept]
+        scaled = columns_[:, active_set] / size[active_set]
         c, *_ = np.linalg.lstsq(scaled, y, rcond=1e-8)
         large = np.abs(c) >= least
         if large.all():
-            return {int(k): float(v / size[k]) for k, v in zip(kept, c, strict=True)}
-        kept = kept[large]
+            return {int(k): float(v / size[k]) for k, v in zip(active_set, c, strict=True)}
+        active_set = active_set[large]
     return {}
 
 
-def _rss(columns_: FloatArray, y: FloatArray, kept: Mapping[int, float]) -> float:
+def _rss(columns_: FloatArray, y: FloatArray, coefficients: Mapping[int, float]) -> float:
     """With the coefficients of these columns fitted anew."""
-    chosen = columns_[:, list(kept)]
-    if not kept:
+    active_columns = columns_[:, list(coefficients)]
+    if not coefficients:
         return float(y @ y)
-    c, *_ = np.linalg.lstsq(chosen / np.std(chosen, axis=0), y, rcond=1e-8)
-    left = y - chosen / np.std(chosen, axis=0) @ c
-    return float(left @ left)
+    c, *_ = np.linalg.lstsq(active_columns / np.std(active_columns, axis=0), y, rcond=1e-8)
+    residual = y - active_columns / np.std(active_columns, axis=0) @ c
+    return float(residual @ residual)
 
 
-def _causes(found: Mapping[Term, SupportedTerm], problem: GapProblem) -> list[Cause]:
+def _causes(supported_terms: Mapping[Term, SupportedTerm], problem: GapProblem) -> list[Cause]:
     """Effects by their terms' shares of all gains; no probabilities."""
     gains: dict[str, float] = defaultdict(float)
-    for term, entry in found.items():
+    for term, entry in supported_terms.items():
         names_ = [e for e in term.effects if e in problem.candidates] or ["none_of_these"]
         for name in names_:
             gains[name] += entry.gain / len(names_)
@@ -218,13 +224,13 @@ def _causes(found: Mapping[Term, SupportedTerm], problem: GapProblem) -> list[Ca
 
 
 def _where(
-    found: Mapping[Term, SupportedTerm], known: Mapping[str, CandidateEffect]
+    supported_terms: Mapping[Term, SupportedTerm], candidates: Mapping[str, CandidateEffect]
 ) -> list[LocationShare]:
     """Where the effects that terms speak for act; a term that speaks for none, at its equation."""
     gains: dict[str, float] = defaultdict(float)
-    for term, entry in found.items():
-        named = [known[e].locations for e in term.effects if e in known]
-        places = named[0] if named else (term.location,)
+    for term, entry in supported_terms.items():
+        effect_locations = [candidates[e].locations for e in term.effects if e in candidates]
+        places = effect_locations[0] if effect_locations else (term.location,)
         for place in places:
             gains[place] += entry.gain / len(places)
     total = sum(gains.values())
@@ -235,8 +241,8 @@ def _where(
     ]
 
 
-def _sentence(found: Mapping[Term, SupportedTerm]) -> str:
-    if not found:
+def _sentence(supported_terms: Mapping[Term, SupportedTerm]) -> str:
+    if not supported_terms:
         return "No term of the library explains the residual force in cross-validation."
-    term = next(iter(found))
+    term = next(iter(supported_terms))
     return f"{term.name} on {term.location} explains most of the residual force."

@@ -36,7 +36,7 @@ _FIRST_STEPS, _LAST_STEPS, _TOLERANCE = 4, 6, 0.5
 class Competitor:
     """A fitted candidate."""
 
-    chosen: tuple[CandidateEffect, ...]
+    effects: tuple[CandidateEffect, ...]
     fit: Fit  #: Without standard deviations
     starts: FloatArray  #: (m, n_x) array; of the windows
     residual_sd: FloatArray  #: (n_y,) array; root mean square of the residuals of each output
@@ -54,76 +54,96 @@ class Competitor:
 def compete(
     problem: GapProblem,
     parts: Parts,
-    chosen: Sequence[CandidateEffect],
+    effects: Sequence[CandidateEffect],
     nominal: Competitor | None,
     *,
-    held: bool = False,
+    parameters_fixed: bool = False,
 ) -> Competitor:
     """Fit the nominal parameters and some effects together.
 
-    ``nominal``: the fit without effects; None fits that. ``held``: whether the parameters stay as
-    they are: only the windows' starts are fitted.
+    ``nominal``: the fit without effects; None fits that. ``parameters_fixed``: whether the
+    parameters stay as they are: only the windows' starts are fitted.
     """
-    asked = fit_problem(problem, parts, chosen, robust=None, discrepancy="none")
-    windows = Windows(asked)
+    estimation_problem = fit_problem(problem, parts, effects, robust=None, discrepancy="none")
+    windows = Windows(estimation_problem)
     sd = windows.declared[0] if nominal is None else nominal.residual_sd
-    bounds = (asked.starts, asked.starts) if held else asked.bounds
-    begins: list[tuple[FloatArray, FloatArray | None]] = [(asked.starts, None)]
-    if nominal is not None and not held:
-        begins = _beginnings(asked, windows, chosen, nominal)
-    found = [
-        _search(windows, theta, bounds, sd, 0 if held else _FIRST_STEPS, starts)
+    bounds = (
+        (estimation_problem.starts, estimation_problem.starts)
+        if parameters_fixed
+        else estimation_problem.bounds
+    )
+    begins: list[tuple[FloatArray, FloatArray | None]] = [(estimation_problem.starts, None)]
+    if nominal is not None and not parameters_fixed:
+        begins = _beginnings(estimation_problem, windows, effects, nominal)
+    search_results = [
+        _search(windows, theta, bounds, sd, 0 if parameters_fixed else _FIRST_STEPS, starts)
         for theta, starts in begins
     ]
-    best = max(found, key=lambda item: item[0])
-    for _ in range(0 if held else 3 if nominal is None else 1):
+    best = max(search_results, key=lambda item: item[0])
+    for _ in range(0 if parameters_fixed else 3 if nominal is None else 1):
         again = _search(windows, best[1].theta, bounds, best[2], _LAST_STEPS, best[1].starts)
         best = max(best, again, key=lambda item: item[0])
     log_likelihood, point, sd = best
-    values = dict(zip(asked.names, point.theta.tolist(), strict=True))
-    unknown = np.full(len(asked.free), np.nan)
+    values = dict(zip(estimation_problem.names, point.theta.tolist(), strict=True))
+    unknown = np.full(len(estimation_problem.free), np.nan)
     return Competitor(
-        tuple(chosen),
-        Fit(with_values(asked.model, values), asked.free, point.theta, unknown),
+        tuple(effects),
+        Fit(
+            with_values(estimation_problem.model, values),
+            estimation_problem.free,
+            point.theta,
+            unknown,
+        ),
         point.starts,
         sd,
         log_likelihood,
-        0 if held else len(asked.free),
+        0 if parameters_fixed else len(estimation_problem.free),
         int(windows.measured.sum()),
     )
 
 
-def fit_with(problem: GapProblem, parts: Parts, chosen: Sequence[CandidateEffect]) -> Fit:
+def fit_with(problem: GapProblem, parts: Parts, effects: Sequence[CandidateEffect]) -> Fit:
     """The nominal parameters and some effects, maximum a posteriori.
 
     A few steps of plain least squares find the sizes' order; then all is fitted well.
     """
-    near = compete(problem, parts, chosen, compete(problem, parts, (), None))
+    near = compete(problem, parts, effects, compete(problem, parts, (), None))
     starts: Mapping[str, float] = near.fit.values if np.isfinite(near.bic) else {}
-    return map_fit(fit_problem(problem, parts, chosen, starts))
+    return map_fit(fit_problem(problem, parts, effects, starts))
 
 
 def with_deviations(competitor: Competitor, problem: GapProblem, parts: Parts) -> Competitor:
     """The same with the standard deviations of its parameters."""
-    asked = fit_problem(problem, parts, competitor.chosen, robust=None, discrepancy="none")
-    windows, theta = Windows(asked), competitor.fit.theta
+    estimation_problem = fit_problem(
+        problem, parts, competitor.effects, robust=None, discrepancy="none"
+    )
+    windows, theta = Windows(estimation_problem), competitor.fit.theta
     objective = _objective(windows, theta, competitor.residual_sd)
-    known = information(objective, theta, competitor.starts)
-    sd = np.sqrt(np.maximum(np.diag(known.covariance(asked.on_bounds(theta) != 0)), 0.0))
+    fisher_information = information(objective, theta, competitor.starts)
+    covariance = fisher_information.covariance(estimation_problem.on_bounds(theta) != 0)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return replace(competitor, fit=replace(competitor.fit, sd=sd))
 
 
 def _beginnings(
-    asked: FitProblem, windows: Windows, chosen: Sequence[CandidateEffect], nominal: Competitor
+    estimation_problem: FitProblem,
+    windows: Windows,
+    effects: Sequence[CandidateEffect],
+    nominal: Competitor,
 ) -> list[tuple[FloatArray, FloatArray | None]]:
     """The nominal optimum and the priors' centre, with the likeliest of the effects' sizes."""
-    centre, known = asked.starts.copy(), nominal.fit.values
-    at = np.array([known.get(name, v) for name, v in zip(asked.names, centre, strict=True)])
+    centre, nominal_values = estimation_problem.starts.copy(), nominal.fit.values
+    at = np.array(
+        [
+            nominal_values.get(name, v)
+            for name, v in zip(estimation_problem.names, centre, strict=True)
+        ]
+    )
     objective = _objective(windows, at, nominal.residual_sd)
     starts = objective.centres.copy()
     starts[:, : nominal.starts.shape[1]] = nominal.starts
-    for candidate in chosen:
-        columns = [asked.names.index(p.name) for p in candidate.free]
+    for candidate in effects:
+        columns = [estimation_problem.names.index(p.name) for p in candidate.free]
         costs = []
         for sizes in candidate.variants:
             at[columns] = sizes
@@ -179,7 +199,7 @@ def _likelihood(windows: Windows, point: Point) -> tuple[float, Point, FloatArra
 
 
 #: Causes of less probability are not told.
-_TOLD = 1e-6
+_LEAST_PROBABILITY = 1e-6
 _VERDICTS: dict[tuple[str, ...], Verdict] = {
     ("no_gap",): "no_gap",
     ("parameters_only",): "parameters_only",
@@ -198,11 +218,11 @@ class WhiteNoiseBic:
         parts = parts_of(problem)
         nominal = compete(problem, parts, (), None)
         field: dict[tuple[str, ...], Competitor] = {
-            ("no_gap",): compete(problem, parts, (), nominal, held=True),
+            ("no_gap",): compete(problem, parts, (), nominal, parameters_fixed=True),
             ("parameters_only",): nominal,
         }
-        found, _ = applicable_candidates(problem.model, problem.candidates)
-        for name, candidate in found.items():
+        candidates, _ = applicable_candidates(problem.model, problem.candidates)
+        for name, candidate in candidates.items():
             # A force that noise drives has no simulation to be compared with.
             if not candidate.stochastic:
                 field[(name,)] = compete(problem, parts, (candidate,), nominal)
@@ -219,10 +239,10 @@ class WhiteNoiseBic:
             [
                 Cause(effects=effects, probability=p, parameters=entry.fit.sizes())
                 for (effects, entry), p in zip(ranked, probability, strict=True)
-                if p > _TOLD
+                if p > _LEAST_PROBABILITY
             ],
             measure_shrinkage(problem, parts, problem.model, nominal.fit.model, winner.fit.model),
-            where=places(winner.chosen, float(np.clip(share, 0.0, 1.0))),
+            where=places(winner.effects, float(np.clip(share, 0.0, 1.0))),
             parameters=winner.fit.nominal(),
             refit=nominal.fit.values,
             sentence=f"{', '.join(best)} has the lowest BIC on white-noise simulation error.",

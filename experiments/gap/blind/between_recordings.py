@@ -49,7 +49,7 @@ def between_recordings(judged: Sequence[JudgedCase]) -> list[Spread]:
             [
                 (*j.answer.sealed[channel], *fresh)
                 for j in judged
-                if j.fresh is not None and j.answer.named
+                if j.fresh is not None and j.answer.named_effects
                 for channel, fresh in j.fresh.errors.items()
                 if (channel in SPEEDS.values()) is of_speeds and channel in j.answer.sealed
             ]

@@ -102,21 +102,21 @@ def plan(name: str, seed: int, cases: int | None = None) -> list[Case]:
 
     ``name``: of :data:`.sets.SETS`. ``cases``: instead of the set's own number.
     """
-    made_of = SETS[name]
-    number = made_of.cases if cases is None else cases
+    set_plan = SETS[name]
+    number = set_plan.cases if cases is None else cases
     random = np.random.default_rng([seed, list(SETS).index(name)])
-    draw = _Draw(made_of, random)
-    found: list[Case] = []
-    for kind, count in _counts(made_of.shares, number).items():
-        found += islice(draw.kinds[kind](), count)
-    seeds = iter(random.choice(2**31, size=len(found), replace=False).tolist())
+    draw = _Draw(set_plan, random)
+    planned_cases: list[Case] = []
+    for kind, count in _counts(set_plan.shares, number).items():
+        planned_cases += islice(draw.kinds[kind](), count)
+    seeds = iter(random.choice(2**31, size=len(planned_cases), replace=False).tolist())
     of_twins: dict[int, int] = {}
-    for i, case in enumerate(found):
+    for i, case in enumerate(planned_cases):
         own = next(seeds)
         if case.twin:  # the same commands, so that nothing but the effect differs
             own = of_twins.setdefault(case.twin, own)
-        found[i] = replace(case, excitation=own)
-    return [found[i] for i in random.permutation(len(found))]
+        planned_cases[i] = replace(case, excitation=own)
+    return [planned_cases[i] for i in random.permutation(len(planned_cases))]
 
 
 def _counts(shares: Mapping[Kind, float], number: int) -> dict[Kind, int]:
@@ -136,10 +136,10 @@ def _counts(shares: Mapping[Kind, float], number: int) -> dict[Kind, int]:
 class _Draw:
     """Endless cases of each kind."""
 
-    def __init__(self, made_of: SetPlan, random: Random) -> None:
-        self._set, self._random = made_of, random
+    def __init__(self, set_plan: SetPlan, random: Random) -> None:
+        self._set, self._random = set_plan, random
         self._priors = tuple(relative_sds())
-        self._shift = made_of.shift * random.choice([-1.0, 1.0], size=len(self._priors))
+        self._shift = set_plan.shift * random.choice([-1.0, 1.0], size=len(self._priors))
         self.kinds: Mapping[Kind, Callable[[], Iterator[Case]]] = {
             "null": self._nulls,
             "offset": self._offsets,
@@ -155,12 +155,14 @@ class _Draw:
 
     def _nulls(self) -> Iterator[Case]:
         while True:
-            yield self._driven(Case(kind="null"))
+            yield self._with_excitation(Case(kind="null"))
 
     def _offsets(self) -> Iterator[Case]:
         while True:
             away = self._random.standard_normal(len(self._priors)).clip(-_FARTHEST, _FARTHEST)
-            yield self._driven(Case(kind="offset", parameters=self._named(away)))
+            yield self._with_excitation(
+                Case(kind="offset", parameters=self._offsets_by_parameter(away))
+            )
 
     def _singles(self) -> Iterator[Case]:
         for effect, level in self._effects(tuple(LIBRARY)):
@@ -200,26 +202,26 @@ class _Draw:
                     other, _ = next(standing)
                 levels = {effect: level} if what == "effect" else {}
                 group = group_of(effect) if levels else ()
-                yield self._known_before(self._with("against", levels, group), other, what)
+                yield self._with_known_state(self._with("against", levels, group), other, what)
 
-    def _known_before(self, case: Case, standing: str, what: str) -> Case:
+    def _with_known_state(self, case: Case, standing: str, what: str) -> Case:
         random = self._random
         away = _STANDING_OFFSET * random.standard_normal(len(self._priors))
         moved = {}
         if what == "parameter":
             change = random.uniform(*_CHANGE) * random.choice([-1.0, 1.0])
             moved = {str(random.choice(_CHANGING)): round(float(change), 4)}
-        kept = self._sized(standing, "weak", random.uniform(*_STANDING))
+        standing_sizes = self._sized(standing, "weak", random.uniform(*_STANDING))
         laws = case.nuisances
         if not case.imperfect:
             laws = {**laws, **imperfect_laws(random, _STANDING_LAWS)}
         return replace(
             case,
-            parameters=self._named(away.clip(-2, 2)),
+            parameters=self._offsets_by_parameter(away.clip(-2, 2)),
             duration=self._compared(),
             nuisances=laws,
             references=int(random.integers(1, 4)),
-            standing={standing: kept},
+            standing={standing: standing_sizes},
             moved=moved,
         )
 
@@ -266,9 +268,9 @@ class _Draw:
             for i in self._random.permutation(len(names)):
                 levels = [lv for lv in severity.levels_reached(names[i]) if weak or lv != "weak"]
                 turn += 1
-                wanted = _LEVELS[turn % len(_LEVELS)]
-                if wanted in levels:
-                    yield names[i], wanted
+                next_level = _LEVELS[turn % len(_LEVELS)]
+                if next_level in levels:
+                    yield names[i], next_level
                 elif "medium" in levels:
                     yield names[i], levels[-1]
                 # what is never more than weak comes when it is weak's turn
@@ -283,11 +285,11 @@ class _Draw:
             kind=kind,
             effects=effects,
             severity=dict(levels),
-            parameters=self._named(away) if away.any() else {},
+            parameters=self._offsets_by_parameter(away) if away.any() else {},
             locations=tuple(dict.fromkeys(at for e in levels for at in TRUTHS[e].locations)),
             group=group,
         )
-        return self._driven(case)
+        return self._with_excitation(case)
 
     def _sized(self, effect: str, level: str, share: float = 1.0) -> dict[str, float]:
         truth, random = TRUTHS[effect], self._random
@@ -299,10 +301,10 @@ class _Draw:
             others = truth.variants[random.integers(len(truth.variants))]
         return {n: float(f"{v:.5g}") for n, v in truth.sized(factor, **others).items()}
 
-    def _named(self, away: np.ndarray) -> dict[str, float]:
+    def _offsets_by_parameter(self, away: np.ndarray) -> dict[str, float]:
         return dict(zip(self._priors, away.round(4).tolist(), strict=True))
 
-    def _driven(self, case: Case) -> Case:
+    def _with_excitation(self, case: Case) -> Case:
         random = self._random
         nuisances = draw_nuisances(random)
         if any(effect.endswith("_quantisation") for effect in case.effects):

@@ -63,9 +63,9 @@ def rich_excitation(
             lines = np.exp(random.uniform(np.log(_BAND[0]), np.log(_BAND[1]), _LINES))
             phases = random.uniform(0, 2 * np.pi, _LINES)
             tones = np.sin(2 * np.pi * np.outer(time, lines) + phases).sum(axis=1)
-            held = _levels(random, samples, sample_time)
+            random_levels = _levels(random, samples, sample_time)
             scale = waves / np.sqrt(_LINES / 2)
-            columns.append(middle + amplitude * (scale * tones + levels * held))
+            columns.append(middle + amplitude * (scale * tones + levels * random_levels))
         tables.append(np.stack(columns, axis=1))
     return np.array(tables)
 

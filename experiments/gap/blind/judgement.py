@@ -59,7 +59,7 @@ class Answer:
         return frozenset(self.first[0]) - frozenset(NO_EFFECT)
 
     @property
-    def named(self) -> frozenset[str]:
+    def named_effects(self) -> frozenset[str]:
         """The effects that the verdict stands for; empty unless it is ``effect``."""
         return self.effects if self.verdict == "effect" else frozenset()
 
@@ -88,15 +88,15 @@ class JudgedCase:
     @property
     def exact(self) -> bool:
         """Whether the verdict names the rig's effects, all and no others."""
-        return bool(self.case.effects) and self.answer.named == frozenset(self.case.effects)
+        return bool(self.case.effects) and self.answer.named_effects == frozenset(self.case.effects)
 
     @property
     def in_group(self) -> bool:
         """Exact, or after exchanging effects that the diagnosis itself declares confusable."""
         if self.exact:
             return True
-        named, truth = self.answer.named, frozenset(self.case.effects)
-        missed, wrong = truth - named, named - truth
+        named_effects, truth = self.answer.named_effects, frozenset(self.case.effects)
+        missed, wrong = truth - named_effects, named_effects - truth
         return (
             bool(missed)
             and len(missed) == len(wrong)
@@ -152,14 +152,14 @@ class JudgedCase:
     @property
     def size_errors(self) -> dict[str, float]:
         """Relative error of the size that makes the severity, of each effect that was found."""
-        found = {}
-        for effect in self.answer.named & frozenset(self.case.effects):
+        relative_errors = {}
+        for effect in self.answer.named_effects & frozenset(self.case.effects):
             size = TRUTHS[effect].grows[0]
-            told = self.answer.sizes.get(f"{effect}.{size}")
+            estimate = self.answer.sizes.get(f"{effect}.{size}")
             true = self.case.effects[effect][size]
-            if effect not in _OTHER_SIZES and told is not None and true:
-                found[effect] = abs(told - true) / abs(true)
-        return found
+            if effect not in _OTHER_SIZES and estimate is not None and true:
+                relative_errors[effect] = abs(estimate - true) / abs(true)
+        return relative_errors
 
     @property
     def label(self) -> str:
@@ -171,9 +171,9 @@ class JudgedCase:
         return f"{effects} from some moment" if self.case.onset else effects or self.case.kind
 
     @property
-    def said(self) -> str:
+    def answer_label(self) -> str:
         """The answer in a word: the effects that it names, else the verdict."""
-        return "+".join(sorted(self.answer.named)) or self.answer.verdict
+        return "+".join(sorted(self.answer.named_effects)) or self.answer.verdict
 
 
 def right_causes(case: Case) -> tuple[tuple[str, ...], ...]:
@@ -242,8 +242,8 @@ def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answ
 
 def _onset(causes: Sequence[Mapping[str, Any]]) -> float | None:
     """Of the likeliest cause, s."""
-    told = max(causes, key=lambda cause: cause["probability"], default={}).get("onset")
-    return None if told is None else float(told["time_s"])
+    onset = max(causes, key=lambda cause: cause["probability"], default={}).get("onset")
+    return None if onset is None else float(onset["time_s"])
 
 
 #: Files of a diagnosis: the nominal model refitted, and with the cause.
@@ -276,12 +276,12 @@ def on_fresh(answer: Answer, folder: Path, recording: Path) -> FreshResult | Non
     worse = tuple(c for c in refit if corrected[c] > WORSE * refit[c])
     pairs = {c: (refit[c], corrected[c]) for c in refit}
     errors = {c: pair for c, pair in pairs.items() if np.all(np.isfinite(pair))}
-    told = [c for c in refit if c in answer.floors]
-    if not (told and answer.named):
+    channels = [c for c in refit if c in answer.floors]
+    if not (channels and answer.named_effects):
         return FreshResult(shrink=None, worse=worse, errors=errors)
-    floors = np.array([answer.floors[c] for c in told])
+    floors = np.array([answer.floors[c] for c in channels])
     before, after = (
-        float(np.sqrt(np.mean((np.array([e[c] for c in told]) / floors) ** 2)))
+        float(np.sqrt(np.mean((np.array([e[c] for c in channels]) / floors) ** 2)))
         for e in (refit, corrected)
     )
     shrink = min(1 - (after - 1) / (before - 1), 1.0) if before > LEAST_GAP else None

@@ -65,7 +65,7 @@ def perform(composition: Composition) -> int:
         )
     new_folder(folder, "blind")
     new_folder(key_folder, "blind")
-    asked = SetRequest(
+    request = SetRequest(
         name=options.set,
         seed=options.seed,
         cases=options.cases,
@@ -75,7 +75,7 @@ def perform(composition: Composition) -> int:
     )
     number = SETS[options.set].cases if options.cases is None else options.cases
     sys.stderr.write(f"{number} rigs move, many at once; some minutes\n")
-    make(asked, folder, key_folder, lambda digest: print(f"key  sha256 {digest}", flush=True))
+    make(request, folder, key_folder, lambda digest: print(f"key  sha256 {digest}", flush=True))
     print(f"{number} recordings in {folder}, the key in {key_folder / KEY}")
     print(f"{perf_counter() - begin:.0f} s")
     print(f"then: trms blind run in={folder} out={folder}.found")

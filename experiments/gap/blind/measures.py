@@ -124,7 +124,7 @@ def _kind(*kinds: str) -> Judge:
     return lambda j: j.case.kind in kinds
 
 
-def _effect_named(j: JudgedCase) -> bool:
+def _names_effect(j: JudgedCase) -> bool:
     return j.answer.verdict == "effect"
 
 
@@ -137,7 +137,7 @@ def _sure_of_effect(j: JudgedCase) -> bool:
 
 
 def _wrong_name(j: JudgedCase) -> bool:
-    return bool(j.answer.named - frozenset(j.case.effects))
+    return bool(j.answer.named_effects - frozenset(j.case.effects))
 
 
 def _changed(what: str) -> Judge:
@@ -150,7 +150,7 @@ def _changed(what: str) -> Judge:
     return among
 
 
-def _something_named(j: JudgedCase) -> bool:
+def _names_something(j: JudgedCase) -> bool:
     return j.answer.verdict in ("effect", "parameters_only")
 
 
@@ -163,7 +163,7 @@ def _very_sure(j: JudgedCase) -> bool:
     return j.answer.first[1] >= VERY_SURE
 
 
-def _parameter_named(j: JudgedCase) -> bool:
+def _names_parameter(j: JudgedCase) -> bool:
     first = j.answer.first[0] == ("parameters_only",)
     return first and j.answer.moved[:1] == tuple(j.case.moved)
 
@@ -217,15 +217,15 @@ _OF_SINGLES: _Shares = (
     ("single, all: sure of a wrong name", _kind("single"), _sure_and_wrong, None),
 )
 _OF_NOTHING: _Shares = (
-    ("effect named on an exact null", _kind("null"), _effect_named, _at_most(0.01)),
-    ("effect named on a parameter offset", _kind("offset"), _effect_named, _at_most(0.01)),
+    ("effect named on an exact null", _kind("null"), _names_effect, _at_most(0.01)),
+    ("effect named on a parameter offset", _kind("offset"), _names_effect, _at_most(0.01)),
     (
         "no change: an effect or a parameter named",
         _changed("nothing"),
-        _something_named,
+        _names_something,
         _at_most(0.01),
     ),
-    ("null, offset, no change: effect named", _without_cause, _effect_named, _at_most(0.01)),
+    ("null, offset, no change: effect named", _without_cause, _names_effect, _at_most(0.01)),
     (
         f"null, offset, no change: wrong with probability over {VERY_SURE}",
         _without_cause,
@@ -291,7 +291,7 @@ _OF_CHANGES: _Shares = (
     ),
     ("what changed, an effect: place named", _changed("effect"), lambda j: j.located, None),
     ("what changed, a parameter: parameters only", _changed("parameter"), lambda j: j.right, None),
-    ("what changed, a parameter: which", _changed("parameter"), _parameter_named, None),
+    ("what changed, a parameter: which", _changed("parameter"), _names_parameter, None),
     ("no change: said so", _changed("nothing"), lambda j: j.right, None),
 )
 _OF_LIMITS: _Shares = (
@@ -338,7 +338,7 @@ def _amounts(
 ) -> list[Row]:
     ratios = [r for j in judged if (r := _relative_shrink(j, oracle.get(j.name))) is not None]
     errors = [e for j in judged if j.case.kind == "single" for e in j.size_errors.values()]
-    seen = [j for j in judged if j.fresh is not None]
+    fresh_cases = [j for j in judged if j.fresh is not None]
     took = [j.answer.seconds for j in judged if j.answer.seconds is not None]
     first = np.array([j.answer.first[1] for j in judged])
     right = np.array([j.right for j in judged], dtype=bool)
@@ -387,7 +387,7 @@ def _amounts(
         ),
         Row(
             measure="a channel made worse by over 2 %",
-            estimate=share([bool(j.fresh and j.fresh.worse) for j in seen]),
+            estimate=share([bool(j.fresh and j.fresh.worse) for j in fresh_cases]),
             target=_at_most(0.005),
         ),
         Row(
@@ -399,15 +399,15 @@ def _amounts(
     ]
 
 
-def _relative_shrink(j: JudgedCase, told: JudgedCase | None) -> float | None:
+def _relative_shrink(j: JudgedCase, oracle: JudgedCase | None) -> float | None:
     """Of rigs with library effects; on second recordings where both have one."""
-    if told is None or j.case.kind not in _SHRINKING:
+    if oracle is None or j.case.kind not in _SHRINKING:
         return None
     if "weak" in j.case.severity.values():
         return None
-    both = j.fresh is not None and told.fresh is not None
+    both = j.fresh is not None and oracle.fresh is not None
     own = j.fresh.shrink if both and j.fresh else j.answer.shrink
-    best = told.fresh.shrink if both and told.fresh else told.answer.shrink
+    best = oracle.fresh.shrink if both and oracle.fresh else oracle.answer.shrink
     if best is None or best < _LEAST_SHRINK:
         return None
     return (own or 0.0) / best
@@ -416,7 +416,7 @@ def _relative_shrink(j: JudgedCase, told: JudgedCase | None) -> float | None:
 def _covered(j: JudgedCase) -> bool | None:
     """Whether the told interval holds the shrink on the second recording."""
     ci95 = j.answer.shrink_ci95
-    if j.fresh is None or j.fresh.shrink is None or ci95 is None or not j.answer.named:
+    if j.fresh is None or j.fresh.shrink is None or ci95 is None or not j.answer.named_effects:
         return None
     return ci95[0] <= j.fresh.shrink <= ci95[1]
 
@@ -438,11 +438,11 @@ def _by_effect(judged: Sequence[JudgedCase]) -> dict[str, dict[str, Estimate]]:
 
 
 def _confusions(judged: Sequence[JudgedCase]) -> dict[str, dict[str, int]]:
-    found: dict[str, dict[str, int]] = {}
+    counts: dict[str, dict[str, int]] = {}
     for j in judged:
-        row = found.setdefault(j.label, {})
-        row[j.said] = row.get(j.said, 0) + 1
+        row = counts.setdefault(j.label, {})
+        row[j.answer_label] = row.get(j.answer_label, 0) + 1
     return {
         truth: dict(sorted(row.items(), key=lambda item: -item[1]))
-        for truth, row in sorted(found.items())
+        for truth, row in sorted(counts.items())
     }

@@ -15,8 +15,8 @@ _SET = "bench"
 @cache
 def _entries() -> Mapping[str, Mapping[str, float]]:
     text = (config_folder() / "parameters" / f"{_SET}.yaml").read_text(encoding="utf-8")
-    found: Mapping[str, Mapping[str, float]] = yaml.safe_load(text)["parameters"]
-    return found
+    entries: Mapping[str, Mapping[str, float]] = yaml.safe_load(text)["parameters"]
+    return entries
 
 
 def nominal() -> dict[str, float]:

@@ -51,13 +51,13 @@ class OutsideLaws:
         self._loose = dict.fromkeys(self._wheel, np.zeros(n))
         self._thrust = np.zeros(n)
         self._hangs = np.zeros(n)
-        self._kept: FloatArray | None = None
+        self._last_angles: FloatArray | None = None
 
     def _has(self, effect: str, name: str) -> FloatArray | None:
-        found = self._size(effect, name)
-        return found if found.any() else None
+        values = self._size(effect, name)
+        return values if values.any() else None
 
-    def driven(self, rotor: str, u: FloatArray) -> FloatArray:
+    def drive_voltage(self, rotor: str, u: FloatArray) -> FloatArray:
         """What a drive makes of its command, V."""
         width = self._has(f"{rotor}_drive_backlash", "width")
         if width is not None:
@@ -119,7 +119,7 @@ class OutsideLaws:
             if width_ is not None:
                 self._loose[axis] = self._wheel[axis].follow(x[4 + i], width_) - x[4 + i]
 
-    def seen(self, axis: str, angle: FloatArray, x: FloatArray, time: float) -> FloatArray:
+    def encoder_angle(self, axis: str, angle: FloatArray, x: FloatArray, time: float) -> FloatArray:
         """What an encoder makes of an angle, rad."""
         angle = angle + self._loose[axis]
         if axis == "pitch":
@@ -129,16 +129,16 @@ class OutsideLaws:
             return angle + self._size("pitch_beam_bending", "compliance") * self._thrust
         return angle + self._size("yaw_reads_pitch", "share") * x[4]
 
-    def held(
+    def hold_last(
         self, angles: FloatArray, sample_time: float, random: np.random.Generator
     ) -> FloatArray:
         """Angles (n, 2) as they are handed on: an encoder that hangs tells its last one."""
         time = self._has("pitch_encoder_hangs", "time")
-        if time is not None and self._kept is not None:
+        if time is not None and self._last_angles is not None:
             lots = random.uniform(size=len(time))
             begins = (self._hangs <= 0) & (lots < sample_time / _HANGS_EVERY) & (time > 0)
             self._hangs = np.where(begins, time, self._hangs - sample_time)
             angles = angles.copy()
-            angles[:, 0] = np.where(self._hangs > 0, self._kept[:, 0], angles[:, 0])
-        self._kept = angles
+            angles[:, 0] = np.where(self._hangs > 0, self._last_angles[:, 0], angles[:, 0])
+        self._last_angles = angles
         return angles

@@ -21,25 +21,25 @@ class DelayLine:
         self._steps = delay / step
         if delay.max(initial=0.0) > longest:
             raise ValueError(f"a delay of {delay.max()} s exceeds {longest} s")
-        self._kept = np.zeros((int(longest / step) + 2, len(delay)))
+        self._buffer = np.zeros((int(longest / step) + 2, len(delay)))
         self._newest = 0
         self._rigs = np.arange(len(delay))
 
     def push(self, value: FloatArray) -> None:
         """Add the newest value of each rig."""
-        self._newest = (self._newest + 1) % len(self._kept)
-        self._kept[self._newest] = value
+        self._newest = (self._newest + 1) % len(self._buffer)
+        self._buffer[self._newest] = value
 
     def settle(self, value: FloatArray) -> None:
         """As if it had been the same for long."""
-        self._kept[:] = value
+        self._buffer[:] = value
 
     def read(self, undelayed: FloatArray) -> FloatArray:
         """The values a delay ago; where there is no delay, those given."""
         whole = np.floor(self._steps).astype(int)
         share = self._steps - whole
-        near = self._kept[(self._newest - whole) % len(self._kept), self._rigs]
-        far = self._kept[(self._newest - whole - 1) % len(self._kept), self._rigs]
+        near = self._buffer[(self._newest - whole) % len(self._buffer), self._rigs]
+        far = self._buffer[(self._newest - whole - 1) % len(self._buffer), self._rigs]
         return np.where(self._steps > 0, (1 - share) * near + share * far, undelayed)
 
 
@@ -76,7 +76,7 @@ class Slips:
 
     def __init__(self, spread: float | FloatArray = 1.0) -> None:
         self._spread = spread
-        self._held: FloatArray | None = None
+        self._spring_torques: FloatArray | None = None
         self._angle: FloatArray | None = None
 
     def shape(self, torque: FloatArray, width: FloatArray) -> None:
@@ -84,17 +84,19 @@ class Slips:
         self._yield = torque / len(_SLIPS)
         where = [s * width * self._spread for s in _SLIPS]
         self._stiffness = [self._yield / np.maximum(at, 1e-3) for at in where]
-        if self._held is None:
-            self._held = np.zeros((len(_SLIPS), len(torque)))
+        if self._spring_torques is None:
+            self._spring_torques = np.zeros((len(_SLIPS), len(torque)))
 
     def torque(self, angle: FloatArray) -> FloatArray:
         """The torque against the travel, N m."""
-        assert self._held is not None
+        assert self._spring_torques is not None
         moved = 0.0 if self._angle is None else angle - self._angle
         self._angle = angle
         for i, stiffness in enumerate(self._stiffness):
-            self._held[i] = np.clip(self._held[i] + stiffness * moved, -self._yield, self._yield)
-        total: FloatArray = self._held.sum(axis=0)
+            self._spring_torques[i] = np.clip(
+                self._spring_torques[i] + stiffness * moved, -self._yield, self._yield
+            )
+        total: FloatArray = self._spring_torques.sum(axis=0)
         return total
 
 
@@ -108,7 +110,7 @@ class Oscillator:
         self._deflection, self._speed = np.zeros_like(share), np.zeros_like(share)
 
     @property
-    def seen(self) -> FloatArray:
+    def angle_contribution(self) -> FloatArray:
         """What it adds to the angle, rad."""
         return self._share * self._deflection
 

@@ -87,17 +87,17 @@ def record(
         for group in groups
     ]
     if jobs == 1 or len(tasks) == 1:
-        done = [_kept_off_stops(*task) for task in tasks]
+        group_results = [_run_off_stops(*task) for task in tasks]
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            done = list(pool.map(_kept_off_stops, *zip(*tasks, strict=True)))
-    found: list[Recording | None] = [None] * len(timed)
-    for group, (driven, recordings) in zip(groups, done, strict=True):
-        for i, case, recording in zip(group, driven, recordings, strict=True):
-            timed[i], found[i] = case, recording
+            group_results = list(pool.map(_run_off_stops, *zip(*tasks, strict=True)))
+    ordered_recordings: list[Recording | None] = [None] * len(timed)
+    for group, (driven_cases, recordings) in zip(groups, group_results, strict=True):
+        for i, case, recording in zip(group, driven_cases, recordings, strict=True):
+            timed[i], ordered_recordings[i] = case, recording
     if fresh:  # the key keeps the case of the first recording
         timed = list(cases)
-    return timed, [recording for recording in found if recording is not None]
+    return timed, [recording for recording in ordered_recordings if recording is not None]
 
 
 def references_of(case: Case) -> list[Case]:
@@ -122,21 +122,23 @@ def _timed(case: Case, duration: float, fresh: bool) -> Case:
     return replace(case, duration=duration, onset=onset)
 
 
-def _kept_off_stops(
+def _run_off_stops(
     cases: list[Case], sample_time: float, seed: list[int], fresh: bool
 ) -> tuple[list[Case], list[Recording]]:
-    tried = list(cases)
-    found = _run(tried, sample_time, [*seed, 0, fresh], fresh)
+    scaled_cases = list(cases)
+    recordings = _run(scaled_cases, sample_time, [*seed, 0, fresh], fresh)
     for turn in range(1, _TRIES):
-        hit = [i for i, recording in enumerate(found) if _at_stops(recording)]
+        hit = [i for i, recording in enumerate(recordings) if _at_stops(recording)]
         if not hit:
             break
         for i in hit:
-            tried[i] = replace(tried[i], amplitude=round(_LESS * tried[i].amplitude, 4))
-        again = _run([tried[i] for i in hit], sample_time, [*seed, turn, fresh], fresh)
+            scaled_cases[i] = replace(
+                scaled_cases[i], amplitude=round(_LESS * scaled_cases[i].amplitude, 4)
+            )
+        again = _run([scaled_cases[i] for i in hit], sample_time, [*seed, turn, fresh], fresh)
         for i, recording in zip(hit, again, strict=True):
-            found[i] = recording
-    return tried, found
+            recordings[i] = recording
+    return scaled_cases, recordings
 
 
 def _run(cases: list[Case], sample_time: float, seed: list[int], fresh: bool) -> list[Recording]:
@@ -150,31 +152,31 @@ def _run(cases: list[Case], sample_time: float, seed: list[int], fresh: bool) ->
     longest = max(case.duration for case in cases)
     driver = _driver(cases, longest, sample_time, fresh)
     run = rigs.run(driver, longest, sample_time, _SETTLING)
-    found = []
+    recordings = []
     for i, case in enumerate(cases):
         k = round(case.duration / sample_time)
-        found.append(Recording(run.time[:k], run.commands[i, :k], run.measured[i, :k]))
-    return found
+        recordings.append(Recording(run.time[:k], run.commands[i, :k], run.measured[i, :k]))
+    return recordings
 
 
 def _nuisances(cases: Sequence[Case]) -> Nuisances:
     """Those of all rigs; what is the same in all stays a number."""
-    found: dict[str, FloatArray] = {}
+    values_by_name: dict[str, FloatArray] = {}
     for entry in fields(Nuisances):
         values = [case.nuisances.get(entry.name, entry.default) for case in cases]
         if any(value != entry.default for value in values):
-            found[entry.name] = np.array(values, dtype=float)
-    return Nuisances(**found)
+            values_by_name[entry.name] = np.array(values, dtype=float)
+    return Nuisances(**values_by_name)
 
 
 def _onsets(cases: Sequence[Case]) -> dict[str, FloatArray]:
     """By the sizes that make an effect: its others are forms, which wait."""
-    found: dict[str, FloatArray] = {}
+    onsets_by_size: dict[str, FloatArray] = {}
     for i, case in enumerate(cases):
         for effect, time in case.onset.items():
             for size in (*TRUTHS[effect].grows, *TRUTHS[effect].acts):
-                found.setdefault(f"{effect}.{size}", np.zeros(len(cases)))[i] = time
-    return found
+                onsets_by_size.setdefault(f"{effect}.{size}", np.zeros(len(cases)))[i] = time
+    return onsets_by_size
 
 
 def _constants(cases: Sequence[Case]) -> dict[str, FloatArray]:
@@ -191,12 +193,12 @@ def _away(case: Case, parameter: str) -> float:
 
 
 def _sizes(cases: Sequence[Case]) -> dict[str, FloatArray]:
-    found: dict[str, FloatArray] = {}
+    sizes_by_name: dict[str, FloatArray] = {}
     for i, case in enumerate(cases):
         for effect, sizes in (*case.standing.items(), *case.effects.items()):
             for name, value in sizes.items():
-                found.setdefault(f"{effect}.{name}", np.zeros(len(cases)))[i] = value
-    return found
+                sizes_by_name.setdefault(f"{effect}.{name}", np.zeros(len(cases)))[i] = value
+    return sizes_by_name
 
 
 def _driver(cases: Sequence[Case], longest: float, sample_time: float, fresh: bool) -> Driver:
@@ -209,8 +211,8 @@ def _driver(cases: Sequence[Case], longest: float, sample_time: float, fresh: bo
         seed = [case.excitation + 2**31 * fresh]
         if case.drive == "closed_loop":
             following.append(i)
-            wanted = case.amplitude * square_references(seed, samples, sample_time)[0]
-            references.append(np.pad(wanted, last, mode="edge"))
+            reference = case.amplitude * square_references(seed, samples, sample_time)[0]
+            references.append(np.pad(reference, last, mode="edge"))
             continue
         table_of.append(i)
         centre, amplitude = case.centre, case.amplitude

@@ -68,9 +68,9 @@ def refit(model: Model, recording: Dataset) -> Refit:
     free = free_parameters(model.parameters, [PRIORS])
     problem = FitProblem(model=model, datasets=(recording,), free=free, window_length=10.0, jobs=1)
     windows = Windows(problem)
-    found = fit_from(windows, problem.starts, MapSettings(iterations=_ITERATIONS))
-    theta = found.point.theta
-    residuals = windows.residuals(problem.all_values(theta), found.point.starts)
+    solution = fit_from(windows, problem.starts, MapSettings(iterations=_ITERATIONS))
+    theta = solution.point.theta
+    residuals = windows.residuals(problem.all_values(theta), solution.point.starts)
     count = windows.measured.sum(axis=(0, 1))
     rms: FloatArray = np.sqrt((residuals.r**2).sum(axis=(0, 1)) / count)
     values = dict(zip(problem.names, theta.tolist(), strict=True))

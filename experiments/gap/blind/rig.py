@@ -251,9 +251,9 @@ class _Run:
     def advance(self, command: FloatArray) -> None:
         """One sample on."""
         if self.wandering:
-            kept = np.exp(-self.steps * STEP / np.maximum(self.own.drift_time, 1e-3))
+            decay = np.exp(-self.steps * STEP / np.maximum(self.own.drift_time, 1e-3))
             noise = self.random.standard_normal(self.wander.shape)
-            self.wander = kept * self.wander + np.sqrt(1 - kept**2) * noise
+            self.wander = decay * self.wander + np.sqrt(1 - decay**2) * noise
         for _ in range(self.steps):
             if self.waiting and self.time >= self.waiting[0]:
                 self.waiting.pop(0)
@@ -271,15 +271,15 @@ class _Run:
         noisy = bool(np.any(own.angle_noise))
         for i, axis in enumerate(("pitch", "yaw")):
             angle = self.late[i].read(x[4 + i])
-            angle = angle + self.modes[i].seen + self.flexible[i].seen
+            angle = angle + self.modes[i].angle_contribution + self.flexible[i].angle_contribution
             angle = angle + size(f"{axis}_sensor_bias", "bias")
             angle = angle + size(f"{axis}_encoder_eccentricity", "amplitude") * np.sin(3 * angle)
-            angle = self.outside.seen(axis, angle, x, self.time)
+            angle = self.outside.encoder_angle(axis, angle, x, self.time)
             if noisy:
                 angle = angle + self.random.normal(0, 1, n) * own.angle_noise
             coarse = np.maximum(size(f"{axis}_quantisation", "quantum"), quanta[i])
             y[:, i] = coarse * np.round(angle / coarse)
-        y[:, :2] = self.outside.held(y[:, :2], self.steps * STEP, self.random)
+        y[:, :2] = self.outside.hold_last(y[:, :2], self.steps * STEP, self.random)
         step = SPEED_QUANTUM * own.speed_quantum
         for i, rotor in enumerate(("main", "tail")):
             lag = size(f"{rotor}_tacho_lag", "time_constant")
@@ -292,10 +292,10 @@ class _Run:
         self.time += STEP
         self.x_before = self.x
         self._drive(command)
-        held = self._held_torques()
-        now = self._slopes(self.x, held)
+        torques = self._constant_torques()
+        now = self._slopes(self.x, torques)
         guess = self.x + STEP * now
-        x = self.x + STEP / 2 * (now + self._slopes(guess, held))
+        x = self.x + STEP / 2 * (now + self._slopes(guess, torques))
         for row, stop in ((4, PITCH_STOP), (5, YAW_STOP)):
             beyond = np.abs(x[row]) > stop
             x[row] = np.clip(x[row], -stop, stop)
@@ -320,7 +320,7 @@ class _Run:
             lag = size(f"{rotor}_actuator_lag", "time_constant")
             self.lagged[i] += (u - self.lagged[i]) * (1 - np.exp(-STEP / np.maximum(lag, 1e-6)))
             u = np.where(lag > 0, self.lagged[i], u)
-            u = self.outside.driven(rotor, u)
+            u = self.outside.drive_voltage(rotor, u)
             width = size(f"{rotor}_dead_zone", "width")
             u = u - np.clip(u, -width, width)
             load = (u / COMMAND_LIMIT) ** 2
@@ -336,7 +336,7 @@ class _Run:
         load = (command[:, 0] / COMMAND_LIMIT) ** 2  # of the main drive on a supply for both
         self.v[1] *= 1 - size("shared_supply_sag", "depth") * load
 
-    def _held_torques(self) -> FloatArray:
+    def _constant_torques(self) -> FloatArray:
         """Torques on pitch and yaw that are constant over an integration step."""
         size, x = self.size, self.x
         torque = np.stack([-self.friction[i].torque(x[2 + i], STEP) for i in range(2)])
@@ -345,12 +345,12 @@ class _Run:
         for i, axis in enumerate(("pitch", "yaw")):
             sd, time = (size(f"{axis}_disturbance", s) for s in ("torque", "time"))
             if sd.any():
-                kept = np.exp(-STEP / np.maximum(time, 1e-3))
+                decay = np.exp(-STEP / np.maximum(time, 1e-3))
                 noise = self.random.standard_normal(len(self.rigs))
-                self.push[i] = kept * self.push[i] + sd * np.sqrt(1 - kept**2) * noise
+                self.push[i] = decay * self.push[i] + sd * np.sqrt(1 - decay**2) * noise
         return torque + self.push
 
-    def _slopes(self, x: FloatArray, held: FloatArray) -> FloatArray:
+    def _slopes(self, x: FloatArray, torques: FloatArray) -> FloatArray:
         c, size, own = self.c, self.size, self.own
         w_m, w_t, q, r, theta, psi = x
         cos, sin = np.cos(theta), np.sin(theta)
@@ -384,11 +384,11 @@ class _Run:
         cable = cable + size("yaw_cable_stiffness", "cubic") * away**3
         caught = np.abs(psi) - size("yaw_cable_catch", "angle")
         cable = cable + size("yaw_cable_catch", "stiffness") * np.sign(psi) * np.maximum(caught, 0)
-        yaw = c["l_t"] * thrust_t * cos - c["k_oh"] * _viscous(r, own) - cable + held[1]
+        yaw = c["l_t"] * thrust_t * cos - c["k_oh"] * _viscous(r, own) - cable + torques[1]
         yaw = yaw - size("yaw_quadratic_damping", "coefficient") * _power(r, own.damping_exponent)
         drag, spin = (size("main_reaction_on_yaw", s) for s in ("drag", "inertia"))
         yaw = yaw + (drag * w_m * np.abs(w_m) + spin * dw_m) * cos
-        pitch = c["l_m"] * thrust_m + c["k_g"] * thrust_m * r * cos + held[0]
+        pitch = c["l_m"] * thrust_m + c["k_g"] * thrust_m * r * cos + torques[0]
         pitch = pitch - c["k_ov"] * _viscous(q, own)
         pitch = pitch + c["g"] * ((self.A - self.B) * cos - self.C * sin)
         pitch = pitch - self.H * r**2 * sin * cos
@@ -453,5 +453,5 @@ def _curved(x: FloatArray, usual: float, share: float | FloatArray) -> float | F
 
 def _power(x: FloatArray, exponent: float | FloatArray) -> FloatArray:
     """``sgn(x) |x|^exponent``."""
-    found: FloatArray = np.sign(x) * np.abs(x) ** exponent
-    return found
+    signed_power: FloatArray = np.sign(x) * np.abs(x) ** exponent
+    return signed_power

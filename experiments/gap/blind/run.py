@@ -55,10 +55,12 @@ def perform(composition: Composition) -> int:
     for folder in composition.config_dirs:
         words += ["--config-dir", str(folder)]
     waiting = [r for r in recordings if not (out / r.stem / DOCUMENT_NAME).is_file()]
-    done = len(recordings) - len(waiting)
-    if done:
-        print(f"{done} of {len(recordings)} are diagnosed already")
-    failed = diagnose_all(waiting, out, words, options.jobs, _Shown(len(waiting), options.jobs))
+    diagnosed_count = len(recordings) - len(waiting)
+    if diagnosed_count:
+        print(f"{diagnosed_count} of {len(recordings)} are diagnosed already")
+    failed = diagnose_all(
+        waiting, out, words, options.jobs, _ProgressLines(len(waiting), options.jobs)
+    )
     print(f"{len(recordings) - len(failed)} diagnoses in {out}")
     for name, why in failed.items():
         print(f"  {name}: {why}")
@@ -72,14 +74,14 @@ def recordings_of(folder: Path) -> list[Path]:
     """
     from experiments.gap.blind.sealing import RECORDINGS
 
-    found = sorted((folder / RECORDINGS).glob("*.csv"))
-    if not found:
+    recordings = sorted((folder / RECORDINGS).glob("*.csv"))
+    if not recordings:
         raise ConfigurationError(
             f"there are no recordings in {str(folder / RECORDINGS)!r}",
             where="in",
             remedy="in=DIR names the folder that `trms blind make` wrote",
         )
-    return found
+    return recordings
 
 
 def diagnose_all(
@@ -87,7 +89,7 @@ def diagnose_all(
     out: Path,
     words: Sequence[str],
     jobs: int,
-    shown: Callable[[str, str], None],
+    report: Callable[[str, str], None],
 ) -> dict[str, str]:
     """Diagnose recordings, some at once.
 
@@ -97,10 +99,10 @@ def diagnose_all(
     tasks = {r.stem: (r, out, list(words)) for r in recordings}
     for name, future in side_by_side(_diagnose, tasks, jobs, _TASKS):
         problem = future.exception()
-        said = future.result() if problem is None else _why(problem)
+        message = future.result() if problem is None else _why(problem)
         if problem is not None:
-            failed[name] = said
-        shown(name, said)
+            failed[name] = message
+        report(name, message)
     return failed
 
 
@@ -117,11 +119,11 @@ def _diagnose(recording: Path, out: Path, words: list[str]) -> str:
 
     draft = out / f".{recording.stem}"
     shutil.rmtree(draft, ignore_errors=True)
-    given = [f"real={recording.resolve()}", "jobs=1", "page=false", *words]
-    known = references_beside(recording.resolve())
-    if known:
-        given.append(f"against=[{','.join(quote_value(str(path)) for path in known)}]")
-    composition = compose([*given, f"out={draft.resolve()}"], diagnose.COMPOSES)
+    overrides = [f"real={recording.resolve()}", "jobs=1", "page=false", *words]
+    references = references_beside(recording.resolve())
+    if references:
+        overrides.append(f"against=[{','.join(quote_value(str(path)) for path in references)}]")
+    composition = compose([*overrides, f"out={draft.resolve()}"], diagnose.COMPOSES)
     begin, computed = perf_counter(), process_time()
     printed = out / f".{recording.stem}.txt"
     try:
@@ -163,19 +165,19 @@ def _make_folder(out: Path) -> None:
         ) from error
 
 
-class _Shown:
+class _ProgressLines:
     """A line a recording: how many are done, and how long the rest will take."""
 
     def __init__(self, number: int, jobs: int) -> None:
         self._number, self._jobs = number, jobs
-        self._done, self._begin = 0, perf_counter()
+        self._count, self._begin = 0, perf_counter()
 
-    def __call__(self, name: str, said: str) -> None:
-        self._done += 1
+    def __call__(self, name: str, message: str) -> None:
+        self._count += 1
         spent = perf_counter() - self._begin
-        rest = spent / self._done * (self._number - self._done)
+        rest = spent / self._count * (self._number - self._count)
         sys.stderr.write(
-            f"{self._done:4d} of {self._number}  {name}  {said:16}  "
+            f"{self._count:4d} of {self._number}  {name}  {message:16}  "
             f"{spent / 60:.1f} min, {rest / 60:.0f} min to go\n"
         )
         sys.stderr.flush()

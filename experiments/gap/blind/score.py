@@ -74,13 +74,13 @@ def _judged(
     judged = {name: judge(key, folder) for name, folder in methods.items()}
     if options.fresh and key.fresh is not None:
         judged = {
-            name: with_fresh(found, methods[name], key.fresh, options.jobs)
-            for name, found in judged.items()
+            name: with_fresh(judged_cases, methods[name], key.fresh, options.jobs)
+            for name, judged_cases in judged.items()
         }
     oracle = {j.name: j for j in judged[options.oracle]} if options.oracle else None
     tables = {
-        name: table(found, oracle, draws=options.bootstrap, seed=options.seed)
-        for name, found in judged.items()
+        name: table(judged_cases, oracle, draws=options.bootstrap, seed=options.seed)
+        for name, judged_cases in judged.items()
     }
     return tables, document_of(key, tables, judged)
 
@@ -90,7 +90,7 @@ def methods_of(diagnoses: str | Sequence[str]) -> dict[str, Path]:
 
     Raises ConfigurationError if a folder does not exist, or two have one name.
     """
-    found: dict[str, Path] = {}
+    folders: dict[str, Path] = {}
     for text in [diagnoses] if isinstance(diagnoses, str) else diagnoses:
         name, equals, place = text.partition("=")
         folder = Path(place if equals else text).expanduser()
@@ -103,12 +103,12 @@ def methods_of(diagnoses: str | Sequence[str]) -> dict[str, Path]:
                 where="diagnoses",
                 remedy="diagnoses=FOLDER, or 'diagnoses=[NAME=FOLDER, NAME=FOLDER]'",
             )
-        if name in found:
+        if name in folders:
             raise ConfigurationError(
                 f"{name!r} is given twice", where="diagnoses", remedy="give each a name of its own"
             )
-        found[name] = folder
-    return found
+        folders[name] = folder
+    return folders
 
 
 def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Path) -> None:
@@ -146,10 +146,11 @@ def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Pat
         if method["diagnosed"] < document["cases"]:
             missing = document["cases"] - method["diagnosed"]
             console.print(f"  {missing} rigs are not diagnosed", style="yellow")
-        told = table.reliability
-        if told.calibration_error is not None:
+        reliability = table.reliability
+        if reliability.calibration_error is not None:
             console.print(
-                f"  calibration error {told.calibration_error:.3f}, Brier {told.brier:.3f}"
+                f"  calibration error {reliability.calibration_error:.3f}, "
+                f"Brier {reliability.brier:.3f}"
                 + ("" if table.seconds is None else f"; {table.seconds:.1f} s a diagnosis"),
                 highlight=False,
             )

@@ -57,7 +57,7 @@ class OpenedKey:
     commitment: str  #: The SHA-256 that was told first
 
 
-def make(asked: SetRequest, folder: Path, key_folder: Path, tell: Callable[[str], None]) -> str:
+def make(request: SetRequest, folder: Path, key_folder: Path, tell: Callable[[str], None]) -> str:
     """Make a set; the same request makes the same recordings, byte for byte.
 
     Parameters
@@ -72,34 +72,37 @@ def make(asked: SetRequest, folder: Path, key_folder: Path, tell: Callable[[str]
     str
         The commitment.
     """
-    made = _recorded(asked)
-    digests = _digests(made.recordings)
+    recorded_set = _recorded(request)
+    digests = _digests(recorded_set.recordings)
     content = {
-        "set": asked.name,
-        "seed": asked.seed,
-        "sample_time_s": asked.timing.sample_time,
-        "duration_s": asked.timing.duration,
-        "fresh_s": asked.fresh,
-        "cases": {name: asdict(case) for name, case in made.cases.items()},
+        "set": request.name,
+        "seed": request.seed,
+        "sample_time_s": request.timing.sample_time,
+        "duration_s": request.timing.duration,
+        "fresh_s": request.fresh,
+        "cases": {name: asdict(case) for name, case in recorded_set.cases.items()},
         "files": digests,
-        "reference_files": _digests(made.references),
-        "fresh_files": _digests(made.fresh),
+        "reference_files": _digests(recorded_set.references),
+        "fresh_files": _digests(recorded_set.fresh),
     }
     salt = secrets.token_hex(32)
     commitment = _commitment(salt, content)
     tell(commitment)
     document = {"schema": KEY_SCHEMA, "salt": salt, "key": content}
     _write(key_folder / KEY, _canonical(document) + "\n")
-    for name, text in made.fresh.items():
+    for name, text in recorded_set.fresh.items():
         _write(key_folder / FRESH / f"{name}.csv", text)
-    told = {
+    commitment_document = {
         "schema": COMMITMENT_SCHEMA,
         "what": "SHA-256 of the salt followed by the key, as compact JSON with sorted keys",
         "sha256": commitment,
-        "recordings": len(made.recordings),
+        "recordings": len(recorded_set.recordings),
     }
-    _write(folder / COMMITMENT, json.dumps(told, indent=2) + "\n")
-    for place, texts in ((RECORDINGS, made.recordings), (REFERENCES, made.references)):
+    _write(folder / COMMITMENT, json.dumps(commitment_document, indent=2) + "\n")
+    for place, texts in (
+        (RECORDINGS, recorded_set.recordings),
+        (REFERENCES, recorded_set.references),
+    ):
         for name, text in texts.items():
             _write(folder / place / f"{name}.csv", text)
     return commitment
@@ -123,13 +126,13 @@ def open_key(key: Path, folder: Path) -> OpenedKey:
     """
     file = key / KEY if key.is_dir() else key
     document = _document(file, KEY_SCHEMA, "key")
-    told = _document(folder / COMMITMENT, COMMITMENT_SCHEMA, "in")
+    commitment_document = _document(folder / COMMITMENT, COMMITMENT_SCHEMA, "in")
     with not_as_written(str(file)):
-        return _opened(document, told, file, folder)
+        return _opened(document, commitment_document, file, folder)
 
 
 def _opened(
-    document: Mapping[str, Any], told: Mapping[str, Any], file: Path, folder: Path
+    document: Mapping[str, Any], commitment_document: Mapping[str, Any], file: Path, folder: Path
 ) -> OpenedKey:
     content = document["key"]
     references = content.get("reference_files", {})
@@ -137,9 +140,10 @@ def _opened(
     if any(not _NAME.fullmatch(name) for name in names):
         raise ValueError("a recording's name leads elsewhere")
     commitment = _commitment(document["salt"], content)
-    if commitment != told["sha256"]:
+    if commitment != commitment_document["sha256"]:
         raise RecordingError(
-            f"the key has the SHA-256 {commitment[:16]}…, and {told['sha256'][:16]}… was told",
+            f"the key has the SHA-256 {commitment[:16]}…, "
+            f"and {commitment_document['sha256'][:16]}… was told",
             where=str(file),
             remedy="give the key that was made with this set; it must not have been changed",
         )
@@ -170,7 +174,7 @@ def _as_sealed(recording: Path, digest: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Made:
+class _RecordedSet:
     """Cases as driven, and texts by name."""
 
     cases: Mapping[str, Case]
@@ -190,21 +194,23 @@ def references_beside(recording: Path) -> list[Path]:
     return sorted(folder.glob(f"{recording.stem}-*{recording.suffix}"))
 
 
-def _recorded(asked: SetRequest) -> _Made:
+def _recorded(request: SetRequest) -> _RecordedSet:
     """All recordings of a set."""
-    cases = plan(asked.name, asked.seed, asked.cases)
+    cases = plan(request.name, request.seed, request.cases)
     digits = max(3, len(str(len(cases))))
     names = [f"c{i:0{digits}d}" for i in range(1, len(cases) + 1)]
-    driven, recordings, references = texts_of(
-        dict(zip(names, cases, strict=True)), asked.timing, asked.seed, asked.jobs
+    driven_cases, recordings, references = texts_of(
+        dict(zip(names, cases, strict=True)), request.timing, request.seed, request.jobs
     )
     fresh: dict[str, str] = {}
-    if asked.fresh:
-        second = Timing(duration=asked.fresh, sample_time=asked.timing.sample_time)
-        again, others = record(cases, second, asked.seed, jobs=asked.jobs, fresh=True)
+    if request.fresh:
+        second = Timing(duration=request.fresh, sample_time=request.timing.sample_time)
+        again, others = record(cases, second, request.seed, jobs=request.jobs, fresh=True)
         texts = [csv_of(case, other) for case, other in zip(again, others, strict=True)]
         fresh = dict(zip(names, texts, strict=True))
-    return _Made(cases=driven, recordings=recordings, references=references, fresh=fresh)
+    return _RecordedSet(
+        cases=driven_cases, recordings=recordings, references=references, fresh=fresh
+    )
 
 
 def texts_of(
@@ -220,15 +226,15 @@ def texts_of(
         CSV.
     """
     before = {
-        reference_name(name, number): known
+        reference_name(name, number): reference_case
         for name, case in cases.items()
-        for number, known in enumerate(references_of(case), start=1)
+        for number, reference_case in enumerate(references_of(case), start=1)
     }
-    driven, recordings = record([*cases.values(), *before.values()], timing, seed, jobs=jobs)
-    texts = [csv_of(c, recording) for c, recording in zip(driven, recordings, strict=True)]
+    driven_cases, recordings = record([*cases.values(), *before.values()], timing, seed, jobs=jobs)
+    texts = [csv_of(c, recording) for c, recording in zip(driven_cases, recordings, strict=True)]
     count = len(cases)
     return (
-        dict(zip(cases, driven, strict=False)),
+        dict(zip(cases, driven_cases, strict=False)),
         dict(zip(cases, texts, strict=False)),
         dict(zip(before, texts[count:], strict=True)),
     )
@@ -263,13 +269,13 @@ def _write(path: Path, text: str) -> None:
 
 def _document(path: Path, schema: str, where: str) -> dict[str, Any]:
     try:
-        found = read_json(path)
+        document = read_json(path)
     except (OSError, ValueError) as error:
         raise RecordingError(
             f"cannot be read: {error}", where=str(path), remedy=f"{where}= names another place"
         ) from error
-    if not isinstance(found, dict) or found.get("schema") != schema:
+    if not isinstance(document, dict) or document.get("schema") != schema:
         raise RecordingError(
             f"this is no {schema}", where=str(path), remedy=f"{where}= names another file"
         )
-    return found
+    return document

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from experiments.gap.blind.truths import KEPT_FOR_FINAL, OUTSIDE
+from experiments.gap.blind.truths import FINAL_SET_ONLY, OUTSIDE
 
 Kind = Literal[
     "null",
@@ -45,7 +45,7 @@ class SetPlan:
 _DEVELOPMENT = SetPlan(
     cases=200,
     final=False,
-    outside=tuple(effect for effect in OUTSIDE if effect not in KEPT_FOR_FINAL),
+    outside=tuple(effect for effect in OUTSIDE if effect not in FINAL_SET_ONLY),
     centre=(1.22, 1.28),
     amplitude=(0.74, 0.82),
     stretch=(0.9, 1.1),

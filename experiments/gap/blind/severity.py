@@ -46,8 +46,8 @@ _NULLS = 8
 @cache
 def table() -> Mapping[str, Any]:
     """The content of the file: ``{effect: {level: {"factor", "ratio"}}}``."""
-    found: Mapping[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))["effects"]
-    return found
+    effects: Mapping[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))["effects"]
+    return effects
 
 
 def levels_reached(effect: str) -> tuple[str, ...]:
@@ -82,50 +82,50 @@ def interpolate_levels(factors: FloatArray, ratios: FloatArray) -> dict[str, dic
     gap = np.log(np.sqrt(np.maximum(ratios[order] ** 2 - 1, 1.05**2 - 1)))
     # a larger size makes no smaller gap: scatter is halved between what is before and after
     gap = (np.maximum.accumulate(gap) + np.minimum.accumulate(gap[::-1])[::-1]) / 2
-    found = {}
+    levels = {}
     for level, ratio in LEVELS.items():
-        wanted = 0.5 * np.log(ratio**2 - 1)
-        at = _crossing(size, gap, wanted)
+        target = 0.5 * np.log(ratio**2 - 1)
+        at = _crossing(size, gap, target)
         at = min(at, np.log(LARGEST))
         reach = np.interp(at, size, gap) + min(at - size[0], 0) + max(at - size[-1], 0)
-        found[level] = {
+        levels[level] = {
             "factor": float(f"{np.exp(at):.4g}"),
             "ratio": float(f"{np.sqrt(1 + np.exp(2 * reach)):.4g}"),
         }
-    return found
+    return levels
 
 
-def _crossing(size: FloatArray, gap: FloatArray, wanted: float) -> float:
+def _crossing(size: FloatArray, gap: FloatArray, target: float) -> float:
     """Where the gap comes to what is wanted; beyond the ends it grows as the size."""
-    if wanted <= gap[0]:
-        return float(size[0] + wanted - gap[0])
+    if target <= gap[0]:
+        return float(size[0] + target - gap[0])
     for i in range(len(size) - 1):
-        if gap[i] <= wanted <= gap[i + 1] and gap[i + 1] > gap[i]:
-            share = (wanted - gap[i]) / (gap[i + 1] - gap[i])
+        if gap[i] <= target <= gap[i + 1] and gap[i + 1] > gap[i]:
+            share = (target - gap[i]) / (gap[i + 1] - gap[i])
             return float(size[i] + share * (size[i + 1] - size[i]))
-    return float(size[-1] + wanted - gap[-1])
+    return float(size[-1] + target - gap[-1])
 
 
-def measure(effects: Sequence[str], known: Mapping[str, Any]) -> dict[str, Any]:
+def measure(effects: Sequence[str], file_entries: Mapping[str, Any]) -> dict[str, Any]:
     """Measure effects; progress goes to the error stream.
 
-    ``known``: entries of the file whose measured points count as well.
+    ``file_entries``: entries of the file whose measured points count as well.
     """
-    points = {e: [tuple(p) for p in known.get(e, {}).get("measured", [])] for e in effects}
+    points = {e: [tuple(p) for p in file_entries.get(e, {}).get("measured", [])] for e in effects}
     factors = {e: _begin(e) for e in effects}
     for _ in range(1 if FILE.is_file() else 2):
-        tried = [(e, f) for e in effects for f in factors[e]]
-        for (effect, factor), ratio in zip(tried, _ratios(tried), strict=True):
+        trials = [(e, f) for e in effects for f in factors[e]]
+        for (effect, factor), ratio in zip(trials, _ratios(trials), strict=True):
             points[effect].append((factor, float(f"{ratio:.4g}")))
         factors = {e: sorted({lv["factor"] for lv in _levels(points[e]).values()}) for e in effects}
-    found: dict[str, Any] = {}
+    new_entries: dict[str, Any] = {}
     for effect in effects:
-        found[effect] = {
+        new_entries[effect] = {
             level: {**values, "sizes": TRUTHS[effect].sized(values["factor"])}
             for level, values in _levels(points[effect]).items()
         }
-        found[effect]["measured"] = sorted(points[effect])
-    return found
+        new_entries[effect]["measured"] = sorted(points[effect])
+    return new_entries
 
 
 def _levels(points: Sequence[tuple[float, float]]) -> dict[str, dict[str, float]]:
@@ -139,29 +139,31 @@ def _begin(effect: str) -> list[float]:
     return sorted({factor_of(effect, level) for level in LEVELS})
 
 
-def _ratios(tried: Sequence[tuple[str, float]]) -> list[float]:
+def _ratios(trials: Sequence[tuple[str, float]]) -> list[float]:
     """Gap over floor of each (effect, factor)."""
     from experiments.gap.blind.refit import dataset_of, refit
     from trms_cli.models.newtonian import Newtonian
 
     model = Newtonian()
-    run = _recorded(tried)
-    left, begun = [], time.perf_counter()
-    for i in range(_NULLS + len(tried)):
+    run = _recorded(trials)
+    residual_rms, begun = [], time.perf_counter()
+    for i in range(_NULLS + len(trials)):
         recording = dataset_of(model, run.time, run.commands[i], run.measured[i])
-        left.append(refit(model, recording).rms)
-        floor = np.sqrt(np.mean(np.square(left[:_NULLS]), axis=0))
-        name = tried[i - _NULLS] if i >= _NULLS else "nothing"
+        residual_rms.append(refit(model, recording).rms)
+        floor = np.sqrt(np.mean(np.square(residual_rms[:_NULLS]), axis=0))
+        name = trials[i - _NULLS] if i >= _NULLS else "nothing"
         spent = time.perf_counter() - begun
-        _say(f"{i + 1:4d} of {len(run.commands)}, {spent:4.0f} s  {name}  {left[-1] / floor}")
-    return [float(np.sqrt(np.mean((r / floor) ** 2))) for r in left[_NULLS:]]
+        _say(
+            f"{i + 1:4d} of {len(run.commands)}, {spent:4.0f} s  {name}  {residual_rms[-1] / floor}"
+        )
+    return [float(np.sqrt(np.mean((r / floor) ** 2))) for r in residual_rms[_NULLS:]]
 
 
-def _recorded(tried: Sequence[tuple[str, float]]) -> RigRecordings:
+def _recorded(trials: Sequence[tuple[str, float]]) -> RigRecordings:
     """Rigs without effect first, then one for each, all with the same commands."""
-    n = _NULLS + len(tried)
+    n = _NULLS + len(trials)
     sizes: dict[str, FloatArray] = {}
-    for i, (effect, factor) in enumerate(tried, start=_NULLS):
+    for i, (effect, factor) in enumerate(trials, start=_NULLS):
         for name, value in TRUTHS[effect].sized(factor).items():
             sizes.setdefault(f"{effect}.{name}", np.zeros(n))[i] = value
     samples = round(_DURATION / _SAMPLE)
@@ -178,14 +180,14 @@ def _say(text: str) -> None:
 
 def main(names: Sequence[str]) -> None:
     """Measure all effects anew, or some on top of what is known of them; write."""
-    kept = dict(table()) if names else {}
-    known = {name: kept[name] for name in names if name in kept}
-    found = kept | measure(list(names) or list(TRUTHS), known)
+    file_entries = dict(table()) if names else {}
+    named_entries = {name: file_entries[name] for name in names if name in file_entries}
+    entries = file_entries | measure(list(names) or list(TRUTHS), named_entries)
     document = {
         "schema": "trms.blind.severity/1",
         "levels": dict(LEVELS),
         "how": "python -m experiments.gap.blind.severity",
-        "effects": {name: found[name] for name in TRUTHS if name in found},
+        "effects": {name: entries[name] for name in TRUTHS if name in entries},
     }
     FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 

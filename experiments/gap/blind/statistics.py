@@ -41,13 +41,13 @@ def quantile(values: Sequence[float], q: float, draws: int, seed: int) -> Estima
     if not n:
         return Estimate(None, None, None, 0)
     data = np.asarray(values, dtype=float)
-    found = float(np.quantile(data, q))
+    estimate = float(np.quantile(data, q))
     if n < 3:
-        return Estimate(found, None, None, n)
+        return Estimate(estimate, None, None, n)
     picked = np.random.default_rng(seed).integers(n, size=(draws, n))
     drawn = np.quantile(data[picked], q, axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
-    return Estimate(found, float(low), float(high), n)
+    return Estimate(estimate, float(low), float(high), n)
 
 
 def bootstrapped(
@@ -59,13 +59,13 @@ def bootstrapped(
     """
     if not count:
         return Estimate(None, None, None, 0)
-    found = float(statistic(np.arange(count)))
+    estimate = float(statistic(np.arange(count)))
     if count < 3:
-        return Estimate(found, None, None, count)
+        return Estimate(estimate, None, None, count)
     random = np.random.default_rng(seed)
     drawn = [statistic(random.integers(count, size=count)) for _ in range(draws)]
     low, high = np.quantile(drawn, [0.025, 0.975])
-    return Estimate(found, float(low), float(high), count)
+    return Estimate(estimate, float(low), float(high), count)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def reliability(predicted: Sequence[float], right: Sequence[bool], bins: int = 1
         return Reliability([], None, None)
     p, hit = np.asarray(predicted, dtype=float), np.asarray(right, dtype=bool)
     of_bin = np.minimum((p * bins).astype(int), bins - 1)
-    told: list[dict[str, object]] = []
+    bin_rows: list[dict[str, object]] = []
     error = 0.0
     for i in range(bins):
         inside = of_bin == i
@@ -96,7 +96,7 @@ def reliability(predicted: Sequence[float], right: Sequence[bool], bins: int = 1
         assert estimate.value is not None
         mean = float(p[inside].mean())
         error += inside.mean() * abs(mean - estimate.value)
-        told.append(
+        bin_rows.append(
             {
                 "low": i / bins,
                 "high": (i + 1) / bins,
@@ -106,7 +106,7 @@ def reliability(predicted: Sequence[float], right: Sequence[bool], bins: int = 1
                 "right_ci95": [estimate.low, estimate.high],
             }
         )
-    return Reliability(told, float(error), float(np.mean((p - hit) ** 2)))
+    return Reliability(bin_rows, float(error), float(np.mean((p - hit) ** 2)))
 
 
 def calibration_error(predicted: FloatArray, right: npt.NDArray[np.bool_], bins: int = 10) -> float:

@@ -204,7 +204,7 @@ OUTSIDE: Mapping[str, Truth] = {
     "pitch_beam_bending": _unknown("pitch_sensor", compliance=0.06),
 }
 #: Those that no set but the final one has.
-KEPT_FOR_FINAL = (
+FINAL_SET_ONLY = (
     "yaw_encoder_eccentricity",
     "yaw_cogging",
     "yaw_cable_catch",

@@ -29,7 +29,7 @@ def judge(key: OpenedKey, folder: Path) -> list[JudgedCase]:
 
     Raises RecordingError if there is none, or one that cannot be read, or one of another recording.
     """
-    found = []
+    judged_cases = []
     for name, case in key.cases.items():
         file = _file(folder, name)
         if file is None:
@@ -51,14 +51,14 @@ def judge(key: OpenedKey, folder: Path) -> list[JudgedCase]:
                 where=str(file),
                 remedy="give the diagnoses of this set: diagnoses=FOLDER",
             )
-        found.append(JudgedCase(name=name, case=case, answer=answer))
-    if not found:
+        judged_cases.append(JudgedCase(name=name, case=case, answer=answer))
+    if not judged_cases:
         raise RecordingError(
             "there is no diagnosis of this set",
             where=str(folder),
             remedy=f"`trms blind run` writes them: NAME/{DOCUMENT}",
         )
-    return found
+    return judged_cases
 
 
 def with_fresh(
@@ -67,11 +67,14 @@ def with_fresh(
     """The same with how the models do on the second recordings."""
     tasks = [(j, folder / j.name, fresh / f"{j.name}.csv") for j in judged]
     if jobs == 1:
-        seen = [_on_fresh(*task) for task in tasks]
+        fresh_results = [_on_fresh(*task) for task in tasks]
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            seen = list(pool.map(_on_fresh, *zip(*tasks, strict=True)))
-    return [replace(j, fresh=found) for j, found in zip(judged, seen, strict=True)]
+            fresh_results = list(pool.map(_on_fresh, *zip(*tasks, strict=True)))
+    return [
+        replace(j, fresh=fresh_result)
+        for j, fresh_result in zip(judged, fresh_results, strict=True)
+    ]
 
 
 def _on_fresh(judged: JudgedCase, folder: Path, recording: Path) -> FreshResult | None:
@@ -263,10 +266,10 @@ def _missed(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     rows: dict[tuple[str, str], list[str]] = {}
     for case in sorted(cases, key=lambda c: -c["probability"]):
         if not case["right"]:
-            said = f"{'+'.join(case['first'])} ({case['probability']:.2f})"
-            rows.setdefault((case["kind"], case["label"]), []).append(said)
+            likeliest = f"{'+'.join(case['first'])} ({case['probability']:.2f})"
+            rows.setdefault((case["kind"], case["label"]), []).append(likeliest)
     lines = [_line("kind", "the rig has", "likeliest cause (probability)"), _line(*["---"] * 3)]
-    return lines + [_line(*key, ", ".join(said)) for key, said in sorted(rows.items())]
+    return lines + [_line(*key, ", ".join(answers)) for key, answers in sorted(rows.items())]
 
 
 def _bins(bins: Sequence[Mapping[str, Any]]) -> list[str]:

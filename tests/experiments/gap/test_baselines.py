@@ -51,11 +51,11 @@ CANDIDATES = {
 }
 
 
-def few_free(*kept: str) -> Model:
+def few_free(*free_names: str) -> Model:
     """The bench's model with priors on these parameters only: the fits of a test are quick."""
     model = Newtonian()
     model.parameters = type(model.parameters)(
-        (p if p.name in kept else replace(p, prior_sd=None) for p in model.parameters),
+        (p if p.name in free_names else replace(p, prior_sd=None) for p in model.parameters),
         model.parameters.name,
     )
     return model
@@ -176,17 +176,17 @@ def test_the_restoring_force_is_the_torque_that_is_missing(rubbing: GapProblem) 
 def test_marks_of_synthetic_rigs_tell_their_effects() -> None:
     outputs = names(Newtonian().outputs)
     few = {k: CANDIDATES[k] for k in (FRICTION, "tail_dead_zone")}
-    made = [
+    marks_by_effect = [
         rigs(Request(Newtonian(), name, effect, outputs, 0.02, 8, seed))
         for seed, (name, effect) in enumerate(few.items())
     ]
-    labels = [name for name, rows in zip(few, made, strict=True) for _ in rows]
-    rows = np.concatenate(made)
-    found = _fitted(labels, rows)
-    told = np.argmax(found.probabilities(rows), axis=1)
-    assert [found.classes[k] for k in told] == labels
+    labels = [name for name, rows in zip(few, marks_by_effect, strict=True) for _ in rows]
+    rows = np.concatenate(marks_by_effect)
+    classifier = _fitted(labels, rows)
+    predictions = np.argmax(classifier.probabilities(rows), axis=1)
+    assert [classifier.classes[k] for k in predictions] == labels
     again = rigs(Request(Newtonian(), FRICTION, few[FRICTION], outputs, 0.02, 8, 0))
-    np.testing.assert_array_equal(again, made[0])
+    np.testing.assert_array_equal(again, marks_by_effect[0])
 
 
 def test_marks_are_as_many_for_any_length(rubbing: GapProblem) -> None:
@@ -234,14 +234,14 @@ def test_a_set_is_answered_recording_by_recording(rubbing: GapProblem, tmp_path:
     folder.mkdir(parents=True)
     for name in ("c1", "c2"):
         (folder / f"{name}.csv").touch()
-    told: list[str] = []
+    messages: list[str] = []
     out = tmp_path / "out"
     (out / "c1").mkdir(parents=True)
     (out / "c1" / "diagnosis.json").write_text("{}", encoding="utf-8")
     failed = run_baseline(
-        "parameter_refit", folder.parent, out, 1, problem_of=small, tell=told.append
+        "parameter_refit", folder.parent, out, 1, problem_of=small, tell=messages.append
     )
-    assert not failed and len(told) == 1 and "c2" in told[0]
+    assert not failed and len(messages) == 1 and "c2" in messages[0]
     document = json.loads((out / "c2" / "diagnosis.json").read_text(encoding="utf-8"))
     assert document["schema"] == "trms.diagnosis/1"
     assert document["verdict"] == "parameters_only"
@@ -249,15 +249,15 @@ def test_a_set_is_answered_recording_by_recording(rubbing: GapProblem, tmp_path:
 
 def test_what_an_effect_is_made_with_can_be_written() -> None:
     for name, effect in bench_effects().items():
-        kept = arguments_of(effect)
-        assert json.loads(json.dumps(kept)) == kept, name
-        assert replace(effect, **kept) == effect, name
+        arguments = arguments_of(effect)
+        assert json.loads(json.dumps(arguments)) == arguments, name
+        assert replace(effect, **arguments) == effect, name
 
 
 @pytest.mark.slow
 def test_an_answer_leaves_its_models(tmp_path: Path) -> None:
-    said = _answer("oracle", (FRICTION,), Path("c1.csv"), tmp_path, small)
-    assert "yaw_coulomb_friction 1.00" in said
+    summary = _answer("oracle", (FRICTION,), Path("c1.csv"), tmp_path, small)
+    assert "yaw_coulomb_friction 1.00" in summary
     corrected = load_model(str(tmp_path / "c1" / "corrected_model.yaml"))
     assert corrected.parameters[f"{FRICTION}.torque"].value == pytest.approx(0.005, rel=0.05)
     before = load_model(str(tmp_path / "c1" / "refit_model.yaml"))

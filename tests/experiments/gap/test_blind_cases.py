@@ -12,8 +12,8 @@ from experiments.gap.blind.nuisances import curved_laws, draw_nuisances, imperfe
 from experiments.gap.blind.recording import Timing, record, references_of
 from experiments.gap.blind.sets import SETS
 from experiments.gap.blind.truths import (
+    FINAL_SET_ONLY,
     GROUPS,
-    KEPT_FOR_FINAL,
     LIBRARY,
     OUTSIDE,
     SUDDEN,
@@ -102,10 +102,10 @@ def test_rigs_that_are_compared_differ_from_their_references_in_one_thing() -> N
     )
     assert len(cases) == 30 and min(changes[c] for c in ("effect", "parameter", "nothing")) >= 6
     for case in cases:
-        known = references_of(case)
-        assert 1 <= len(known) == case.references <= 3
-        assert len({c.excitation for c in (case, *known)}) == len(known) + 1
-        for one in known:
+        references = references_of(case)
+        assert 1 <= len(references) == case.references <= 3
+        assert len({c.excitation for c in (case, *references)}) == len(references) + 1
+        for one in references:
             assert not one.effects and not one.moved
             for same in ("standing", "parameters", "nuisances", "drive", "channels", "duration"):
                 assert getattr(one, same) == getattr(case, same)
@@ -132,7 +132,7 @@ def test_offsets_stay_within_their_priors_and_twins_differ_in_the_effect_alone()
 
 
 def test_the_final_set_has_what_development_lacks() -> None:
-    def seen(name: str) -> tuple[set[str], set[tuple[str, str, float]]]:
+    def outside_and_forms(name: str) -> tuple[set[str], set[tuple[str, str, float]]]:
         cases = [case for seed in (1, 2, 3) for case in plan(name, seed)]
         outside = {e for case in cases if case.kind == "outside" for e in case.effects}
         forms = {
@@ -144,11 +144,14 @@ def test_the_final_set_has_what_development_lacks() -> None:
         }
         return outside, forms
 
-    (outside, forms), (final_outside, final_forms) = seen("development"), seen("final")
-    assert final_outside - outside >= set(KEPT_FOR_FINAL)
+    (outside, forms), (final_outside, final_forms) = (
+        outside_and_forms("development"),
+        outside_and_forms("final"),
+    )
+    assert final_outside - outside >= set(FINAL_SET_ONLY)
     assert len(final_outside) >= 20 and len(outside) >= 12
     for name in set(SETS) - {"final"}:
-        assert not set(SETS[name].outside) & set(KEPT_FOR_FINAL)
+        assert not set(SETS[name].outside) & set(FINAL_SET_ONLY)
     assert len({effect for effect, _, _ in final_forms - forms}) > 5
     highest = max(case.centre for case in plan("final", 1))
     assert highest <= min(case.centre for case in plan("development", 1))
@@ -173,9 +176,9 @@ def test_every_effect_of_the_library_can_be_a_truth_of_any_severity_within_reaso
 def test_the_file_says_what_its_measured_points_say() -> None:
     for effect, entry in severity.table().items():
         factors, ratios = np.array(entry["measured"]).T
-        for level, found in severity.interpolate_levels(factors, ratios).items():
-            assert {key: entry[level][key] for key in found} == found
-            assert entry[level]["sizes"] == TRUTHS[effect].sized(found["factor"])
+        for level, figures in severity.interpolate_levels(factors, ratios).items():
+            assert {key: entry[level][key] for key in figures} == figures
+            assert entry[level]["sizes"] == TRUTHS[effect].sized(figures["factor"])
 
 
 def test_sizes_between_measured_ones() -> None:
@@ -210,13 +213,13 @@ def test_recordings_are_as_long_as_each_case_asks(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("experiments.gap.blind.recording._TOGETHER", (0.5, np.inf))
     lengths = (0.4, 0.8, 0.2, 0.6)
     cases = [Case(kind="null", duration=length, excitation=3) for length in lengths]
-    driven, recordings = record(cases, Timing(), 1)
+    simulated_cases, recordings = record(cases, Timing(), 1)
     assert [len(r.time) for r in recordings] == [20, 40, 10, 30]
-    assert [case.duration for case in driven] == list(lengths)
+    assert [case.duration for case in simulated_cases] == list(lengths)
     # the same commands, however long they last together
     np.testing.assert_array_equal(recordings[2].commands, recordings[0].commands[:10])
-    asked, (short,) = record(cases[:1], Timing(duration=0.2), 1)
-    assert len(short.time) == 10 and asked[0].duration == 0.2
+    short_cases, (short,) = record(cases[:1], Timing(duration=0.2), 1)
+    assert len(short.time) == 10 and short_cases[0].duration == 0.2
 
 
 #: Sizes that do not grow and act all the same, so large that they would show.
@@ -270,10 +273,10 @@ def test_each_nuisance_and_each_effect_outside_changes_what_is_seen(
         "yaw_cable_hysteresis": {"torque": 0.02, "width": 0.1},
         "tail_rotor_friction": {"torque": 0.002},
     }
-    wanted = {"drift": 0.3, "jitter": 8e-4, "flexibility": 0.6, "speed_noise": 3.0}
-    wanted |= {"angle_noise": 0.01, "damping_exponent": 1.5, "thrust_exponent": 0.1}
-    wanted |= {"cable_hardening": 5.0, "viscous_exponent": 0.7}
-    nuisances = [{}] + [{n: wanted.get(n, 0.5)} for n in names if n != "drift_time"]
+    nuisance_values = {"drift": 0.3, "jitter": 8e-4, "flexibility": 0.6, "speed_noise": 3.0}
+    nuisance_values |= {"angle_noise": 0.01, "damping_exponent": 1.5, "thrust_exponent": 0.1}
+    nuisance_values |= {"cable_hardening": 5.0, "viscous_exponent": 0.7}
+    nuisances = [{}] + [{n: nuisance_values.get(n, 0.5)} for n in names if n != "drift_time"]
     nuisances.append({"drift": 0.3, "drift_time": 1.0})
     cases = [
         Case(kind="single", effects=effects, duration=3.0, nuisances=usual | n) for n in nuisances
@@ -291,8 +294,8 @@ def test_each_nuisance_and_each_effect_outside_changes_what_is_seen(
     cases.append(Case(kind="null", duration=3.0, nuisances=usual, excitation=7))
     _, recordings = record(cases, Timing(), 1)
     first, last, count = recordings[0], recordings[-1], len(nuisances)
-    for given, recording in zip(nuisances[1:], recordings[1:count], strict=True):
-        assert (recording.measured != first.measured).any(), given
+    for nuisance, recording in zip(nuisances[1:], recordings[1:count], strict=True):
+        assert (recording.measured != first.measured).any(), nuisance
     # in the first seconds the one rests, and the other has not been reached
     slow = {"pitch_sensor_drift", "pitch_encoder_hangs", "tail_early_limit", "main_early_limit"}
     slow |= {"yaw_one_way_damping", "pitch_one_way_damping"}

@@ -32,7 +32,7 @@ def document(case: Case, **changes: Any) -> dict[str, Any]:
     effects = list(right_causes(case)[-1])
     verdict = effects[0] if effects[0] in NO_EFFECT else "effect"
     begins = [{"time_s": t, "ci95": [t, t]} for t in case.onset.values()]
-    found = {
+    content = {
         "schema": "trms.diagnosis/1",
         "verdict": verdict,
         "where": [{"location": at, "share": 0.9, "ci95": [0.8, 1]} for at in case.locations[:1]],
@@ -52,7 +52,7 @@ def document(case: Case, **changes: Any) -> dict[str, Any]:
         "inclusion": dict.fromkeys(case.effects, 0.99),
         "moved": [{"parameter": name} for name in case.moved],
     }
-    return found | changes
+    return content | changes
 
 
 def write(folder: Path, diagnoses: dict[str, dict[str, Any]]) -> Path:
@@ -72,16 +72,16 @@ def test_the_commitment_is_told(tmp_path: Path, capsys: Any, monkeypatch: Any) -
     words = ["set=final", "cases=2", "duration=1", "fresh=0", "jobs=1"]
     assert main(["blind", "make", *words, f"out={tmp_path / 's'}"]) == 0
     printed = capsys.readouterr().out
-    told = json.loads((tmp_path / "s" / "commitment.json").read_text())["sha256"]
-    assert printed.startswith(f"key  sha256 {told}")
+    digest = json.loads((tmp_path / "s" / "commitment.json").read_text())["sha256"]
+    assert printed.startswith(f"key  sha256 {digest}")
     assert (tmp_path / "s.key" / "key.json").is_file()
     assert not (tmp_path / "s.key" / "fresh").exists()
     assert sorted(p.name for p in (tmp_path / "s").iterdir()) == ["commitment.json", "recordings"]
 
 
 def test_perfect_diagnoses_reach_everything(sealed, cases, tmp_path, capsys) -> None:
-    found = write(tmp_path / "found", {name: document(case) for name, case in cases.items()})
-    words = [f"in={sealed}", f"diagnoses={found}", f"out={tmp_path / 'out'}"]
+    diagnoses = write(tmp_path / "found", {name: document(case) for name, case in cases.items()})
+    words = [f"in={sealed}", f"diagnoses={diagnoses}", f"out={tmp_path / 'out'}"]
     assert main(["blind", "score", *words]) == 0
     assert "two effects: both" in capsys.readouterr().out
     score = json.loads((tmp_path / "out" / "score.json").read_text())
@@ -95,14 +95,14 @@ def test_perfect_diagnoses_reach_everything(sealed, cases, tmp_path, capsys) -> 
     page = (tmp_path / "out" / "score.md").read_text()
     assert "| two effects: both | ≥ 85 % | 100.0 % [" in page
     # What is diagnosed is not diagnosed again.
-    assert main(["blind", "run", f"in={sealed}", f"out={found}"]) == 0
+    assert main(["blind", "run", f"in={sealed}", f"out={diagnoses}"]) == 0
     assert f"{CASES} of {CASES} are diagnosed already" in capsys.readouterr().out
 
 
 def test_methods_stand_side_by_side(sealed: Path, cases: dict[str, Case], tmp_path: Path) -> None:
-    told = {"all": {"2.0": {"fraction": 0.8, "ci95": [0.7, 0.9]}}}
+    oracle_shrink = {"all": {"2.0": {"fraction": 0.8, "ci95": [0.7, 0.9]}}}
     half = {"all": {"2.0": {"fraction": 0.4, "ci95": [0.3, 0.5]}}}
-    oracle = write(tmp_path / "a", {n: document(c, shrink=told) for n, c in cases.items()})
+    oracle = write(tmp_path / "a", {n: document(c, shrink=oracle_shrink) for n, c in cases.items()})
     one = {n: document(c, shrink=half) for n, c in list(cases.items())[:-1]}
     refit = [{"effects": ["parameters_only"], "probability": 1.0}]
     for content in one.values():
@@ -128,7 +128,7 @@ def test_a_recording_that_cannot_be_diagnosed_is_told(sealed, tmp_path, capsys) 
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ([], "nothing given"),
         (["mak"], "did you mean"),
@@ -145,30 +145,32 @@ def test_a_recording_that_cannot_be_diagnosed_is_told(sealed, tmp_path, capsys) 
         (["score", "in={set}", "diagnoses={tmp}", "oracle=b"], "none of the diagnoses"),
     ],
 )
-def test_wrong_words_are_explained(words, said, sealed, tmp_path, capsys) -> None:
-    given = [word.format(tmp=tmp_path, set=sealed) for word in words]
-    assert main(["blind", *given]) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+def test_wrong_words_are_explained(words, message, sealed, tmp_path, capsys) -> None:
+    arguments = [word.format(tmp=tmp_path, set=sealed) for word in words]
+    assert main(["blind", *arguments]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_diagnosis_of_another_recording_is_refused(sealed, cases, tmp_path, capsys) -> None:
     name, case = next(iter(cases.items()))
     other = document(case, recordings=[{"file": "x.csv", "sha256": "0" * 64}])
-    found = write(tmp_path / "found", {name: other})
-    assert main(["blind", "score", f"in={sealed}", f"diagnoses={found}"]) == 2
+    diagnoses = write(tmp_path / "found", {name: other})
+    assert main(["blind", "score", f"in={sealed}", f"diagnoses={diagnoses}"]) == 2
     assert "another recording" in capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_from_rigs_to_the_table(tmp_path: Path) -> None:
     """Make, run and score a tiny set: an hour-glass turned once, with nothing replaced."""
-    folder, found, out = tmp_path / "set", tmp_path / "found", tmp_path / "out"
+    folder, diagnoses, out = tmp_path / "set", tmp_path / "found", tmp_path / "out"
     words = ["set=small", "cases=3", "seed=3", "duration=50", "fresh=15"]
     assert main(["blind", "make", *words, f"out={folder}"]) == 0
-    assert main(["blind", "run", f"in={folder}", f"out={found}", "effort=quick", "cases=1"]) == 0
-    assert len(list(found.glob("c*"))) == 1
-    assert main(["blind", "run", f"in={folder}", f"out={found}", "effort=quick"]) == 0
-    assert main(["blind", "score", f"in={folder}", f"diagnoses={found}", f"out={out}"]) == 0
+    assert (
+        main(["blind", "run", f"in={folder}", f"out={diagnoses}", "effort=quick", "cases=1"]) == 0
+    )
+    assert len(list(diagnoses.glob("c*"))) == 1
+    assert main(["blind", "run", f"in={folder}", f"out={diagnoses}", "effort=quick"]) == 0
+    assert main(["blind", "score", f"in={folder}", f"diagnoses={diagnoses}", f"out={out}"]) == 0
     method = json.loads((out / "score.json").read_text())["methods"]["found"]
     assert method["diagnosed"] == 3
     assert method["mean_seconds"] > 0
@@ -183,6 +185,6 @@ def test_without_the_source_checkout_the_proof_tells_where_it_is(capsys: Any) ->
             patch.delitem(sys.modules, name)
         patch.setitem(sys.modules, "experiments", None)
         assert main(["blind", "score", "in=a", "diagnoses=b"]) == 2
-    told = " ".join(capsys.readouterr().err.split())
-    assert "source checkout" in told
-    assert "make blind" in told
+    message = " ".join(capsys.readouterr().err.split())
+    assert "source checkout" in message
+    assert "make blind" in message

@@ -62,8 +62,8 @@ def page_of(cases: list[JudgedCase]) -> str:
     return markdown(score_document(key, {"trms": table(cases, draws=100)}, {"trms": cases}))
 
 
-def figure(found: Table, measure: str) -> Any:
-    return next(row for row in found.rows if row.measure.startswith(measure))
+def figure(score_table: Table, measure: str) -> Any:
+    return next(row for row in score_table.rows if row.measure.startswith(measure))
 
 
 def test_exact_means_all_effects_and_no_other() -> None:
@@ -109,12 +109,12 @@ def test_sizes_are_compared_where_the_law_is_the_same() -> None:
     }
     assert not judged(case("single", FRICTION), answer(LAG)).size_errors
     hysteresis = Case(kind="single", effects={"yaw_cable_hysteresis": {"torque": 1.0}})
-    told = answer("yaw_cable_hysteresis", sizes={"yaw_cable_hysteresis.torque": 2.0})
-    assert not judged(hysteresis, told).size_errors
+    hysteresis_answer = answer("yaw_cable_hysteresis", sizes={"yaw_cable_hysteresis.torque": 2.0})
+    assert not judged(hysteresis, hysteresis_answer).size_errors
 
 
 def test_the_table_counts_each_kind_where_it_belongs() -> None:
-    found = table(
+    score_table = table(
         [
             judged(case("single", FRICTION), answer(FRICTION, places=("yaw_moment",))),
             judged(case("single", DELAY, level="strong"), answer(LAG)),
@@ -130,7 +130,7 @@ def test_the_table_counts_each_kind_where_it_belongs() -> None:
             judged(case("unexcited", DELAY, drive="poor"), answer(LAG)),
         ]
     )
-    figures = {row.measure: (row.estimate.value, row.estimate.count) for row in found.rows}
+    figures = {row.measure: (row.estimate.value, row.estimate.count) for row in score_table.rows}
     assert figures["single, medium and strong: exact"] == (0.5, 2)
     assert figures["single, medium and strong: place named"] == (0.5, 2)
     assert figures["single, medium and strong: sure of a wrong name"] == (0.5, 2)
@@ -145,47 +145,47 @@ def test_the_table_counts_each_kind_where_it_belongs() -> None:
     assert figures["two effects: at least one"] == (1.0, 1)
     assert figures["present but not excited: wrong name"] == (1.0, 1)
     assert figures["shrink relative to the oracle: median"] == (None, 0)
-    assert found.by_effect[DELAY]["all"].count == 2
-    assert found.confusions[DELAY] == {LAG: 3, DELAY: 2}
+    assert score_table.by_effect[DELAY]["all"].count == 2
+    assert score_table.confusions[DELAY] == {LAG: 3, DELAY: 2}
 
 
 def test_the_second_recording_judges_intervals_and_harm() -> None:
-    told: dict[str, Any] = {"shrink": 0.8, "shrink_ci95": (0.7, 0.9)}
+    shrink_estimate: dict[str, Any] = {"shrink": 0.8, "shrink_ci95": (0.7, 0.9)}
     inside = FreshResult(shrink=0.75, worse=())
     outside = FreshResult(shrink=0.5, worse=("alpha_v",))
     whole, none = FreshResult(shrink=1.0, worse=()), FreshResult(shrink=None, worse=())
     rubbing = case("single", FRICTION)
     best = judged(rubbing, answer(FRICTION), fresh=whole)
-    found = table(
+    score_table = table(
         [
-            judged(rubbing, answer(FRICTION, **told), "a", inside),
-            judged(rubbing, answer(FRICTION, **told), "b", outside),
+            judged(rubbing, answer(FRICTION, **shrink_estimate), "a", inside),
+            judged(rubbing, answer(FRICTION, **shrink_estimate), "b", outside),
             judged(case("null"), answer("no_gap", verdict="no_gap"), "n", none),
         ],
         {"a": best, "b": best},
     )
-    assert figure(found, "95 % interval").estimate.value == 0.5
-    assert figure(found, "a channel made worse").estimate.value == pytest.approx(1 / 3)
-    assert figure(found, "shrink relative to the oracle: median").estimate.value == 0.625
+    assert figure(score_table, "95 % interval").estimate.value == 0.5
+    assert figure(score_table, "a channel made worse").estimate.value == pytest.approx(1 / 3)
+    assert figure(score_table, "shrink relative to the oracle: median").estimate.value == 0.625
 
 
 def test_intervals_of_shares_are_wilsons() -> None:
     for hits, n in ((0, 10), (3, 10), (10, 10), (1, 44)):
-        found = share([True] * hits + [False] * (n - hits))
+        estimate = share([True] * hits + [False] * (n - hits))
         right = binomtest(hits, n).proportion_ci(method="wilson")
-        assert (found.low, found.high) == pytest.approx((right.low, right.high), abs=1e-9)
+        assert (estimate.low, estimate.high) == pytest.approx((right.low, right.high), abs=1e-9)
     assert share([]).value is None
 
 
 def test_intervals_of_quantiles_hold_the_truth_as_often_as_they_say() -> None:
     random = np.random.default_rng(0)
-    held = 0
+    coverage_count = 0
     for trial in range(200):
-        found = quantile(random.normal(size=60).tolist(), 0.5, 300, trial)
-        assert found.low is not None
-        assert found.high is not None
-        held += found.low <= 0 <= found.high
-    assert 0.88 <= held / 200 <= 0.99
+        estimate = quantile(random.normal(size=60).tolist(), 0.5, 300, trial)
+        assert estimate.low is not None
+        assert estimate.high is not None
+        coverage_count += estimate.low <= 0 <= estimate.high
+    assert 0.88 <= coverage_count / 200 <= 0.99
 
 
 def test_reliability_of_probabilities_and_targets() -> None:
@@ -193,12 +193,14 @@ def test_reliability_of_probabilities_and_targets() -> None:
     assert not Target(kind="at least", low=0.9).met(0.89)
     assert not Target(kind="at most", high=0.02).met(0.03)
     assert not Target(kind="within", low=0.94, high=0.96).met(0.97)
-    told = reliability([0.95] * 20 + [0.55] * 20, [True] * 19 + [False] + [True] * 11 + [False] * 9)
-    assert told.calibration_error == pytest.approx(0.0, abs=1e-9)
+    reliability_table = reliability(
+        [0.95] * 20 + [0.55] * 20, [True] * 19 + [False] + [True] * 11 + [False] * 9
+    )
+    assert reliability_table.calibration_error == pytest.approx(0.0, abs=1e-9)
     lies = reliability([0.95] * 10, [False] * 10)
     assert lies.calibration_error == pytest.approx(0.95)
     assert lies.brier == pytest.approx(0.95**2)
-    assert [b["count"] for b in told.bins] == [20, 20]
+    assert [b["count"] for b in reliability_table.bins] == [20, 20]
 
 
 DOCUMENT: dict[str, Any] = document_of(diagnosis())
@@ -206,13 +208,15 @@ DOCUMENT: dict[str, Any] = document_of(diagnosis())
 
 def test_a_document_is_read() -> None:
     shuffled = DOCUMENT | {"where": DOCUMENT["where"][::-1]}
-    for found in (answer_of(DOCUMENT), answer_of(shuffled)):
-        assert found.first == ((FRICTION,), 0.88)
-        assert found.places == ("yaw_moment", "tail_thrust", "pitch_moment", "main_motor")
-        assert found.sizes == {f"{FRICTION}.torque": 0.00412}
-        assert (found.shrink, found.shrink_ci95) == (0.91, (0.86, 0.94))
-        assert found.seconds == pytest.approx(73.4)
-        assert found.floors == {n: 0.0011 if unit == "rad" else 1.7 for n, unit in CHANNELS.items()}
+    for parsed_answer in (answer_of(DOCUMENT), answer_of(shuffled)):
+        assert parsed_answer.first == ((FRICTION,), 0.88)
+        assert parsed_answer.places == ("yaw_moment", "tail_thrust", "pitch_moment", "main_motor")
+        assert parsed_answer.sizes == {f"{FRICTION}.torque": 0.00412}
+        assert (parsed_answer.shrink, parsed_answer.shrink_ci95) == (0.91, (0.86, 0.94))
+        assert parsed_answer.seconds == pytest.approx(73.4)
+        assert parsed_answer.floors == {
+            n: 0.0011 if unit == "rad" else 1.7 for n, unit in CHANNELS.items()
+        }
 
 
 @pytest.mark.parametrize(
@@ -251,21 +255,21 @@ def test_models_run_on_a_recording_that_nobody_saw(recording, tmp_path, better, 
     (tmp_path / "corrected_model.yaml").write_text(rubbing if better else plain, encoding="utf-8")
     (tmp_path / "refit_model.yaml").write_text(plain if better else rubbing, encoding="utf-8")
     floors = {"alpha_v": 5e-4, "alpha_h": 5e-4, "omega_v": 1.6, "omega_h": 1.6}
-    found = on_fresh(answer(FRICTION, floors=floors), tmp_path, recording)
-    assert found is not None
-    assert set(found.worse) >= set(worse)
-    assert bool(found.worse) != better
+    fresh_result = on_fresh(answer(FRICTION, floors=floors), tmp_path, recording)
+    assert fresh_result is not None
+    assert set(fresh_result.worse) >= set(worse)
+    assert bool(fresh_result.worse) != better
     if better:
-        assert found.shrink is not None
-        assert found.shrink > 0.9
-    assert set(found.errors) == set(floors)
-    for refit, corrected in found.errors.values():
+        assert fresh_result.shrink is not None
+        assert fresh_result.shrink > 0.9
+    assert set(fresh_result.errors) == set(floors)
+    for refit, corrected in fresh_result.errors.values():
         assert (corrected < refit) == better
     # what names no effect shrinks nothing, but may make a channel worse all the same
     unnamed = on_fresh(answer("none_of_these", verdict="none_of_these"), tmp_path, recording)
     assert unnamed is not None
     assert unnamed.shrink is None
-    assert set(unnamed.worse) == set(found.worse)
+    assert set(unnamed.worse) == set(fresh_result.worse)
     same = tmp_path / "same"
     same.mkdir()
     for name, comment in (("corrected_model.yaml", "# one\n"), ("refit_model.yaml", "# other\n")):
@@ -281,7 +285,7 @@ def test_what_begins_within_what_changed_and_three_at_once_have_rows_of_their_ow
     stiff = "yaw_cable_stiffness"
     triple = case("triple", DELAY, FRICTION, stiff)
     parameters: dict[str, Any] = {"verdict": "parameters_only"}
-    found = table(
+    score_table = table(
         [
             judged(begins, answer(FRICTION, onset=40.9)),
             judged(begins, answer(FRICTION, onset=42.0)),
@@ -305,7 +309,7 @@ def test_what_begins_within_what_changed_and_three_at_once_have_rows_of_their_ow
         ],
         draws=100,
     )
-    figures = {row.measure: (row.estimate.value, row.estimate.count) for row in found.rows}
+    figures = {row.measure: (row.estimate.value, row.estimate.count) for row in score_table.rows}
     assert figures["begins within: exact"] == (0.75, 4)
     assert figures["begins within: moment told to 1 s"] == (0.5, 4)
     assert figures["begins within, effect named: moment told to 1 s"] == (pytest.approx(1 / 3), 3)
@@ -330,11 +334,13 @@ def test_calibration_is_a_row_with_an_interval() -> None:
         )
         for i in range(20)
     ]
-    found = table(rows, draws=200)
-    error = figure(found, "expected calibration error").estimate
+    score_table = table(rows, draws=200)
+    error = figure(score_table, "expected calibration error").estimate
     assert error.value == pytest.approx(0.0, abs=1e-9) and error.low <= error.value <= error.high
-    assert figure(found, "said with 0.9 and more: right").estimate.value == 0.95
-    assert figure(found, "expected calibration error of each").estimate.value == pytest.approx(0.1)
+    assert figure(score_table, "said with 0.9 and more: right").estimate.value == 0.95
+    assert figure(
+        score_table, "expected calibration error of each"
+    ).estimate.value == pytest.approx(0.1)
     p = np.random.default_rng(0).uniform(size=50)
     hit = p > 0.4
     whole = reliability(p.tolist(), hit.tolist()).calibration_error
@@ -361,7 +367,7 @@ def test_what_was_missed_is_shown_by_kind() -> None:
 def test_how_errors_differ_between_recordings_is_that_of_what_was_drawn() -> None:
     """Deviations come back, by channel and by how far the two models are apart."""
     random = np.random.default_rng(3)
-    found = []
+    judged_cases = []
     for i in range(400):
         ratio = 1.01 if i % 2 else 3.0
         own = 0.02 if i % 2 else 0.4
@@ -371,10 +377,10 @@ def test_how_errors_differ_between_recordings_is_that_of_what_was_drawn() -> Non
             "alpha_v": (1e-3 * np.exp(common + a), 1e-3 / ratio * np.exp(common + b)),
             "omega_v": (2.0 * np.exp(common / 4), 2.0 * np.exp(common / 4)),
         }
-        said = replace(answer(FRICTION), sealed=sealed)
+        sealed_answer = replace(answer(FRICTION), sealed=sealed)
         result = FreshResult(shrink=0.5, worse=(), errors=fresh)
-        found.append(judged(case("single"), said, f"c{i:03d}", result))
-    spreads = between_recordings(found)
+        judged_cases.append(judged(case("single"), sealed_answer, f"c{i:03d}", result))
+    spreads = between_recordings(judged_cases)
     by_band = {(s.channels, s.low, s.high): s for s in spreads}
     near, far = by_band["angles", 1.0, 1.02], by_band["angles", 2.2, 4.5]
     assert (near.count, far.count) == (200, 200)
@@ -386,8 +392,10 @@ def test_how_errors_differ_between_recordings_is_that_of_what_was_drawn() -> Non
     assert speeds.count == 400
     assert speeds.apart == 0
     assert speeds.refit == pytest.approx(0.075, rel=0.2)
-    page = page_of(found)
+    page = page_of(judged_cases)
     assert "| angles | 2.2 to 4.5 |" in page
     assert "| speeds | any |" in page
     # what names no effect has two models that nobody is promised anything of
-    assert not between_recordings([judged(case("single"), replace(said, verdict="no_gap"))])
+    assert not between_recordings(
+        [judged(case("single"), replace(sealed_answer, verdict="no_gap"))]
+    )

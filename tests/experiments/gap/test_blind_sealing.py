@@ -12,7 +12,7 @@ from experiments.gap.blind.sealing import SetRequest, make, open_key, references
 from experiments.gap.blind.truths import TRUTHS
 from trms_cli.core.errors import RecordingError
 
-ASKED = SetRequest(name="small", seed=5, cases=6, timing=Timing(duration=0.3), fresh=0.2, jobs=1)
+REQUEST = SetRequest(name="small", seed=5, cases=6, timing=Timing(duration=0.3), fresh=0.2, jobs=1)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -23,22 +23,22 @@ def _short() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[str]]:
+def sealed_set(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[str]]:
     folder = tmp_path_factory.mktemp("sets")
-    told: list[str] = []
+    digests: list[str] = []
 
     def tell(digest: str) -> None:
         assert not (folder / "set").exists()  # told before anything is handed out
-        told.append(digest)
+        digests.append(digest)
 
-    make(ASKED, folder / "set", folder / "key", tell)
-    return folder / "set", folder / "key", told
+    make(REQUEST, folder / "set", folder / "key", tell)
+    return folder / "set", folder / "key", digests
 
 
-def test_the_key_opens_and_is_the_one_that_was_told(made: tuple) -> None:
-    folder, key, told = made
+def test_the_key_opens_and_is_the_one_that_was_told(sealed_set: tuple) -> None:
+    folder, key, digests = sealed_set
     opened = open_key(key, folder)
-    assert told == [opened.commitment]
+    assert digests == [opened.commitment]
     assert opened.commitment == json.loads((folder / "commitment.json").read_text())["sha256"]
     assert len(opened.cases) == 6
     assert sorted(opened.cases) == sorted(p.stem for p in (folder / "recordings").iterdir())
@@ -55,10 +55,12 @@ def test_the_key_opens_and_is_the_one_that_was_told(made: tuple) -> None:
     assert json.loads((key / "key.json").read_text())["salt"] not in handed_out
 
 
-def test_the_same_seed_makes_the_same_bytes_under_another_salt(made: tuple, tmp_path: Path) -> None:
-    folder, key, told = made
-    again = make(ASKED, tmp_path / "set", tmp_path / "key", lambda digest: None)
-    assert again != told[0]
+def test_the_same_seed_makes_the_same_bytes_under_another_salt(
+    sealed_set: tuple, tmp_path: Path
+) -> None:
+    folder, key, digests = sealed_set
+    again = make(REQUEST, tmp_path / "set", tmp_path / "key", lambda digest: None)
+    assert again != digests[0]
     for file in (folder / "recordings").iterdir():
         assert file.read_bytes() == (tmp_path / "set" / "recordings" / file.name).read_bytes()
     keys = [json.loads((k / "key.json").read_text()) for k in (key, tmp_path / "key")]
@@ -68,8 +70,8 @@ def test_the_same_seed_makes_the_same_bytes_under_another_salt(made: tuple, tmp_
         open_key(tmp_path / "key", folder)
 
 
-def test_a_changed_truth_or_recording_is_noticed(made: tuple, tmp_path: Path) -> None:
-    folder, key, _ = made
+def test_a_changed_truth_or_recording_is_noticed(sealed_set: tuple, tmp_path: Path) -> None:
+    folder, key, _ = sealed_set
     document = json.loads((key / "key.json").read_text())
     document["key"]["cases"]["c001"]["kind"] = "outside"
     (tmp_path / "key.json").write_text(json.dumps(document))
@@ -86,16 +88,16 @@ def test_a_changed_truth_or_recording_is_noticed(made: tuple, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"schema": "trms.score/1"}'])
-def test_what_is_no_key_is_said_to_be_none(made: tuple, tmp_path: Path, content: str) -> None:
+def test_what_is_no_key_is_said_to_be_none(sealed_set: tuple, tmp_path: Path, content: str) -> None:
     (tmp_path / "key.json").write_text(content)
     with pytest.raises(RecordingError):
-        open_key(tmp_path / "key.json", made[0])
+        open_key(tmp_path / "key.json", sealed_set[0])
 
 
 def test_recordings_of_a_known_state_are_sealed_with_the_set(tmp_path: Path) -> None:
-    asked = replace(ASKED, cases=24, timing=Timing(duration=0.1), fresh=0.0)
+    request = replace(REQUEST, cases=24, timing=Timing(duration=0.1), fresh=0.0)
     folder, key = tmp_path / "set", tmp_path / "key"
-    make(asked, folder, key, lambda digest: None)
+    make(request, folder, key, lambda digest: None)
     opened = open_key(key, folder)
     compared = {name: case for name, case in opened.cases.items() if case.references}
     assert compared
@@ -104,7 +106,7 @@ def test_recordings_of_a_known_state_are_sealed_with_the_set(tmp_path: Path) -> 
         assert len(beside) == case.references
         own = (folder / "recordings" / f"{name}.csv").read_text()
         assert all(path.read_text() != own for path in beside)
-    known = next((folder / "references").iterdir())
-    known.write_text(known.read_text().replace("0.020,", "0.021,", 1))
+    reference = next((folder / "references").iterdir())
+    reference.write_text(reference.read_text().replace("0.020,", "0.021,", 1))
     with pytest.raises(RecordingError, match="not the one that was sealed"):
         open_key(key, folder)

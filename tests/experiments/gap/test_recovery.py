@@ -8,9 +8,9 @@ from experiments.gap.recovery import FACTORS, Recovery, cases_of, main, study, t
 
 def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
     def one(effect: str = "yaw_sensor_delay", **changed: object) -> Recovery:
-        known = {"factor": 1.0, "size": 0.05, "estimate": 0.052, "sd": 1e-4, "score": 50.0}
-        said = {"named": True, "verdict": "effect"}
-        return Recovery(effect, **(known | said | changed))  # type: ignore[arg-type]
+        fit_fields = {"factor": 1.0, "size": 0.05, "estimate": 0.052, "sd": 1e-4, "score": 50.0}
+        verdict_fields = {"named": True, "verdict": "effect"}
+        return Recovery(effect, **(fit_fields | verdict_fields | changed))  # type: ignore[arg-type]
 
     assert one().recovered
     assert not one(estimate=0.06).recovered and one(estimate=0.06, sd=0.004).recovered
@@ -28,7 +28,7 @@ def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
 
 #: At their typical sizes these hardly show in two minutes (a drive that warms up loses no more than
 #: gains wander by): their sizes come out, or nothing is claimed.
-HARDLY_SHOWN = (
+HARDLY_VISIBLE = (
     "main_supply_derating",
     "tail_supply_derating",
     "main_rotor_friction",
@@ -40,21 +40,21 @@ HARDLY_SHOWN = (
 @pytest.mark.parametrize("sides", [("pitch", "main", "ground"), ("yaw", "tail", "gyroscopic")])
 def test_every_effect_is_recovered_of_its_own_simulation(sides, tmp_path):
     own = [name for name in LIBRARY if name.split("_")[0] in sides]
-    found = study(tmp_path, own, race=False, seed=20, jobs=2, factors=(1.0,))
-    assert len(found) == len(own)
+    recoveries = study(tmp_path, own, race=False, seed=20, jobs=2, factors=(1.0,))
+    assert len(recoveries) == len(own)
     missed = [
         r
-        for r in found
-        if not r.recovered and not (r.effect in HARDLY_SHOWN and (r.near or not r.named))
+        for r in recoveries
+        if not r.recovered and not (r.effect in HARDLY_VISIBLE and (r.near or not r.named))
     ]
     assert not missed, table_of(missed)
 
 
 @pytest.mark.slow
 def test_a_sensor_that_is_late_is_recovered_at_three_sizes(tmp_path, capsys):
-    found = study(tmp_path, ["yaw_sensor_delay"], race=False, seed=20, jobs=2)
-    assert [one.factor for one in found] == list(FACTORS)
-    assert all(one.recovered and one.named for one in found)
+    recoveries = study(tmp_path, ["yaw_sensor_delay"], race=False, seed=20, jobs=2)
+    assert [one.factor for one in recoveries] == list(FACTORS)
+    assert all(one.recovered and one.named for one in recoveries)
     # what is there is only read
     assert main([str(tmp_path), "yaw_sensor_delay"]) == 0
     assert "3 of 3 recovered" in capsys.readouterr().out

@@ -11,7 +11,7 @@ from experiments.gap import calibrate_change
 from experiments.gap import simulate as study
 from experiments.gap.blind.cases import Case, plan
 from experiments.gap.blind.judgement import right_causes
-from experiments.gap.calibrate import calibrating, features_of, told_belief
+from experiments.gap.calibrate import calibrating, diagnosis_belief, features_of
 from experiments.gap.calibrate import main as calibrate
 from experiments.gap.calibrate_change import PRIOR, ChangeFeatures, believed
 from experiments.gap.calibrate_change import fit as fit_change
@@ -59,20 +59,20 @@ def _short(monkeypatch: pytest.MonkeyPatch) -> None:
 def stopping(after: int):
     """Stands for diagnoses: fails at two of a kind, and is interrupted after some."""
 
-    def diagnose_all(recordings, out, words, jobs, shown) -> dict[str, str]:
+    def diagnose_all(recordings, out, words, jobs, report) -> dict[str, str]:
         assert words == ["advise=false", "effort=quick"]
         for number, recording in enumerate(recordings):
             if number == after:
                 raise KeyboardInterrupt
             assert recording.is_file()
             if recording.stem.endswith("3"):
-                shown(recording.stem, "cannot be diagnosed")
+                report(recording.stem, "cannot be diagnosed")
                 continue
             folder = out / recording.stem
             folder.mkdir()
             (folder / "diagnosis.json").write_text(json.dumps(document()))
             (folder / "blind.json").write_text('{"seconds": 1.5}')
-            shown(recording.stem, "effect")
+            report(recording.stem, "effect")
         return {}
 
     return diagnose_all
@@ -82,15 +82,15 @@ def test_an_interrupted_simulation_goes_on_and_leaves_features_alone(tmp_path, m
     request = Simulation(
         set="small", seed=2, cases=5, batch=3, duration=0.2, words=("effort=quick",)
     )
-    told: list[str] = []
+    messages: list[str] = []
     monkeypatch.setattr(study, "diagnose_all", stopping(1))
     with pytest.raises(KeyboardInterrupt):
-        simulate(request, tmp_path, jobs=1, tell=told.append)
+        simulate(request, tmp_path, jobs=1, tell=messages.append)
     assert [line.name for line in FeaturesFile(tmp_path).lines()] == ["s00001"]
     monkeypatch.setattr(study, "diagnose_all", stopping(9))
-    lines = simulate(request, tmp_path, jobs=1, tell=told.append, batches=1)
+    lines = simulate(request, tmp_path, jobs=1, tell=messages.append, batches=1)
     assert [line.name for line in lines] == ["s00001", "s00002", "s00003"]
-    lines = simulate(request, tmp_path, jobs=1, tell=told.append)
+    lines = simulate(request, tmp_path, jobs=1, tell=messages.append)
     assert [line.name for line in lines] == [f"s{i:05d}" for i in range(1, 6)]
     assert [bool(line.failed) for line in lines] == [False, False, True, False, False]
     planned = plan("small", 2, 5)
@@ -99,12 +99,13 @@ def test_an_interrupted_simulation_goes_on_and_leaves_features_alone(tmp_path, m
     assert lines[0].seconds == 1.5 and lines[0].evidence["something_new"] == [1, 2, 3]
     # rigs are gone; what failed is tried again when that is asked for
     assert {p.name for p in tmp_path.iterdir()} == {"features.jsonl.gz", "simulation.json"}
-    count = len(told)
-    assert len(simulate(request, tmp_path, jobs=1, tell=told.append)) == 5 and len(told) == count
-    simulate(request, tmp_path, jobs=1, tell=told.append, retry=True)
-    assert any("s00003" in words for words in told[count:])
+    count = len(messages)
+    assert len(simulate(request, tmp_path, jobs=1, tell=messages.append)) == 5
+    assert len(messages) == count
+    simulate(request, tmp_path, jobs=1, tell=messages.append, retry=True)
+    assert any("s00003" in words for words in messages[count:])
     with pytest.raises(ConfigurationError, match="another seed"):
-        simulate(Simulation(set="small", seed=3), tmp_path, jobs=1, tell=told.append)
+        simulate(Simulation(set="small", seed=3), tmp_path, jobs=1, tell=messages.append)
 
 
 def test_a_file_that_was_cut_off_loses_its_last_line(tmp_path: Path):
@@ -121,10 +122,10 @@ def test_a_file_that_was_cut_off_loses_its_last_line(tmp_path: Path):
 
 
 def test_features_are_what_the_evidence_has_and_the_posterior_asks_for():
-    found = features_of(EVIDENCE)
-    assert found.names == ((FRICTION,), ("main_dead_zone", "tail_dead_zone"))
-    np.testing.assert_array_equal(found.scores, [30.0, np.nan])
-    assert found.gained == 3.0
+    features = features_of(EVIDENCE)
+    assert features.names == ((FRICTION,), ("main_dead_zone", "tail_dead_zone"))
+    np.testing.assert_array_equal(features.scores, [30.0, np.nan])
+    assert features.gained == 3.0
 
 
 def test_twins_stay_together_and_folds_are_even():
@@ -146,10 +147,10 @@ def test_nothing_is_believed_by_what_was_fitted_to_it():
     folds = folds_of(cases, 3)
 
     def fit(pairs):
-        return {known for known, _ in pairs}
+        return {features for features, _ in pairs}
 
-    def believe(known, seen):
-        assert known not in seen and len(seen) == 4
+    def believe(features, training_set):
+        assert features not in training_set and len(training_set) == 4
         return {("no_gap",): 1.0}
 
     rights = [frozenset({("no_gap",)})] * 6
@@ -161,12 +162,12 @@ def test_nothing_is_believed_by_what_was_fitted_to_it():
 
 def test_losses_and_strata():
     right = frozenset({("a",)})
-    found = judged(
+    metrics = judged(
         [{("a",): 0.95, ("b",): 0.05}] * 19 + [{("a",): 0.05, ("b",): 0.95}], [right] * 20
     )
-    assert found.calibration_error.value == pytest.approx(0.0, abs=1e-9)
-    assert found.very_sure.value == 0.95 and found.very_sure.count == 20
-    assert found.log_loss.value == pytest.approx(
+    assert metrics.calibration_error.value == pytest.approx(0.0, abs=1e-9)
+    assert metrics.very_sure.value == 0.95 and metrics.very_sure.count == 20
+    assert metrics.log_loss.value == pytest.approx(
         -(19 * np.log(0.95) + np.log(0.051)) / 20, abs=0.01
     )
     cases = [
@@ -187,8 +188,8 @@ def test_what_begins_is_weighed_where_beginnings_raced():
     lines = [Line(name=f"s{i}", case=case, document=d) for i, d in enumerate((before, raced))]
     assert [line.name for line in calibrating(lines)] == ["s1"]
     # numbers by block and by channel come back as they were, also those that are not finite
-    kept = {**raced["evidence"], "by_block": [[1.0, None], [2.0, 3.0]]}
-    np.testing.assert_array_equal(features_of(kept).by_block, [[1.0, np.nan], [2.0, 3.0]])
+    evidence = {**raced["evidence"], "by_block": [[1.0, None], [2.0, 3.0]]}
+    np.testing.assert_array_equal(features_of(evidence).by_block, [[1.0, np.nan], [2.0, 3.0]])
 
 
 def test_the_study_is_told_and_nothing_is_written_unasked(tmp_path, capsys):
@@ -201,22 +202,22 @@ def test_the_study_is_told_and_nothing_is_written_unasked(tmp_path, capsys):
     file.append(Line(name="s9", case=Case(kind="null"), document={}, failed="no"))
     # rounding has marks of its own and is not weighed
     assert len(calibrating(file.lines())) == 6
-    assert told_belief(file.lines()[0])[FRICTION,] == 0.8
+    assert diagnosis_belief(file.lines()[0])[FRICTION,] == 0.8
     package = Path(__file__).parents[3] / "trms_cli" / "gap" / "calibration.json"
     before = package.read_bytes()
     assert calibrate([str(tmp_path), "--folds", "2"]) == 0
     assert package.read_bytes() == before
-    told = capsys.readouterr().out
-    assert "10 rigs, 1 could not be diagnosed, 6 are weighed" in told
-    assert "| all | 6 | 2 folds |" in told and "Reliability, told:" in told
+    output = capsys.readouterr().out
+    assert "10 rigs, 1 could not be diagnosed, 6 are weighed" in output
+    assert "| all | 6 | 2 folds |" in output and "Reliability, told:" in output
 
 
 def test_what_is_right_for_each_kind():
-    known: dict[str, Any] = {"kind": "against", "references": 2}
+    case_fields: dict[str, Any] = {"kind": "against", "references": 2}
     friction = {FRICTION: {"torque": 0.004}}
-    assert right_causes(Case(**known)) == (("no_change",),)
-    assert right_causes(Case(**known, moved={"m_cb": 3.0})) == (("parameters_only",),)
-    assert right_causes(Case(**known, effects=friction)) == ((FRICTION,),)
+    assert right_causes(Case(**case_fields)) == (("no_change",),)
+    assert right_causes(Case(**case_fields, moved={"m_cb": 3.0})) == (("parameters_only",),)
+    assert right_causes(Case(**case_fields, effects=friction)) == ((FRICTION,),)
     assert right_causes(Case(kind="onset", effects=friction, onset={FRICTION: 9.0})) == (
         (FRICTION,),
     )
@@ -232,14 +233,14 @@ def test_beliefs_of_changes_are_fitted_to_rigs_that_changed_or_did_not(capsys):
     for k in range(40):
         changed = k % 2 == 0
         gains = random.exponential(40.0, 3) + (200.0 if changed else 0.0) * np.array([1, 0, 0])
-        known = ChangeFeatures(
+        features = ChangeFeatures(
             names=("a", "b", "p"),
             kinds=("effect", "effect", "parameter"),
             gains=gains,
             unnamed=-20.0,
             usual=tuple(random.exponential(40.0, 2)),
         )
-        cases.append((known, frozenset({("a",) if changed else ("no_change",)})))
+        cases.append((features, frozenset({("a",) if changed else ("no_change",)})))
     constants = fit_change(cases)
 
     def surprise(by):

@@ -70,15 +70,15 @@ def regions(record: ForceRecord) -> tuple[RegionShare, ...]:
     telling = _divergence(in_energy, in_time)
     beyond_chance = _significant(record, energy, holds - in_time[:, None])
     clear = beyond_chance & (in_energy > in_time + _EXCESS) & (in_energy > _LIFT * in_time)
-    chosen: list[int] = []
+    selection: list[int] = []
     for i in np.argsort(-telling):
-        if len(chosen) < MOST and clear[i] and _adds(i, chosen, conditions, energy):
-            chosen.append(int(i))
+        if len(selection) < MOST and clear[i] and _adds(i, selection, conditions, energy):
+            selection.append(int(i))
     return tuple(
         RegionShare(
             location=record.location, condition=conditions[i].text, share=float(in_energy[i])
         )
-        for i in chosen
+        for i in selection
     )
 
 
@@ -96,17 +96,17 @@ def change_time(record: ForceRecord) -> float | None:
 
 def all_conditions(record: ForceRecord) -> tuple[Condition, ...]:
     """All conditions that are tried, thresholds at quantiles of the recording, rounded."""
-    found: list[Condition] = []
+    conditions: list[Condition] = []
     for axis, values in record.angles.items():
-        found += _about_an_angle(_SYMBOL[axis], axis, values)
+        conditions += _about_an_angle(_SYMBOL[axis], axis, values)
     for axis, values in record.rates.items():
-        found += _about_a_rate(axis, values)
+        conditions += _about_a_rate(axis, values)
     for rotor, values in record.speeds.items():
-        found += _about_a_rotor(rotor, values)
+        conditions += _about_a_rotor(rotor, values)
     for rotor, values in record.commands.items():
-        found += _about_a_command(rotor, values, record)
-    found += _about_time(record)
-    unique = {condition.text: condition for condition in found}
+        conditions += _about_a_command(rotor, values, record)
+    conditions += _about_time(record)
+    unique = {condition.text: condition for condition in conditions}
     return tuple(unique.values())
 
 
@@ -166,10 +166,10 @@ def _about_a_command(rotor: str, values: FloatArray, record: ForceRecord) -> Ite
     yield from _limits(f"{about} |u| > {{}} V", about, size, _HIGH)
     # A step's effect on a slow force shows for about half a second.
     ago = max(round(0.5 / record.sample_time), 1)
-    changed = np.zeros(values.size)
-    changed[ago:] = np.abs(values[ago:] - values[:-ago])
+    command_change = np.zeros(values.size)
+    command_change[ago:] = np.abs(values[ago:] - values[:-ago])
     text = f"{about} changing (by over {{}} V in 0.5 s)"
-    yield from _limits(text, f"change of the {about}", changed, _HIGH[1:])
+    yield from _limits(text, f"change of the {about}", command_change, _HIGH[1:])
 
 
 def _about_time(record: ForceRecord) -> Iterator[Condition]:
@@ -207,10 +207,10 @@ def _most_likely_change(record: ForceRecord) -> float:
     return float(f"{record.time[at]:.3g}")
 
 
-def _adds(i: int, chosen: list[int], conditions: list[Condition], energy: FloatArray) -> bool:
+def _adds(i: int, selection: list[int], conditions: list[Condition], energy: FloatArray) -> bool:
     """Whether a condition gathers energy within each of the chosen ones too, and is about more."""
     new = conditions[i]
-    for j in chosen:
+    for j in selection:
         old = conditions[j]
         if new.about == old.about:
             return False
@@ -276,20 +276,20 @@ def description(record: ForceRecord, foretold: float | None = None) -> tuple[str
             f"Nothing stands out of the noise at {place}: {rms:.2g} {unit} RMS, "
             f"of which noise alone explains {noise:.2g}.",
         )
-    fine, changed = record.thinned(_RATE), change_time(record)
+    fine, change = record.thinned(_RATE), change_time(record)
     parts = [
         f"A missing contribution at {place} of {rms:.2g} {unit} RMS (noise {noise:.2g} {unit}).",
         _offset(fine),
         _band(record),
         _direction(fine),
         _trend(fine),
-        "" if changed is None else f"It changes for good at t = {changed:g} s.",
+        "" if change is None else f"It changes for good at t = {change:g} s.",
         *(
             f"{region.share:.0%} of its energy lies where: {region.condition}."
             for region in regions(record)
             if " t = " not in region.condition
         ),
-        _origin(record) if foretold is None else _foretold(foretold),
+        _origin(record) if foretold is None else _predicted_origin(foretold),
         _closest_form(record),
     ]
     return tuple(sentence for sentence in parts if sentence)
@@ -391,13 +391,13 @@ def _origin(record: ForceRecord) -> str:
     )
 
 
-def _foretold(share: float) -> str:
+def _predicted_origin(share: float) -> str:
     """Where it comes from, by what smooth terms of the motion foretell through simulation."""
     terms = "smooth terms of angles, rates, speeds and commands foretell "
-    told = f"{terms}{share:.0%} of it on held-out blocks"
+    text = f"{terms}{share:.0%} of it on held-out blocks"
     if share >= _OWN:
-        return f"It is the rig's own doing: {told}."
-    return f"{told.capitalize()}: it comes from outside, or from what they do not remember."
+        return f"It is the rig's own doing: {text}."
+    return f"{text.capitalize()}: it comes from outside, or from what they do not remember."
 
 
 def _closest_form(record: ForceRecord) -> str:
@@ -430,6 +430,6 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     """Slope of a straight line and its t-value."""
     x = x - x.mean()
     slope = float(x @ y / (x @ x))
-    left = y - y.mean() - slope * x
-    sd = float(np.sqrt(left @ left / max(y.size - 2, 1) / (x @ x)))
+    residual = y - y.mean() - slope * x
+    sd = float(np.sqrt(residual @ residual / max(y.size - 2, 1) / (x @ x)))
     return slope, slope / (sd + 1e-300)

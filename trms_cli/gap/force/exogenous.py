@@ -50,20 +50,20 @@ def held_out_errors(
     choose from. Returns (n_blocks, t) array: about the mean of the target over everything.
     """
     spread = features.std(axis=0)
-    kept = spread > 1e-9
-    phi = (features[:, kept] - features[:, kept].mean(axis=0)) / spread[kept]
+    is_varying = spread > 1e-9
+    phi = (features[:, is_varying] - features[:, is_varying].mean(axis=0)) / spread[is_varying]
     y = targets - targets.mean(axis=0)
     edges = [*np.flatnonzero(np.diff(block, prepend=-1)).tolist(), block.size]
     power, directions = np.linalg.eigh(phi.T @ phi)
-    turned = phi @ directions
-    inner = turned.T @ y
+    scores = phi @ directions
+    inner = scores.T @ y
     best = np.empty((0, 0))
     for penalty in penalties:
         weight = 1.0 / (np.maximum(power, 0.0) + penalty * block.size)
-        residual = y - turned @ (weight[:, None] * inner)
+        residual = y - scores @ (weight[:, None] * inner)
         errors = np.empty((len(edges) - 1, y.shape[1]))
         for b, (first, end) in enumerate(pairwise(edges)):
-            rows = turned[first:end]
+            rows = scores[first:end]
             own = np.eye(end - first) - (rows * weight) @ rows.T
             errors[b] = np.sum(np.linalg.solve(own, residual[first:end]) ** 2, axis=0)
         if best.size:
@@ -122,13 +122,13 @@ def fitted_response(record: ForceRecord) -> Response:
     increments = z[starts + 1] - z[starts]
     columns = np.column_stack([z[starts], terms[starts], force, np.ones(starts.size)])
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
-    fitted = np.linalg.lstsq(columns / scale, increments, rcond=1e-8)[0] / scale[:, None]
+    coefficients = np.linalg.lstsq(columns / scale, increments, rcond=1e-8)[0] / scale[:, None]
     for row, name in enumerate(names):
         if name.endswith("command") and not _follows(names, row, z[starts], increments[:, row]):
-            fitted[:, row] = 0.0
+            coefficients[:, row] = 0.0
     n, m = len(names), terms.shape[1]
-    linear, curved, push = fitted[:n].T, fitted[n : n + m].T, fitted[n + m]
-    steps = np.eye(n) + linear + np.einsum("im,kmj->kij", curved, slopes)
+    linear, nonlinear, push = coefficients[:n].T, coefficients[n : n + m].T, coefficients[n + m]
+    steps = np.eye(n) + linear + np.einsum("im,kmj->kij", nonlinear, slopes)
     return Response(record=record, motion=z, steps=steps, push=push)
 
 
@@ -159,13 +159,13 @@ def _follows(names: list[str], row: int, z: FloatArray, increments: FloatArray) 
     """Whether angles and rates decide a command's increments: a loop is closed."""
     motion = [i for i, name in enumerate(names) if name.endswith(("angle", "rate"))]
 
-    def left(columns: FloatArray) -> float:
-        fitted = np.linalg.lstsq(columns, increments)[0]
-        return float(np.sum((increments - columns @ fitted) ** 2))
+    def residual_energy(columns: FloatArray) -> float:
+        coefficients = np.linalg.lstsq(columns, increments)[0]
+        return float(np.sum((increments - columns @ coefficients) ** 2))
 
     alone = np.column_stack([z[:, row], np.ones(len(z))])
     both = np.column_stack([alone, z[:, motion]])
-    return left(both) < (1 - _FEEDBACK) * left(alone)
+    return residual_energy(both) < (1 - _FEEDBACK) * residual_energy(alone)
 
 
 #: Hz, of the regression, and s, of a held-out block.
@@ -220,11 +220,11 @@ def exogenous(record: ForceRecord, seed: int = 0) -> Exogenous:
     features = np.column_stack([*single.values(), _together(variables, rng)])
     errors = held_out_errors(features, targets, block)
     about_mean = np.sum((targets - targets.mean(axis=0)) ** 2, axis=0)
-    explained = 1 - errors.sum(axis=0) / about_mean
-    chance = max(float(np.median(explained[1:])), 0.0)
+    explained_shares = 1 - errors.sum(axis=0) / about_mean
+    chance = max(float(np.median(explained_shares[1:])), 0.0)
     beyond_noise = variance / record.signal_power(variance)
-    share = float(np.clip((explained[0] - chance) * beyond_noise, 0.0, 1.0))
-    as_good = int(np.sum(explained[1:] >= explained[0]))
+    share = float(np.clip((explained_shares[0] - chance) * beyond_noise, 0.0, 1.0))
+    as_good = int(np.sum(explained_shares[1:] >= explained_shares[0]))
     return Exogenous(
         predictable_share=share,
         ci95=_interval(record, errors[:, 0], block, chance, beyond_noise, rng),
@@ -271,8 +271,8 @@ def _law(response: Response, rows: BoolArray) -> Callable[[FloatArray], float]:
     def law(state: FloatArray) -> float:
         place = np.minimum(np.maximum((state - first) * per_point, 0.0), _POINTS - 1.001)
         point = place.astype(np.int64)
-        left = tables[each, point]
-        parts = left + (tables[each, point + 1] - left) * (place - point)
+        lower_values = tables[each, point]
+        parts = lower_values + (tables[each, point + 1] - lower_values) * (place - point)
         return float(min(max(offset + parts.sum(), low), high))
 
     return law
@@ -328,8 +328,8 @@ def _surrogates(record: ForceRecord, rng: np.random.Generator) -> FloatArray:
         values = record.force[part]
         spectrum = np.abs(np.fft.rfft(values - values.mean()))
         phase = rng.uniform(0, 2 * np.pi, size=(_SURROGATES, spectrum.size))
-        turned = np.fft.irfft(spectrum * np.exp(1j * phase), values.size, axis=1)
-        result[part] = turned.T + values.mean()
+        surrogates = np.fft.irfft(spectrum * np.exp(1j * phase), values.size, axis=1)
+        result[part] = surrogates.T + values.mean()
     return result
 
 
@@ -343,8 +343,10 @@ def _interval(
 ) -> tuple[float, float]:
     first = np.flatnonzero(np.diff(block, prepend=-1))
     total = np.add.reduceat((record.force - record.force.mean()) ** 2, first)
-    drawn = rng.integers(0, first.size, size=(400, first.size))
-    shares = (1 - errors[drawn].sum(axis=1) / total[drawn].sum(axis=1) - chance) * beyond_noise
+    resamples = rng.integers(0, first.size, size=(400, first.size))
+    shares = (
+        1 - errors[resamples].sum(axis=1) / total[resamples].sum(axis=1) - chance
+    ) * beyond_noise
     low, high = np.quantile(np.clip(shares, 0.0, 1.0), (0.025, 0.975))
     return float(low), float(high)
 
@@ -361,7 +363,7 @@ def _telling(
     total = float(np.sum((force - force.mean()) ** 2))
     alone = {}
     for name, columns in single.items():
-        left = float(held_out_errors(columns, force, block, penalties=_MIDDLE).sum())
-        alone[name] = (1 - left / total) * beyond_noise
-    ranked = sorted(alone, key=lambda name: -alone[name])
-    return tuple(name for name in ranked if alone[name] > _TELLING * share)
+        residual_energy = float(held_out_errors(columns, force, block, penalties=_MIDDLE).sum())
+        alone[name] = (1 - residual_energy / total) * beyond_noise
+    ranking = sorted(alone, key=lambda name: -alone[name])
+    return tuple(name for name in ranking if alone[name] > _TELLING * share)

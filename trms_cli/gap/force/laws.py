@@ -74,14 +74,14 @@ class ForceRecord:
             **{f"{rotor} command": values for rotor, values in self.commands.items()},
         }
 
-    def taken(self, rows: IntArray) -> ForceRecord:
+    def subset(self, rows: IntArray) -> ForceRecord:
         """Only these samples of it."""
-        taken: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         for name in ("time", "recording", "force", "sd"):
-            taken[name] = getattr(self, name)[rows]
+            fields[name] = getattr(self, name)[rows]
         for name in ("angles", "rates", "speeds", "commands"):
-            taken[name] = {key: values[rows] for key, values in getattr(self, name).items()}
-        return replace(self, **taken)
+            fields[name] = {key: values[rows] for key, values in getattr(self, name).items()}
+        return replace(self, **fields)
 
     @cached_property
     def sample_time(self) -> float:
@@ -92,9 +92,9 @@ class ForceRecord:
     @cached_property
     def segments(self) -> tuple[slice, ...]:
         """Stretches without a gap: within one recording, steps under 1.5 sample times."""
-        broken = np.diff(self.time) > 1.5 * self.sample_time
-        broken |= np.diff(self.recording) != 0
-        edges = [0, *(np.flatnonzero(broken) + 1).tolist(), self.time.size]
+        is_break = np.diff(self.time) > 1.5 * self.sample_time
+        is_break |= np.diff(self.recording) != 0
+        edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), self.time.size]
         return tuple(slice(a, b) for a, b in pairwise(edges) if b > a)
 
     def thinned(self, rate: float) -> ForceRecord:
@@ -104,7 +104,7 @@ class ForceRecord:
         """
         stride = max(int(1.0 / (rate * self.sample_time) + 1e-9), 1)
         rows = [np.arange(part.start, part.stop, stride) for part in self.segments]
-        return self.taken(np.concatenate(rows))
+        return self.subset(np.concatenate(rows))
 
     def blocks(self, length: float) -> IntArray:
         """Number of the block that each sample belongs to, rising, about ``length`` [s] each.
@@ -246,10 +246,10 @@ class LawInputs:
         keep = float(np.exp(-self.record.sample_time / time))
         result = np.empty_like(values)
         for part in self.record.segments:
-            driven = (1 - keep) * values[part]
-            driven[0] = values[part.start]
-            bands = np.vstack([np.ones_like(driven), np.full_like(driven, -keep)])
-            result[part] = solve_banded((1, 0), bands, driven)
+            right_side = (1 - keep) * values[part]
+            right_side[0] = values[part.start]
+            bands = np.vstack([np.ones_like(right_side), np.full_like(right_side, -keep)])
+            result[part] = solve_banded((1, 0), bands, right_side)
         return result
 
     def smoothed(self, values: FloatArray, sd: float) -> FloatArray:
@@ -258,8 +258,8 @@ class LawInputs:
         kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * self.record.sample_time / sd) ** 2)
         result = np.empty_like(values)
         for part in self.record.segments:
-            padded = np.pad(values[part], reach, mode="edge")
-            result[part] = np.convolve(padded, kernel / kernel.sum(), mode="valid")
+            padded_values = np.pad(values[part], reach, mode="edge")
+            result[part] = np.convolve(padded_values, kernel / kernel.sum(), mode="valid")
         return result
 
 
@@ -303,11 +303,11 @@ def hysteresis(record: ForceRecord, angle: FloatArray) -> Columns:
         travel[part.start] = 0.0
     # Loading bends towards ±1, unloading is straight: exact over a step of one direction. Plain
     # numbers, since each step needs the one before it.
-    bent = (1 - np.exp(-np.abs(travel) / width[:, None])).tolist()
-    straight = (travel / width[:, None]).tolist()
+    loading = (1 - np.exp(-np.abs(travel) / width[:, None])).tolist()
+    unloading = (travel / width[:, None]).tolist()
     sign = np.sign(travel).tolist()
     columns: Columns = []
-    for bends, steps in zip(bent, straight, strict=True):
+    for bends, steps in zip(loading, unloading, strict=True):
         now, memory = 0.0, []
         for towards, bend, step in zip(sign, bends, steps, strict=True):
             now += (towards - now) * bend if now * towards >= 0 else step
@@ -458,9 +458,9 @@ def explained_shares(record: ForceRecord) -> dict[str, float]:
         if not rows:
             return 0.0
         inner = gram[np.ix_(rows, rows)] + _RIDGE * np.eye(len(rows))
-        explained = product[rows] @ np.linalg.solve(inner, product[rows])
+        explained_energy = product[rows] @ np.linalg.solve(inner, product[rows])
         by_chance = min(chance * len(rows), _MOST_CHANCE)
-        beyond = (explained / energy - by_chance) / (1 - by_chance)
+        beyond = (explained_energy / energy - by_chance) / (1 - by_chance)
         return float(np.clip(beyond / (1 - noise), 0.0, 1.0))
 
     return {name: share(rows) for name, rows in of_law.items()}

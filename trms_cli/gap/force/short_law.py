@@ -46,11 +46,11 @@ class ShortTerm:
         if len(sizes) == 2:
             size, phase = float(np.hypot(*sizes)), float(np.arctan2(sizes[1], sizes[0]))
             sign = "+" if phase >= 0 else "−"
-            written = self.text.format(phase=f"{sign} {abs(phase):.2g}")
+            expression = self.text.format(phase=f"{sign} {abs(phase):.2g}")
         else:
-            size, written = float(sizes[0]), self.text
+            size, expression = float(sizes[0]), self.text
         per = f"/({self.unit})" if "/" in self.unit else f"/{self.unit}" if self.unit else ""
-        return f"{number(size, 2)} {unit.replace('*', ' ')}{per} · {written}"
+        return f"{number(size, 2)} {unit.replace('*', ' ')}{per} · {expression}"
 
 
 def short_law_of(record: ForceRecord) -> tuple[str, ...]:
@@ -61,27 +61,29 @@ def short_law_of(record: ForceRecord) -> tuple[str, ...]:
         return ()
     block = record.blocks(_BLOCK)
     beside = _parameters_do(record)
-    chosen: list[ShortTerm] = []
+    selection: list[ShortTerm] = []
     shares: list[float] = []
-    tried = list(short_terms(record))
+    candidates = list(short_terms(record))
     for least in (_FIRST, _SECOND):
         best, share = None, shares[-1] if shares else 0.0
         goal = share + least
-        for term in tried:
-            explained = 1 - _left(record, block, [beside, *(t.columns for t in (*chosen, term))])
-            if explained > max(goal, share):
-                best, share = term, explained
+        for term in candidates:
+            explained_share = 1 - _residual_share(
+                record, block, [beside, *(t.columns for t in (*selection, term))]
+            )
+            if explained_share > max(goal, share):
+                best, share = term, explained_share
         if best is None:
             break
-        chosen.append(best)
+        selection.append(best)
         shares.append(share)
-    if not chosen:
+    if not selection:
         return ()
-    sizes = _sizes(record, [beside, *(term.columns for term in chosen)])
+    sizes = _sizes(record, [beside, *(term.columns for term in selection)])
     what = _whats_missing(record.location)
-    formulas = [term.formula(s, record.unit) for term, s in zip(chosen, sizes, strict=True)]
+    formulas = [term.formula(s, record.unit) for term, s in zip(selection, sizes, strict=True)]
     text = f"The closest short law is {formulas[0]}"
-    if len(chosen) > 1:
+    if len(selection) > 1:
         text += f", {percent(shares[0])} {what} on held-out data; with "
         text += f"{formulas[1]} it is {percent(shares[1])}."
     else:
@@ -98,7 +100,7 @@ def _whats_missing(location: str) -> str:
     )
 
 
-def _left(record: ForceRecord, block: IntArray, columns: list[FloatArray]) -> float:
+def _residual_share(record: ForceRecord, block: IntArray, columns: list[FloatArray]) -> float:
     """Share of the force's energy that a regression leaves on blocks that it has not seen."""
     target = record.force[:, None]
     errors = held_out_errors(np.hstack(columns), target, block, penalties=(_PENALTY,))
@@ -109,9 +111,9 @@ def _sizes(record: ForceRecord, columns: list[FloatArray]) -> list[FloatArray]:
     """Of the columns of each term, without those of what stands beside them."""
     phi = np.hstack([*columns, np.ones((len(record.force), 1))])
     scale = np.maximum(np.linalg.norm(phi, axis=0), 1e-300)
-    found = np.linalg.lstsq(phi / scale, record.force, rcond=1e-6)[0] / scale
+    coefficients = np.linalg.lstsq(phi / scale, record.force, rcond=1e-6)[0] / scale
     ends = np.cumsum([c.shape[1] for c in columns])
-    return [found[a:b] for a, b in pairwise(ends.tolist())]
+    return [coefficients[a:b] for a, b in pairwise(ends.tolist())]
 
 
 def _parameters_do(record: ForceRecord) -> FloatArray:
@@ -172,8 +174,8 @@ def _of_rotors(record: ForceRecord, axis: str, other: str) -> Iterator[ShortTerm
     if rotor in record.speeds:
         w, name = record.speeds[rotor], _SPEEDS[rotor]
         thrust, unit = w * np.abs(w), "rad²/s²"
-        for turned, angle in record.angles.items():
-            symbol = _GREEK[turned]
+        for angle_axis, angle in record.angles.items():
+            symbol = _GREEK[angle_axis]
             yield _term(f"{name}|{name}| sin² {symbol}", unit, thrust * np.sin(angle) ** 2)
             yield _term(f"{name}|{name}| sin {symbol}", unit, thrust * np.sin(angle))
         yield _term(f"|{name}|³ sgn {name}", "rad³/s³", w**3)
