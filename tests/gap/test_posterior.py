@@ -167,6 +167,30 @@ def test_scores_keep_their_order_when_a_further_effect_counts_more():
     assert scores["none_of_these",] < 400.0
 
 
+def test_what_a_further_effect_adds_speaks_for_no_other_competitor():
+    """Of a real rig a steady second delay once lifted a law whose score came from one block."""
+    one_block = np.array([380.0, 0.0, 10.0, 0.0, 10.0])
+    first, steady = np.array([0.0, 250.0, 10.0, 20.0, 20.0]), np.full(5, 19.0)
+    blocks = np.stack([first, one_block, first + steady, first + 2 * steady])
+    case = replace(
+        features(behind=900.0),
+        names=(("a",), ("b",), ("a", "c"), ("a", "c", "d")),
+        scores=blocks.sum(axis=1),
+        behinds=np.zeros(4),
+        sizes=np.array([1, 1, 2, 3]),
+        surprises=np.zeros(4),
+        errors=np.ones(4),
+        deviations=np.array([belief.standard_error(b) for b in blocks]),
+        by_block=blocks,
+    )
+    scores = {n: row["score"] for n, row in alternatives(case).items() if n in case.names}
+    share = scores["b",] / 400.0
+    assert share < 0.5
+    assert scores["a",] == pytest.approx(300.0 * share)
+    assert scores["a", "c"] == pytest.approx(395.0 * share)  # b explains more
+    assert scores["a", "c", "d"] == pytest.approx(490.0 * share + 190.0 * (1 - share))
+
+
 def test_stribeck_friction_without_an_excess_is_coulomb_friction():
     model = Newtonian()
     both = {n: effect(n) for n in ("yaw_stribeck_friction", "yaw_coulomb_friction")}

@@ -224,8 +224,8 @@ def _tempered(features: Features) -> Features:
     twice the square of its own signal-to-noise ratio. Where the blocks scatter by much more than
     their excitation explains, the likelihood is no likelihood, and all scores are taken for shares
     of it (quasi-likelihood: McCullagh 1983, Annals of Statistics 11). What a further effect gains
-    beside others is judged by the scatter of that gain. The order of the scores is kept, and so is
-    the lead of the flexible competitor.
+    beside others is judged by the scatter of that gain; leads of what explains more, of the
+    flexible competitor as well, are kept.
     """
     finite = np.isfinite(features.scores)
     if not (finite.any() and len(features.deviations)):
@@ -235,23 +235,26 @@ def _tempered(features: Features) -> Features:
     if not (score > 0 and deviation > 0):
         return features
     share = _credible(score, deviation)
-    scores, counted = features.scores, share * features.scores
+    scores, lifts = features.scores, np.zeros(len(features.scores))
     sets = [frozenset(name) for name in features.names]
-    order = [i for i in np.argsort(scores).tolist() if np.isfinite(scores[i])]
-    for place, i in enumerate(order):
-        for j in order[:place]:
-            own = share
-            if sets[j] < sets[i] and scores[j] > 0 and len(features.by_block):
+    by_size = sorted(np.flatnonzero(finite).tolist(), key=lambda i: len(sets[i]))
+    for i in by_size if len(features.by_block) else ():
+        for j in by_size:
+            if sets[j] < sets[i] and 0 < scores[j] < scores[i]:
                 # blocks in which the first effect shows more, as they always do, say nothing
                 # against a further one
-                apart = features.by_block[i] - features.by_block[j]
-                own = max(share, _credible(float(scores[i] - scores[j]), standard_error(apart)))
-            counted[i] = max(counted[i], counted[j] + own * (scores[i] - scores[j]))
-    free = share * features.flexible
-    for i in order:
-        if scores[i] < features.flexible:
-            free = max(free, float(counted[i] + share * (features.flexible - scores[i])))
-    return replace(features, scores=counted, flexible=free)
+                gain, blocks = scores[i] - scores[j], features.by_block[i] - features.by_block[j]
+                own = max(share, _credible(float(gain), standard_error(blocks)))
+                lifts[i] = max(lifts[i], lifts[j] + (own - share) * gain)
+    # it is of no use to others, and takes no lead from what explains more
+    descending = np.argsort(-scores)[: len(by_size)]
+    lifts[descending] = np.minimum.accumulate(lifts[descending])
+    lead = np.max(lifts[finite & (scores < features.flexible)], initial=0.0)
+    return replace(
+        features,
+        scores=share * scores + lifts,
+        flexible=share * features.flexible + float(lead),
+    )
 
 
 def _credible(score: float, deviation: float) -> float:
