@@ -304,6 +304,7 @@ class Windows:
         self._estimators = [
             StartEstimator(self.rollout, dataset, first) for dataset, first, _ in self._of_dataset
         ]
+        self._latest: tuple[FloatArray, list[Starts]] = (np.zeros(0), [])
         #: (m, c) array of bool; which samples belong to a window
         self.inside: BoolArray = np.arange(int(self.count.max()))[None] < self.count[:, None]
         #: Standard deviation of each output's noise as declared, (m, n_y), and what was measured,
@@ -391,7 +392,12 @@ class Windows:
         return full, np.concatenate(slopes)
 
     def _estimated(self, p: FloatArray) -> list[Starts]:
-        return [estimator.at(p) for estimator in self._estimators]
+        # starts and the input's memory at them are asked for one after the other
+        point, starts = self._latest
+        if not np.array_equal(point, p):
+            starts = [estimator.at(p) for estimator in self._estimators]
+            self._latest = (p.copy(), starts)
+        return starts
 
     def _spread(self) -> FloatArray:
         model = self.problem.model
