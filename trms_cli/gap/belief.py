@@ -246,7 +246,7 @@ def _tempered(features: Features) -> Features:
                 gain, blocks = scores[i] - scores[j], features.by_block[i] - features.by_block[j]
                 own = max(share, _credible(float(gain), standard_error(blocks)))
                 lifts[i] = max(lifts[i], lifts[j] + (own - share) * gain)
-    # it is of no use to others, and takes no lead from what explains more
+    # what a set is spared lifts no other, and takes no lead from what explains more
     descending = np.argsort(-scores)[: len(by_size)]
     lifts[descending] = np.minimum.accumulate(lifts[descending])
     lead = np.max(lifts[finite & (scores < features.flexible)], initial=0.0)
