@@ -78,6 +78,30 @@ def test_windows_join(plain):
     np.testing.assert_array_equal(rest.ends, whole.ends)
 
 
+def test_states_that_are_put_right_are_carried_on_from_sample_to_sample(plain):
+    at, p = np.array([0, 25, 25, 60, 99]), plain.model.parameters.values
+    states = np.full((5, plain.n_x), np.nan)
+    states[0] = starts(plain)[0]
+    states[1:, 0] = [0.1, 0.2, 0.3, 0.4]
+    simulated = plain.carried(commands(), at, states, p)
+    expected = states.copy()
+    for j, count in enumerate(np.diff(at)):
+        end = expected[j]
+        if count:
+            end = plain.outputs(commands(), [at[j]], [count], expected[j : j + 1], p).ends[0]
+        expected[j + 1, 1:] = end[1:]
+    np.testing.assert_array_equal(simulated, expected)
+
+
+def test_what_diverges_is_not_carried_on(plain):
+    states = np.full((2, plain.n_x), np.nan)
+    states[0] = starts(plain)[0]
+    states[0, 1] = 1e300
+    after = plain.carried(commands(), np.array([0, 40]), states, plain.model.parameters.values)[1]
+    assert np.isfinite(after).all()
+    assert after[1] == 1e300
+
+
 @pytest.mark.parametrize("column", range(6 + len(FREE)))
 def test_slopes_are_those_of_the_simulation(plain, column):
     x0, p = starts(plain), plain.model.parameters.values
@@ -123,6 +147,11 @@ def test_with_and_without_a_compiler(plain, no_compiler):
     ):
         for a, b in zip(compiled, slow, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
+    states = np.full((3, plain.n_x), np.nan)
+    states[0], states[1:, 0] = starts(plain)[0], 0.2
+    p = plain.model.parameters.values
+    a, b = (rollout.carried(commands(), FIRST, states, p) for rollout in (plain, interpreted))
+    np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
 
 
 def test_without_a_compiler_threads_do_not_mix(no_compiler):

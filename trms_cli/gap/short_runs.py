@@ -120,7 +120,7 @@ class ShortRuns:
         for _ in range(_CORRECTIONS if rotors else 0):
             with np.errstate(all="ignore"):
                 is_measured = self.windows.measured[:, :first]
-                away = self.windows.residuals(p, starts).r[:, :first].sum(axis=1)
+                away = self.windows.opening_residuals(p, starts, first).sum(axis=1)
                 away /= np.maximum(is_measured.sum(axis=1), 1)
             for e in rotors:
                 row = self.model.state_index(self.model.outputs[e.output].name)

@@ -141,6 +141,29 @@ class Rollout:
         self._share(call, self._plain, self._outputs_of, (y, ends))
         return SimulatedWindows(y, ends)
 
+    def carried(
+        self, commands: FloatArray, at: IntArray, states: FloatArray, p: FloatArray
+    ) -> FloatArray:
+        """States at some samples of one simulation through all of them, (m, n_x).
+
+        ``at``: (m,) array; ascending. ``states``: (m, n_x) array; what is put right at each, NaN
+        where the model carries on from the sample before; the first has none. ``p``: (n_p,) array.
+        A component that diverges stays as it was.
+        """
+        after = np.ascontiguousarray(states, dtype=float).copy()
+        if self._plain.library is not None:
+            call = self._call(commands, at, np.ones(len(at)), after, p)
+            pointers = map(_pointer, (call.first, call.commands, after, call.p))
+            self._plain.library.trms_carry(ctypes.c_longlong(len(at)), *pointers)
+            return after
+        for j, (begin, end) in enumerate(pairwise(at.tolist())):
+            now = after[j]
+            if end > begin:
+                now = self.outputs(commands, [begin], [end - begin], now[None], p).ends[0]
+                now = np.where(np.isfinite(now), now, after[j])
+            after[j + 1] = np.where(np.isnan(after[j + 1]), now, after[j + 1])
+        return after
+
     def sensitivities(
         self,
         commands: FloatArray,

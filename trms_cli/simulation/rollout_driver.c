@@ -13,6 +13,27 @@ static int finite_state(const double *x) {
 }
 
 #ifndef NF
+/* States x at some samples, ascending: x holds NaN where the model carries on from the sample
+ * before, of which a component that is no longer finite stays as it was. */
+void trms_carry(long long windows, const long long *first, const double *commands, double *x,
+                const double *p) {
+  double now[NX], next[NX], w[SZ_W + 1];
+  const double *arg[SZ_ARG + 1];
+  double *res[SZ_RES + 1];
+  long long iw[SZ_IW + 1];
+  for (long long j = 1; j < windows; ++j, x += NX) {
+    memcpy(now, x, sizeof now);
+    for (long long k = first[j - 1]; k < first[j] && finite_state(now); ++k)
+      for (int s = 0; s < SUBSTEPS; ++s) {
+        arg[0] = now; arg[1] = commands + k * NU; arg[2] = p; res[0] = next;
+        rollout_step(arg, res, iw, w, 0);
+        memcpy(now, next, sizeof now);
+      }
+    for (int i = 0; i < NX; ++i)
+      if (isnan(x[NX + i])) x[NX + i] = isfinite(now[i]) ? now[i] : x[i];
+  }
+}
+
 void trms_rollout(long long windows, const long long *first, const long long *count,
                   const double *commands, const double *starts, const double *p, double *y,
                   double *ends) {

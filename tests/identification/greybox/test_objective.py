@@ -15,10 +15,11 @@ from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.objective import MapObjective, ResidualWeights, sizes
-from trms_cli.identification.greybox.windows import Windows
+from trms_cli.identification.greybox.windows import StartEstimator, Windows
 from trms_cli.identification.problem import FitProblem, free_parameters
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.simulation.rollout import Rollout
 
 RANGES = [(0.4, 1.5)]
 
@@ -121,6 +122,27 @@ def test_what_sensors_remember_is_free_and_samples_that_are_not_seen_count_for_n
     assert not np.array_equal(
         late.windows.residuals(p, moved).r, late.windows.residuals(p, starts).r
     )
+
+
+@pytest.mark.parametrize("first", [np.arange(0, 500, 50), np.arange(20, 500, 60)])
+def test_starts_at_once_are_those_of_one_after_another(first):
+    """What is measured is put right at all starts together where nothing else decides it."""
+    rig = Newtonian()
+    dataset = recording(rig, ranges=[*RANGES, (-0.5, 0.5)])[0]
+    effects = {
+        "tail_actuator_lag": ActuatorLag(rotor="tail", time_constant=0.1),
+        "main_input_delay": InputDelay(rotor="main", delay=0.05),
+        "main_supply_derating": SupplyDerating(rotor="main", depth=0.1, time_constant=5.0),
+    }
+    model = extend_model(rig, effects)
+    estimator = StartEstimator(Rollout(model, dataset.sample_time), dataset, first)
+    assert estimator._at_once
+    p = model.parameters.values
+    together = estimator.at(p)
+    estimator._at_once = False
+    in_turn = estimator.at(p)
+    np.testing.assert_allclose(together.states, in_turn.states, rtol=1e-9, atol=1e-12)
+    assert together.memory_slopes.shape == in_turn.memory_slopes.shape
 
 
 def test_starts_are_near_the_truth_also_of_rotors_that_are_not_measured(vertical, recorded):

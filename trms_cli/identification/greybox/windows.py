@@ -88,21 +88,19 @@ class StartEstimator:
         command = dataset.commands[0]
         self._opening = rollout.initial(resting_state(model, seen, command), command)
         measured = bool(np.isfinite(self._values[:, self._columns]).all())
-        #: Whether measurements tell every state, so that nothing before a window matters
-        self._fully_measured = (
-            measured and rollout.n_x == len(self._rows) + self._kinematics.determined
+        #: Whether all that is put right at the starts follows from the measurements there alone
+        self._at_once = (
+            measured
+            and self._kinematics.follows_from(self._rows)
+            and not (rollout.n_x > rollout.n_free and rollout.free)
         )
 
     def at(self, p: FloatArray) -> Starts:
         """The starts with all parameters at ``p``, shape (n_p,)."""
         rollout, model = self._rollout, self._rollout.model
         n = model.n_x
-        if self._fully_measured:
-            x = np.tile(self._opening, (len(self._first), 1))
-            x[:, self._rows] = self._values[:, self._columns]
-            moving = dict(zip(self._rows.tolist(), self._rates[:, self._columns].T, strict=True))
-            x = self._kinematics.with_all_rates(x, self._commands[self._first], moving, p)
-            return Starts(x, np.zeros((len(x), 0, len(rollout.free))))
+        if self._at_once:
+            return self._all_at_once(p)
         state, slopes = self._opening, np.zeros((rollout.n_x - rollout.n_free, len(rollout.free)))
         states, memories, at = [], [], 0
         for j, sample in enumerate(self._first):
@@ -121,6 +119,25 @@ class StartEstimator:
             states.append(state)
             memories.append(slopes)
         return Starts(np.array(states), np.array(memories))
+
+    def _all_at_once(self, p: FloatArray) -> Starts:
+        rollout, n = self._rollout, self._rollout.model.n_x
+        m, momenta = len(self._first), self._kinematics.momenta
+        states = np.full((m, rollout.n_x), np.nan)
+        states[:, self._rows] = self._values[:, self._columns]
+        known = np.tile(self._opening[:n], (m, 1))
+        known[:, self._rows] = states[:, self._rows]
+        moving = dict(zip(self._rows.tolist(), self._rates[:, self._columns].T, strict=True))
+        known = self._kinematics.with_all_rates(known, self._commands[self._first], moving, p)
+        states[:, momenta] = known[:, momenta]
+        no_slopes = np.zeros((m, rollout.n_x - rollout.n_free, len(rollout.free)))
+        if np.isfinite(states).all():
+            return Starts(states, no_slopes)
+        if self._first[0] == 0:
+            states[0] = np.where(np.isnan(states[0]), self._opening, states[0])
+            return Starts(rollout.carried(self._commands, self._first, states, p), no_slopes)
+        at, states = np.append(0, self._first), np.vstack([self._opening, states])
+        return Starts(rollout.carried(self._commands, at, states, p)[1:], no_slopes)
 
 
 def _carried(
@@ -146,20 +163,20 @@ def _carried(
 def _polynomials(dataset: Dataset, first: IntArray) -> tuple[FloatArray, FloatArray]:
     """Value and rate of each output at some samples, each (m, n_y); NaN where nothing is near."""
     reach = max(_FEWEST, round(_REACH / dataset.sample_time))
-    n_y = dataset.measurements.shape[1]
-    values, rates = np.full((len(first), n_y), np.nan), np.full((len(first), n_y), np.nan)
-    for j, sample in enumerate(first):
-        low, high = max(0, sample - reach), min(len(dataset), sample + reach + 1)
-        t = (np.arange(low, high) - sample) * dataset.sample_time
-        for i in range(n_y):
-            y = dataset.measurements[low:high, i]
-            here = np.isfinite(y)
-            if np.count_nonzero(here) < 3:
-                continue
-            basis = np.vander(t[here] / (reach * dataset.sample_time), 3, increasing=True)
-            fit, *_ = np.linalg.lstsq(basis, y[here], rcond=None)
-            values[j, i], rates[j, i] = fit[0], fit[1] / (reach * dataset.sample_time)
-    return values, rates
+    t = np.arange(-reach, reach + 1)
+    at = first[:, None] + t
+    inside = (at >= 0) & (at < len(dataset))
+    near = dataset.measurements[np.clip(at, 0, len(dataset) - 1)].swapaxes(1, 2)
+    measured = np.isfinite(near) & inside[:, None]
+    basis = np.vander(t / reach, 3, increasing=True)
+    # where every sample is there, which is nearly everywhere, one inverse does for all
+    fits = np.where(measured, near, 0.0) @ np.linalg.pinv(basis).T
+    for j, i in np.argwhere(~measured.all(axis=2)):
+        here = measured[j, i]
+        fits[j, i] = np.nan
+        if np.count_nonzero(here) >= 3:
+            fits[j, i] = np.linalg.lstsq(basis[here], near[j, i, here], rcond=None)[0]
+    return fits[..., 0], fits[..., 1] / (reach * dataset.sample_time)
 
 
 class _Kinematics:
@@ -177,7 +194,9 @@ class _Kinematics:
         if model.sample_time is None and self._angles and self._momenta:
             x, u, q, w = model.symbols()
             rate = model.dynamics(x, u, q, w)[self._angles]
-            slope = ca.jacobian(rate, ca.vertcat(*[x[i] for i in self._momenta]))
+            slopes = ca.jacobian(rate, x)
+            slope = slopes[:, self._momenta]
+            self._depends_on = set(slopes.sparsity().get_triplet()[1])
             # not compiled: it is a few operations, and other ones for every model
             self._function = ca.Function("rate", [x, u, q, w], [rate, slope])
             self._rate = BufferedFunction(self._function, compile=False)
@@ -186,9 +205,17 @@ class _Kinematics:
             self._momenta = []
 
     @property
-    def determined(self) -> int:
-        """Number of momenta that the angles' rates tell, if all are measured."""
-        return len(self._momenta) if len(self._momenta) == len(self._angles) else -1
+    def momenta(self) -> list[int]:
+        """Positions of the momenta that the angles' rates tell."""
+        return self._momenta
+
+    def follows_from(self, measured: IntArray) -> bool:
+        """Whether the momenta, if there are any, follow from those states and their rates alone."""
+        if not self._momenta:
+            return True
+        if len(self._momenta) != len(self._angles) or not set(self._angles) <= set(measured):
+            return False
+        return self._depends_on <= {*measured.tolist(), *self._momenta}
 
     def with_all_rates(
         self, x: FloatArray, u: FloatArray, rates: dict[int, FloatArray], p: FloatArray
@@ -199,8 +226,8 @@ class _Kinematics:
         """
         m, angles = len(x), self._angles
         given = np.repeat(p[:, None], m, axis=1), np.zeros((self._model.n_w, m))
-        found = self._function.map(m)(x.T, u.T, *given)
-        now, slope = (np.asarray(ca.DM(value).full()) for value in found)
+        values = self._function.map(m)(x.T, u.T, *given)
+        now, slope = (np.asarray(ca.DM(value).full()) for value in values)
         slopes = slope.T.reshape(m, len(angles), len(angles)).swapaxes(1, 2)
         wanted = np.array([rates[row] for row in angles]) - now
         after = x.copy()
@@ -354,17 +381,27 @@ class Windows:
         j, dends = self._in_model_states(j, dends, memory_slopes)
         return Residuals(self._compared(y), j, ends[:, : self.n_x], dends)
 
-    def _compared(self, y: FloatArray) -> FloatArray:
-        return np.where(self.measured, self._by_window(y) - self.target, 0.0)
+    def opening_residuals(self, p: FloatArray, starts: FloatArray, samples: int) -> FloatArray:
+        """``r`` of :meth:`residuals` at the first samples of each window, (m, samples, n_y)."""
+        x, _ = self._with_memory(p, starts)
+        count = np.minimum(self.count, samples)
+        return self._compared(
+            self.rollout.outputs(self._commands, self.first, count, x, p).y, samples
+        )
 
-    def _by_window(self, rows: FloatArray) -> FloatArray:
+    def _compared(self, y: FloatArray, samples: int | None = None) -> FloatArray:
+        here = np.s_[:, :samples]
+        return np.where(self.measured[here], self._by_window(y, samples) - self.target[here], 0.0)
+
+    def _by_window(self, rows: FloatArray, samples: int | None = None) -> FloatArray:
         """Rows of one window after another as (m, c, …); zero past the end of a short one."""
-        shape = (*self.inside.shape, *rows.shape[1:])
-        if self.inside.all():
+        inside = self.inside[:, :samples]
+        shape = (*inside.shape, *rows.shape[1:])
+        if inside.all():
             return rows.reshape(shape)
-        found = np.zeros(shape)
-        found[self.inside] = rows
-        return found
+        values = np.zeros(shape)
+        values[inside] = rows
+        return values
 
     def _in_model_states(
         self, j: FloatArray, dends: FloatArray, memory_slopes: FloatArray | None
