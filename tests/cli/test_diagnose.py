@@ -45,7 +45,7 @@ def trms(lab: Path) -> Callable[..., Done]:
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether pitch has another zero is asked of a few samples: what is asked takes its time."""
-    monkeypatch.setattr("trms_cli.identification.admission._SPARSE", 60)
+    monkeypatch.setattr("trms_cli.identification.admission.motion._SPARSE", 60)
 
 
 @pytest.fixture

@@ -9,7 +9,9 @@ import pytest
 
 from tests.recordings.played_rig import BENCH, SIGNALS, play
 from trms_cli.core.errors import RecordingError
-from trms_cli.identification.admission import admit, issues_by_model, merge_admissions
+from trms_cli.identification.admission.admit import admit
+from trms_cli.identification.admission.issues import merge_admissions
+from trms_cli.identification.admission.motion import issues_by_model
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.recorded_motion import RecordedMotions

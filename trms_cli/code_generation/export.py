@@ -58,11 +58,11 @@ def example_rows(
     for k in range(samples):
         x = full[: model.n_x].copy()
         w = _TORQUE_SD * draw.standard_normal(model.n_w)
-        seen = references[k : k + preview + 1]
-        sample = ControlSample(k * period, seen, Estimate(x, 0 * x, w, 0 * w), u)
-        chosen = controller.step(state, sample, want_prediction=False).u
-        rows.append(np.concatenate([x, w, seen.ravel(), u, chosen]))
-        u = chosen
+        window = references[k : k + preview + 1]
+        sample = ControlSample(k * period, window, Estimate(x, 0 * x, w, 0 * w), u)
+        u_next = controller.step(state, sample, want_prediction=False).u
+        rows.append(np.concatenate([x, w, window.ravel(), u, u_next]))
+        u = u_next
         full = step.evaluate(full, u, p, still)[0].copy()
     return np.array(rows)
 

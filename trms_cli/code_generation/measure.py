@@ -95,7 +95,7 @@ def _number(word: str | None) -> float | None:
 
 def _run(command: list[str], folder: Path) -> str:
     try:
-        done = subprocess.run(
+        result = subprocess.run(
             command, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -104,22 +104,23 @@ def _run(command: list[str], folder: Path) -> str:
             where="measure",
             remedy="measure=false writes the source alone",
         ) from error
-    if done.returncode:
+    if result.returncode:
         raise TrmsError(
-            f"{Path(command[0]).name} ended with {done.returncode}: {done.stderr.strip()[:600]}",
+            f"{Path(command[0]).name} ended with {result.returncode}: "
+            f"{result.stderr.strip()[:600]}",
             where="measure",
             remedy="measure=false writes the source alone",
         )
-    return done.stdout
+    return result.stdout
 
 
 def _knows(compiler: str, flag: str, folder: Path) -> bool:
     command = [compiler, flag, "-Werror", "-x", "c", "-c", os.devnull, "-o", "probe.o"]
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, timeout=60, check=False)
+        result = subprocess.run(command, cwd=folder, capture_output=True, timeout=60, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return done.returncode == 0
+    return result.returncode == 0
 
 
 def _sizes(file: Path, folder: Path) -> tuple[int | None, int | None]:

@@ -236,9 +236,9 @@ def generate_source(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
     """C source of functions, by the names they get there. Inputs and outputs are dense."""
     dense: dict[str, ca.Function] = {}
     for name, function in functions.items():
-        taken = {other.name() for other in dense.values()}
+        used_names = {other.name() for other in dense.values()}
         dense[name] = densify_outputs(
-            function, f"{function.name()}_{len(dense)}" if function.name() in taken else None
+            function, f"{function.name()}_{len(dense)}" if function.name() in used_names else None
         )
     generator = ca.CodeGenerator("functions.c")
     for function in dense.values():
@@ -447,10 +447,10 @@ def _definitions(sizes: Mapping[str, tuple[int, str]], name: str, period: float)
 def _scratch(
     code: GeneratedFunctions, names: Iterable[str], prefix: str
 ) -> dict[str, tuple[int, str]]:
-    chosen = [code.functions[name] for name in names]
+    selection = [code.functions[name] for name in names]
     return {
-        f"{prefix}SZ_W": (max(f.sz_w() for f in chosen), "numbers of scratch"),
-        f"{prefix}SZ_IW": (max(f.sz_iw() for f in chosen), "whole ones"),
+        f"{prefix}SZ_W": (max(f.sz_w() for f in selection), "numbers of scratch"),
+        f"{prefix}SZ_IW": (max(f.sz_iw() for f in selection), "whole ones"),
     }
 
 

@@ -95,13 +95,13 @@ def resting_step(model: Model, outputs: tuple[str, ...]) -> ca.Function:
     """
     equations = rest_equations(model)
     rows = list(equations.unknowns)
-    known = {name for name in outputs if name in model.state_names}
-    unknown = [k for k, i in enumerate(rows) if model.state_names[i] not in known]
+    measured_names = {name for name in outputs if name in model.state_names}
+    unknown = [k for k, i in enumerate(rows) if model.state_names[i] not in measured_names]
     _, u, p, w = model.symbols()
     s = ca.SX.sym("s", len(rows))
     after, largest = ca.SX(s), ca.SX(0)
     if unknown:
-        weights = ca.DM(equation_weights(model, rows, known))
+        weights = ca.DM(equation_weights(model, rows, measured_names))
         f = weights * ca.substitute(equations.residual(s, u, p, w), w, ca.SX.zeros(model.n_w))
         slope = ca.densify(ca.jacobian(f, s)[:, unknown])
         scale = ca.fmax(ca.sqrt(ca.sum1(slope**2)).T, 1e-12)

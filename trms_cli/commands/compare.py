@@ -53,17 +53,17 @@ def main(argv: list[str]) -> int:
     options.add_argument("--metric", choices=METRICS, default="rmse")
     options.add_argument("--sort", choices=SORTS, default="rank")
     options.add_argument("--json", action="store_true")
-    given = options.parse_args(argv)
-    gathered = runs_from(given.paths, _where(given.where, options))
+    arguments = options.parse_args(argv)
+    gathered = runs_from(arguments.paths, _where(arguments.where, options))
     from trms_cli.scoring.comparison.findings import pair, pair_findings, ranking_findings
 
-    if len(gathered.runs) == 2 and not given.by:
+    if len(gathered.runs) == 2 and not arguments.by:
         findings = pair_findings(pair(*gathered.runs))
     else:
-        by = [key for key in given.by.split(",") if key]
-        ranking = ranking_of(gathered, by, given.metric, given.paths)
-        findings = ranking_findings(ranking, gathered, sort_standings(ranking, given.sort))
-    if given.json:
+        by = [key for key in arguments.by.split(",") if key]
+        ranking = ranking_of(gathered, by, arguments.metric, arguments.paths)
+        findings = ranking_findings(ranking, gathered, sort_standings(ranking, arguments.sort))
+    if arguments.json:
         print_json(findings.results, allow_nan=False)
         return EXIT_OK
     from trms_cli.reporting.screen import show
@@ -72,11 +72,11 @@ def main(argv: list[str]) -> int:
     return EXIT_OK
 
 
-def _where(given: Sequence[str], options: PlainOptions) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
-    for word in given:
+def _where(conditions: Sequence[str], options: PlainOptions) -> dict[str, list[str]]:
+    values_by_key: dict[str, list[str]] = {}
+    for word in conditions:
         key, equals, values = word.partition("=")
         if not (key and equals and values):
             options.error(f"--where {word!r} names no KEY=VALUE")
-        found.setdefault(key, []).extend(values.split(","))
-    return found
+        values_by_key.setdefault(key, []).extend(values.split(","))
+    return values_by_key

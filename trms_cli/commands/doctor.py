@@ -77,10 +77,10 @@ def _report(findings: Sequence[Check], usable: bool) -> str:
 
 
 def _python() -> list[Check]:
-    found = f"{sys.version.split()[0]} at {sys.executable}"
+    finding = f"{sys.version.split()[0]} at {sys.executable}"
     if sys.version_info < OLDEST_PYTHON:
-        return [Check("Python", BROKEN, found, "install Python 3.11 or newer")]
-    return [Check("Python", OK, found)]
+        return [Check("Python", BROKEN, finding, "install Python 3.11 or newer")]
+    return [Check("Python", OK, finding)]
 
 
 def _packages() -> list[Check]:
@@ -140,8 +140,8 @@ def _compiler() -> list[Check]:
     except (OSError, subprocess.TimeoutExpired) as error:
         return [Check("C compiler", SLOWER, f"{program} does not start: {error}", remedy)]
     if not _builds():
-        found = f"{version}: does not build a generated function"
-        return [Check("C compiler", SLOWER, found, remedy)]
+        finding = f"{version}: does not build a generated function"
+        return [Check("C compiler", SLOWER, finding, remedy)]
     return [Check("C compiler", OK, f"{version}; a generated function builds and loads")]
 
 
@@ -157,8 +157,8 @@ def _builds() -> bool:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TRMS_CACHE"] = folder
         try:
-            built = compilation.compile_function(function)
-            return built is not function and float(built(0.0)) == 0.0
+            compiled_function = compilation.compile_function(function)
+            return compiled_function is not function and float(compiled_function(0.0)) == 0.0
         finally:
             if before is None:
                 del os.environ["TRMS_CACHE"]
@@ -175,22 +175,22 @@ def _cache() -> list[Check]:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        found = f"{folder} cannot be written ({error.strerror}): functions are interpreted"
+        finding = f"{folder} cannot be written ({error.strerror}): functions are interpreted"
         remedy = "make it writable, or set TRMS_CACHE to a folder that is"
-        return [Check("cache", SLOWER, found, remedy)]
+        return [Check("cache", SLOWER, finding, remedy)]
     return [Check("cache", OK, str(folder))]
 
 
 def _disk() -> list[Check]:
     here = Path.cwd()
     free = shutil.disk_usage(here).free
-    found = f"{free / 1e9:.1f} GB free in {here}"
+    finding = f"{free / 1e9:.1f} GB free in {here}"
     if not os.access(here, os.W_OK):
         remedy = "change to a folder that you can write to, or give runs an out=FOLDER"
         return [Check("disk", SLOWER, f"{here} cannot be written", remedy)]
     if free < LOW_DISK:
-        return [Check("disk", SLOWER, found, "free some space: a log takes about 10 MB")]
-    return [Check("disk", OK, found)]
+        return [Check("disk", SLOWER, finding, "free some space: a log takes about 10 MB")]
+    return [Check("disk", OK, finding)]
 
 
 def _cores() -> list[Check]:
@@ -201,7 +201,7 @@ def _cores() -> list[Check]:
 def _terminal() -> list[Check]:
     encoding = sys.stdout.encoding or "unknown"
     kind = "a terminal" if sys.stdout.isatty() else "not a terminal: no colour, no progress bar"
-    found = f"{encoding}, {kind}, {shutil.get_terminal_size().columns} columns"
+    finding = f"{encoding}, {kind}, {shutil.get_terminal_size().columns} columns"
     if encoding.lower().replace("-", "") != "utf8":
-        return [Check("terminal", SLOWER, found, "export PYTHONUTF8=1 to see α, ω and arrows")]
-    return [Check("terminal", OK, found)]
+        return [Check("terminal", SLOWER, finding, "export PYTHONUTF8=1 to see α, ω and arrows")]
+    return [Check("terminal", OK, finding)]

@@ -59,7 +59,7 @@ def study(command: str, composition: Composition, task: Callable[..., Done], **h
         return as_job(composition, task, **how)
     screen = Screen(command)
     try:
-        done = task(composition, screen, **how)
+        result = task(composition, screen, **how)
     except Interrupted as stopped:
         if stopped.words:
             sys.stderr.write(stopped.words)
@@ -68,5 +68,5 @@ def study(command: str, composition: Composition, task: Callable[..., Done], **h
         if stopped.exit_code == EXIT_TERMINATED:
             raise Termination from None
         raise KeyboardInterrupt from None
-    screen.done(done)
-    return Outcome(done.exit_code, done.objective, done.folder)
+    screen.done(result)
+    return Outcome(result.exit_code, result.objective, result.folder)

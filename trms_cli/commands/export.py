@@ -58,37 +58,37 @@ def main(argv: list[str]) -> int:
     options.add_argument("--out", type=Path)
     options.add_argument("--layout", type=Path)
     options.add_flags("--force", "--json")
-    given = options.parse_args(argv)
-    if given.log is None and given.layout is None:
+    arguments = options.parse_args(argv)
+    if arguments.log is None and arguments.layout is None:
         options.error("the following arguments are required: LOG")
-    if given.layout is not None:
-        _write_layout(given.layout, force=given.force)
-        if given.log is None:
-            if given.json:
-                print(json.dumps({"schema": "trms.export/1", "layout": str(given.layout)}))
+    if arguments.layout is not None:
+        _write_layout(arguments.layout, force=arguments.force)
+        if arguments.log is None:
+            if arguments.json:
+                print(json.dumps({"schema": "trms.export/1", "layout": str(arguments.layout)}))
             else:
-                print(f"layout: {given.layout} (in Foxglove: Layout, Import from file)")
+                print(f"layout: {arguments.layout} (in Foxglove: Layout, Import from file)")
             return 0
-    given.log = log_of(given.log)
-    format_ = given.format or _format_of(given.out)
+    arguments.log = log_of(arguments.log)
+    format_ = arguments.format or _format_of(arguments.out)
     ending = "foxglove.mcap" if format_ == "foxglove" else format_
-    out = given.out or given.log.with_suffix(f".{ending}")
+    out = arguments.out or arguments.log.with_suffix(f".{ending}")
 
     from trms_cli.recordings.export import export_log
     from trms_cli.recordings.log_reader import read_log
 
-    log = read_log(given.log)
+    log = read_log(arguments.log)
     poses = None
     if format_ == "foxglove":
-        poses = _add_scene(log, out, force=given.force)
+        poses = _add_scene(log, out, force=arguments.force)
     else:
-        export_log(log, out, format_, force=given.force)
+        export_log(log, out, format_, force=arguments.force)
 
     topics = {name: len(table) for name, table in log.tables.items() if len(table)}
-    if given.json:
+    if arguments.json:
         document: dict[str, Any] = {
             "schema": "trms.export/1",
-            "log": str(given.log),
+            "log": str(arguments.log),
             "complete": log.complete,
             "problems": list(log.problems),
             "format": format_,
@@ -98,17 +98,17 @@ def main(argv: list[str]) -> int:
         }
         if poses is not None:
             document["poses"] = poses
-        if given.layout is not None:
-            document["layout"] = str(given.layout)
+        if arguments.layout is not None:
+            document["layout"] = str(arguments.layout)
         print_json(document)
         return 0
     for problem in log.problems:
-        print(f"note: {given.log}: {problem}")
+        print(f"note: {arguments.log}: {problem}")
     messages = ", ".join(f"{count} of {name}" for name, count in topics.items())
-    print(f"{given.log}: {log.duration_s:.6g} s; messages: {messages}")
+    print(f"{arguments.log}: {log.duration_s:.6g} s; messages: {messages}")
     print(f"{format_}: {out}" + ("" if poses is None else f" ({poses} poses)"))
-    if given.layout is not None:
-        print(f"layout: {given.layout} (in Foxglove: Layout, Import from file)")
+    if arguments.layout is not None:
+        print(f"layout: {arguments.layout} (in Foxglove: Layout, Import from file)")
     elif poses is not None:
         print("layout: trms export --layout trms.json writes one for Foxglove")
     return 0

@@ -70,18 +70,18 @@ def perform(composition: Composition) -> int:
 
     config = composition.config
     _check(config)
-    found = _exported(composition)
+    export = _exported(composition)
     folder = composition.folder("export-controller")
-    for name, content in found.files.items():
+    for name, content in export.files.items():
         write_whole(content, folder / name)
-    measured, reason = _measured(found, folder, config["measure"])
+    measured, reason = _measured(export, folder, config["measure"])
     command = shlex.join(["trms", "export-controller", *composition.overrides])
-    write_whole(found.readme(command, measured), folder / README_NAME)
-    write_document(found.document(command, measured), folder / DOCUMENT_NAME)
+    write_whole(export.readme(command, measured), folder / README_NAME)
+    write_document(export.document(command, measured), folder / DOCUMENT_NAME)
     if composition.job is not None:
         print(f"{composition.job:>4}  {' '.join(composition.overrides)}  {folder}")
         return EXIT_OK
-    for line in _lines(found, folder, measured, reason):
+    for line in _lines(export, folder, measured, reason):
         print(line)
     return EXIT_OK
 
@@ -191,29 +191,35 @@ def _check_observer(experiment: Experiment, option: str) -> None:
         )
 
 
-def _measured(found: Export, folder: Path, wanted: bool) -> tuple[ExampleMeasurement | None, str]:
+def _measured(
+    export: Export, folder: Path, is_requested: bool
+) -> tuple[ExampleMeasurement | None, str]:
     """What was measured, or why nothing was."""
     from trms_cli.code_generation.measure import measure
     from trms_cli.core.compilation import compiler
 
-    if not wanted:
+    if not is_requested:
         return None, "measure=false"
     program = compiler()
     if program is None:
         return None, "no C compiler found: `trms doctor` tells what to install"
     if sys.stderr.isatty():
         sys.stderr.write("compiling …\r")
-    return measure(folder, found.name, program), ""
+    return measure(folder, export.name, program), ""
 
 
 def _lines(
-    found: Export, folder: Path, measured: ExampleMeasurement | None, reason: str
+    export: Export, folder: Path, measured: ExampleMeasurement | None, reason: str
 ) -> list[str]:
-    sizes, name = found.source.sizes, found.name
+    sizes, name = export.source.sizes, export.name
     lines = [
-        f"{name}: newton_mpc of model {found.setup.model.name}, {sizes['N']} periods of "
-        f"{found.source.period:g} s, {sizes['N_Z']} unknowns"
-        + ("" if found.observer is None else f"; observer of {', '.join(found.observer.channels)}"),
+        f"{name}: newton_mpc of model {export.setup.model.name}, {sizes['N']} periods of "
+        f"{export.source.period:g} s, {sizes['N_Z']} unknowns"
+        + (
+            ""
+            if export.observer is None
+            else f"; observer of {', '.join(export.observer.channels)}"
+        ),
     ]
     if measured is None:
         lines.append(f"  not measured: {reason}")

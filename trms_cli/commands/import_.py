@@ -65,45 +65,49 @@ def main(argv: list[str]) -> int:
     options.add_argument("--delay", action="append", default=[], metavar="NAME=SECONDS")
     options.add_argument("--gaps", default="keep")
     options.add_argument("--resample", type=float)
-    given = options.parse_args(argv)
+    arguments = options.parse_args(argv)
 
     from trms_cli.core.errors import RecordingError
     from trms_cli.recordings.mcap_recording import sha256_of, write_mcap
     from trms_cli.recordings.read import read_recording
     from trms_cli.recordings.summary import summarise
 
-    if given.file.suffix.lower() == ".mcap" and _is_log(given.file):
+    if arguments.file.suffix.lower() == ".mcap" and _is_log(arguments.file):
         raise RecordingError(
-            "this is a log already", where=str(given.file), remedy="trms export turns it into CSV"
+            "this is a log already",
+            where=str(arguments.file),
+            remedy="trms export turns it into CSV",
         )
-    preparation = _preparation(given)
-    recording = read_recording(given.file)
-    log_path = given.out or Path(given.file.with_suffix(".mcap").name)
-    sha256 = sha256_of(given.file)
+    preparation = _preparation(arguments)
+    recording = read_recording(arguments.file)
+    log_path = arguments.out or Path(arguments.file.with_suffix(".mcap").name)
+    sha256 = sha256_of(arguments.file)
     summary = summarise(recording)
     prepared = preparation is not None
     parts = _prepared(preparation, recording)
     logs = [_numbered(log_path, k, len(parts)) for k in range(1, len(parts) + 1)]
-    known = {*recording.remarks, *summary.sentences}
-    done = [[remark for remark in part.remarks if remark not in known] for part in parts]
-    for part, path, remarks in zip(parts, logs, done, strict=True):
+    earlier_remarks = {*recording.remarks, *summary.sentences}
+    preparation_remarks = [
+        [remark for remark in part.remarks if remark not in earlier_remarks] for part in parts
+    ]
+    for part, path, remarks in zip(parts, logs, preparation_remarks, strict=True):
         run_metadata = {
             "command": "trms import",
             "imported": "true",
-            "file": str(given.file),
+            "file": str(arguments.file),
             "file_sha256": sha256,
         }
         if prepared:
             run_metadata["preparation"] = "; ".join(remarks)
-        write_mcap(part, path, run_metadata, force=given.force)
+        write_mcap(part, path, run_metadata, force=arguments.force)
 
-    document = _document(recording, summary, given.file, logs, sha256)
+    document = _document(recording, summary, arguments.file, logs, sha256)
     document["preparation"] = [
         {"log": str(path), "samples": len(part), "sample_time_s": part.sample_time, "done": remarks}
-        for part, path, remarks in zip(parts, logs, done, strict=True)
+        for part, path, remarks in zip(parts, logs, preparation_remarks, strict=True)
         if prepared
     ]
-    if given.json:
+    if arguments.json:
         print_json(document)
     else:
         _print(document)
@@ -119,13 +123,13 @@ def _is_log(path: Path) -> bool:
         return False
 
 
-def _preparation(given: Any) -> Any:
+def _preparation(arguments: Any) -> Any:
     """The :class:`Preparation` asked for, or None."""
     from trms_cli.core.errors import ConfigurationError
     from trms_cli.core.plugins import build
 
     delays = {}
-    for text in given.delay:
+    for text in arguments.delay:
         name, _, seconds = text.partition("=")
         try:
             delays[name] = float(seconds)
@@ -133,21 +137,26 @@ def _preparation(given: Any) -> Any:
             raise ConfigurationError(
                 f"{text!r} given", where="--delay", remedy="NAME=SECONDS, as alpha_v=0.02"
             ) from None
-    gaps: str | float = given.gaps
+    gaps: str | float = arguments.gaps
     if gaps not in ("keep", "split"):
         try:
             gaps = float(gaps)
         except ValueError:
             raise ConfigurationError(
-                f"{given.gaps!r} given", where="--gaps", remedy="keep, split, or a time in s"
+                f"{arguments.gaps!r} given", where="--gaps", remedy="keep, split, or a time in s"
             ) from None
-    if given.outliers == "keep" and gaps == "keep" and given.resample is None and not delays:
+    if (
+        arguments.outliers == "keep"
+        and gaps == "keep"
+        and arguments.resample is None
+        and not delays
+    ):
         return None
     node = {
         "_target_": "trms_cli.recordings.preparation.Preparation",
-        "outliers": given.outliers,
+        "outliers": arguments.outliers,
         "gaps": gaps,
-        "resample": given.resample,
+        "resample": arguments.resample,
         "delays": delays,
     }
     try:
@@ -244,12 +253,12 @@ def _print(document: dict[str, Any]) -> None:
     console.print(table)
     for note in document["notes"]:
         console.print(f"note: {escape(note)}")
-    told: set[str] = set()
+    printed_remarks: set[str] = set()
     for part in document["preparation"]:
-        for done in part["done"]:
-            if done not in told:
-                console.print(f"done: {escape(done)}")
-                told.add(done)
+        for remark in part["done"]:
+            if remark not in printed_remarks:
+                console.print(f"done: {escape(remark)}")
+                printed_remarks.add(remark)
         if len(document["logs"]) > 1:
             console.print(f"log: {escape(part['log'])} ({part['samples']} samples)")
     if len(document["logs"]) == 1:

@@ -41,8 +41,8 @@ def main(argv: Sequence[str]) -> int:
     if len(words) >= 2:
         option = catalogue.find_option(groups, *words[:2])
         if as_json:
-            found = {option.group: {option.name: option}}
-            print_json(document_of(found, catalogue.about(config_dirs)))
+            selection = {option.group: {option.name: option}}
+            print_json(document_of(selection, catalogue.about(config_dirs)))
         else:
             sys.stdout.write(f"# {option.file}\n{option.file.read_text(encoding='utf-8')}")
         return EXIT_OK
@@ -100,10 +100,10 @@ def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:
     declared = catalogue.read_primary(primary, config_dirs)
     groups = catalogue.read_groups(config_dirs)
     lines = ["choices (the default is marked *; `trms list GROUP OPTION` shows an option's keys)"]
-    for group, chosen in declared.defaults.items():
+    for group, default in declared.defaults.items():
         lines.append(row(f"  {group:12}", declared.about.get(group, "")))
         for name, option in groups.get(group, {}).items():
-            mark = "*" if name == chosen else " "
+            mark = "*" if name == default else " "
             lines.append(row(f"   {mark} {name:24} ", option.summary))
     lines += ["", "other keys", *_key_lines(catalogue.primary_file(primary, config_dirs))]
     return "\n".join(lines) + "\n"

@@ -62,13 +62,13 @@ class PlainOptions(argparse.ArgumentParser):
             for action in self._actions
             for name in action.option_strings
         }
-        known, unknown = self.parse_known_args(as_options(args or (), takes), namespace)
+        arguments, unknown = self.parse_known_args(as_options(args or (), takes), namespace)
         if unknown:
             options = [name for action in self._actions for name in action.option_strings]
             close = difflib.get_close_matches(unknown[0].partition("=")[0], options, n=1)
-            meant = f"; did you mean {close[0]}?" if close else ""
-            self.error(f"{unknown[0]!r} is not understood{meant}")
-        return known
+            hint = f"; did you mean {close[0]}?" if close else ""
+            self.error(f"{unknown[0]!r} is not understood{hint}")
+        return arguments
 
     def error(self, message: str) -> NoReturn:
         """Raise what argparse would print before it exits."""

@@ -76,9 +76,9 @@ _TYPED = {
 
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
-    given = _options(argv)
+    arguments = _options(argv)
     try:
-        return _main(given)
+        return _main(arguments)
     except ConfigurationError as error:
         # What draws names its arguments; at a terminal they are options.
         error.where = _TYPED.get(error.where, error.where)
@@ -87,9 +87,9 @@ def main(argv: list[str]) -> int:
         raise
 
 
-def _main(given: Any) -> int:
-    paths = [_log_of(path) for path in given.logs]
-    kinds = [word.strip() for word in given.what.split(",") if word.strip()]
+def _main(arguments: Any) -> int:
+    paths = [_log_of(path) for path in arguments.logs]
+    kinds = [word.strip() for word in arguments.what.split(",") if word.strip()]
     if SCENE in kinds:
         if kinds != [SCENE] or len(paths) > 1:
             raise ConfigurationError(
@@ -97,9 +97,9 @@ def _main(given: Any) -> int:
                 where="--what",
                 remedy="trms plot LOG --what scene",
             )
-        return plot_scene(read_log(paths[0]), given)
-    files, absent = _plot([read_log(path) for path in paths], kinds, given)
-    if given.json:
+        return plot_scene(read_log(paths[0]), arguments)
+    files, absent = _plot([read_log(path) for path in paths], kinds, arguments)
+    if arguments.json:
         document = {
             "schema": "trms.plot/1",
             "logs": [str(path) for path in paths],
@@ -150,60 +150,60 @@ def _options(argv: Sequence[str]) -> Any:
     options.add_argument("--names")
     options.add_argument("--dpi", type=float)
     options.add_flags("--svg-text", "--force", "--json")
-    given = options.parse_args(argv)
-    if given.dpi is not None and not 30 <= given.dpi <= 1200:
+    arguments = options.parse_args(argv)
+    if arguments.dpi is not None and not 30 <= arguments.dpi <= 1200:
         options.error("--dpi takes 30 to 1200")
-    if given.dpi is None:
-        given.dpi = 110 if given.style == "screen" else 300
-    return given
+    if arguments.dpi is None:
+        arguments.dpi = 110 if arguments.style == "screen" else 300
+    return arguments
 
 
 def _plot(
-    logs: Sequence[LoggedRun], kinds: Sequence[str], given: Any
+    logs: Sequence[LoggedRun], kinds: Sequence[str], arguments: Any
 ) -> tuple[list[Path], dict[str, str]]:
     """Draw; the files, and why what of the kinds was left out."""
     from trms_cli.reporting.plot import absences, plot
     from trms_cli.reporting.style import FORMATS, figure_bytes, house_style
 
-    names = given.names.split(",") if given.names else None
+    names = arguments.names.split(",") if arguments.names else None
     choose: Any = {
-        "width": given.width,
-        "style": given.style,
-        "start": given.start,
-        "end": given.end,
-        "title": given.title,
+        "width": arguments.width,
+        "style": arguments.style,
+        "start": arguments.start,
+        "end": arguments.end,
+        "title": arguments.title,
         "names": names,
     }
-    format_ = given.format or ending_of(given.out) or "pdf"
+    format_ = arguments.format or ending_of(arguments.out) or "pdf"
     if format_ not in FORMATS:
         raise ConfigurationError(
             f"a plot over time is no {format_}",
             where="--format",
             remedy=f"one of {', '.join(FORMATS)}",
         )
-    absent = absences(logs, kinds, start=given.start, end=given.end)
+    absent = absences(logs, kinds, start=arguments.start, end=arguments.end)
     there = [kind for kind in kinds if kind not in absent]
-    one_file = given.out is None or bool(ending_of(given.out))
+    one_file = arguments.out is None or bool(ending_of(arguments.out))
     groups = [there or kinds] if one_file else [[kind] for kind in there or kinds]
     # All are drawn before the first is written: nothing is left half done by what cannot be drawn.
-    drawn = []
+    files = []
     for group in groups:
         figure = plot(logs, group, **choose)
-        with house_style(given.style, svg_text=given.svg_text):
-            content = figure_bytes(figure, format_, given.dpi)
-        drawn.append((_place(logs, group, format_, given.out), content))
-    write_all(drawn, force=given.force)
-    return [path for path, _ in drawn], absent
+        with house_style(arguments.style, svg_text=arguments.svg_text):
+            content = figure_bytes(figure, format_, arguments.dpi)
+        files.append((_place(logs, group, format_, arguments.out), content))
+    write_all(files, force=arguments.force)
+    return [path for path, _ in files], absent
 
 
-def write_all(drawn: Sequence[tuple[Path, bytes]], *, force: bool) -> None:
+def write_all(files: Sequence[tuple[Path, bytes]], *, force: bool) -> None:
     """Write files, each whole or not at all, and none if one of them exists already."""
     from trms_cli.recordings.output_file import refuse_overwrite, whole_file
 
-    for path, _ in drawn:
+    for path, _ in files:
         if not force:
             refuse_overwrite(path, "give another name with --out, or --force to replace it")
-    for path, content in drawn:
+    for path, content in files:
         with whole_file(path, force=force) as temporary:
             temporary.write_bytes(content)
 
@@ -238,7 +238,7 @@ def _place(logs: Sequence[LoggedRun], kinds: Sequence[str], format_: str, out: P
 _PAUSE, _MOST_FRAMES = 0.1, 150
 
 
-def plot_scene(log: LoggedRun, given: Any) -> int:
+def plot_scene(log: LoggedRun, arguments: Any) -> int:
     """Draw, write and tell; the exit code.
 
     Raises ConfigurationError for options that a scene does not have, RecordingError for a log
@@ -248,26 +248,28 @@ def plot_scene(log: LoggedRun, given: Any) -> int:
     from trms_cli.reporting.scene_picture import animate_scene, draw_scene
     from trms_cli.reporting.style import figure_bytes, house_style
 
-    format_: Any = given.format or ending_of(given.out) or "png"
-    if given.names:
+    format_: Any = arguments.format or ending_of(arguments.out) or "png"
+    if arguments.names:
         raise ConfigurationError("a scene has one log", where="--names", remedy="leave it out")
-    out = given.out
+    out = arguments.out
     if out is None or not ending_of(out):
         folder = log.path.parent if out is None else out
         out = folder / f"{log.path.stem}-scene.{format_}"
-    bodies, shots = shots_of(log, given.start, given.end, moving=format_ == "gif")
+    bodies, shots = shots_of(log, arguments.start, arguments.end, moving=format_ == "gif")
     speed = 1.0
     if format_ == "gif":
         content = animate_scene(bodies, shots, pause=_PAUSE)
         if len(shots) > 1:
             speed = (shots[-1].time - shots[0].time) / ((len(shots) - 1) * _PAUSE)
     else:
-        width, _ = size_of(given.width or "120mm", given.style)
-        figure = draw_scene(bodies, shots[0], width=width, style=given.style, title=given.title)
-        with house_style(given.style, svg_text=given.svg_text):
-            content = figure_bytes(figure, format_, given.dpi)
-    write_all([(out, content)], force=given.force)
-    if given.json:
+        width, _ = size_of(arguments.width or "120mm", arguments.style)
+        figure = draw_scene(
+            bodies, shots[0], width=width, style=arguments.style, title=arguments.title
+        )
+        with house_style(arguments.style, svg_text=arguments.svg_text):
+            content = figure_bytes(figure, format_, arguments.dpi)
+    write_all([(out, content)], force=arguments.force)
+    if arguments.json:
         document = {
             "schema": "trms.plot/1",
             "logs": [str(log.path)],
@@ -310,17 +312,17 @@ def shots_of(
     high = times[-1] if end is None else round(end * 1e9)
     if not moving:
         at = (times[0] + times[-1]) // 2 if start is None else low
-        chosen = [min(times, key=lambda time_ns: abs(time_ns - at))]
+        shot_times = [min(times, key=lambda time_ns: abs(time_ns - at))]
     else:
-        chosen = [time_ns for time_ns in times if low <= time_ns <= high]
-    if not chosen or not times[0] <= low <= times[-1]:
+        shot_times = [time_ns for time_ns in times if low <= time_ns <= high]
+    if not shot_times or not times[0] <= low <= times[-1]:
         raise ConfigurationError(
             "the log has no sample there",
             where="--from, --to",
             remedy=f"it goes from {times[0] / 1e9:g} to {times[-1] / 1e9:g} s",
         )
-    chosen = chosen[:: -(-len(chosen) // _MOST_FRAMES)]
+    shot_times = shot_times[:: -(-len(shot_times) // _MOST_FRAMES)]
     return bodies, [
         Shot(time / 1e9, json.loads(transforms[time]), json.loads(commands[time]))
-        for time in chosen
+        for time in shot_times
     ]

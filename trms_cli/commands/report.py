@@ -51,14 +51,16 @@ def main(argv: list[str]) -> int:
     options.add_argument("--out", type=Path)
     options.add_argument("--title", default="")
     options.add_flags("--force", "--json")
-    given = options.parse_args(argv)
-    if given.out is not None and given.out.suffix.lower() not in (".html", ".htm"):
-        options.error(f"--out {str(given.out)!r} is no page: its name ends in .html")
+    arguments = options.parse_args(argv)
+    if arguments.out is not None and arguments.out.suffix.lower() not in (".html", ".htm"):
+        options.error(f"--out {str(arguments.out)!r} is no page: its name ends in .html")
 
     from trms_cli.library.report.pages import write_report
 
-    report, path = write_report(given.paths, out=given.out, title=given.title, force=given.force)
-    if given.json:
+    report, path = write_report(
+        arguments.paths, out=arguments.out, title=arguments.title, force=arguments.force
+    )
+    if arguments.json:
         print_json(document(report, path))
     else:
         _say(report, path)

@@ -42,11 +42,11 @@ class Resumption:
 
         Raises ConfigurationError if that folder holds nothing to go on from.
         """
-        given = [word for word in argv if word.startswith(_KEY)]
+        resume_words = [word for word in argv if word.startswith(_KEY)]
         rest = [word for word in argv if not word.startswith(_KEY)]
-        if not given:
+        if not resume_words:
             return None, rest
-        text = given[-1].removeprefix(_KEY).strip("'\"")
+        text = resume_words[-1].removeprefix(_KEY).strip("'\"")
         folder = Path(text).expanduser()
         if not text or not folder.is_dir():
             raise ConfigurationError(

@@ -58,18 +58,18 @@ def main(argv: list[str]) -> int:
     options.add_argument("--write-baseline", type=Path)
     options.add_argument("--reason", default="")
     options.add_flags("--all", "--force", "--json")
-    given = options.parse_args(argv)
-    if given.write_baseline and len(given.logs) > 1:
+    arguments = options.parse_args(argv)
+    if arguments.write_baseline and len(arguments.logs) > 1:
         options.error("--write-baseline takes one LOG")
-    if given.all and not given.baseline:
+    if arguments.all and not arguments.baseline:
         options.error("--all goes with --baseline")
-    if given.reason and not given.write_baseline:
+    if arguments.reason and not arguments.write_baseline:
         options.error("--reason goes with --write-baseline")
 
-    if given.write_baseline and given.write_baseline.exists() and not given.force:
+    if arguments.write_baseline and arguments.write_baseline.exists() and not arguments.force:
         raise RecordingError(
             "there is a file of this name already; nothing is overwritten unasked",
-            where=str(given.write_baseline),
+            where=str(arguments.write_baseline),
             remedy="give another name, or --force to replace it",
         )
 
@@ -77,29 +77,31 @@ def main(argv: list[str]) -> int:
     from trms_cli.scoring.baseline import compare, document_of, has_regressed, read_baseline
     from trms_cli.scoring.score import score_log
 
-    baseline = read_baseline(given.baseline) if given.baseline else None
+    baseline = read_baseline(arguments.baseline) if arguments.baseline else None
     scored: list[tuple[LoggedRun, dict[str, Any], list[BaselineRow] | None]] = []
-    for path in map(log_of, given.logs):
+    for path in map(log_of, arguments.logs):
         log = read_log(path)
         score = score_log(log)
         scored.append((log, score, compare(score, baseline) if baseline else None))
     worse = any(has_regressed(rows) for _, _, rows in scored if rows is not None)
 
-    if given.json:
-        whole = document_of([(score, rows) for _, score, rows in scored], given.baseline)
+    if arguments.json:
+        whole = document_of([(score, rows) for _, score, rows in scored], arguments.baseline)
         print_json(whole, allow_nan=False)
     else:
         from trms_cli.reporting.screen import show
 
-        name = given.baseline.name if given.baseline else ""
+        name = arguments.baseline.name if arguments.baseline else ""
         for number, (log, score, rows) in enumerate(scored):
             print("\n" if number else "", end="")
-            told = findings_of(log, score, rows, baseline, name, everything=given.all)
-            show(told, "score", rows=_MOST_ROWS)
-    if given.write_baseline:
-        _write_baseline(given.write_baseline, scored[0][1], given.reason, force=given.force)
-        if not given.json:
-            print(f"baseline written: {given.write_baseline}")
+            findings = findings_of(log, score, rows, baseline, name, everything=arguments.all)
+            show(findings, "score", rows=_MOST_ROWS)
+    if arguments.write_baseline:
+        _write_baseline(
+            arguments.write_baseline, scored[0][1], arguments.reason, force=arguments.force
+        )
+        if not arguments.json:
+            print(f"baseline written: {arguments.write_baseline}")
     return EXIT_WORSE if worse else EXIT_OK
 
 

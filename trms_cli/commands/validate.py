@@ -62,14 +62,15 @@ def perform(composition: Composition) -> Outcome:
     return perform_all([composition], [])
 
 
-def perform_all(compositions: Sequence[Composition], given: Sequence[str]) -> Outcome:
+def perform_all(compositions: Sequence[Composition], model_names: Sequence[str]) -> Outcome:
     """Validate the model of each configuration; they differ in their model only.
 
-    `given`: what each model was called on the command line; empty for one from a configuration.
+    `model_names`: what each model was called on the command line; empty for one from a
+    configuration.
     """
     from trms_cli.library.tasks.validate import perform as task
 
     def together(_: Composition, listener: Listener) -> Done:
-        return task(compositions, listener, given)
+        return task(compositions, listener, model_names)
 
     return study("validate", compositions[0], together)

@@ -107,10 +107,10 @@ class _Layout:
         if isinstance(value, str | PathLike) or hasattr(value, _OF_RESULT):
             self.words.append(f"{group}={_file_of(value, group)}")
         elif isinstance(value, Mapping):
-            chosen = self._option_with_keys(group, value)
-            if chosen is not None:
-                self.words.append(f"{group}={chosen}")
-                value = value[chosen] or {}
+            option = self._option_with_keys(group, value)
+            if option is not None:
+                self.words.append(f"{group}={option}")
+                value = value[option] or {}
             self._lay_value(group, value)
         else:
             self._lay_value(group, value)

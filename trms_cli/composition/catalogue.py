@@ -119,7 +119,7 @@ def roots(config_dirs: Sequence[Path] = ()) -> tuple[Path, ...]:
 
 def read_groups(config_dirs: Sequence[Path] = ()) -> Groups:
     """All groups with their options, both sorted by name."""
-    found: Groups = {}
+    groups: Groups = {}
     for root in roots(config_dirs):
         for folder, subfolders, files in os.walk(root):
             subfolders[:] = sorted(name for name in subfolders if name[0] not in "._")
@@ -128,13 +128,13 @@ def read_groups(config_dirs: Sequence[Path] = ()) -> Groups:
                 continue
             for file in files:
                 name, suffix = os.path.splitext(file)
-                if suffix != ".yaml" or name in found.get(group, {}):
+                if suffix != ".yaml" or name in groups.get(group, {}):
                     continue
                 path = Path(folder, file)
-                found.setdefault(group, {})[name] = Option(
+                groups.setdefault(group, {})[name] = Option(
                     group, name, path, first_comment(path), root
                 )
-    return {group: dict(sorted(found[group].items())) for group in sorted(found)}
+    return {group: dict(sorted(groups[group].items())) for group in sorted(groups)}
 
 
 def first_comment(file: Path) -> str:

@@ -71,13 +71,15 @@ def _last_of_each_choice(
     request: ComposeRequest, primary: Primary, groups: Groups
 ) -> list[Override]:
     """The overrides; of a group that is chosen twice the later choice, as it is with values."""
-    kept: list[Override] = []
+    effective_overrides: list[Override] = []
     for text in request.overrides:
         override = parse(text, groups)
         if override.key in primary.defaults:
-            kept = [other for other in kept if other[1:3] != override[1:3]]
-        kept.append(override)
-    return kept
+            effective_overrides = [
+                other for other in effective_overrides if other[1:3] != override[1:3]
+            ]
+        effective_overrides.append(override)
+    return effective_overrides
 
 
 def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Override:
@@ -95,8 +97,8 @@ def _placed_choice(override: Override, primary: Primary, groups: Groups) -> Over
             remedy=f"there are: {', '.join(groups[override.key])}; what is left out of the command "
             "line is not chosen",
         )
-    given = [item.strip("[]") for item in plain_names(override.value or "") or []]
-    for name in (name.strip() for item in given for name in item.split(",")):
+    items = [item.strip("[]") for item in plain_names(override.value or "") or []]
+    for name in (name.strip() for item in items for name in item.split(",")):
         if name and name != "null":
             _require_option(override.key, name, groups, override.package)
     return override
@@ -221,21 +223,21 @@ def _from_file(override: Override, names: Sequence[str], groups: Groups) -> list
                 remedy="name a YAML that exists, or an option: " + ", ".join(groups.get(group, {})),
             )
     paths = ",".join(quote_value(str(Path(name).expanduser())) for name in names)
-    chosen = [override._replace(value="from_file"), Override("", f"{group}.path", "", paths)]
+    overrides = [override._replace(value="from_file"), Override("", f"{group}.path", "", paths)]
     rigs = {_rig_of(Path(name).expanduser()) for name in names}
     if group == "model" and len(rigs) == 1 and "" not in rigs:
         # Before all that was typed, which thus may choose another.
-        chosen.insert(0, Override("", "model@model.rig", "", rigs.pop()))
-    return chosen
+        overrides.insert(0, Override("", "model@model.rig", "", rigs.pop()))
+    return overrides
 
 
 def _rig_of(path: Path) -> str:
     """The rig that a network file names, empty for none; see :mod:`trms_cli.models.narx_file`."""
     try:
-        found = re.search(r"^rig:\s*(\w+)\s*(#.*)?$", path.read_text(encoding="utf-8"), re.M)
+        match = re.search(r"^rig:\s*(\w+)\s*(#.*)?$", path.read_text(encoding="utf-8"), re.M)
     except (OSError, UnicodeDecodeError):
         return ""
-    return found[1] if found else ""
+    return match[1] if match else ""
 
 
 def prepared_value(override: Override, keys: DeclaredKeys, multirun: bool) -> Override:
@@ -357,18 +359,18 @@ def _check_nested(config: Mapping[Any, Any], body: Mapping[str, Any], where: str
         _check_nested(config[key], default, place)
 
 
-def _refuse_unknown(given: Mapping[Any, Any], allowed: Collection[str], where: str) -> None:
-    for key, value in given.items():
+def _refuse_unknown(node: Mapping[Any, Any], allowed: Collection[str], where: str) -> None:
+    for key, value in node.items():
         if key not in allowed:
             place = f"{where}.{key}" if where else str(key)
             raise unknown_key(str(key), repr(value), place, allowed)
 
 
 def unknown_key(
-    key: str, given: str | None, where: str, allowed: Collection[str]
+    key: str, value_text: str | None, where: str, allowed: Collection[str]
 ) -> ConfigurationError:
     """A key that is not there, with the nearest that is."""
-    value = "" if given is None else f" (given: {given})"
+    value = "" if value_text is None else f" (given: {value_text})"
     return ConfigurationError(
         f"there is no key {key!r}{value}", where=where, remedy=nearest(key, allowed)
     )
@@ -427,27 +429,27 @@ class DeclaredKeys:
 
     def places(self) -> list[tuple[str, str]]:
         """Groups that the chosen options include at a place: ``(signal, ref.alpha_v)``."""
-        found = []
+        pairs = []
         for group, default in self.declared.defaults.items():
             for name in self._chosen(group, default=default):
                 option = self._groups.get(group, {}).get(name)
                 content = read_yaml(option.file) if option is not None else None
                 if isinstance(content, dict):
-                    found += [
+                    pairs += [
                         (inner, f"{group}.{place}") for inner, place, _ in defaults_list(content)
                     ]
-        return found
+        return pairs
 
 
 def defaults_list(content: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
     """``(group, place, option)`` of a YAML's own defaults list."""
-    found = []
+    entries = []
     for entry in content.get("defaults") or []:
         for name, option in entry.items() if isinstance(entry, dict) else ():
             match = _PLACED.match(str(name))
             if match:
-                found.append((match[1], match[2], option))
-    return found
+                entries.append((match[1], match[2], option))
+    return entries
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -84,28 +84,29 @@ Task = Callable[[Composition], "int | Outcome"]
 
 
 def compose(
-    given: Sequence[str] | Mapping[str, Any] = (),
+    overrides: Sequence[str] | Mapping[str, Any] = (),
     primary: str = "run",
     *,
     config_dirs: Sequence[Path] = (),
 ) -> Composition:
     """Compose one experiment from a primary configuration (``run`` for ``configs/run.yaml``).
 
-    `given` is what would be typed (``["controller=pid", "sim.duration=20"]``; ``-m`` and ``--cfg``
-    are a command's and refused here), or the same as a mapping: ``{"controller": "pid", "sim":
-    {"duration": 20}, "effect": ["main_input_delay"]}``. In a mapping objects may stand for plugins;
-    they are built inside of :func:`trms_cli.composition.given_object.place_objects`. `config_dirs`
-    are the user's folders of options, absolute; those of ``--config-dir`` in `given` come first.
+    `overrides` is what would be typed (``["controller=pid", "sim.duration=20"]``; ``-m`` and
+    ``--cfg`` are a command's and refused here), or the same as a mapping: ``{"controller": "pid",
+    "sim": {"duration": 20}, "effect": ["main_input_delay"]}``. In a mapping objects may stand for
+    plugins; they are built inside of :func:`trms_cli.composition.given_object.place_objects`.
+    `config_dirs` are the user's folders of options, absolute; those of ``--config-dir`` in
+    `overrides` come first.
 
     Raises ConfigurationError for the first key that is wrong.
     """
-    if isinstance(given, Mapping):
+    if isinstance(overrides, Mapping):
         from trms_cli.composition.arguments import arguments_of
         from trms_cli.composition.given_object import with_objects
 
-        arguments = arguments_of(primary, (), given, config_dir=config_dirs)
+        arguments = arguments_of(primary, (), overrides, config_dir=config_dirs)
         return with_objects(compose(arguments.argv, primary), arguments.objects)
-    request = read_request(given, primary)
+    request = read_request(overrides, primary)
     if request.multirun or request.show:
         raise ConfigurationError(
             "one configuration is composed here",
@@ -210,8 +211,8 @@ class Composer:
             config.setdefault(group, {})
         checks.check_composed(config, self._declared)
         ours = {str(k): name for k, name in choices.items() if not str(k).startswith("hydra/")}
-        chosen = ours | {group: list(config[group]) for group in several}
-        return Composition(config, request.overrides, chosen, self.config_dirs)
+        option_names = ours | {group: list(config[group]) for group in several}
+        return Composition(config, request.overrides, option_names, self.config_dirs)
 
     def _varied(self, request: ComposeRequest) -> Composition:
         """Values put into what the choices among the overrides compose to."""
@@ -354,18 +355,18 @@ def _resolved(node: Any, root: dict[str, Any], depth: int) -> Any:
         raise _Unusual
     selected, reference = _SELECTED.fullmatch(node), _REFERENCE.fullmatch(node)
     if selected is not None:
-        found = _at(selected[1], root)
-        if found is _NOTHING and selected[2] == "{}":
+        target = _at(selected[1], root)
+        if target is _NOTHING and selected[2] == "{}":
             return {}
-        if found is _NOTHING:
-            found = _at(selected[2][2:-1], root)
+        if target is _NOTHING:
+            target = _at(selected[2][2:-1], root)
     elif reference is not None:
-        found = _at(reference[1], root)
+        target = _at(reference[1], root)
     else:
         raise _Unusual  # a mandatory value that is missing, or another resolver
-    if found is _NOTHING or found is None:
+    if target is _NOTHING or target is None:
         raise _Unusual
-    return _resolved(found, root, depth + 1)
+    return _resolved(target, root, depth + 1)
 
 
 _NOTHING = object()
@@ -373,14 +374,14 @@ _NOTHING = object()
 
 def _at(key: str, root: dict[str, Any]) -> Any:
     """What stands at a key, unresolved."""
-    found: Any = root
+    node: Any = root
     for name in key.split("."):
-        if isinstance(found, str) and "${" in found:
+        if isinstance(node, str) and "${" in node:
             raise _Unusual  # the key leads through a reference
-        if not isinstance(found, dict) or name not in found:
+        if not isinstance(node, dict) or name not in node:
             return _NOTHING
-        found = found[name]
-    return found
+        node = node[name]
+    return node
 
 
 def _drop_foreign_keys(
@@ -425,14 +426,14 @@ def _replaced(
     for group in declared.defaults:
         content = _content(group, choices.get(group), config_dirs)
         for inner, place, default in checks.defaults_list(content):
-            chosen = choices.get(f"{inner}@{group}.{place}")
-            if chosen in (None, default):
+            option = choices.get(f"{inner}@{group}.{place}")
+            if option in (None, default):
                 continue
             body = value_at(content, place)
-            own = _content(inner, chosen, config_dirs)
-            kept = {*own, *(key.split(".")[0] for _, key, _ in checks.defaults_list(own))}
+            own = _content(inner, option, config_dirs)
+            keys = {*own, *(key.split(".")[0] for _, key, _ in checks.defaults_list(own))}
             if isinstance(body, Mapping) or (isinstance(body, str) and "${" in body):
-                yield f"{group}.{place}", kept, body
+                yield f"{group}.{place}", keys, body
 
 
 def _content(group: str, option: Any, config_dirs: Sequence[Path]) -> dict[str, Any]:

@@ -33,17 +33,17 @@ _LONGEST_LABEL = 48
 #: Where an object goes besides the place that it is given to.
 _ALSO = {"effect": "plant.effects", "fault": "plant.faults"}
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
-_given: ContextVar[Sequence[Any]] = ContextVar("given", default=())
+_objects: ContextVar[Sequence[Any]] = ContextVar("objects", default=())
 
 
 @contextmanager
 def place_objects(objects: Sequence[Any]) -> Iterator[None]:
     """Inside, :func:`node_of` their places in `objects` builds to them."""
-    before = _given.set(tuple(objects))
+    before = _objects.set(tuple(objects))
     try:
         yield
     finally:
-        _given.reset(before)
+        _objects.reset(before)
 
 
 def node_of(number: int, plugin: Any) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def object_stand_in(*, number: int, kind: str, words: str) -> Any:
 
     Raises ConfigurationError once the call that it was given to is over.
     """
-    objects = _given.get()
+    objects = _objects.get()
     if number < len(objects) and kind_of(objects[number]) == kind:
         return objects[number]
     raise ConfigurationError(

@@ -78,17 +78,17 @@ class UserFolder(FileConfigSource):
         except yaml.YAMLError as error:
             raise yaml_error(error, Path(where)) from None
         try:
-            found = super().load_config(config_path)
+            result = super().load_config(config_path)
         except ValueError as error:  # a header that is none, a value that is no plain data
             raise ConfigurationError(
                 f"it cannot be read ({str(error).splitlines()[0][:200]})",
                 where=where,
                 remedy="a header is a line of its own: # @package _global_",
             ) from error
-        package = str(found.header.get("package") or "")
-        if package.split(".")[0] == "hydra" or "hydra" in found.config:
+        package = str(result.header.get("package") or "")
+        if package.split(".")[0] == "hydra" or "hydra" in result.config:
             raise _steers_hydra(where)
-        defaults = found.config._get_node("defaults") if "defaults" in found.config else None
+        defaults = result.config._get_node("defaults") if "defaults" in result.config else None
         if defaults is not None and not isinstance(defaults, ListConfig):
             raise ConfigurationError(
                 "defaults is no list",
@@ -96,7 +96,7 @@ class UserFolder(FileConfigSource):
                 remedy="write each choice on a line of its own: - override /ref: sine",
             )
         refuse_outward(str(defaults), f"{where}, defaults")
-        return found
+        return result
 
 
 def _steers_hydra(where: str) -> ConfigurationError:
@@ -389,8 +389,8 @@ def _unknown_key(
     key: str, overrides: Sequence[str], declared: Primary, compose: Compose
 ) -> ConfigurationError:
     """The key's deepest part that exists, and what stands there."""
-    given = next((text for text in overrides if parse(text, {}).key == key), key)
-    value = given.partition("=")[2]
+    override = next((text for text in overrides if parse(text, {}).key == key), key)
+    value = override.partition("=")[2]
     parts = key.split(".")
     node: Any = _with_choices_only(overrides, declared, compose)
     depth = 0
@@ -400,7 +400,7 @@ def _unknown_key(
     if isinstance(declared.defaults.get(parts[0]), list) and depth <= 1:
         name = parts[1] if len(parts) > 1 else "NAME"
         return ConfigurationError(
-            f"{parts[0]} {name!r} is not chosen (given: {given})",
+            f"{parts[0]} {name!r} is not chosen (given: {override})",
             where=key,
             remedy=f"choose it with '{parts[0]}=[{name}]'; chosen: "
             f"{', '.join(node) if isinstance(node, Mapping) and depth else 'none'}",
@@ -408,7 +408,7 @@ def _unknown_key(
     where = ".".join(parts[:depth])
     if not isinstance(node, Mapping):
         return ConfigurationError(
-            f"{where} is a single value ({node!r}) without keys (given: {given})",
+            f"{where} is a single value ({node!r}) without keys (given: {override})",
             where=key,
             remedy=f"set {where}=VALUE",
         )

@@ -111,8 +111,8 @@ def _as_overrides(argv: Sequence[str], keys: Container[str]) -> list[str]:
         word = words.pop(0)
         key, equals, value = word.removeprefix("--").partition("=")
         first = re.split(r"[.@]", key)
-        known = first[0] in keys or (len(first) > 1 and "@" in key and first[1] in keys)
-        if not word.startswith("--") or not known:
+        is_key = first[0] in keys or (len(first) > 1 and "@" in key and first[1] in keys)
+        if not word.startswith("--") or not is_key:
             corrected.append(word)
             continue
         if not equals:
@@ -149,6 +149,6 @@ def parse(text: str, groups: Groups) -> Override:
 def quote_value(value: str) -> str:
     """`value` as a quoted string of Hydra's grammar: a backslash counts as one before a quote."""
     escaped = re.sub(
-        r'(\\*)("|\Z)', lambda found: found[1] * 2 + found[2].replace('"', '\\"'), value
+        r'(\\*)("|\Z)', lambda match: match[1] * 2 + match[2].replace('"', '\\"'), value
     )
     return f'"{escaped}"'

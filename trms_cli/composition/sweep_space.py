@@ -122,11 +122,11 @@ def _added(
     """What is laid under the typed overrides of the runs."""
     keys = {parse(text, groups).key for text in typed}
     declared = catalogue.read_primary(primary, config_dirs)
-    found = []
+    additions = []
     for key, value in _OF_RUNS.get(primary, {}).items():
         if value_at(declared.body, key) is not None and key not in keys:
-            found.append(f"{key}={value}")
-    return found
+            additions.append(f"{key}={value}")
+    return additions
 
 
 def _of_hydra(text: str) -> ConfigurationError:
@@ -300,11 +300,11 @@ def _swept(
 
     try:
         with explain_errors([text], declared, groups, lambda _: {}):
-            parsed = OverridesParser.create().parse_override(text)
+            sweep_override = OverridesParser.create().parse_override(text)
     except ConfigurationError as error:  # a function with wrong arguments names no key
         error.where = override.key + override.package
         raise
-    sweep: Any = parsed._value
+    sweep: Any = sweep_override._value
     if isinstance(sweep, IntervalSweep):
         return _Typed(text, override, interval=_range(text, override, sweep))
     if isinstance(sweep, Glob):
@@ -417,12 +417,12 @@ class PriorTables:
             others = [(each.key, value) for each in self._deciding for value in each.values[1:]]
             self._configs += [(f"{k}={v}", self._composed({k: v}).config) for k, v in others]
         typed = set(named) - {key}
-        found: list[Range | PriorOfKey] = []
+        priors: list[Range | PriorOfKey] = []
         for place, config in self._configs:
             here = [each for each in _priors(config, key) if each.key not in typed]
             if not place:
-                found = here
-            elif here != found:
+                priors = here
+            elif here != priors:
                 raise ConfigurationError(
                     f"the priors are others under {place}, and all runs are to see the same draws",
                     where=key,
@@ -433,13 +433,13 @@ class PriorTables:
                         else ""
                     ),
                 )
-        if not found:
+        if not priors:
             raise ConfigurationError(
                 "nothing is left to be drawn: each has a value of its own",
                 where=key,
                 remedy=f"leave {key}={PRIOR} out",
             )
-        return found
+        return priors
 
 
 def _decides(key: str, groups: catalogue.Groups) -> bool:
@@ -474,9 +474,9 @@ def _of_table(
             problem = f"there is no parameter {name!r} to be drawn"
             require_known(name, _with_prior(table), problem, key)
         return [_prior(key, table[name], scale, _with_prior(table))]
-    given = config[owner].get("parameters") or {}
-    names = [each for each in _with_prior(table) if each not in given]
-    if not names and not given:
+    values = config[owner].get("parameters") or {}
+    names = [each for each in _with_prior(table) if each not in values]
+    if not names and not values:
         raise ConfigurationError(
             "no parameter has a prior",
             where=key,
@@ -487,16 +487,16 @@ def _of_table(
 
 
 def _parameters(config: Mapping[str, Any], key: str, owner: str) -> dict[str, Parameter]:
-    built = build(config[owner], owner)
+    model = build(config[owner], owner)
     if owner == "plant":
-        if not hasattr(built, "true_model"):
+        if not hasattr(model, "true_model"):
             raise ConfigurationError(
                 "this rig has no parameters to be drawn",
                 where=key,
                 remedy="choose plant=simulated, or leave the prior out",
             )
-        built = built.true_model()
-    return {parameter.name: parameter for parameter in built.parameters}
+        model = model.true_model()
+    return {parameter.name: parameter for parameter in model.parameters}
 
 
 def _with_prior(table: Mapping[str, Parameter]) -> list[str]:
@@ -504,7 +504,7 @@ def _with_prior(table: Mapping[str, Parameter]) -> list[str]:
 
 
 def _prior(
-    key: str, parameter: Parameter, scale: float, known: Sequence[str]
+    key: str, parameter: Parameter, scale: float, alternatives: Sequence[str]
 ) -> Range | PriorOfKey:
     sd = abs(parameter.value) * (parameter.prior_sd or 0.0) * scale
     if not sd and parameter.typical:
@@ -514,7 +514,7 @@ def _prior(
             f"{parameter.name!r} has no prior: it is taken as known",
             where=key,
             remedy=f"write {key}=interval(LOW,HIGH) in {parameter.unit or '1'}; with a prior: "
-            f"{', '.join(known) or 'none'}",
+            f"{', '.join(alternatives) or 'none'}",
         )
     return PriorOfKey(
         key,
@@ -539,18 +539,18 @@ def _span(key: str, parameter: Parameter) -> Range:
 def _of_effect(
     config: Mapping[str, Any], key: str, name: str, size: str
 ) -> list[Range | PriorOfKey]:
-    chosen = config.get(_EFFECTS) or {}
-    if name not in chosen:
+    effects = config.get(_EFFECTS) or {}
+    if name not in effects:
         raise ConfigurationError(
             f"effect {name!r} is not chosen",
             where=key,
-            remedy=f"choose it with effect={name}; chosen: {', '.join(chosen) or 'none'}",
+            remedy=f"choose it with effect={name}; chosen: {', '.join(effects) or 'none'}",
         )
-    built = build(chosen[name], f"{_EFFECTS}.{name}")
-    sizes = {p.name: p for p in built.parameters() if p.name in chosen[name]}
+    effect = build(effects[name], f"{_EFFECTS}.{name}")
+    sizes = {p.name: p for p in effect.parameters() if p.name in effects[name]}
     ranged = [each for each, parameter in sizes.items() if parameter.typical]
-    wanted = [size] if size else ranged
-    for each in wanted:
+    size_names = [size] if size else ranged
+    for each in size_names:
         if each not in ranged:
             raise ConfigurationError(
                 f"effect {name} states no range for {each!r}",
@@ -559,10 +559,10 @@ def _of_effect(
                 if ranged
                 else f"write effect.{name}.{each}=interval(LOW,HIGH)",
             )
-    if not wanted:
+    if not size_names:
         raise ConfigurationError(
             f"effect {name} states no range that rigs span",
             where=key,
             remedy=f"write effect.{name}.SIZE=interval(LOW,HIGH); sizes: {', '.join(sizes)}",
         )
-    return [_span(f"{_EFFECTS}.{name}.{each}", sizes[each]) for each in wanted]
+    return [_span(f"{_EFFECTS}.{name}.{each}", sizes[each]) for each in size_names]

@@ -50,11 +50,11 @@ def fall_back(
         )
     steady = None if target is None else target.u
     acting: str = policy
-    chosen = {"shifted_plan": planned, "steady_input": steady, "hold": last}[policy]
-    if chosen is None or not np.isfinite(chosen).all():
-        acting, chosen = "hold", last
+    command = {"shifted_plan": planned, "steady_input": steady, "hold": last}[policy]
+    if command is None or not np.isfinite(command).all():
+        acting, command = "hold", last
     words = f"{reason}; {acting.replace('_', ' ')} acts"
-    return Command(np.clip(chosen, *bounds), Status.FAILED, fallback=acting, message=words)
+    return Command(np.clip(command, *bounds), Status.FAILED, fallback=acting, message=words)
 
 
 def hold_command(last: FloatArray, reason: str) -> Command:

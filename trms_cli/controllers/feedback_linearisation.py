@@ -180,14 +180,14 @@ def _require_own_axis(model: Model, acceleration: ca.Function, parts: list[AxisP
     """Refuse a rig whose rotors drive each other's axis: the moments here are one a rotor."""
     u, w = np.zeros(model.n_u), np.zeros(model.n_w)
     still = np.array(acceleration(np.zeros(model.n_x), u, w)).ravel()
-    moved = []
+    responses = []
     for part in parts:
         x = np.zeros(model.n_x)
         x[part.rotor] = part.speed.y[-1]
-        moved.append(np.abs(np.array(acceleration(x, u, w)).ravel() - still))
+        responses.append(np.abs(np.array(acceleration(x, u, w)).ravel() - still))
     for j, part in enumerate(parts):
         for i, other in enumerate(parts):
-            if i != j and moved[j][i] > _LARGEST_SHARE * moved[i][i]:
+            if i != j and responses[j][i] > _LARGEST_SHARE * responses[i][i]:
                 raise _refusal(model, f"drives {other.name} by the rotor of {part.name} as well")
 
 
@@ -224,7 +224,7 @@ def _spin(
 def _commanding(model: Model, spinning: ca.Function, channels: list[int]) -> ca.Function:
     """The command that accelerates the rotors as wanted, each by its own input."""
     x, u, _, w = model.symbols()
-    wanted = ca.SX.sym("wanted", len(channels))
+    demand = ca.SX.sym("wanted", len(channels))
     lower, upper = model.input_bounds()
     at = ca.SX.sym("u", model.n_u)
     full = ca.SX.sym("x", model.n_x)
@@ -237,16 +237,16 @@ def _commanding(model: Model, spinning: ca.Function, channels: list[int]) -> ca.
         / float(upper[channel] - lower[channel])
         for i, channel in enumerate(channels)
     ]
-    chosen = u
+    command = u
     for _ in range(_ITERATIONS):
-        spin_now, slope_now = step(x, chosen, w)
+        spin_now, slope_now = step(x, command, w)
         # Where the interface is flat, its mean slope finds the way out.
         slope_now = ca.fmax(slope_now, 1e-2 * ca.vertcat(*reach))
-        values = [chosen[i] for i in range(model.n_u)]
+        values = [command[i] for i in range(model.n_u)]
         for i, channel in enumerate(channels):
-            values[channel] = chosen[channel] + (wanted[i] - spin_now[i]) / slope_now[i]
-        chosen = ca.fmin(ca.fmax(ca.vertcat(*values), lower), upper)
-    return ca.Function("command", [x, u, w, wanted], ca.cse([chosen, spinning(x, chosen, w)]))
+            values[channel] = command[channel] + (demand[i] - spin_now[i]) / slope_now[i]
+        command = ca.fmin(ca.fmax(ca.vertcat(*values), lower), upper)
+    return ca.Function("command", [x, u, w, demand], ca.cse([command, spinning(x, command, w)]))
 
 
 def _inverse(
@@ -311,14 +311,14 @@ class FeedbackLinearisationState:
     started: bool = False  #: Whether there was a sample yet
     target: Target | None = None  #: The steady state of the present reference
 
-    def reachable(self, reference: FloatArray, wanted: FloatArray) -> FloatArray:
+    def reachable(self, reference: FloatArray, goal: FloatArray) -> FloatArray:
         """What the axes are to go for (n_a,): as wanted, or the closest that can be held."""
         if self.target is None or self.target.asked != tuple(reference.tolist()):
             target = self.steady.solve(reference, None, self.target)
             if target.converged:
                 self.target = target
         if self.target is None or not self.target.projected:
-            return wanted
+            return goal
         return self.target.reference_reached[[axis.reference for axis in self.parts.axes]]
 
 
@@ -342,11 +342,11 @@ class FeedbackLinearisation(PresentReference):
     sample_time: Positive | None = None  #: Control period, s; None takes every sample
 
     def __post_init__(self) -> None:
-        for key, given in (("poles", self.poles), ("reference_lag", self.reference_lag)):
-            for name in given:
+        for key, values in (("poles", self.poles), ("reference_lag", self.reference_lag)):
+            for name in values:
                 require_known(name, ROTOR_OF_AXIS, f"{name!r} is not an axis", key)
             for name in ROTOR_OF_AXIS:
-                if name not in given:
+                if name not in values:
                     raise ConfigurationError(
                         f"nothing given for {name}", where=f"{key}.{name}", remedy="give both axes"
                     )
@@ -389,13 +389,13 @@ class FeedbackLinearisation(PresentReference):
             state.started = True
             state.guide[:, 0] = angles
         ahead = state.forecast.update(reference)
-        wanted = np.array(
+        goal = np.array(
             [
                 ahead[min(delay, len(ahead) - 1), axis.reference]
                 for axis, delay in zip(axes, state.delays, strict=True)
             ]
         )
-        reachable = state.reachable(reference, wanted)
+        reachable = state.reachable(reference, goal)
         ends = np.array([(axis.speed.x[0], axis.speed.x[-1]) for axis in axes]).T
         reach = a + np.diag(mobility) * (_FOR_REFERENCE * arms * ends - moments)
         jerk = _guided(state, reachable, reach)
@@ -404,16 +404,16 @@ class FeedbackLinearisation(PresentReference):
         error = r - angles
         v = r_acceleration + jerk / rotor + kd * (r_rate - rate) + kp * error + state.integral
         try:
-            wanted = (moments + np.linalg.solve(mobility, v - a - change / rotor)) / arms
+            demand = (moments + np.linalg.solve(mobility, v - a - change / rotor)) / arms
         except np.linalg.LinAlgError:
             return hold_command(previous, "the moments have no influence on the axes here")
-        if not math.isfinite(float(wanted.sum()) + float(jerk.sum())):
+        if not math.isfinite(float(demand.sum()) + float(jerk.sum())):
             return hold_command(previous, "the model's moments are not finite at this estimate")
-        forces = np.clip(wanted, *ends)
+        forces = np.clip(demand, *ends)
         speeds = [axis.speed.at(f) for axis, f in zip(axes, forces.tolist(), strict=True)]
         now = x[[axis.rotor for axis in axes]]
         u = state.parts.command.evaluate(x, previous, w, rotor * (speeds - now))[0].copy()
-        lacking = mobility @ (arms * (forces - wanted))
+        lacking = mobility @ (arms * (forces - demand))
         if not math.isfinite(float(u.sum()) + float(lacking.sum())):
             return hold_command(previous, "the model's moments are not finite at this estimate")
         largest = np.abs(np.diag(mobility) * arms * (ends[1] - ends[0]))

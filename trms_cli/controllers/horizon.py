@@ -179,25 +179,25 @@ def check_problem(model: Model, weights: Weights, limits: SoftLimits) -> None:
                 where=f"soft_limits.{name}",
                 remedy="the lower limit first, and below the upper one",
             )
-    for where, given, known in (
+    for where, entries, allowed_names in (
         ("state_weights", weights.states, model.state_names),
         ("rate_weights", weights.rates, model.controlled),
         ("input_weights", weights.inputs, inputs),
         ("move_weights", weights.moves, inputs),
         ("soft_limits", limits.states, model.state_names),
     ):
-        check_names(given, known, where)
+        check_names(entries, allowed_names, where)
 
 
 #: Names of the 2 DOF rig, so that one configuration also serves its 1 DOF models.
 _OF_BOTH_AXES = {"alpha_v", "alpha_h", "S_v", "S_h", "omega_v", "omega_h", "u_v", "u_h"}
 
 
-def check_names(given: Iterable[str], known: Sequence[str], where: str) -> None:
+def check_names(entries: Iterable[str], allowed_names: Sequence[str], where: str) -> None:
     """Raise :class:`ConfigurationError` for a name that neither this model nor its kin has."""
-    for name in given:
+    for name in entries:
         if name not in _OF_BOTH_AXES:
-            require_known(name, known, f"the model has no {name!r}", f"{where}.{name}")
+            require_known(name, allowed_names, f"the model has no {name!r}", f"{where}.{name}")
 
 
 class Horizon:
@@ -363,12 +363,12 @@ class Horizon:
             controlled = name in model.controlled
             goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
             errors.append(trajectory[row, :] - goal)
-        wanted = smooth_rates(at["r"], self.discrete.step_length)
+        goal_rates = smooth_rates(at["r"], self.discrete.step_length)
         for name in self.damped:
             row = model.state_index(name)
             before = ca.horzcat(at["x0"][row], trajectory[row, :-1])
             rate = (trajectory[row, :] - before) / self.discrete.step_length
-            errors.append(rate - wanted[model.controlled.index(name), :])
+            errors.append(rate - goal_rates[model.controlled.index(name), :])
         return ca.vertcat(*errors)
 
     def _objective(self, trajectory: ca.MX, at: Mapping[str, ca.MX]) -> ca.MX:
@@ -417,7 +417,7 @@ def _propagated(sensitivity: ca.MX, a: ca.MX, b: ca.MX, k: int, blocks: IntArray
     if k == 0:
         return b
     n_u = b.shape[1]
-    moved = a @ sensitivity
+    successor = a @ sensitivity
     if blocks[k] != blocks[k - 1]:
-        return ca.horzcat(moved, b)
-    return ca.horzcat(moved[:, :-n_u], moved[:, -n_u:] + b)
+        return ca.horzcat(successor, b)
+    return ca.horzcat(successor[:, :-n_u], successor[:, -n_u:] + b)

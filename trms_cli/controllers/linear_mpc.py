@@ -94,13 +94,13 @@ class StageCost:
         last = np.zeros((n_u, n + n_u))
         last[:, n:] = -np.eye(n_u)
         ahead = np.hstack([A, np.zeros((n, n_u)), B])
-        moved = ahead.copy()
-        moved[:, :n] -= np.eye(n)
+        difference = ahead.copy()
+        difference[:, :n] -= np.eye(n)
         change = np.hstack([last, np.eye(n_u)])
         inputs = np.hstack([np.zeros((n_u, n + n_u)), np.eye(n_u)])
         cost = (
             ahead.T * self.states @ ahead
-            + moved.T * (self.rates / self.period**2) @ moved
+            + difference.T * (self.rates / self.period**2) @ difference
             + change.T * self.moves @ change
             + inputs.T * self.inputs @ inputs
         )
@@ -160,11 +160,11 @@ class CondensedProblem:
             np.dot(powers[k], A, out=powers[k + 1])
         sums = np.zeros((periods + 1, n, n))
         np.cumsum(powers[:-1], axis=0, out=sums[1:])
-        held = sums @ B  # of an input from the first period on
+        step_response = sums @ B  # of an input from the first period on
         begin = np.searchsorted(blocks, np.arange(n_blocks))
         end = np.append(begin[1:], periods)
         now = np.arange(periods + 1)[:, None]
-        slopes = held[(now - begin).clip(0)] - held[(now - end).clip(0)]
+        slopes = step_response[(now - begin).clip(0)] - step_response[(now - end).clip(0)]
         self._slopes = slopes.transpose(0, 2, 1, 3).reshape(periods + 1, n, n_blocks * n_u)
         self._powers, self._sums = powers, sums
         self._terminal = terminal
@@ -184,7 +184,9 @@ class CondensedProblem:
         ) + self.regularisation * np.eye(n_blocks * n_u)
         self.limited_slopes = self._slopes[1:, limited].reshape(-1, n_blocks * n_u)
         self._limited = limited
-        self.effect = np.sqrt((self._root_states[:, None] * held[-1, self._states]) ** 2).sum(0)
+        self.effect = np.sqrt(
+            (self._root_states[:, None] * step_response[-1, self._states]) ** 2
+        ).sum(0)
 
     def free(self, start: FloatArray, drift: FloatArray) -> FloatArray:
         """Δx_0 … Δx_N with v = 0, shape (N + 1, n)."""
@@ -347,12 +349,12 @@ class LinearMpcState:
         self.blocks = blocks_of(config.prediction_horizon, tuple(config.move_blocks))
         n_memory = linear.discrete.n_x - model.n_x
 
-        def of_states(given: Mapping[str, float]) -> FloatArray:
-            row = [given.get(name, 0.0) for name in model.state_names]
+        def of_states(values: Mapping[str, float]) -> FloatArray:
+            row = [values.get(name, 0.0) for name in model.state_names]
             return np.array(row + [0.0] * n_memory)
 
-        def of_inputs(given: Mapping[str, float], default: float) -> FloatArray:
-            return np.array([given.get(name, default) for name in inputs])
+        def of_inputs(values: Mapping[str, float], default: float) -> FloatArray:
+            return np.array([values.get(name, default) for name in inputs])
 
         self._cost = StageCost(
             of_states(positive),
@@ -416,14 +418,14 @@ class LinearMpcState:
         references = sample.reference
         if len(references) == 1:
             references = self._forecast.update(references[0])
-        known = len(references)
-        self._goals[: known - 1] = references[1:]
-        self._goals[known - 1 :] = asked = references[-1]
-        goal = np.clip(asked, self._goal_limits[:, 0], self._goal_limits[:, 1])
-        given = (*goal.tolist(), *self._disturbance.tolist())
-        if self.target is None or given != self._solved_for:
+        count = len(references)
+        self._goals[: count - 1] = references[1:]
+        self._goals[count - 1 :] = request = references[-1]
+        goal = np.clip(request, self._goal_limits[:, 0], self._goal_limits[:, 1])
+        key = (*goal.tolist(), *self._disturbance.tolist())
+        if self.target is None or key != self._solved_for:
             target = self.steady.solve(goal, self._disturbance, self.target)
-            self._solved_for = given if target.converged else ()
+            self._solved_for = key if target.converged else ()
             if target.converged:
                 self.target = target
                 self._at_target = self.discrete.initial(target.x, target.u)
@@ -431,7 +433,7 @@ class LinearMpcState:
             return "nothing holds the rig at the estimated disturbance"
         reached = self.target.reference_reached if self.target.projected else goal
         # What cannot be held must not be striven for.
-        self._goals[:] = np.where(self._goals == asked, reached, self._goals)
+        self._goals[:] = np.where(self._goals == request, reached, self._goals)
         return ""
 
     def _linearised(

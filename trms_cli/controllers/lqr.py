@@ -195,9 +195,9 @@ def _memory_function(discrete: DiscreteModel) -> BufferedFunction:
 
 
 def in_order(
-    given: Mapping[str, float], known: tuple[str, ...], default: float, key: str
+    weights: Mapping[str, float], names: tuple[str, ...], default: float, key: str
 ) -> FloatArray:
-    """Weights in the order of ``known``, shape (len(known),).
+    """Weights in the order of ``names``, shape (len(names),).
 
     Names of an axis that this model lacks are passed over, so that one configuration also serves
     the models of one axis.
@@ -205,9 +205,9 @@ def in_order(
     Raises ConfigurationError for any other name; ``key`` is where it stands in the controller's
     configuration.
     """
-    everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *known}
-    for name in given:
+    everywhere = {"alpha_v", "alpha_h", "u_v", "u_h", *names}
+    for name in weights:
         if name not in everywhere:
             words = f"{name!r} is not a name that a weight can have here"
-            require_known(name, known, words, f"controller.{key}")
-    return np.array([given.get(name, default) for name in known])
+            require_known(name, names, words, f"controller.{key}")
+    return np.array([weights.get(name, default) for name in names])

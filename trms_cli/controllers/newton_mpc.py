@@ -388,13 +388,13 @@ class TerminalRegions:
                 self._known[key] = self._design.at(self._centre, disturbance)
             self.region = self._known[key]
         if self.region is None:
-            chosen = self._equality
+            engine = self._equality
         else:
-            chosen = self._newton
-            chosen.set_region(self._centre, self.region.root, self.region.level)
-        if chosen is not present:
-            chosen.plan[:], chosen.trajectory[:] = present.plan, present.trajectory
-        return chosen
+            engine = self._newton
+            engine.set_region(self._centre, self.region.root, self.region.level)
+        if engine is not present:
+            engine.plan[:], engine.trajectory[:] = present.plan, present.trajectory
+        return engine
 
     def tail(self, newton: NewtonStep, target: Target) -> FloatArray:
         """What the plan goes on with beyond its end: the local law, or the steady-state input.
@@ -404,8 +404,8 @@ class TerminalRegions:
         if self.region is None or target is not self._target:
             return target.u
         end = np.concatenate([newton.trajectory[:, -1], newton.plan[:, -1]])
-        wanted = target.u + self.region.gain @ (end - self._centre)
-        return np.asarray(np.clip(wanted, newton.lower, newton.upper))
+        command = target.u + self.region.gain @ (end - self._centre)
+        return np.asarray(np.clip(command, newton.lower, newton.upper))
 
 
 def typical_sizes(discrete: DiscreteModel) -> FloatArray:
@@ -515,10 +515,10 @@ class NewtonMpcState:
         references = sample.reference
         if len(references) == 1:
             references = self._forecast.update(references[0])
-        asked = goal = references[-1]
+        request = goal = references[-1]
         if self._goal_limits is not None:
             # A steady state beyond a soft limit would be fought over for ever.
-            goal = np.clip(asked, self._goal_limits[:, 0], self._goal_limits[:, 1])
+            goal = np.clip(request, self._goal_limits[:, 0], self._goal_limits[:, 1])
         previous_target = self.target
         self.target = target = self._target_for(goal)
         tail = target.u
@@ -526,16 +526,16 @@ class NewtonMpcState:
             tail = self.regions.tail(self.newton, target)
             self.newton = self.regions.engine_for(target, self._disturbance, self.newton)
         newton = self.newton
-        known = len(references)
+        count = len(references)
         reference = newton.reference
         # `reference` holds r(t+1) … r(t+N), the last known one held to the end of the horizon.
-        reference[:, : known - 1] = references[1:].T
-        reference[:, known - 1 :] = references[-1][:, None]
-        if target.projected or goal is not asked:
+        reference[:, : count - 1] = references[1:].T
+        reference[:, count - 1 :] = references[-1][:, None]
+        if target.projected or goal is not request:
             # What cannot be held must not be striven for either: the objective would pull away
             # from the terminal state.
             reached = target.reference_reached if target.projected else goal
-            reference[:] = np.where(reference == asked[:, None], reached[:, None], reference)
+            reference[:] = np.where(reference == request[:, None], reached[:, None], reference)
         newton.set_problem(self._full, sample.previous_command, self._disturbance, target)
         steady = target.u[:, None]
         self.other_start = None
@@ -544,7 +544,7 @@ class NewtonMpcState:
             self._first = False
             return
         newton.plan[:] = newton.plan @ self._shift + tail[:, None] * self._beyond
-        foreseen = known > len(sample.reference)
+        foreseen = count > len(sample.reference)
         if not foreseen and (previous_target is None or target.asked != previous_target.asked):
             # A new reference may lie behind a point where the linearisation sees no way to it
             # (a tail rotor at rest has no thrust slope), or where a local minimum lies.
@@ -552,17 +552,17 @@ class NewtonMpcState:
 
     def _target_for(self, reference: FloatArray) -> Target:
         """The steady state of a reference (n_r,) under the present disturbance."""
-        given = (*reference.tolist(), *self._disturbance.tolist())
+        key = (*reference.tolist(), *self._disturbance.tolist())
         memory = None
         if self._memory:  # an index that picks nothing would cost a microsecond a sample
             memory = self._full[self._memory]
-            given += tuple(memory.tolist())
-        if self.target is not None and given == self._solved_for:
+            key += tuple(memory.tolist())
+        if self.target is not None and key == self._solved_for:
             return self.target
         target = self.steady_state.solve(reference, self._disturbance, self.target, memory)
         # A disturbance that no input can hold has no steady state: the last one goes on.
         self.target_is_held = target.converged or self.target is None
-        self._solved_for = given if target.converged else ()
+        self._solved_for = key if target.converged else ()
         return target if self.target_is_held or self.target is None else self.target
 
     def prediction(self) -> Prediction:
@@ -592,15 +592,18 @@ class NewtonMpcState:
         return fall_back(who, policy, reason, planned, self.target, self._last_command, bounds)
 
 
-def _tracking(model: Model, given: Mapping[str, float], sizes: FloatArray) -> Mapping[str, float]:
+def _tracking(model: Model, weights: Mapping[str, float], sizes: FloatArray) -> Mapping[str, float]:
     """The weights given, with those of what is controlled where none of them is named.
 
     The usual weights are of angles. A rotor alone on a bench is controlled in its speed, whose
     deviation then counts as a share of its typical size, as a radian does.
     """
-    if any(name in given for name in model.controlled):
-        return given
-    return {**given, **{name: sizes[model.state_index(name)] ** -2.0 for name in model.controlled}}
+    if any(name in weights for name in model.controlled):
+        return weights
+    return {
+        **weights,
+        **{name: sizes[model.state_index(name)] ** -2.0 for name in model.controlled},
+    }
 
 
 def _shift_matrix(blocks: IntArray) -> FloatArray:

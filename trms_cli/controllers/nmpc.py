@@ -64,8 +64,10 @@ class Nmpc(HorizonSettings):
 
         Raises ConfigurationError for a horizon that is shorter than the preview.
         """
-        known = {f.name for f in fields(NewtonMpc)} - _OWN
-        return NewtonMpc(**{f.name: getattr(self, f.name) for f in fields(self) if f.name in known})
+        field_names = {f.name for f in fields(NewtonMpc)} - _OWN
+        return NewtonMpc(
+            **{f.name: getattr(self, f.name) for f in fields(self) if f.name in field_names}
+        )
 
     @classmethod
     def of(cls, problem: NewtonMpc, **own: Any) -> Nmpc:
@@ -79,8 +81,10 @@ class Nmpc(HorizonSettings):
                 where="terminal",
                 remedy="equality or none",
             )
-        known = {f.name for f in fields(cls)} - _OWN
-        shared = {f.name: getattr(problem, f.name) for f in fields(problem) if f.name in known}
+        field_names = {f.name for f in fields(cls)} - _OWN
+        shared = {
+            f.name: getattr(problem, f.name) for f in fields(problem) if f.name in field_names
+        }
         return cls(**{**shared, **own})
 
     def init(self, setup: ControlSetup) -> NmpcState:
@@ -159,8 +163,8 @@ class NmpcState:
         self.iterations, self.seconds = 0, 0.0
         self._merit_before = shared.newton.merit(shifted)
         best, message = self._from(shifted, multipliers)
-        asked = second == "always" or (second == "new_reference" and (new or best is None))
-        if asked and shared.target is not None:
+        is_due = second == "always" or (second == "new_reference" and (new or best is None))
+        if is_due and shared.target is not None:
             steady = np.broadcast_to(shared.target.u[:, None], shifted.shape)
             other, _ = self._from(self._within_rates(steady), None)
             if best is None or (other is not None and other.better_than(best)):
@@ -193,8 +197,8 @@ class NmpcState:
             return None
         if solution.converged:
             return _Candidate(plan, merit, True, solution.multipliers)
-        moved = np.abs(self._within_rates(plan) - plan).max()
-        if merit < self._merit_before and moved < _HAIR:
+        correction = np.abs(self._within_rates(plan) - plan).max()
+        if merit < self._merit_before and correction < _HAIR:
             return _Candidate(plan, merit, False, solution.multipliers)
         return None
 

@@ -303,7 +303,7 @@ class _Builder:
         after = self._mapped()(states[:n_full, :n], acting, self.at["p"], self.at["w"])
         arriving = ca.vertcat(after, acting) if layout.remembers else after
         moves = plan - last[:, np.flatnonzero(self.begins).tolist()] if layout.remembers else None
-        g, g_lower, g_upper, kept = self._rows(states, arriving, moves)
+        g, g_lower, g_upper, row_counts = self._rows(states, arriving, moves)
         lower, upper = self._bounds()
         return Ocp(
             {
@@ -320,7 +320,7 @@ class _Builder:
             {
                 "nx": [n_full + last.shape[0]] * (n + 1),
                 "nu": self._sizes().tolist(),
-                "ng": kept.tolist(),
+                "ng": row_counts.tolist(),
             },
             self.horizon,
         )
@@ -345,12 +345,12 @@ class _Builder:
             controlled = name in model.controlled
             goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
             total += at["q"][i] * ca.sumsqr(states[row, 1:] - goal)
-        wanted = smooth_rates(at["r"], self.discrete.step_length)
+        goal_rates = smooth_rates(at["r"], self.discrete.step_length)
         for i, name in enumerate(horizon.damped, start=len(horizon.weighted)):
             row = model.state_index(name)
             # From the step, not from the next state: the stages stay apart.
             rate = (after[row, :] - states[row, : self.n]) / self.discrete.step_length
-            total += at["q"][i] * ca.sumsqr(rate - wanted[model.controlled.index(name), :])
+            total += at["q"][i] * ca.sumsqr(rate - goal_rates[model.controlled.index(name), :])
         periods = ca.repmat(ca.DM(np.bincount(horizon.blocks)).T, self.n_u, 1)
         deviation = plan - ca.repmat(at["u_s"], 1, horizon.n_blocks)
         total += ca.dot(at["rho"], ca.sum2(periods * deviation**2))
@@ -408,8 +408,8 @@ class _Builder:
             np.concatenate([np.tile(kind[i], len(kind[3])) for kind in kinds])[order]
             for i in (1, 2)
         ]
-        kept = np.bincount(stage[kinds[0][0].numel() :], minlength=n + 1)
-        return g, bounds[0], bounds[1], kept
+        row_counts = np.bincount(stage[kinds[0][0].numel() :], minlength=n + 1)
+        return g, bounds[0], bounds[1], row_counts
 
     def _sizes(self) -> IntArray:
         """Unknowns of each stage besides its state."""

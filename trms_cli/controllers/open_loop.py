@@ -103,9 +103,11 @@ class OpenLoop(PresentReference):
         message = ""
         if not np.array_equal(cut, u):
             message = ", ".join(
-                f"{name} cut from {asked:.4g} to {left:.4g} {unit}"
-                for name, asked, left, unit in zip(state.names, u, cut, state.units, strict=True)
-                if asked != left
+                f"{name} cut from {value:.4g} to {cut_value:.4g} {unit}"
+                for name, value, cut_value, unit in zip(
+                    state.names, u, cut, state.units, strict=True
+                )
+                if value != cut_value
             )
         return Command(cut, message=message)
 
@@ -120,8 +122,8 @@ class OpenLoop(PresentReference):
                 raise ConfigurationError(
                     f"{value!r} given", where=f"operating_point.{name}", remedy="an angle in rad"
                 )
-        asked = np.array([self.operating_point.get(name, 0.0) for name in model.controlled])
-        target = SteadyState(model).solve(asked)
+        angles = np.array([self.operating_point.get(name, 0.0) for name in model.controlled])
+        target = SteadyState(model).solve(angles)
         if not target.exact:
             reached = ", ".join(
                 f"{name} {value:.3g} rad"

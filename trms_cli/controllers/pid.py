@@ -192,23 +192,23 @@ class Pid(PresentReference):
             angle, gains = x[axis.state], axis.gains
             if math.isnan(axis.last_error):
                 _start(axis, angle, float(u[axis.channel]), weight)
-            wanted, forward = _guided(axis, reference[axis.reference])
-            behind = angle - wanted if axis.reference_rate else angle
+            goal, forward = _guided(axis, reference[axis.reference])
+            behind = angle - goal if axis.reference_rate else angle
             axis.derivative = axis.keep * axis.derivative - axis.derivative_gain * (
                 behind - axis.last_error
             )
             axis.last_error = behind
-            terms = gains.kp * (weight * wanted - angle) + axis.integral + axis.derivative
+            terms = gains.kp * (weight * goal - angle) + axis.integral + axis.derivative
             axis.lagged = terms + axis.slow * (axis.lagged - terms)
             ahead = forward - axis.forward_lag
             axis.forward_rate = ahead / self.lead_filter
             axis.forward_lag += axis.step / (axis.step + self.lead_filter) * ahead
             for other, strength in zip(state.axes, axis.coupling, strict=False):
                 forward += strength * other.forward_rate
-            asked = forward + axis.lagged + axis.lead * (terms - axis.lagged)
-            torque = min(max(asked, axis.least), axis.most)
-            axis.integral += gains.ki * axis.step * (wanted - angle)
-            axis.integral += axis.tracking * (torque - asked)
+            demand = forward + axis.lagged + axis.lead * (terms - axis.lagged)
+            torque = min(max(demand, axis.least), axis.most)
+            axis.integral += gains.ki * axis.step * (goal - angle)
+            axis.integral += axis.tracking * (torque - demand)
             u[axis.channel] = axis.curve.at(torque)
         return Command(u)
 

@@ -153,8 +153,8 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
                 refused += 1
                 step /= 4
                 continue
-            moved = float(abs(following.u[channel] - last.u[channel])) / limit
-            if moved < _CELL / 2:
+            change = float(abs(following.u[channel] - last.u[channel])) / limit
+            if change < _CELL / 2:
                 step *= 2.0
                 if step > 1e6:
                     break
@@ -162,7 +162,7 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
             torque += step
             points.append((sign * torque, float(following.u[channel])))
             last = following
-            step *= min(2.0, max(0.25, _CELL / moved))
+            step *= min(2.0, max(0.25, _CELL / change))
         sides.append(points)
     start = [(0.0, float(middle.u[channel]))] if middle is not None else []
     points = sides[0][::-1] + start + sides[1]
@@ -171,19 +171,19 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
 
 def _increasing(points: Sequence[tuple[float, float]], limit: float) -> PiecewiseLinear:
     """A strictly increasing table up to both limits; the ends go on as they ended."""
-    kept: list[tuple[float, float]] = []
+    table: list[tuple[float, float]] = []
     for torque, u in points:
-        if not kept or u > kept[-1][1] + 1e-6 * limit:
-            kept.append((torque, u))
-    if len(kept) < 2:
+        if not table or u > table[-1][1] + 1e-6 * limit:
+            table.append((torque, u))
+    if len(table) < 2:
         return PiecewiseLinear([-limit, limit], [-limit, limit])
-    (a, ua), (b, ub) = kept[0], kept[1]
+    (a, ua), (b, ub) = table[0], table[1]
     if ua > -limit:
-        kept.insert(0, (a - (ua + limit) * (b - a) / (ub - ua), -limit))
-    (a, ua), (b, ub) = kept[-2], kept[-1]
+        table.insert(0, (a - (ua + limit) * (b - a) / (ub - ua), -limit))
+    (a, ua), (b, ub) = table[-2], table[-1]
     if ub < limit:
-        kept.append((b + (limit - ub) * (b - a) / (ub - ua), limit))
-    return PiecewiseLinear([p[0] for p in kept], [p[1] for p in kept])
+        table.append((b + (limit - ub) * (b - a) / (ub - ua), limit))
+    return PiecewiseLinear([p[0] for p in table], [p[1] for p in table])
 
 
 def holding_torques(
@@ -222,8 +222,8 @@ def inverse(responses: Sequence[ComplexArray], omega: FloatArray) -> FloatArray:
     rows = np.concatenate([response[:, None] * powers for response in responses])
     scale = np.abs(rows).max(axis=0)
     both = np.concatenate([rows.real, rows.imag]) / scale
-    wanted = np.concatenate([np.ones(len(rows)), np.zeros(len(rows))])
-    solution, *_ = np.linalg.lstsq(both, wanted, rcond=None)
+    target = np.concatenate([np.ones(len(rows)), np.zeros(len(rows))])
+    solution, *_ = np.linalg.lstsq(both, target, rcond=None)
     return np.asarray(solution / scale)
 
 
@@ -248,10 +248,10 @@ def decoupling(
     """
     rate = 1j * omega / (1 + 1j * omega * lag)
     rows = np.concatenate([np.stack([g, g * rate], axis=-1) for g in own])
-    wanted = -np.concatenate(cross)
+    target = -np.concatenate(cross)
     solution, *_ = np.linalg.lstsq(
         np.concatenate([rows.real, rows.imag]),
-        np.concatenate([wanted.real, wanted.imag]),
+        np.concatenate([target.real, target.imag]),
         rcond=None,
     )
     return float(solution[1])

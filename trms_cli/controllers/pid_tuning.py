@@ -175,9 +175,9 @@ class PidDesign:
         return Filters(self.derivative_filter)
 
     def _gains(self, name: str, plants: Sequence[AxisPlant], filters: Filters) -> Gains:
-        given = self.given[name]
-        if isinstance(given, Gains):
-            return given
+        gains = self.given[name]
+        if isinstance(gains, Gains):
+            return gains
         return tune_gains(
             plants,
             filters,

@@ -104,8 +104,8 @@ def _following(moves: deque[float], count: int) -> list[float] | None:
         return None
     c = sum(b * (a + e) for a, b, e in zip(d, d[1:], d[2:], strict=False)) / (2 * middle)
     c = min(c, 1.0)
-    left = sum((a + e - 2 * c * b) ** 2 for a, b, e in zip(d, d[1:], d[2:], strict=False))
-    if c < _FASTEST or left > _UNEXPLAINED * middle:
+    residual = sum((a + e - 2 * c * b) ** 2 for a, b, e in zip(d, d[1:], d[2:], strict=False))
+    if c < _FASTEST or residual > _UNEXPLAINED * middle:
         return None
     before, now = d[-2], d[-1]
     steps = []

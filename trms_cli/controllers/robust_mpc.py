@@ -132,7 +132,7 @@ class RobustMpc(RegulationDesign):
         began = perf_counter()
         region = self.region(regulation, aim, z)
         task = self.task(regulation, aim, z, region)
-        made = perf_counter()
+        solve_begin = perf_counter()
         solution = state.inequalities.solve(task)
         command: Command
         if solution is None:
@@ -146,7 +146,7 @@ class RobustMpc(RegulationDesign):
                 reason = "the solution's certificate does not hold"
                 command = self._fall_back(state, last, x, aim, z, reason)
             command.iterations = solution.iterations
-        command.linearise_time, command.qp_time = made - began, perf_counter() - made
+        command.linearise_time, command.qp_time = solve_begin - began, perf_counter() - solve_begin
         if not np.isfinite(command.u).all():
             instead = hold_command(last, LAW_NOT_FINITE)
             command.u, command.status = instead.u, instead.status

@@ -163,7 +163,7 @@ def _make(
             far *= _SHORTER
         if ring is None:
             continue
-        task, solution, held = ring
+        task, solution, certificate = ring
         if previous is not None:
             rings.blends[-1] = _falls(task.A, task.B, solution.K, previous)
         inside = solution.Q[0]
@@ -171,8 +171,8 @@ def _make(
         rings.inverses.append(previous.tolist())
         rings.gains.append(solution.K.tolist())
         rings.blends.append(False)
-        rings.gammas.append(held.gamma)
-        rings.contractions.append(held.contraction)
+        rings.gammas.append(certificate.gamma)
+        rings.contractions.append(certificate.contraction)
         rings.positions.append(far * position)
     if not rings.gains:
         raise no_law(regulation.model)
@@ -201,12 +201,12 @@ def _ring(
         solution = inequalities.solve(task, inside)
         if solution is None:
             return None
-        held = certify(task, solution)
-        if not (held.stable and held.constrained):
+        certificate = certify(task, solution)
+        if not (certificate.stable and certificate.constrained):
             return None
         reached = np.sqrt(np.diag(solution.Q[0]))
         if regulation.covers(aims[0].target, extents, reached):
-            return task, solution, held
+            return task, solution, certificate
         extents = np.maximum(extents, _WIDER * reached)
     return None
 
@@ -285,9 +285,9 @@ class RobustMpcOffline(RegulationDesign):
 
 
 def _angles(
-    given: Mapping[str, float], controlled: tuple[str, ...], default: float, key: str
+    values: Mapping[str, float], controlled: tuple[str, ...], default: float, key: str
 ) -> FloatArray:
-    known = {"alpha_v", "alpha_h", *controlled}
-    for name in given:
-        require_known(name, known, f"{name!r} is not a controlled angle", f"controller.{key}")
-    return np.array([given.get(name, default) for name in controlled])
+    angle_names = {"alpha_v", "alpha_h", *controlled}
+    for name in values:
+        require_known(name, angle_names, f"{name!r} is not a controlled angle", f"controller.{key}")
+    return np.array([values.get(name, default) for name in controlled])

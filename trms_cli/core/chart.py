@@ -349,9 +349,9 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "__dataclass_fields__"):
         kind = {"kind": _KINDS[type(value)]} if type(value) in _KINDS else {}
         named = [f.name for f in fields(value)]
-        shown = {name: getattr(value, name) for name in named}
+        attributes = {name: getattr(value, name) for name in named}
         return kind | {
-            name: _plain(item) for name, item in shown.items() if not _is_silent(name, item)
+            name: _plain(item) for name, item in attributes.items() if not _is_silent(name, item)
         }
     return value
 

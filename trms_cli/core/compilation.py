@@ -38,9 +38,9 @@ _MOST_LOADED = 128
 
 def cache_folder() -> Path:
     """Folder of the compiled functions (``TRMS_CACHE`` or the platform's user cache)."""
-    chosen = os.environ.get("TRMS_CACHE")
-    if chosen:
-        return Path(chosen)
+    override = os.environ.get("TRMS_CACHE")
+    if override:
+        return Path(override)
     base = os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(base) if base else Path.home() / ".cache") / "trms" / "functions"
@@ -63,9 +63,9 @@ def compiler() -> str | None:
         return None
     candidates = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
     for name in candidates:
-        found = shutil.which(name)
-        if found:
-            return found
+        path = shutil.which(name)
+        if path:
+            return path
     return None
 
 
@@ -149,10 +149,10 @@ def build_library(
     try:
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
-            source, built = write(Path(scratch)), Path(scratch) / library.name
-            command = [program, *flags, "-o", str(built), str(source), "-lm"]
+            source, binary = write(Path(scratch)), Path(scratch) / library.name
+            command = [program, *flags, "-o", str(binary), str(source), "-lm"]
             subprocess.run(command, check=True, capture_output=True)
-            os.replace(built, library)
+            os.replace(binary, library)
     except (OSError, subprocess.CalledProcessError):
         # An unwritable cache or a broken compiler costs speed, never the run.
         return None

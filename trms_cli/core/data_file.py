@@ -27,14 +27,14 @@ def largest(usual: int) -> int:
     if not text:
         return usual
     try:
-        given = float(text)
-        if not 0 < given < 2**24:
+        mebibytes = float(text)
+        if not 0 < mebibytes < 2**24:
             raise ValueError(text)
     except ValueError:
         raise ConfigurationError(
             f"{text!r} given", where=ENVIRONMENT, remedy="give a number of MiB, as 512"
         ) from None
-    return round(given * MEBIBYTE)
+    return round(mebibytes * MEBIBYTE)
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -91,10 +91,10 @@ def too_large(size: int, most: int) -> str:
 
 def how_to_raise(size: int) -> str:
     """What to type if so much is meant."""
-    needed = max(1, -(-size * 5 // 4 // MEBIBYTE))
+    mebibytes = max(1, -(-size * 5 // 4 // MEBIBYTE))
     return (
         "if the file is yours and the memory is there, raise the limit for this call (MiB): "
-        f"{ENVIRONMENT}={needed} trms …"
+        f"{ENVIRONMENT}={mebibytes} trms …"
     )
 
 

@@ -22,8 +22,8 @@ def program() -> str:
     called = Path(sys.argv[0])
     if called.name == "__main__.py" and called.parent.name == "trms_cli":
         return f"{shlex.quote(_relative(sys.executable))} -m trms_cli"
-    found = shutil.which(_NAME)
-    if called.name != _NAME or (found and Path(found).absolute() == called.absolute()):
+    path = shutil.which(_NAME)
+    if called.name != _NAME or (path and Path(path).absolute() == called.absolute()):
         return _NAME
     return shlex.quote(sys.argv[0])
 

@@ -46,24 +46,24 @@ _SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 _STEP = re.compile(r"\[\.\.\.\]|\[(\d+)\]|\.(\w+)")
 
 
-def nearest(given: str, allowed: Iterable[str]) -> str:
+def nearest(name: str, allowed: Iterable[str]) -> str:
     """A remedy: the nearest allowed name first, then all of them."""
     names = sorted(allowed)
-    close = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"did you mean {close[0]}? " if close else ""
     return f"{hint}allowed: {', '.join(names) if names else 'nothing'}"
 
 
 def require_known(
     name: str,
-    known: Collection[str],
+    allowed_names: Collection[str],
     problem: str,
     where: str,
     error: type[TrmsError] = ConfigurationError,
 ) -> None:
     """Refuse a name that is not among those known, with the nearest of them."""
-    if name not in known:
-        raise error(problem, where=where, remedy=nearest(name, known))
+    if name not in allowed_names:
+        raise error(problem, where=where, remedy=nearest(name, allowed_names))
 
 
 def locate(target: str, where: str) -> Any:
@@ -94,9 +94,9 @@ def locate(target: str, where: str) -> Any:
             where=key,
             remedy=nearest(attribute, [n for n in public if inspect.isclass(vars(module)[n])]),
         )
-    found = getattr(module, attribute)
-    trust.check_own(found, target, key)
-    return found
+    plugin = getattr(module, attribute)
+    trust.check_own(plugin, target, key)
+    return plugin
 
 
 def _how_to_find(error: ModuleNotFoundError) -> str:
@@ -134,8 +134,8 @@ def build(node: Any, where: str = "") -> Any:
             remedy=f"choose one by name, or give a mapping with {TARGET}",
         )
     target = locate(str(node[TARGET]), where)
-    given = {key: value for key, value in node.items() if key not in _IGNORED_KEYS}
-    return construct(target, given, where)
+    arguments = {key: value for key, value in node.items() if key not in _IGNORED_KEYS}
+    return construct(target, arguments, where)
 
 
 def construct(kind: Callable[..., _T], keys: Mapping[str, Any], where: str = "") -> _T:
@@ -149,7 +149,7 @@ def construct(kind: Callable[..., _T], keys: Mapping[str, Any], where: str = "")
         raise
 
 
-def _checked_arguments(target: Any, given: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _checked_arguments(target: Any, arguments: Mapping[str, Any], where: str) -> dict[str, Any]:
     parameters = {
         name: parameter
         for name, parameter in inspect.signature(target).parameters.items()
@@ -159,19 +159,19 @@ def _checked_arguments(target: Any, given: Mapping[str, Any], where: str) -> dic
     if inspect.isclass(target) and not dataclasses.is_dataclass(target):
         annotated = target.__init__
     hints = typing.get_type_hints(annotated, include_extras=True)
-    for key in given:
+    for key in arguments:
         if key not in parameters:
             raise ConfigurationError(
-                f"unknown key {key!r} (given: {given[key]!r})",
+                f"unknown key {key!r} (given: {arguments[key]!r})",
                 where=_join(where, str(key)),
                 remedy=nearest(str(key), parameters),
             )
     for name, parameter in parameters.items():
-        if parameter.default is parameter.empty and name not in given:
+        if parameter.default is parameter.empty and name not in arguments:
             raise _refused(Refusal("", None, "", unknown=name), _join(where, name))
     return {
         key: _converted(value, hints.get(key, Any), _join(where, key))
-        for key, value in given.items()
+        for key, value in arguments.items()
     }
 
 
@@ -184,8 +184,8 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
     try:
         return msgspec.convert(value, hint, strict=True)
     except msgspec.ValidationError as error:
-        found = refusal(error, value, hint)
-        raise _refused(found, where + found.path) from None
+        reason = refusal(error, value, hint)
+        raise _refused(reason, where + reason.path) from None
     except TypeError:
         # A type that is no data (a protocol, an array, a model): a plain value cannot be one.
         if isinstance(value, (str, int, float, bool, list, Mapping)):
@@ -236,15 +236,17 @@ def _built_inside(value: Any, where: str) -> Any:
     return value
 
 
-def _refused(found: Refusal, where: str) -> ConfigurationError:
-    if found.unknown and found.known:
-        problem, remedy = f"unknown key {found.unknown!r}", nearest(found.unknown, found.known)
-        return ConfigurationError(f"{problem} (given: {found.given!r})", where=where, remedy=remedy)
-    if found.unknown:
-        problem = f"{found.unknown!r} is required and not given"
+def _refused(reason: Refusal, where: str) -> ConfigurationError:
+    if reason.unknown and reason.known:
+        problem, remedy = f"unknown key {reason.unknown!r}", nearest(reason.unknown, reason.known)
+        return ConfigurationError(
+            f"{problem} (given: {reason.given!r})", where=where, remedy=remedy
+        )
+    if reason.unknown:
+        problem = f"{reason.unknown!r} is required and not given"
         return ConfigurationError(problem, where=where, remedy=f"set {where}=…")
-    remedy = nearest(found.given, found.known) if found.known else f"expected {found.allowed}"
-    return ConfigurationError(f"{found.given!r} given", where=where, remedy=remedy)
+    remedy = nearest(reason.given, reason.known) if reason.known else f"expected {reason.allowed}"
+    return ConfigurationError(f"{reason.given!r} given", where=where, remedy=remedy)
 
 
 def _join(where: str, key: str) -> str:
@@ -300,8 +302,10 @@ def refusal(error: msgspec.ValidationError, value: Any, hint: Any) -> Refusal:
         path += f".{name}" if index is None else f"[{index}]"
     unknown = re.search(r"unknown field `(.+)`", message)
     if unknown:
-        known = tuple(name for member in _members(hint) for name in _fields(member))
-        return Refusal(f"{path}.{unknown[1]}", value[unknown[1]], words(hint), unknown[1], known)
+        alternatives = tuple(name for member in _members(hint) for name in _fields(member))
+        return Refusal(
+            f"{path}.{unknown[1]}", value[unknown[1]], words(hint), unknown[1], alternatives
+        )
     missing = re.search(r"missing required field `(.+)`", message)
     if missing:
         return Refusal(f"{path}.{missing[1]}", None, words(hint), missing[1])
@@ -311,8 +315,8 @@ def refusal(error: msgspec.ValidationError, value: Any, hint: Any) -> Refusal:
         if typing.get_origin(member) is Literal
         for word in typing.get_args(member)
     )
-    known = literals if isinstance(value, str) and len(_members(hint)) == 1 else ()
-    return Refusal(path, value, words(hint), known=known)
+    alternatives = literals if isinstance(value, str) and len(_members(hint)) == 1 else ()
+    return Refusal(path, value, words(hint), known=alternatives)
 
 
 def _refused_key(value: Mapping[str, Any], hint: Any) -> Any:
@@ -396,14 +400,14 @@ def check_contract(plugin: Any, key: str) -> None:
 
     Raises ConfigurationError: it names the class and what it lacks.
     """
-    needed = _METHODS[key]
-    lacking = [name for name in needed if not callable(getattr(plugin, name, None))]
+    method_names = _METHODS[key]
+    lacking = [name for name in method_names if not callable(getattr(plugin, name, None))]
     if lacking:
         kind = type(plugin)
         raise ConfigurationError(
             f"{key} {kind.__module__}.{kind.__qualname__} lacks {' and '.join(lacking)}",
             where=f"{key}._target_",
-            remedy=f"it needs the methods {', '.join(needed)}: see docs/writing-a-plugin.md",
+            remedy=f"it needs the methods {', '.join(method_names)}: see docs/writing-a-plugin.md",
         )
 
 

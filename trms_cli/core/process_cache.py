@@ -62,10 +62,10 @@ def call_memoised(compute: Callable[P, T], *inputs: P.args, **options: P.kwargs)
         return compute(*inputs, **options)
     key, named = content
     with _lock:
-        found = _kept.get(key)
-        if found is not None:
+        entry = _kept.get(key)
+        if entry is not None:
             _kept.move_to_end(key)
-            return found.result
+            return entry.result
     result = compute(*inputs, **options)
     with _lock:
         _kept[key] = _Kept(result, named)

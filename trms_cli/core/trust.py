@@ -213,16 +213,16 @@ def check_allowed(target: str, where: str) -> None:
     )
 
 
-def check_own(found: Any, target: str, where: str) -> None:
+def check_own(plugin: Any, target: str, where: str) -> None:
     """Refuse what was found under a name and is no plugin of that place.
 
     Raises ConfigurationError for what was defined elsewhere, and for what is no class and no
     function.
     """
     package = target.partition(".")[0]
-    home = str(getattr(found, "__module__", None))
+    home = str(getattr(plugin, "__module__", None))
     if home.partition(".")[0] != package or not (
-        inspect.isclass(found) or inspect.isfunction(found)
+        inspect.isclass(plugin) or inspect.isfunction(plugin)
     ):
         raise ConfigurationError(
             f"{target!r} is no class of {package}",
@@ -230,7 +230,7 @@ def check_own(found: Any, target: str, where: str) -> None:
             remedy=f"name a class that is defined in {package} itself, by its own module"
             + (f": {home} is another package" if home not in ("None", package) else ""),
         )
-    if package == _OWN and not _is_plugin(found):
+    if package == _OWN and not _is_plugin(plugin):
         raise _refused(target, where)
 
 
@@ -242,14 +242,14 @@ def import_trusted(module: str) -> ModuleType:
     return importlib.import_module(module)
 
 
-def _is_plugin(found: Any) -> bool:
-    if f"{found.__module__}.{found.__qualname__}" in _FACTORIES:
+def _is_plugin(plugin: Any) -> bool:
+    if f"{plugin.__module__}.{plugin.__qualname__}" in _FACTORIES:
         return True
-    if not inspect.isclass(found):
+    if not inspect.isclass(plugin):
         return False
-    if any(f"{base.__module__}.{base.__qualname__}" in _BASES for base in found.__mro__):
+    if any(f"{base.__module__}.{base.__qualname__}" in _BASES for base in plugin.__mro__):
         return True
-    return dataclasses.is_dataclass(found) and found.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    return dataclasses.is_dataclass(plugin) and plugin.__dataclass_params__.frozen  # type: ignore[attr-defined]
 
 
 def _refused(target: str, where: str) -> ConfigurationError:

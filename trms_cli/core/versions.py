@@ -29,10 +29,10 @@ def changed_since(then: Mapping[str, str]) -> list[str]:
 @cache
 def _versions() -> dict[str, str]:
     """They stay the same while the process lives."""
-    known = {"trms": __version__, "python": platform.python_version()}
+    versions = {"trms": __version__, "python": platform.python_version()}
     for package in _COMPUTING_PACKAGES:
         try:
-            known[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
             continue
-    return known
+    return versions

@@ -49,11 +49,11 @@ def number(value: float | int | None, digits: int = 3, *, sd: float | None = Non
     if isinstance(value, float):
         if math.isinf(value):
             return "∞" if value > 0 else "−∞"
-        known = _known_digits(value, sd, digits)
+        significant_digits = _known_digits(value, sd, digits)
         if value != 0 and not 1e-3 <= abs(value) < 1e5:
-            return f"{value:.{known - 1}e}".replace("-", "−").replace("e+", "e")
-        if known > digits:  # the zeros at the end are known ones
-            text = f"{value:#.{known}g}".rstrip(".")
+            return f"{value:.{significant_digits - 1}e}".replace("-", "−").replace("e+", "e")
+        if significant_digits > digits:  # the zeros at the end are known ones
+            text = f"{value:#.{significant_digits}g}".rstrip(".")
         else:
             whole = abs(value) >= 10**digits
             text = f"{value:.0f}" if whole else f"{value:.{digits}g}"
@@ -65,8 +65,8 @@ def _known_digits(value: float, sd: float | None, digits: int) -> int:
     """Digits down to the second one of a standard deviation, at most six."""
     if not value or not sd or not math.isfinite(sd):
         return digits
-    known = math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2
-    return min(max(known, digits), 6)
+    significant_digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2
+    return min(max(significant_digits, digits), 6)
 
 
 def cell(value: str | float | int | None, sd: float | None = None) -> str:
@@ -94,8 +94,8 @@ def quantity(value: float | int | None, unit_text: str, digits: int = 3) -> str:
 
 def with_unit(label: str, unit_text: str = "") -> str:
     """The head of a column or an axis: ``RMSE [rad]``."""
-    shown = unit(unit_text)
-    return f"{label} [{shown}]" if shown else label
+    symbol = unit(unit_text)
+    return f"{label} [{symbol}]" if symbol else label
 
 
 def percent(share: float | None, decimals: int = 0) -> str:
@@ -149,12 +149,12 @@ def gap_interval(ends: tuple[float, float]) -> str:
 
 def listing(names: Sequence[str], word: str = "and", most: int | None = None) -> str:
     """Names as prose lists them: ``a, b and c``; beyond `most`, how many more there are."""
-    shown = list(names)
-    if most is not None and len(shown) > most:
-        shown = [*shown[:most], f"{len(shown) - most} more"]
-    if len(shown) < 2:
-        return "".join(shown)
-    return f"{', '.join(shown[:-1])} {word} {shown[-1]}"
+    entries = list(names)
+    if most is not None and len(entries) > most:
+        entries = [*entries[:most], f"{len(entries) - most} more"]
+    if len(entries) < 2:
+        return "".join(entries)
+    return f"{', '.join(entries[:-1])} {word} {entries[-1]}"
 
 
 def count(amount: int, noun: str, plural: str = "") -> str:
@@ -260,8 +260,8 @@ def headline(choices: Mapping[str, str], *, follows: bool = True, rig: str = "")
     parts += [f"ref {choices.get('ref', '')}"] if follows else []
     parts += [f"{group} {choices.get(group, '')}" for group in ("observer", "model")]
     parts.append(f"plant {plant_name(choices, rig)}")
-    chosen = [(group, choices.get(group, "")) for group in ("effect", "fault")]
-    parts += [f"{group} {names}" for group, names in chosen if names and names != "none"]
+    extras = [(group, choices.get(group, "")) for group in ("effect", "fault")]
+    parts += [f"{group} {names}" for group, names in extras if names and names != "none"]
     return " · ".join(parts)
 
 
@@ -284,8 +284,10 @@ def choice_labels(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -
 
 def named_files(choices: Mapping[str, Any], config: Mapping[str, Any] | str) -> dict[str, Any]:
     """The options as a log has them, but each model of a file by its name."""
-    shown = choice_labels(choices, config) if _FILE in choices.values() else {}
-    return {group: shown[group] if choice == _FILE else choice for group, choice in choices.items()}
+    labels = choice_labels(choices, config) if _FILE in choices.values() else {}
+    return {
+        group: labels[group] if choice == _FILE else choice for group, choice in choices.items()
+    }
 
 
 def typed_models(choices: Mapping[str, Any], typed: Mapping[str, Any]) -> dict[str, str]:

@@ -32,12 +32,12 @@ class _Loader(_PARSER):  # type: ignore[misc, valid-type]
     """Plain data; a key that stands twice is an error, not a loss."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
+        keys = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
-                if (key.tag, key.value) in seen:
+                if (key.tag, key.value) in keys:
                     raise YamlRefused(f"the key {key.value!r} stands twice", key.start_mark)
-                seen.add((key.tag, key.value))
+                keys.add((key.tag, key.value))
         return dict(super().construct_mapping(node, deep))
 
 

@@ -301,33 +301,33 @@ def output_row(model: Model, name: str) -> int:
 
     Raises ModelError if the model does not measure it.
     """
-    known = names(model.outputs)
-    if name not in known:
+    output_names = names(model.outputs)
+    if name not in output_names:
         raise ModelError(
             f"model {model.name!r} does not measure {name!r}",
-            remedy=f"it measures: {', '.join(known)}",
+            remedy=f"it measures: {', '.join(output_names)}",
         )
-    return known.index(name)
+    return output_names.index(name)
 
 
-def require_quantities(model: Model, *wanted: str) -> None:
+def require_quantities(model: Model, *quantity_names: str) -> None:
     """Check that a model names some physical quantities.
 
     Raises ModelError for the first that it does not.
     """
     x, u, p, _ = model.symbols()
-    known = model.quantities(x, u, p)
-    for name in wanted:
-        _named_quantity(model, name, known)
+    expressions = model.quantities(x, u, p)
+    for name in quantity_names:
+        _named_quantity(model, name, expressions)
 
 
-def _named_quantity(model: Model, name: str, known: Mapping[str, ca.SX]) -> ca.SX:
-    if name not in known:
+def _named_quantity(model: Model, name: str, expressions: Mapping[str, ca.SX]) -> ca.SX:
+    if name not in expressions:
         raise ModelError(
             f"model {model.name!r} does not name {name!r}",
-            remedy=f"it names: {', '.join(sorted(known)) or 'nothing'}",
+            remedy=f"it names: {', '.join(sorted(expressions)) or 'nothing'}",
         )
-    return known[name]
+    return expressions[name]
 
 
 def resisting_impulse(

@@ -113,12 +113,12 @@ class ExtendedModel(Model):
         step: float,
     ) -> ca.SX:
         first, last = (self._context(x, u, p) for x in (before, after))
-        shown, own = self._sensors(memory, step)
-        beneath = self.base.sensor_path(shown, first.x, last.x, u, first.p, window, step)
+        base_memory, own = self._sensors(memory, step)
+        beneath = self.base.sensor_path(base_memory, first.x, last.x, u, first.p, window, step)
         if own.is_empty():
             return beneath
         # A part that begins a step still reads by the memory of the last one.
-        y_before = self.base.reading(shown, first.x, u, first.p, step, window[0] or 1.0)
+        y_before = self.base.reading(base_memory, first.x, u, first.p, step, window[0] or 1.0)
         y_after = self.base.reading(beneath, last.x, u, first.p, step, window[1])
         own = self.effect.sensor_path(replace(last, shown=own), y_before, y_after, window, step)
         return ca.vertcat(beneath, own)
@@ -127,8 +127,8 @@ class ExtendedModel(Model):
         self, memory: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX, step: float, since: float = 1.0
     ) -> ca.SX:
         at = self._context(x, u, p)
-        shown, own = self._sensors(memory, step)
-        y = self.base.reading(shown, at.x, u, at.p, step, since)
+        base_memory, own = self._sensors(memory, step)
+        y = self.base.reading(base_memory, at.x, u, at.p, step, since)
         return self.effect.reading(replace(at, shown=own), y, step, since)
 
     def noise_sd(self, p: ca.SX, step: float) -> ca.SX:

@@ -19,9 +19,9 @@ def first_order(
     ``duration``: h, s.
     """
     divisor = ca.fmax(time_constant, duration / _LONGEST)
-    kept = ca.exp(-duration / divisor)
-    mean = target + (state - target) * (1 - kept) * (time_constant / duration)
-    return mean, kept * state + (1 - kept) * target
+    decay = ca.exp(-duration / divisor)
+    mean = target + (state - target) * (1 - decay) * (time_constant / duration)
+    return mean, decay * state + (1 - decay) * target
 
 
 def first_order_ramp(error: ca.SX, rise: ca.SX, time_constant: ca.SX, duration: float) -> ca.SX:
@@ -34,5 +34,5 @@ def first_order_ramp(error: ca.SX, rise: ca.SX, time_constant: ca.SX, duration: 
     window. ``time_constant``: τ, s, not negative. ``duration``: h, s.
     """
     divisor = ca.fmax(time_constant, duration / _LONGEST)
-    kept = ca.exp(-duration / divisor)
-    return kept * error - (1 - kept) * (time_constant / duration) * rise
+    decay = ca.exp(-duration / divisor)
+    return decay * error - (1 - decay) * (time_constant / duration) * rise

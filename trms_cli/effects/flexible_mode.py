@@ -59,10 +59,10 @@ class FlexibleMode(SensorEffect):
         damped = natural * ca.sqrt(1 - zeta**2)
         decay = ca.exp(-zeta * natural * duration)
         cosine, sine = ca.cos(damped * duration), ca.sin(damped * duration) / damped
-        left = zeta * natural * sine
+        damping_term = zeta * natural * sine
         return ca.vertcat(
-            decay * (deflection * (cosine + left) + slope * sine),
-            decay * (slope * (cosine - left) - deflection * natural**2 * sine) + axis_rate,
+            decay * (deflection * (cosine + damping_term) + slope * sine),
+            decay * (slope * (cosine - damping_term) - deflection * natural**2 * sine) + axis_rate,
         )
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:

@@ -34,8 +34,8 @@ class InputDelay(Effect):
         return max(self.longest, self.delay)
 
     def memory(self, step: float) -> tuple[Signal, ...]:
-        kept = math.ceil(self._reach / step - 1e-9)
-        return tuple(Signal(f"past_{k + 1}", "V", "earlier command") for k in range(kept))
+        count = math.ceil(self._reach / step - 1e-9)
+        return tuple(Signal(f"past_{k + 1}", "V", "earlier command") for k in range(count))
 
     def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
         channel = rotor_input(at.model, self.rotor)

@@ -63,12 +63,12 @@ class MassImbalance(Effect):
             axes.append("yaw")
         free, mobility = at.accelerations(*axes)
         inertia = ca.diag(ca.vertcat(*inertias))
-        felt = ca.solve(
+        moments = ca.solve(
             ca.SX.eye(len(axes)) + inertia @ mobility, ca.vertcat(*torques) - inertia @ free
         )
         result = ca.SX.zeros(at.model.n_w)
         for k, axis in enumerate(axes):
-            result += at.on(at.axis(axis).moment, felt[k])
+            result += at.on(at.axis(axis).moment, moments[k])
         return result
 
 

@@ -67,8 +67,8 @@ def load_model(
         model = _nominal(content, path)
         _check_parameters(content, model, path)
         # A model with a locked axis keeps the limits of the whole rig in its file.
-        known = {*model.input_limits, *model.stops, "u_v", "u_h", "alpha_v", "alpha_h"}
-        check_limits(content.limits, known, f"{path}: limits")
+        limit_names = {*model.input_limits, *model.stops, "u_v", "u_h", "alpha_v", "alpha_h"}
+        check_limits(content.limits, limit_names, f"{path}: limits")
         described = content.effects
     effects = {
         name: _effect(name, sizes, f"{path}: effects.{name}") for name, sizes in described.items()
@@ -112,13 +112,14 @@ def _nominal(content: ParameterFile, path: str) -> Model:
 def _plugin(content: ParameterFile, node: Mapping[str, Any], where: str) -> Model:
     """A model that is no option, with what the file says of its parameters."""
     model = _built(node, where, content.parameters, node.get(TARGET))
-    given = {parameter.name: parameter for parameter in content.parameter_set()}
-    for name in given:
+    file_parameters = {parameter.name: parameter for parameter in content.parameter_set()}
+    for name in file_parameters:
         problem = f"model {model.name!r} has no parameter {name!r}"
         place = f"{where.removesuffix('model')}parameters.{name}"
         require_known(name, model.parameters.names, problem, place, ModelError)
     model.parameters = ParameterSet(
-        (given.get(parameter.name, parameter) for parameter in model.parameters), content.name
+        (file_parameters.get(parameter.name, parameter) for parameter in model.parameters),
+        content.name,
     )
     return model
 
@@ -183,10 +184,10 @@ def _effect(name: str, sizes: Mapping[str, Any], where: str) -> Effect:
         node = dict(sizes)
     else:
         node = dict(_option("effect", name, where).get(name, {}))
-        known = [key for key in node if key != TARGET]
+        size_names = [key for key in node if key != TARGET]
         for key in sizes:
             problem = f"effect {name!r} has no size {key!r}"
-            require_known(key, known, problem, f"{where}.{key}", ModelError)
+            require_known(key, size_names, problem, f"{where}.{key}", ModelError)
         node |= sizes
     try:
         effect = build(node, where)

@@ -101,11 +101,11 @@ def _own_laws(at: EffectContext, axis: str) -> tuple[ca.SX, ca.SX, ca.SX]:
     torques = [moment_index(model, name) for name in axes]
     pushed = ca.jacobian(model.dynamics(x, u, p, w), w)[:, torques]
     in_state = ca.jacobian(rates, x)
-    moved = [i for i in range(model.n_x) if in_state[:, i].nnz() and pushed[i, :].nnz()]
-    per_rate = ca.inv(ca.densify(in_state[:, moved]))
+    momentum_rows = [i for i in range(model.n_x) if in_state[:, i].nnz() and pushed[i, :].nnz()]
+    per_rate = ca.inv(ca.densify(in_state[:, momentum_rows]))
     still = ca.SX(x)
-    still[moved] = x[moved] - per_rate @ rates
-    in_rate = ca.jacobian(moment, x[moved]) @ per_rate[:, axes.index(axis)]
+    still[momentum_rows] = x[momentum_rows] - per_rate @ rates
+    in_rate = ca.jacobian(moment, x[momentum_rows]) @ per_rate[:, axes.index(axis)]
     in_angle = ca.jacobian(moment, x[model.state_index(axis_of(model, axis).angle)])
     symbols = [x, u, p, w]
     at_rest = ca.Function("at_rest", symbols, [still])(at.x, at.u, at.p, at.w)

@@ -75,18 +75,18 @@ class Residual(Effect):
         return (self.size("share", "1", (0.5, 1.0), "how much of it acts"),)
 
     def check(self, model: Model) -> None:
-        known = term_names(model, self.place)
+        valid_names = term_names(model, self.place)
         for name, _ in self.terms:
-            require_known(name, known, f"there is no term {name!r}", "terms", ModelError)
+            require_known(name, valid_names, f"there is no term {name!r}", "terms", ModelError)
         for name, *_ in self.spans:
             require_known(name, USUAL_SPANS, f"there is no variable {name!r}", "spans", ModelError)
 
     def value(self, at: EffectContext) -> ca.SX:
         """All terms together, in the unit of the place."""
-        wanted, total = self.coefficients(at), ca.SX(0)
+        weights, total = self.coefficients(at), ca.SX(0)
         for name, value in terms(at, self.place, self.ranges(at)):
-            if name in wanted:
-                total += wanted[name] * value
+            if name in weights:
+                total += weights[name] * value
         return total
 
     def coefficients(self, at: EffectContext) -> dict[str, ca.SX]:
@@ -152,34 +152,41 @@ def term_names(model: Model, place: str) -> tuple[str, ...]:
 def variables(at: EffectContext) -> dict[str, ca.SX]:
     """What a term may be of, by name, as far as the model has it: rad, rad/s, V."""
     model = at.model
-    found: dict[str, ca.SX] = {}
+    expressions: dict[str, ca.SX] = {}
     for axis in ("pitch", "yaw"):
         if axis in model.axes:
-            found[f"{axis}_angle"], found[f"{axis}_rate"] = at.angle(axis), at.rate(axis)
+            expressions[f"{axis}_angle"], expressions[f"{axis}_rate"] = (
+                at.angle(axis),
+                at.rate(axis),
+            )
     for rotor in ("main", "tail"):
         if rotor in model.rotors:
-            found[f"{rotor}_command"] = at.u[index_of(model.inputs, model.rotors[rotor], "input")]
+            expressions[f"{rotor}_command"] = at.u[
+                index_of(model.inputs, model.rotors[rotor], "input")
+            ]
             if SPEEDS[rotor] in model.state_names:
-                found[f"{rotor}_speed"] = at.speed(rotor)
-    return found
+                expressions[f"{rotor}_speed"] = at.speed(rotor)
+    return expressions
 
 
 def terms(at: EffectContext, place: str, spans: Spans) -> Iterator[_Term]:
     """The terms at a place, by name."""
-    known = variables(at)
-    scaled = {name: (v - spans[name][0]) / spans[name][1] for name, v in known.items()}
+    expressions = variables(at)
+    scaled = {name: (v - spans[name][0]) / spans[name][1] for name, v in expressions.items()}
     # signs and powers are those of the variable itself: it has a zero of its own
     plain = {
         name: v / (ca.fabs(spans[name][0]) + spans[name][1])
-        for name, v in known.items()
+        for name, v in expressions.items()
         if not name.endswith("angle")
     }
     side, kind = place.split("_")
     if kind == "sensor":
-        yield from _of_an_angle(f"{side}_angle", known, scaled)
+        yield from _of_an_angle(f"{side}_angle", expressions, scaled)
     elif kind == "moment":
         own, other = ("main", "tail") if side == "pitch" else ("tail", "main")
-        yield from _of_an_axis(side, "yaw" if side == "pitch" else "pitch", known, scaled, plain)
+        yield from _of_an_axis(
+            side, "yaw" if side == "pitch" else "pitch", expressions, scaled, plain
+        )
         yield from _of_rotors(own, other, plain)
         yield from _of_thrust(side, own, scaled, plain)
     else:
@@ -188,24 +195,24 @@ def terms(at: EffectContext, place: str, spans: Spans) -> Iterator[_Term]:
 
 
 def _of_an_angle(
-    angle: str, known: Mapping[str, ca.SX], scaled: Mapping[str, ca.SX]
+    angle: str, expressions: Mapping[str, ca.SX], scaled: Mapping[str, ca.SX]
 ) -> Iterator[_Term]:
     yield from _bumps(angle, scaled[angle], _BUMPS)
     for k in HARMONICS:
-        yield f"{angle}_sine_{k}", ca.sin(k * known[angle])
-        yield f"{angle}_cosine_{k}", ca.cos(k * known[angle])
+        yield f"{angle}_sine_{k}", ca.sin(k * expressions[angle])
+        yield f"{angle}_cosine_{k}", ca.cos(k * expressions[angle])
 
 
 def _of_an_axis(
     axis: str,
     other: str,
-    known: Mapping[str, ca.SX],
+    expressions: Mapping[str, ca.SX],
     scaled: Mapping[str, ca.SX],
     plain: Mapping[str, ca.SX],
 ) -> Iterator[_Term]:
-    yield from _of_an_angle(f"{axis}_angle", known, scaled)
+    yield from _of_an_angle(f"{axis}_angle", expressions, scaled)
     yield from _with_sign(f"{axis}_rate", plain[f"{axis}_rate"])
-    if f"{other}_angle" in known:
+    if f"{other}_angle" in expressions:
         yield from _bumps(f"{other}_angle", scaled[f"{other}_angle"], _FEW_BUMPS)
         yield f"{other}_rate", plain[f"{other}_rate"]
         yield f"{other}_rate_square", plain[f"{other}_rate"] * ca.fabs(plain[f"{other}_rate"])

@@ -39,8 +39,8 @@ class SensorDelay(SensorEffect):
 
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
         # One more than the delay reaches: the slope of the last stretch needs a neighbour.
-        kept = math.ceil(self._reach / step - 1e-9) + 1
-        return tuple(Signal(f"past_{k + 1}", "rad", "earlier angle") for k in range(kept))
+        count = math.ceil(self._reach / step - 1e-9) + 1
+        return tuple(Signal(f"past_{k + 1}", "rad", "earlier angle") for k in range(count))
 
     def sensor_path(
         self, at: EffectContext, before: ca.SX, after: ca.SX, window: Window, step: float
@@ -55,16 +55,16 @@ class SensorDelay(SensorEffect):
     ) -> FloatArray | None:
         from scipy.interpolate import CubicSpline
 
-        known = np.flatnonzero(np.isfinite(recorded))
-        if len(known) < 4:
+        valid_rows = np.flatnonzero(np.isfinite(recorded))
+        if len(valid_rows) < 4:
             return np.full_like(recorded, np.nan)
         later = np.arange(len(recorded)) + sizes["delay"] / step
         # what was not measured, and what is shown before the first sample or after the last, stays
         # unknown
-        between = np.clip(np.searchsorted(known, later), 1, len(known) - 1)
-        inside = known[between] - known[between - 1] <= 1
-        inside &= (later >= known[0]) & (later <= known[-1])
-        return np.where(inside, CubicSpline(known, recorded[known])(later), np.nan)
+        between = np.clip(np.searchsorted(valid_rows, later), 1, len(valid_rows) - 1)
+        inside = valid_rows[between] - valid_rows[between - 1] <= 1
+        inside &= (later >= valid_rows[0]) & (later <= valid_rows[-1])
+        return np.where(inside, CubicSpline(valid_rows, recorded[valid_rows])(later), np.nan)
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
         row = self.row(at.model)

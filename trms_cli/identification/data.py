@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, TrmsError
-from trms_cli.identification.admission import require_sample_time
+from trms_cli.identification.admission.sampling import require_sample_time
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.plants.sensors import Sensors
@@ -142,7 +142,7 @@ def _offset(
     remarks: list[str],
 ) -> FloatArray:
     """Measurements with what is to be added to them; told in the remarks."""
-    moved = measurements.copy()
+    result = measurements.copy()
     for name, value in offset.items():
         if name not in names(outputs):
             raise ConfigurationError(
@@ -155,9 +155,9 @@ def _offset(
                 f"{value!r} given", where=f"data.offset.{name}", remedy="a finite number"
             )
         index = names(outputs).index(name)
-        moved[:, index] += value
+        result[:, index] += value
         remarks.append(f"{value:+.4g} {outputs[index].unit} added to {name}")
-    return moved
+    return result
 
 
 def noise_estimate(measurements: FloatArray) -> FloatArray:
@@ -186,9 +186,9 @@ def files_of(real: Sequence[str] | str) -> list[str]:
     Raises ConfigurationError if nothing is named, a pattern fits no file, a folder holds no log, or
     a file occurs twice.
     """
-    given = [real] if isinstance(real, str) else list(real)
+    entries = [real] if isinstance(real, str) else list(real)
     files: list[str] = []
-    for name in given:
+    for name in entries:
         path = Path(name).expanduser()
         if path.is_dir():
             if not (path / _LOG).is_file():
@@ -219,12 +219,12 @@ def files_of(real: Sequence[str] | str) -> list[str]:
     return files
 
 
-def _unique(file: str, taken: Sequence[str]) -> str:
+def _unique(file: str, used_names: Sequence[str]) -> str:
     """A short name for a file (of a run, its folder's), numbered from 2 on if it is taken."""
     path = Path(file)
     name = path.absolute().parent.name if path.name == _LOG else path.stem
     number, candidate = 1, name
-    while candidate in taken:
+    while candidate in used_names:
         number += 1
         candidate = f"{name}-{number}"
     return candidate

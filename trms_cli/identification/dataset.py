@@ -84,15 +84,15 @@ class Dataset:
                 remarks.append(f"{np.count_nonzero(~present)} samples of {name} interpolated")
                 values = np.interp(self.time, self.time[present], values[present])
             columns.append(np.append((values[:-1] + values[1:]) / 2, values[-1])[:, None])
-        kept = [i for i, signal in enumerate(self.outputs) if signal.name not in channels]
-        moved = tuple(s for name in channels for s in self.outputs if s.name == name)
+        indices = [i for i, signal in enumerate(self.outputs) if signal.name not in channels]
+        new_inputs = tuple(s for name in channels for s in self.outputs if s.name == name)
         return replace(
             self,
-            inputs=(*self.inputs, *moved),
-            outputs=tuple(self.outputs[i] for i in kept),
+            inputs=(*self.inputs, *new_inputs),
+            outputs=tuple(self.outputs[i] for i in indices),
             commands=np.ascontiguousarray(np.hstack(columns)),
-            measurements=np.ascontiguousarray(self.measurements[:, kept]),
-            noise_sd=self.noise_sd[kept],
+            measurements=np.ascontiguousarray(self.measurements[:, indices]),
+            noise_sd=self.noise_sd[indices],
             remarks=tuple(remarks),
         )
 

@@ -180,19 +180,21 @@ def free_run_chart(assessment: Assessment) -> Chart | None:
         runs = [("simulated, fitted", after, "blue", "solid")]
         if before is not None:
             runs.insert(0, ("simulated before the fit", before, "vermilion", "dashed"))
-        shown = [(label, _broken(run, i, begin, end, starts), c, s) for label, run, c, s in runs]
+        curves = [(label, _broken(run, i, begin, end, starts), c, s) for label, run, c, s in runs]
         marks: list[Mark] = [Curve(time, measured, "measured", "pale", width=2.4)]
         errors: list[Mark] = []
         scores = []
-        for label, values, colour, style in shown:
+        for label, values, colour, style in curves:
             marks.append(Curve(time, values, label, colour, style, 0.9))  # type: ignore[arg-type]
             errors.append(Curve(time, measured - values, "", colour, style, 0.8))  # type: ignore[arg-type]
-            known = (measured - values)[np.isfinite(measured - values)]
-            scores.append(wording.number(float(np.sqrt(np.mean(known**2)))) if known.size else "–")
+            differences = (measured - values)[np.isfinite(measured - values)]
+            scores.append(
+                wording.number(float(np.sqrt(np.mean(differences**2)))) if differences.size else "–"
+            )
         marks += [Line(x=float(start)) for start in starts]
         errors.append(Line(y=0.0, style="solid"))
         label = wording.signal(signal.name)
-        limits = near(measured, [values for _, values, _, _ in shown])
+        limits = near(measured, [values for _, values, _, _ in curves])
         unit = wording.unit(signal.unit)
         panels.append(Panel(x, Axis(label, unit, limits), marks))
         title = f"RMSE {' → '.join(scores)} {unit}"
@@ -230,10 +232,10 @@ def near(
     room = reach * (high - low) or 1.0
     floor, roof = low - room, high + room
     for values in others:
-        known = values[np.isfinite(values)]
-        if known.size:
-            low = max(min(low, float(known.min())), floor)
-            high = min(max(high, float(known.max())), roof)
+        finite_values = values[np.isfinite(values)]
+        if finite_values.size:
+            low = max(min(low, float(finite_values.min())), floor)
+            high = min(max(high, float(finite_values.max())), roof)
     margin = 0.05 * (high - low) or 0.1
     return low - margin, high + margin
 
@@ -270,8 +272,8 @@ def _parameters(document: Mapping[str, Any]) -> report.Section:
 def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
     """What cannot be told apart, what the data are silent on, and what is at a bound."""
     parameters = document["parameters"]
-    known = document.get("identifiability") or {}
-    sets = known.get("confounded", [])
+    identifiability = document.get("identifiability") or {}
+    sets = identifiability.get("confounded", [])
     for group in sets[:_MOST_SETS]:
         yield (
             f"confounded: {wording.listing(group['names'])} imitate each other (collinearity "
@@ -280,7 +282,7 @@ def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
     if len(sets) > _MOST_SETS:
         more = wording.count(len(sets) - _MOST_SETS, "more such set")
         yield f"{more}: see identification.json"
-    vague = known.get("uninformed", [])
+    vague = identifiability.get("uninformed", [])
     if vague:
         listed = wording.listing(vague)
         yield f"unknown: of {listed} the data say next to nothing; the prior decided"
@@ -293,7 +295,7 @@ def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
         yield f"absent: {wording.listing(absent)} of size zero; these data show none of it"
     far = {name: _moved(p) for name, p in parameters.items() if _moved(p) > _FAR}
     if far:
-        listed = wording.listing([f"{name} ({moved:.0f})" for name, moved in far.items()])
+        listed = wording.listing([f"{name} ({deviation:.0f})" for name, deviation in far.items()])
         yield (
             f"far: {listed} prior deviations from what was known; it may stand for something that "
             "the model lacks, or the recording is not what it seems"
@@ -336,12 +338,12 @@ def parameter_chart(parameters: Mapping[str, Mapping[str, Any]]) -> Chart:
     for place, (name, p) in enumerate(parameters.items()):
         scale = p["prior_sd"] or 0.3 * abs(p["prior_mean"] or p["start"]) or 1.0
         at = (p["value"] - p["prior_mean"]) / scale
-        shown = float(np.clip(at, -_REACH + 0.1, _REACH - 0.1))
-        names.append(name if shown == at else f"{name} ({at:+.0f} sd)".replace("-", "−"))
+        position = float(np.clip(at, -_REACH + 0.1, _REACH - 0.1))
+        names.append(name if position == at else f"{name} ({at:+.0f} sd)".replace("-", "−"))
         _place(starts, (p["start"] - p["prior_mean"]) / scale, place)
-        _place(bound if p["at_bound"] else inside, shown, place)
+        _place(bound if p["at_bound"] else inside, position, place)
         if p["sd"] is not None:
-            whiskers[0].extend([shown - p["sd"] / scale, shown + p["sd"] / scale, np.nan])
+            whiskers[0].extend([position - p["sd"] / scale, position + p["sd"] / scale, np.nan])
             whiskers[1].extend([place, place, np.nan])
     marks: list[Mark] = [
         Band([-2.0, 2.0], *ends, "two and one prior deviations", "grey", 0.12),
@@ -392,7 +394,7 @@ def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
     points = np.array([list(row) for row in history], dtype=float).reshape(-1, 3)
     least = float(np.nanmin(points[:, 2])) if len(points) else 0.0
     above = np.where(points[:, 2] > least, points[:, 2] - least, np.nan)
-    known = np.isfinite(above)
+    is_finite = np.isfinite(above)
     costs = [cost for _, _, cost in history if cost is not None]
     lowest = f"above the least of all ({wording.number(least, 6)})"
     caption = f"The least cost so far, {lowest}."
@@ -401,7 +403,7 @@ def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
             f"The cost along the search, {lowest}. Where it rises, another start was begun or the "
             "residuals were weighed anew."
         )
-    y = Axis("cost above its least", log=bool(np.any(known)))
+    y = Axis("cost above its least", log=bool(np.any(is_finite)))
     panels = [
         Panel(Axis(label, unit), y, [Curve(points[:, i], above, held=True)])
         for i, (label, unit) in enumerate((("simulations", ""), ("time", "s")))

@@ -296,8 +296,8 @@ def _add_statistics(problem: FitProblem, assessment: Assessment) -> None:
     fit = map_fit.fit_from(Windows(problem), result.theta, map_fit.MapSettings(), held=every)
     if fit.information is not None and (covariance := fit.covariance) is not None:
         assessment.result = replace(result, covariance=covariance)
-        known = map_fit.identifiability(fit.information, problem.names, covariance)
-        assessment.statistics["identifiability"] = asdict(known)
+        judgement = map_fit.identifiability(fit.information, problem.names, covariance)
+        assessment.statistics["identifiability"] = asdict(judgement)
 
 
 def add_free_runs(problem: FitProblem, assessment: Assessment, fitted: Model | None = None) -> None:

@@ -53,13 +53,13 @@ class MultipleShooting:
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem; see :class:`trms_cli.identification.problem.Method`."""
-        begun = time.perf_counter()
-        wanted = _profiled(self.profiles, problem)
+        start_time = time.perf_counter()
+        profile_names = _profiled(self.profiles, problem)
         windows = Windows(problem)
         settings = map_fit.MapSettings(
             iterations=self.iterations, tolerance=self.tolerance, joined=_JOINED[self.continuity]
         )
-        watcher = _Watcher(progress, problem, self.starts, self.iterations, begun)
+        watcher = _Watcher(progress, problem, self.starts, self.iterations, start_time)
         fits: list[map_fit.MapFit] = []
         for k in range(self.starts):
             theta = watcher.begin(k)
@@ -73,7 +73,7 @@ class MultipleShooting:
         best = fits[int(np.argmin(_standings(fits)))]
         details = _details(problem, fits, best)
         if best.information is not None and not watcher.stopped:
-            details["profiles"] = _profiles(best, wanted, watcher)
+            details["profiles"] = _profiles(best, profile_names, watcher)
         return FitResult(
             method="multiple_shooting",
             outcome=FitOutcome.INTERRUPTED if watcher.stopped else best.outcome,
@@ -82,7 +82,7 @@ class MultipleShooting:
             covariance=best.covariance,
             history=watcher.history,
             evaluations=watcher.evaluations,
-            seconds=time.perf_counter() - begun,
+            seconds=time.perf_counter() - start_time,
             details=details,
         )
 
@@ -99,8 +99,8 @@ class _Watcher:
     ) -> None:
         self._progress, self._starts, self._iterations = progress, starts, iterations
         self._begun, self._start = begun, 0
-        saved = (progress.saved() or {}).get("points", [])
-        self._points: list[list[float]] = [p for p in saved if len(p) == len(problem.free)]
+        points = (progress.saved() or {}).get("points", [])
+        self._points: list[list[float]] = [p for p in points if len(p) == len(problem.free)]
         self.history: list[HistoryPoint] = []
         self.stopped = False
         self.evaluations = 0
@@ -143,8 +143,8 @@ def _starting_point(
             return problem.prior_means
     generator = np.random.default_rng(np.random.SeedSequence([problem.seed, 0x57A7, k]))
     low, high = problem.bounds
-    drawn = problem.prior_means + problem.scales * generator.standard_normal(len(first))
-    return np.clip(drawn, low, high)
+    draw = problem.prior_means + problem.scales * generator.standard_normal(len(first))
+    return np.clip(draw, low, high)
 
 
 def _standings(fits: list[map_fit.MapFit]) -> FloatArray:
@@ -193,12 +193,12 @@ def _details(
     covariance = best.covariance
     if best.information is None or covariance is None:
         return details
-    known = map_fit.identifiability(best.information, problem.names, covariance)
+    judgement = map_fit.identifiability(best.information, problem.names, covariance)
     at = problem.on_bounds(best.point.theta)
     weights, declared = judge.weights, judge.windows.declared
     return details | {
         "on_bounds": [name for name, on in zip(problem.names, at, strict=True) if on],
-        "identifiability": asdict(known),
+        "identifiability": asdict(judgement),
         "outputs": {
             name: {
                 "declared_sd": float(declared[0, i]),
@@ -211,17 +211,17 @@ def _details(
     }
 
 
-def _profiled(asked: tuple[str, ...], problem: FitProblem) -> tuple[str, ...]:
-    if "all" in asked:
+def _profiled(requested_names: tuple[str, ...], problem: FitProblem) -> tuple[str, ...]:
+    if "all" in requested_names:
         return problem.names
-    for name in asked:
-        known = (*problem.names, "all")
-        require_known(name, known, f"{name!r} is not free", "method.profiles")
-    return asked
+    for name in requested_names:
+        allowed_names = (*problem.names, "all")
+        require_known(name, allowed_names, f"{name!r} is not free", "method.profiles")
+    return requested_names
 
 
 def _profiles(
-    best: map_fit.MapFit, wanted: tuple[str, ...], watcher: _Watcher
+    best: map_fit.MapFit, parameter_names: tuple[str, ...], watcher: _Watcher
 ) -> Mapping[str, Any]:
     covariance = best.covariance
     assert best.information is not None and covariance is not None
@@ -229,8 +229,8 @@ def _profiles(
     curvature = np.linalg.pinv(
         best.information.of_data + np.diag(best.information.prior), rcond=1e-13, hermitian=True
     )
-    found = {}
-    for name in wanted:
+    profiles = {}
+    for name in parameter_names:
         i = problem.names.index(name)
         plain = float(np.sqrt(max(curvature[i, i], 0.0)) * problem.scales[i])
         sd = float(np.sqrt(covariance[i, i])) or plain
@@ -238,11 +238,11 @@ def _profiles(
         along = map_fit.profile(
             best.objective, best.point, name, sd, factor=(plain / sd) ** 2, watch=watcher
         )
-        found[name] = {
+        profiles[name] = {
             "values": along.values.tolist(),
             "rise": along.rise.tolist(),
             "interval_95": [v if np.isfinite(v) else None for v in along.interval],
         }
         if watcher.stopped:
             break
-    return found
+    return profiles

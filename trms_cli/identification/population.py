@@ -66,14 +66,14 @@ class SimulationCost:
         """Cost in nats at parameters (n_f,); infinite where the simulation is not finite."""
         p = self._problem.all_values(theta)
         with np.errstate(all="ignore"):
-            found = self.windows.residuals(p, self.starts, slopes=True)
-            if not found.finite:
+            result = self.windows.residuals(p, self.starts, slopes=True)
+            if not result.finite:
                 return np.inf
-            step = self._start_step(found)
-            found = self.windows.residuals(p, self.starts + step * self.windows.spread)
-            if not found.finite:
+            step = self._start_step(result)
+            result = self.windows.residuals(p, self.starts + step * self.windows.spread)
+            if not result.finite:
                 return np.inf
-            cost = self._of_residuals(found.r) + 0.5 * float(np.sum(step**2))
+            cost = self._of_residuals(result.r) + 0.5 * float(np.sum(step**2))
             gap = theta - self._problem.prior_means
             cost += 0.5 * float(np.sum(self._problem.prior_precisions * gap**2))
         return cost if np.isfinite(cost) else np.inf
@@ -95,15 +95,15 @@ class SimulationCost:
             square[:] = np.minimum(z2, far).sum(axis=(0, 1)) / count
         return square
 
-    def _start_step(self, found: Residuals) -> FloatArray:
+    def _start_step(self, residuals: Residuals) -> FloatArray:
         """Change of the starts in units of their spread, (m, n_x)."""
-        assert found.j is not None
-        s = np.sqrt(np.maximum(1.0, self._mean_square(found.r)))
+        assert residuals.j is not None
+        s = np.sqrt(np.maximum(1.0, self._mean_square(residuals.r)))
         root = self.windows.measured / (self.windows.declared * s)[:, None]
         m, n = len(self.windows), self.windows.n_x
-        slopes = (found.j[..., :n] * self.windows.spread * root[..., None]).reshape(m, -1, n)
+        slopes = (residuals.j[..., :n] * self.windows.spread * root[..., None]).reshape(m, -1, n)
         a = np.ascontiguousarray(slopes.transpose(0, 2, 1))
-        b = (found.r * root).reshape(m, -1)
+        b = (residuals.r * root).reshape(m, -1)
         # Not by BLAS, which would start threads of its own beside those of the search.
         normal = np.einsum("mik,mjk->mij", a, a) + np.eye(n)
         right = np.einsum("mik,mk->mi", a, b)[..., None]
@@ -146,9 +146,9 @@ class Journal:
     @property
     def state(self) -> dict[str, Any]:
         """All of it as JSON has it."""
-        found = msgspec.to_builtins(_State(self._about, self._entries))
-        assert isinstance(found, dict)
-        return found
+        data = msgspec.to_builtins(_State(self._about, self._entries))
+        assert isinstance(data, dict)
+        return data
 
     def recorded(self, number: int, points: FloatArray) -> Generation | None:
         """The generation `number` (from 0 on) if it stands here.
@@ -172,9 +172,9 @@ class Journal:
         values = [float(cost) if np.isfinite(cost) else None for cost in costs]
         self._entries.append(Generation(digest(points), values, seconds))
 
-    def _of_this_search(self, saved: Mapping[str, Any]) -> _State:
+    def _of_this_search(self, content: Mapping[str, Any]) -> _State:
         try:
-            then = msgspec.convert(dict(saved), _State)
+            then = msgspec.convert(dict(content), _State)
         except msgspec.ValidationError as error:
             raise ConfigurationError(
                 f"what was kept there is of another method or version: {error}",
@@ -246,31 +246,31 @@ def evolve(
     again; the others are added.
     """
     journal = journal or Journal()
-    found = SearchResult(np.full(dimension, 0.5))
-    while found.evaluations < evaluations and not (found.ended or found.stopped):
+    result = SearchResult(np.full(dimension, 0.5))
+    while result.evaluations < evaluations and not (result.ended or result.stopped):
         begin = perf_counter()
         points = search.ask()
-        known = journal.recorded(len(found.costs), points)
-        if known is None:
+        generation = journal.recorded(len(result.costs), points)
+        if generation is None:
             costs = np.asarray(evaluate(points), dtype=float)
             costs = np.where(np.isfinite(costs), costs, np.inf)
         else:
-            costs = np.array([np.inf if cost is None else cost for cost in known.costs])
+            costs = np.array([np.inf if cost is None else cost for cost in generation.costs])
         search.tell(points, costs)
         first = int(np.argmin(costs))
-        if costs[first] < found.cost:
-            found.best, found.cost = points[first].copy(), float(costs[first])
-        found.costs.append((found.cost, float(np.median(costs))))
-        found.evaluations += len(costs)
-        if known is None:
-            found.seconds += perf_counter() - begin
-            journal.keep(points, costs, found.seconds)
+        if costs[first] < result.cost:
+            result.best, result.cost = points[first].copy(), float(costs[first])
+        result.costs.append((result.cost, float(np.median(costs))))
+        result.evaluations += len(costs)
+        if generation is None:
+            result.seconds += perf_counter() - begin
+            journal.keep(points, costs, result.seconds)
         else:
-            found.seconds = known.seconds
-        found.ended = search.ended
-        if watch is not None and known is None:
-            found.stopped = not watch(found)
-    return found
+            result.seconds = generation.seconds
+        result.ended = search.ended
+        if watch is not None and generation is None:
+            result.stopped = not watch(result)
+    return result
 
 
 def on_threads(
@@ -363,12 +363,12 @@ def search_fit(
     evaluate = on_threads(lambda point: cost(box.values(point)), problem.jobs)
     journal = Journal(_about(method, problem, box, settings), progress.saved())
 
-    def watch(found: SearchResult) -> bool:
+    def watch(result: SearchResult) -> bool:
         progress.save(journal.state)
-        message = f"generation {len(found.costs)}, {found.evaluations} simulations"
-        return progress.update(found.evaluations / evaluations, found.cost, message)
+        message = f"generation {len(result.costs)}, {result.evaluations} simulations"
+        return progress.update(result.evaluations / evaluations, result.cost, message)
 
-    found = evolve(
+    result = evolve(
         search,
         evaluate,
         evaluations=evaluations,
@@ -376,35 +376,35 @@ def search_fit(
         journal=journal,
         watch=watch,
     )
-    values = box.values(found.best)
+    values = box.values(result.best)
     state = journal.state["generations"]
-    done = list(accumulate(len(entry["costs"]) for entry in state[: len(found.costs)]))
+    totals = list(accumulate(len(entry["costs"]) for entry in state[: len(result.costs)]))
     history = [
         HistoryPoint(number, entry["seconds"], best)
-        for number, entry, (best, _) in zip(done, state, found.costs, strict=False)
+        for number, entry, (best, _) in zip(totals, state, result.costs, strict=False)
     ]
     return FitResult(
         method=method,
-        outcome=_outcome(found),
-        cost=found.cost,
+        outcome=_outcome(result),
+        cost=result.cost,
         values=dict(zip(problem.names, values.tolist(), strict=True)),
         history=history,
-        evaluations=found.evaluations,
-        seconds=found.seconds,
+        evaluations=result.evaluations,
+        seconds=result.seconds,
         details={
-            "ended": found.ended or ("stopped" if found.stopped else "the budget was spent"),
-            "generations": len(found.costs),
-            "median_cost": [None if np.isinf(m) else m for _, m in found.costs],
+            "ended": result.ended or ("stopped" if result.stopped else "the budget was spent"),
+            "generations": len(result.costs),
+            "median_cost": [None if np.isinf(m) else m for _, m in result.costs],
         },
     )
 
 
-def _outcome(found: SearchResult) -> FitOutcome:
-    if not np.isfinite(found.cost):
+def _outcome(result: SearchResult) -> FitOutcome:
+    if not np.isfinite(result.cost):
         return FitOutcome.FAILED
-    if found.stopped:
+    if result.stopped:
         return FitOutcome.INTERRUPTED
-    return FitOutcome.CONVERGED if found.ended else FitOutcome.BUDGET_SPENT
+    return FitOutcome.CONVERGED if result.ended else FitOutcome.BUDGET_SPENT
 
 
 def _about(

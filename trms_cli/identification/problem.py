@@ -77,7 +77,7 @@ class FreeParameter:
 
 def free_parameters(
     parameters: ParameterSet,
-    chosen: Sequence[str],
+    selection: Sequence[str],
     *,
     centres: ParameterSet | None = None,
     priors: Mapping[str, Prior | None] | None = None,
@@ -85,7 +85,7 @@ def free_parameters(
 ) -> tuple[FreeParameter, ...]:
     """Free parameters by name, in the order of the model's ``parameters``.
 
-    ``chosen``: names (``k_fvp``, an effect's size ``yaw_coulomb_friction.torque``), patterns
+    ``selection``: names (``k_fvp``, an effect's size ``yaw_coulomb_friction.torque``), patterns
     (``k_*``), ``priors`` for all that have a prior, and any of these after ``!`` to leave out
     again. ``centres``: where the priors lie when the model's values are other starts; None:
     ``parameters``. ``priors``: in place of the set's; None takes a parameter's prior away.
@@ -93,13 +93,13 @@ def free_parameters(
     ConfigurationError for a name or pattern that fits nothing, or contradicting priors and bounds.
     """
     priors, bounds = priors or {}, bounds or {}
-    taken = set[str]()
-    for word in chosen:
+    free_names = set[str]()
+    for word in selection:
         if word.startswith("!"):
-            taken -= _fitting(parameters, word[1:], priors)
+            free_names -= _fitting(parameters, word[1:], priors)
         else:
-            taken |= _fitting(parameters, word, priors)
-    if not taken:
+            free_names |= _fitting(parameters, word, priors)
+    if not free_names:
         raise ConfigurationError(
             "no parameter is free",
             where="free",
@@ -110,26 +110,26 @@ def free_parameters(
             )
             + ", ".join(parameters.names),
         )
-    for key, given in (("priors", priors), ("bounds", bounds)):
-        for name in given:
-            require_known(name, taken, f"{name!r} is not free", f"{key}.{name}")
+    for key, entries in (("priors", priors), ("bounds", bounds)):
+        for name in entries:
+            require_known(name, free_names, f"{name!r} is not free", f"{key}.{name}")
     return tuple(
         _free(parameter, (centres or parameters)[parameter.name].value, priors, bounds)
         for parameter in parameters
-        if parameter.name in taken
+        if parameter.name in free_names
     )
 
 
 def _fitting(parameters: ParameterSet, word: str, priors: Mapping[str, Prior | None]) -> set[str]:
     if word == PRIORS:
-        known = {p.name for p in parameters if p.prior_sd is not None}
-        return known | {n for n in priors if n in parameters}
-    found = {name for name in parameters.names if fnmatch.fnmatchcase(name, word)}
-    if not found:
+        prior_names = {p.name for p in parameters if p.prior_sd is not None}
+        return prior_names | {n for n in priors if n in parameters}
+    matches = {name for name in parameters.names if fnmatch.fnmatchcase(name, word)}
+    if not matches:
         raise ConfigurationError(
             f"no parameter is called {word!r}", where="free", remedy=nearest(word, parameters.names)
         )
-    return found
+    return matches
 
 
 def _free(
@@ -234,8 +234,8 @@ class FitProblem:
                     remedy=f"it predicts {', '.join(names(self.model.outputs))}",
                 )
         for name in self.names:
-            known = self.model.parameters.names
-            require_known(name, known, f"the model has no parameter {name!r}", "free")
+            parameter_names = self.model.parameters.names
+            require_known(name, parameter_names, f"the model has no parameter {name!r}", "free")
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -69,13 +69,13 @@ class RecordedMotions:
         f = ca.substitute(ca.substitute(f, p, numbers), w, ca.DM.zeros(model.n_w))
         rates = ca.vertcat(*[f[i] for i in angles])
         momentum = ca.vertcat(*[x[i] for i in momenta])
-        wanted = ca.SX.sym("rates", len(angles))
+        goal_rates = ca.SX.sym("rates", len(angles))
         slope = ca.densify(ca.jacobian(rates, momentum))
         still = ca.substitute(rates, momentum, ca.SX.zeros(len(momenta)))
         slope = ca.substitute(slope, momentum, ca.SX.zeros(len(momenta)))
-        solved = ca.solve(slope, wanted - still)
+        solved = ca.solve(slope, goal_rates - still)
         acceleration = ca.jtimes(rates, x, f)
-        self._momentum_of = ca.Function("momentum", [x, u, wanted], [solved])
+        self._momentum_of = ca.Function("momentum", [x, u, goal_rates], [solved])
         self._acceleration = ca.Function("acceleration", [x, u], [acceleration])
 
     def at_rest(self, angle: str, values: FloatArray) -> FloatArray:
@@ -219,7 +219,7 @@ def _local_cubics(
     powers = np.arange(4)
     at = (np.arange(window) - half) * step
     fit = np.linalg.pinv(at[:, None] ** powers)  # (4, window): samples to coefficients
-    found = []
+    derivatives = []
     for order, factor in ((0, 1.0), (1, 1.0), (2, 2.0)):
         inner = factor * np.convolve(values, fit[order][::-1], mode="same")
         for end, whole in (
@@ -227,8 +227,8 @@ def _local_cubics(
             (slice(-half, None), values[-window:]),
         ):
             inner[end] = polyval(at[end], polyder(fit @ whole, order))
-        found.append(inner)
-    return found[0], found[1], found[2]
+        derivatives.append(inner)
+    return derivatives[0], derivatives[1], derivatives[2]
 
 
 def _window(step: float) -> int:

@@ -58,7 +58,11 @@ def remarks(verbose: bool) -> Iterator[None]:
 
 
 def done(
-    command: str, asked: Arguments, task: Callable[[Composition, Listener], Done], *, verbose: bool
+    command: str,
+    arguments: Arguments,
+    task: Callable[[Composition, Listener], Done],
+    *,
+    verbose: bool,
 ) -> Done:
     """Compose what a command is asked for, let a task do it, and show it if `verbose`.
 
@@ -68,9 +72,9 @@ def done(
     from trms_cli.composition.given_object import with_objects
 
     def whole(listener: Listener) -> Done:
-        return task(with_objects(compose(asked.argv, command), asked.objects), listener)
+        return task(with_objects(compose(arguments.argv, command), arguments.objects), listener)
 
-    return done_by(command, words_of(command, asked), whole, asked.objects, verbose=verbose)
+    return done_by(command, words_of(command, arguments), whole, arguments.objects, verbose=verbose)
 
 
 def done_by(
@@ -91,11 +95,11 @@ def done_by(
     return result
 
 
-def words_of(command: str, asked: Arguments) -> str:
+def words_of(command: str, arguments: Arguments) -> str:
     """A call in words: as it would be typed, or in Python where it has objects."""
     from trms_cli.composition.given_object import words_of as said
 
-    if not asked.objects:
-        return shlex.join(["trms", command, *asked.argv])
-    words = [*map(repr, asked.words), *(f"{p}={said(o)}" for p, o in asked.objects.items())]
+    if not arguments.objects:
+        return shlex.join(["trms", command, *arguments.argv])
+    words = [*map(repr, arguments.words), *(f"{p}={said(o)}" for p, o in arguments.objects.items())]
     return f"Python: {command}({', '.join(words)})"

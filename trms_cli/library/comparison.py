@@ -54,8 +54,8 @@ def score(*runs: RunPath, baseline: str | PathLike[str] | None = None) -> dict[s
     reference = None if file is None else read_baseline(file)
     scored = []
     for run in run_paths(runs):
-        found = score_log(read_log(log_of(run)))
-        scored.append((found, held_against(found, reference) if reference else None))
+        metrics = score_log(read_log(log_of(run)))
+        scored.append((metrics, held_against(metrics, reference) if reference else None))
     return document_of(scored, file)
 
 
@@ -80,10 +80,8 @@ class Comparison:
 
     @property
     def _rows(self) -> Sequence[Mapping[str, Any]]:
-        found: Sequence[Mapping[str, Any]] = self.document[
-            "figures" if self.is_pair else "entrants"
-        ]
-        return found
+        rows: Sequence[Mapping[str, Any]] = self.document["figures" if self.is_pair else "entrants"]
+        return rows
 
     @property
     def winner(self) -> str | None:
@@ -143,8 +141,8 @@ def compare(
         if value not in allowed:
             raise ConfigurationError(f"{value!r} given", where=key, remedy=nearest(value, allowed))
     paths = list(run_paths(runs))
-    asked = {key: _texts(value) for key, value in (where or {}).items()}
-    gathered = command.runs_from(paths, asked)
+    filters = {key: _texts(value) for key, value in (where or {}).items()}
+    gathered = command.runs_from(paths, filters)
     keys = [by] if isinstance(by, str) else list(by)
     if len(gathered.runs) == 2 and not keys:
         from trms_cli.scoring.comparison.findings import pair, pair_document
@@ -196,10 +194,10 @@ def _texts(value: Any) -> list[str]:
 
 def _flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """One level: ``solver.time_ms``."""
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for key, value in row.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{key}.")
+            fields |= _flat(value, f"{prefix}{key}.")
         elif not isinstance(value, list):
-            found[f"{prefix}{key}"] = value
-    return found
+            fields[f"{prefix}{key}"] = value
+    return fields

@@ -34,8 +34,8 @@ def picture(png: bytes, *, width: int = 720) -> str:
 
 def files(paths: Mapping[str, Path | None]) -> str:
     """Where things are."""
-    known = [(name, str(path)) for name, path in paths.items() if path is not None]
-    lines = "<br>".join(f"{escape(n)}: <code>{escape(p)}</code>" for n, p in known)
+    entries = [(name, str(path)) for name, path in paths.items() if path is not None]
+    lines = "<br>".join(f"{escape(n)}: <code>{escape(p)}</code>" for n, p in entries)
     return f"<p>{lines}</p>"
 
 
@@ -55,13 +55,13 @@ def _cell(value: Any) -> str:
     return escape(str(value))
 
 
-def findings(told: Findings, headline: str, paths: Mapping[str, Path | None]) -> str:
+def findings(result: Findings, headline: str, paths: Mapping[str, Path | None]) -> str:
     """What a study has to tell, with the tables of a terminal and what was written."""
     parts = [paragraph(headline, bold=True)]
-    lead = [sentence.replace("**", "") for sentence in told.lead]
+    lead = [sentence.replace("**", "") for sentence in result.lead]
     parts += [paragraph(sentence) for sentence in lead if sentence != headline]
-    parts += [paragraph(f"Note: {warning}") for warning in told.warnings]
-    for one in told.tables:
+    parts += [paragraph(f"Note: {warning}") for warning in result.warnings]
+    for one in result.tables:
         if one.on_screen and one.rows:
             rows = [[wording.cell(plain(cell)) for cell in row] for row in one.rows]
             parts.append(table(one.columns, rows, one.caption))

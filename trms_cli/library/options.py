@@ -94,8 +94,8 @@ def options(
     if name is not None:
         option = catalogue.find_option(groups, group, name)
         return OptionFile(option.file, option.file.read_text(encoding="utf-8"))
-    found = catalogue.find_group(groups, group)
-    return Options(group, {key: option.summary for key, option in found.items()})
+    group_options = catalogue.find_group(groups, group)
+    return Options(group, {key: option.summary for key, option in group_options.items()})
 
 
 def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
@@ -131,7 +131,7 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
     from trms_cli.composition.catalogue import read_primary
     from trms_cli.composition.composer import compose
     from trms_cli.composition.given_object import with_objects
-    from trms_cli.core.plugins import build as built
+    from trms_cli.core.plugins import build as build_part
     from trms_cli.core.plugins import nearest
     from trms_cli.library.call import turn, words_of
 
@@ -141,9 +141,11 @@ def build(group: str, name: str, *, config_dir: Paths = (), **keys: Any) -> Any:
         raise ConfigurationError(
             f"there is no part {group!r}", where="group", remedy=nearest(group, [*one, "effect"])
         )
-    asked = arguments_of("run", (), {group: {name: keys}}, config_dir=config_dir)
-    with turn(words_of("run", asked), list(asked.objects.values())):
-        config = with_objects(compose(asked.argv, "run"), asked.objects).config[group]
+    run_arguments = arguments_of("run", (), {group: {name: keys}}, config_dir=config_dir)
+    with turn(words_of("run", run_arguments), list(run_arguments.objects.values())):
+        config = with_objects(compose(run_arguments.argv, "run"), run_arguments.objects).config[
+            group
+        ]
         if group not in one:
-            return built(config[name], f"{group}.{name}")
-        return built(config, group)
+            return build_part(config[name], f"{group}.{name}")
+        return build_part(config, group)

@@ -29,11 +29,11 @@ def frame_of(
     Raises TrmsError if pandas is not installed: it is no dependency of this package.
     """
     frames = load_pandas()
-    made = frames.DataFrame(dict(columns), index=index)
+    frame = frames.DataFrame(dict(columns), index=index)
     if name:
-        made.index.name = name
-    made.attrs["units"] = dict(units)
-    return made
+        frame.index.name = name
+    frame.attrs["units"] = dict(units)
+    return frame
 
 
 def load_pandas() -> Any:

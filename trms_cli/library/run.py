@@ -94,7 +94,7 @@ class Run(Result):
     @property
     def topics(self) -> list[str]:
         """Topics that the log has samples of."""
-        return [name for name, found in self.logged.tables.items() if len(found)]
+        return [name for name, samples in self.logged.tables.items() if len(samples)]
 
     def __getitem__(self, topic: str) -> pandas.DataFrame:
         """One topic as a frame: the time in s as index, units in ``.attrs["units"]``.
@@ -104,8 +104,8 @@ class Run(Result):
         RecordingError
             If the log has no such topic; it names those there are.
         """
-        found = self.logged.table(topic if topic.startswith("/") else f"/{topic}")
-        return frame_of(found.columns, found.units, found.time, "time [s]")
+        samples = self.logged.table(topic if topic.startswith("/") else f"/{topic}")
+        return frame_of(samples.columns, samples.units, samples.time, "time [s]")
 
     def __contains__(self, topic: object) -> bool:
         return topic in self.topics or f"/{topic}" in self.topics
@@ -187,12 +187,12 @@ class Run(Result):
         yield html.files({"log": self.log})
 
     def _small_picture(self) -> bytes:
-        drawn = self.pictures.get("run")
-        if drawn is None:
+        picture = self.pictures.get("run")
+        if picture is None:
             return self.figure()._repr_png_()
         from trms_cli.reporting.style import small_png
 
-        return small_png(drawn.read_bytes(), width=_WIDTH)
+        return small_png(picture.read_bytes(), width=_WIDTH)
 
 
 def _three(value: float | None) -> str:
@@ -288,7 +288,7 @@ def run(
     >>> lqr.score["channels"]["alpha_h"]["rmse"]
     >>> run("ref.alpha_h.amplitude=0.3", controller=MyController(gain=2.0))
     """
-    given = dict(
+    keywords = dict(
         controller=controller,
         ref=ref,
         model=model,
@@ -303,19 +303,19 @@ def run(
         picture=picture,
         **keys,
     )
-    typed, given = _with_experiment(overrides, given)
-    return run_as(arguments_of("run", typed, given, out=out, config_dir=config_dir), verbose)
+    typed, keywords = _with_experiment(overrides, keywords)
+    return run_as(arguments_of("run", typed, keywords, out=out, config_dir=config_dir), verbose)
 
 
-def run_as(asked: Arguments, verbose: bool) -> Run:
+def run_as(arguments: Arguments, verbose: bool) -> Run:
     """Run what the arguments of a call ask for."""
     from trms_cli.library.tasks.run import perform
 
-    return _run_of(done("run", asked, perform, verbose=verbose), asked)
+    return _run_of(done("run", arguments, perform, verbose=verbose), arguments)
 
 
-def _run_of(made: Done, asked: Arguments | None = None) -> Run:
-    return Run(made.folder, made.folder / "run.mcap", text=made.text, asked=asked)
+def _run_of(result: Done, arguments: Arguments | None = None) -> Run:
+    return Run(result.folder, result.folder / "run.mcap", text=result.text, asked=arguments)
 
 
 def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
@@ -326,8 +326,8 @@ def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
     from trms_cli.library.tasks.run import perform
 
     def again(listener: Listener) -> Done:
-        found = repetition(run.log, more.argv, "run")
-        composition = found if isinstance(found, Composition) else compose(found, "run")
+        request = repetition(run.log, more.argv, "run")
+        composition = request if isinstance(request, Composition) else compose(request, "run")
         return perform(with_objects(composition, more.objects), listener)
 
     words = words_of("run", Arguments(("--from", str(run.log), *more.argv)))
@@ -335,13 +335,13 @@ def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
 
 
 def _with_experiment(
-    overrides: Sequence[Any], given: dict[str, Any]
+    overrides: Sequence[Any], keywords: dict[str, Any]
 ) -> tuple[list[str], dict[str, Any]]:
     """The parts of an `Experiment` among the overrides, as if each had been given by its name."""
     typed = [word for word in overrides if isinstance(word, str)]
     others = [word for word in overrides if not isinstance(word, str)]
     if not others:
-        return typed, given
+        return typed, keywords
     from trms_cli.simulation.closed_loop import Experiment
 
     if len(others) > 1 or not isinstance(others[0], Experiment):
@@ -360,7 +360,7 @@ def _with_experiment(
         "observer": whole.observer,
         "supervisor": whole.supervisor,
     }
-    twice = [key for key in (*parts, "effect", "fault", "sim") if given[key] is not None]
+    twice = [key for key in (*parts, "effect", "fault", "sim") if keywords[key] is not None]
     if twice:
         raise ConfigurationError(
             f"{twice[0]} is given, and an experiment that has one",
@@ -372,8 +372,8 @@ def _with_experiment(
         "sample_time": whole.sample_time,
         "prediction_every": whole.prediction_every,
     }
-    seed = whole.seed if given["seed"] is None else given["seed"]
-    return typed, {**given, **parts, "sim": sim, "seed": seed}
+    seed = whole.seed if keywords["seed"] is None else keywords["seed"]
+    return typed, {**keywords, **parts, "sim": sim, "seed": seed}
 
 
 def read_log(path: str | PathLike[str]) -> Run:
@@ -398,6 +398,6 @@ def read_log(path: str | PathLike[str]) -> Run:
     >>> old = read_log("outputs/2025-01-31/12-00-00-run")
     >>> old["/command"].plot()
     """
-    found = run_in(path_of(path, "path"))
-    _ = found.logged  # a file that is no log is told here, not at the first question
-    return found
+    result = run_in(path_of(path, "path"))
+    _ = result.logged  # a file that is no log is told here, not at the first question
+    return result

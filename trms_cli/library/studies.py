@@ -33,8 +33,8 @@ class StudyResult(Result):
     def _repr_html_(self) -> str:
         named = {key: self.folder / name for key, name in self.FILES.items()}
         written = {key: path for key, path in named.items() if path.is_file()}
-        shown = html.findings(self.findings, self.headline, {**written, "page": self.report})
-        return shown + "".join(html.picture(f.read_bytes()) for f in self.pictures.values())
+        text = html.findings(self.findings, self.headline, {**written, "page": self.report})
+        return text + "".join(html.picture(f.read_bytes()) for f in self.pictures.values())
 
 
 class Fit(StudyResult):
@@ -84,19 +84,19 @@ class Validation(StudyResult):
         """RMS of free runs: a row a model and channel, a column a horizon in s."""
         rows = {
             (name, channel): {float(h): rms for h, rms in by.items()}
-            for name, found in self._models.items()
-            for channel, by in found["error"].items()
+            for name, document in self._models.items()
+            for channel, by in document["error"].items()
         }
         horizons = sorted({h for row in rows.values() for h in row})
         columns = {h: [row.get(h) for row in rows.values()] for h in horizons}
-        units = {c: u for found in self._models.values() for c, u in found["units"].items()}
+        units = {c: u for document in self._models.values() for c, u in document["units"].items()}
         index = load_pandas().MultiIndex.from_tuples(list(rows), names=["model", "channel"])
         return frame_of(columns, units, index)
 
     @property
     def _models(self) -> dict[str, Any]:
-        found = self.document.get("models")
-        return found if found else {str(self.document["model"]): self.document}
+        models = self.document.get("models")
+        return models if models else {str(self.document["model"]): self.document}
 
     @property
     def headline(self) -> str:
@@ -290,7 +290,7 @@ def identify(
     """
     from trms_cli.library.tasks.identify import perform as task
 
-    given = dict(
+    keywords = dict(
         real=real,
         model=model,
         free=free,
@@ -301,8 +301,8 @@ def identify(
         picture=picture,
         **keys,
     )
-    asked = arguments_of("identify", overrides, given, out=out, config_dir=config_dir)
-    return _performed(Fit, "identify", asked, task, verbose)
+    arguments = arguments_of("identify", overrides, keywords, out=out, config_dir=config_dir)
+    return _performed(Fit, "identify", arguments, task, verbose)
 
 
 def validate(
@@ -359,19 +359,21 @@ def validate(
     from trms_cli.library.tasks.validated_models import named_sets, one_of
 
     several = list(model) if isinstance(model, list | tuple) else None
-    given = dict(real=real, effect=effect, horizons=horizons, data=data, page=page, **keys)
-    given["model"] = None if several is not None else model
-    asked = arguments_of("validate", overrides, given, out=out, config_dir=config_dir)
+    keywords = dict(real=real, effect=effect, horizons=horizons, data=data, page=page, **keys)
+    keywords["model"] = None if several is not None else model
+    arguments = arguments_of("validate", overrides, keywords, out=out, config_dir=config_dir)
     if several is None:
-        asked = Arguments(tuple(named_sets(asked.words)), asked.objects, asked.config_dirs)
+        arguments = Arguments(
+            tuple(named_sets(arguments.words)), arguments.objects, arguments.config_dirs
+        )
         return _performed(
-            Validation, "validate", asked, lambda one, listener: task([one], listener), verbose
+            Validation, "validate", arguments, lambda one, listener: task([one], listener), verbose
         )
     names = [text_of(m, "model").strip('"') for m in several]
-    whole = Arguments((*asked.words, f"model=[{','.join(names)}]"), {}, asked.config_dirs)
+    whole = Arguments((*arguments.words, f"model=[{','.join(names)}]"), {}, arguments.config_dirs)
 
     def together(listener: Listener) -> Done:
-        compositions = [compose(one_of(asked.argv, name), "validate") for name in names]
+        compositions = [compose(one_of(arguments.argv, name), "validate") for name in names]
         return task(compositions, listener, names)
 
     words = words_of("validate", whole)
@@ -428,7 +430,7 @@ def stability(
 
     if isinstance(study, str) and "=" in study:  # an override, with the usual question
         study, overrides = None, (study, *overrides)
-    given = dict(
+    keywords = dict(
         study=study,
         model=model,
         effect=effect,
@@ -437,8 +439,8 @@ def stability(
         page=page,
         **keys,
     )
-    asked = arguments_of("stability", overrides, given, out=out, config_dir=config_dir)
-    return _performed(Stability, "stability", asked, task, verbose)
+    arguments = arguments_of("stability", overrides, keywords, out=out, config_dir=config_dir)
+    return _performed(Stability, "stability", arguments, task, verbose)
 
 
 def diagnose(
@@ -497,7 +499,7 @@ def diagnose(
     """
     from trms_cli.library.tasks.diagnose import perform as task
 
-    given = dict(
+    keywords = dict(
         real=real,
         model=model,
         candidates=candidates,
@@ -507,8 +509,8 @@ def diagnose(
         page=page,
         **keys,
     )
-    asked = arguments_of("diagnose", overrides, given, out=out, config_dir=config_dir)
-    return _performed(Diagnosis, "diagnose", asked, task, verbose)
+    arguments = arguments_of("diagnose", overrides, keywords, out=out, config_dir=config_dir)
+    return _performed(Diagnosis, "diagnose", arguments, task, verbose)
 
 
 def excite(
@@ -558,13 +560,13 @@ def excite(
     """
     from trms_cli.library.tasks.excite import perform as task
 
-    given = dict(excitation=excitation, model=model, duration=duration, picture=picture, **keys)
-    asked = arguments_of("excite", overrides, given, out=out, config_dir=config_dir)
-    return _performed(Excitation, "excite", asked, task, verbose)
+    keywords = dict(excitation=excitation, model=model, duration=duration, picture=picture, **keys)
+    arguments = arguments_of("excite", overrides, keywords, out=out, config_dir=config_dir)
+    return _performed(Excitation, "excite", arguments, task, verbose)
 
 
 def _performed(
-    kind: type[_R], command: str, asked: Arguments, task: Callable[..., Done], verbose: bool
+    kind: type[_R], command: str, arguments: Arguments, task: Callable[..., Done], verbose: bool
 ) -> _R:
-    result = done(command, asked, task, verbose=verbose)
+    result = done(command, arguments, task, verbose=verbose)
     return kind(result.folder, text=result.text)

@@ -53,7 +53,7 @@ class Sweep(Result):
         frame.index.name = "run"
         frame = frame.sort_index()
         values = {point.number: point.values for point in Record(self.folder).points()}
-        for key in dict.fromkeys(key for found in values.values() for key in found):
+        for key in dict.fromkeys(key for point_values in values.values() for key in point_values):
             if key not in frame:
                 frame[key] = [_number(values.get(run, {}).get(key)) for run in frame.index]
         return frame
@@ -109,8 +109,8 @@ class Sweep(Result):
     @property
     def headline(self) -> str:
         """How many runs, and where."""
-        told = ", ".join(f"{n} {state}" for state, n in self.counts.items() if n)
-        return f"{told or 'no run yet'}: {self.folder}"
+        tally = ", ".join(f"{n} {state}" for state, n in self.counts.items() if n)
+        return f"{tally or 'no run yet'}: {self.folder}"
 
     def _repr_html_(self) -> str:
         document = self.document
@@ -185,12 +185,12 @@ def sweep(
     from trms_cli.library.tasks.sweep import make_sweep
 
     steering = {"sampler": sampler, "launcher": launcher, "retries": retries}
-    asked = _asked(overrides, keys, steering, workers, config_dir)
+    arguments = _asked(overrides, keys, steering, workers, config_dir)
     if out is not None:
-        words = (*asked.words, f"out={text_of(str(path_of(out, 'out')))}")
-        asked = Arguments(words, {}, asked.config_dirs)
-    line = words_of("run", Arguments(("-m", *asked.words), {}, asked.config_dirs))
-    drive = partial(make_sweep, asked.words, "run", job, config_dirs=asked.config_dirs)
+        words = (*arguments.words, f"out={text_of(str(path_of(out, 'out')))}")
+        arguments = Arguments(words, {}, arguments.config_dirs)
+    line = words_of("run", Arguments(("-m", *arguments.words), {}, arguments.config_dirs))
+    drive = partial(make_sweep, arguments.words, "run", job, config_dirs=arguments.config_dirs)
     return Sweep(_near(_driven(line, drive, verbose=verbose).folder))
 
 
@@ -266,29 +266,29 @@ def _without_lists(
     keys: Mapping[str, Any], varied: dict[str, list[Any]], prefix: str = ""
 ) -> dict[str, Any]:
     """The keys without those that a list varies, which go to `varied` by their dotted names."""
-    kept: dict[str, Any] = {}
+    remainder: dict[str, Any] = {}
     for name, value in keys.items():
         place = f"{prefix}{name}"
         if isinstance(value, Mapping):
-            kept[name] = _without_lists(value, varied, f"{place}.")
+            remainder[name] = _without_lists(value, varied, f"{place}.")
         elif isinstance(value, list | tuple | range) or type(value).__name__ == "ndarray":
             varied[place] = list(value)
         else:
-            kept[name] = value
-    return kept
+            remainder[name] = value
+    return remainder
 
 
 def _value(key: str, value: Any, config_dir: Paths) -> str:
     """One of the values that a key takes in turn."""
-    asked = arguments_of("run", (), {key: value}, config_dir=config_dir)
-    _refuse_objects(asked.objects)
-    if len(asked.words) != 1:
+    arguments = arguments_of("run", (), {key: value}, config_dir=config_dir)
+    _refuse_objects(arguments.objects)
+    if len(arguments.words) != 1:
         raise ConfigurationError(
             f"{value!r} among the values of a sweep",
             where=key,
             remedy=f"vary its keys by themselves: {key}={{KEY: [VALUE, VALUE]}}",
         )
-    return asked.words[0].partition("=")[2]
+    return arguments.words[0].partition("=")[2]
 
 
 def _refuse_objects(objects: Mapping[str, Any]) -> None:

@@ -103,7 +103,7 @@ def plot(
     >>> plot(lqr, pid, what=["tracking", "errors"], start=5, end=15)
     """
     from trms_cli.recordings.log_reader import read_log
-    from trms_cli.reporting.plot import plot as drawn
+    from trms_cli.reporting.plot import plot as draw_runs
     from trms_cli.reporting.style import figure_for_notebook
     from trms_cli.runs.run_folder import log_of
 
@@ -116,7 +116,7 @@ def plot(
     logs = [read_log(log_of(path)) for path in run_paths(runs)]
     variant: Any = style
     return figure_for_notebook(
-        drawn(
+        draw_runs(
             logs, what, width=width, style=variant, start=start, end=end, title=title, names=names
         )
     )

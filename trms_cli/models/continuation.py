@@ -174,8 +174,8 @@ class ImplicitCurve:
         """The curves through some points, each once."""
         curves: list[SolutionCurve] = []
         for seed in seeds:
-            known = (self.crossings_of(c, float(seed[-1])) for c in curves)
-            if not any(self.same(seed, y) for points in known for y in points):
+            crossings = (self.crossings_of(c, float(seed[-1])) for c in curves)
+            if not any(self.same(seed, y) for points in crossings for y in points):
                 curves.append(self.through(seed))
         return curves
 

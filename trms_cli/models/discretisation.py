@@ -200,8 +200,8 @@ def _jump(memory: np.ndarray, following: Callable[[], np.ndarray]) -> None:
     except np.linalg.LinAlgError:
         return
     memory[:] = there
-    left = np.abs(following() - there).max()
-    if not left <= _NEARER * np.abs(pace).max():
+    residual = np.abs(following() - there).max()
+    if not residual <= _NEARER * np.abs(pace).max():
         memory[:] = here
 
 
@@ -244,7 +244,7 @@ def _discretised(
     layout = _Layout(model, step_length, sensors)
     _, u, p, w = model.symbols()
     full = ca.SX.sym("x", len(layout.states))
-    x, shown, memory = layout.split(full)
+    x, sensor_states, memory = layout.split(full)
     h = step_length / substeps
     at = ca.SX.sym("at", model.n_x)
     # Stated once, and inlined at each stage: to state them again takes ten times as long.
@@ -256,9 +256,11 @@ def _discretised(
         x = integrate(lambda z, a=arriving: dynamics(z, a, p, w), x, h)  # type: ignore[misc]
         x = model.impulse(x, arriving, p, w, h)
         if layout.n_sensors:
-            shown = model.sensor_path(shown, before, x, arriving, p, window, step_length)
+            sensor_states = model.sensor_path(
+                sensor_states, before, x, arriving, p, window, step_length
+            )
     # The equations name the same sine or square many times over; sharing them halves the work.
-    (after,) = ca.cse([ca.vertcat(x, shown, memory)])
+    (after,) = ca.cse([ca.vertcat(x, sensor_states, memory)])
     step = ca.Function("step", [full, u, p, w], [after], ["x", "u", "p", "w"], ["x_next"])
     return layout.discrete(step, (step,))
 
@@ -294,9 +296,9 @@ class _Layout:
         model = self.model
         _, u, p, _ = model.symbols()
         full = ca.SX.sym("x", len(self.states))
-        x, shown, _ = self.split(full)
+        x, sensor_states, _ = self.split(full)
         if self.sensors:
-            y = model.reading(shown, x, u, p, self.step_length)
+            y = model.reading(sensor_states, x, u, p, self.step_length)
         else:
             y = model.measurement(x, u, p)
         measurement = ca.Function("measurement", [full, u, p], [y], ["x", "u", "p"], ["y"])
@@ -317,13 +319,15 @@ def _repeated(model: Model, step_length: float, sensors: bool) -> DiscreteModel:
             continue
         _, u, p, w = model.symbols()
         full = ca.SX.sym("x", len(states))
-        x, shown, memory = layout.split(full)
+        x, sensor_states, memory = layout.split(full)
         window = (k / count, (k + 1) / count)
         arriving, memory = model.input_path(memory, u, p, window, step_length)
         following = model.transition(x, arriving, p, w)
         if layout.n_sensors:
-            shown = model.sensor_path(shown, x, following, arriving, p, window, step_length)
-        after = ca.vertcat(following, shown, memory)
+            sensor_states = model.sensor_path(
+                sensor_states, x, following, arriving, p, window, step_length
+            )
+        after = ca.vertcat(following, sensor_states, memory)
         name = "step" if count == 1 else f"step_{k}"
         parts.append(ca.Function(name, [full, u, p, w], ca.cse([after])))
     step = parts[0] if count == 1 else _composed(parts)

@@ -64,18 +64,18 @@ def apply_dry_friction(
     """
     free_rate, change, gain, acceleration = _resistance_function(model, part, duration)(*at)
     x = at[0]
-    needed = free_rate / gain
+    stopping_impulse = free_rate / gain
     if torque is None:
-        return x - change * needed
+        return x - change * stopping_impulse
     if not callable(torque):
-        return x - change * _clipped(needed, torque * duration)
+        return x - change * _clipped(stopping_impulse, torque * duration)
     # The rate before the interval is that after it less what the model did in between.
     rate_before = free_rate - duration * acceleration
     mean = rate_before
     for _ in range(_MEAN_RATE_ITERATIONS):
-        impulse = _clipped(needed, torque(mean) * duration)
+        impulse = _clipped(stopping_impulse, torque(mean) * duration)
         mean = (rate_before + free_rate - gain * impulse) / 2
-    return x - change * _clipped(needed, torque(mean) * duration)
+    return x - change * _clipped(stopping_impulse, torque(mean) * duration)
 
 
 def _clipped(value: ca.SX, bound: ca.SX) -> ca.SX:

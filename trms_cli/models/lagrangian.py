@@ -82,26 +82,26 @@ class Lagrangian(TwinRotor):
         rig = energies(bodies(c, self.shields), c["g"])
         moves = [i for i, free in enumerate((at.moves_h, at.moves_v)) if free]
         inertia = rig.inertia
-        held = ca.vertcat(c["k_m"] * at.omega_v * ca.cos(rig.angles[1]), c["k_t"] * at.omega_h)
+        spin = ca.vertcat(c["k_m"] * at.omega_v * ca.cos(rig.angles[1]), c["k_t"] * at.omega_h)
 
         # Rates follow from the momenta at these angles.
         angles = ca.vertcat(at.alpha_h, at.alpha_v)
-        inertia_here, held_here = ca.substitute([inertia, held], [rig.angles], [angles])
+        inertia_here, spin_here = ca.substitute([inertia, spin], [rig.angles], [angles])
         inverse = _inverse(inertia_here[moves, moves])
         turned = ca.SX.zeros(2, 1)
-        turned[moves] = inverse @ held_here[moves]
+        turned[moves] = inverse @ spin_here[moves]
         rates = ca.SX.zeros(2, 1)
         rates[moves] = ca.vertcat(at.S_h, at.S_v)[moves] + turned[moves]
 
         inertia_rate = ca.reshape(ca.jtimes(ca.vec(inertia), rig.angles, rig.rates), 2, 2)
-        held_rate = ca.jtimes(held, rig.angles, rig.rates)  # K̇ ω
-        coriolis, gravity, inertia_rate, held_rate = ca.substitute(
-            [rig.coriolis(inertia), rig.gravity, inertia_rate, held_rate],
+        spin_rate = ca.jtimes(spin, rig.angles, rig.rates)  # K̇ ω
+        coriolis, gravity, inertia_rate, spin_rate = ca.substitute(
+            [rig.coriolis(inertia), rig.gravity, inertia_rate, spin_rate],
             [rig.angles, rig.rates],
             [angles, rates],
         )
         torque = self._torques(at, rates)
-        balance = torque - gravity - coriolis @ rates - held_rate + inertia_rate @ turned
+        balance = torque - gravity - coriolis @ rates - spin_rate + inertia_rate @ turned
         momentum_rates = ca.SX.zeros(2, 1)
         momentum_rates[moves] = inverse @ balance[moves]
         return BeamMotion(

@@ -66,18 +66,18 @@ class Linearisation:
         model does not have are ignored. ``where``: configuration key of ``angles``, for messages.
         """
         model, discrete = self.model, self._discrete
-        known = {"alpha_v", "alpha_h", *model.controlled}
+        angle_names = {"alpha_v", "alpha_h", *model.controlled}
         for name in angles:
-            require_known(name, known, f"{name!r} is not a controlled angle", where)
-        asked = np.array([angles.get(name, 0.0) for name in model.controlled])
-        target = self._steady.solve(asked)
+            require_known(name, angle_names, f"{name!r} is not a controlled angle", where)
+        reference = np.array([angles.get(name, 0.0) for name in model.controlled])
+        target = self._steady.solve(reference)
         if not target.exact:
-            wanted, reached = (
+            goal, reached = (
                 ", ".join(f"{n}={v:.3g}" for n, v in zip(model.controlled, values, strict=True))
-                for values in (asked, target.reference_reached)
+                for values in (reference, target.reference_reached)
             )
             raise ConfigurationError(
-                f"the rig cannot rest at {wanted} rad",
+                f"the rig cannot rest at {goal} rad",
                 where=where,
                 remedy=f"the closest that it can: {reached} rad",
             )
@@ -104,9 +104,9 @@ def require_drivable(linear: LinearModel, where: str) -> None:
     model = linear.discrete.model
     names_of_angles = model.controlled
     gain = _gain(linear, math.exp(_ALMOST_STEADY * linear.step_length))
-    left, strength, _ = np.linalg.svd(gain)
+    output_directions, strength, _ = np.linalg.svd(gain)
     if strength[-1] < _LEAST_SHARE * strength[0] or not np.all(np.isfinite(gain)):
-        weakest = names_of_angles[int(np.argmax(np.abs(left[:, -1])))]
+        weakest = names_of_angles[int(np.argmax(np.abs(output_directions[:, -1])))]
         raise ConfigurationError(
             f"no input holds {weakest} at this operating point: its mode is uncontrollable "
             "(a rotor that stands still has a thrust without slope)",

@@ -248,7 +248,7 @@ def index_of(signals: Sequence[Signal], name: str, what: str) -> int:
 
     Raises ModelError if there is none of that name.
     """
-    known = names(signals)
-    if name not in known:
-        raise ModelError(f"{name!r} is not {what}", remedy=f"there are: {', '.join(known)}")
-    return known.index(name)
+    signal_names = names(signals)
+    if name not in signal_names:
+        raise ModelError(f"{name!r} is not {what}", remedy=f"there are: {', '.join(signal_names)}")
+    return signal_names.index(name)

@@ -142,13 +142,13 @@ class Narx(SteppedModel):
 
 
 def _check_fit(structure: NarxStructure, network: Network) -> None:
-    for key, given, expected in (
+    for key, size, expected in (
         ("regressor_mean", network.n_regressors, structure.n_regressors),
         ("output_mean", network.n_outputs, len(structure.outputs)),
     ):
-        if given != expected:
+        if size != expected:
             raise ModelError(
-                f"the network has {given} and the structure {expected}",
+                f"the network has {size} and the structure {expected}",
                 where=f"network.{key}",
                 remedy="structure and network belong together: take both from one training",
             )
@@ -200,8 +200,8 @@ def _settled(model: Narx) -> FloatArray:
     at = model.symbols()
     step = ca.Function("free", list(at), [model.transition(*at)])
     count = max(1, round(_SETTLING / model.sample_time))
-    held = (ca.repmat(ca.DM(value), 1, count) for value in still)
-    ends = np.array(step.mapaccum(count)(lifted(start[rows], still[0]), *held))[:, -1]
+    arguments = (ca.repmat(ca.DM(value), 1, count) for value in still)
+    ends = np.array(step.mapaccum(count)(lifted(start[rows], still[0]), *arguments))[:, -1]
     point = ends[rows] if np.isfinite(ends).all() else start[rows]
     fixed = _newton(newton, point, still)
     return np.array(lifted(fixed, still[0]))[:, 0]
@@ -290,31 +290,31 @@ def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
     documented form; it names the file and the key.
     """
     data = _plain(*read_named(name_or_path, where, "networks", "network", "network file"))
-    shown = name_or_path
+    label = name_or_path
     for key in _REQUIRED:
         if key not in data:
             raise ModelError(
                 f"key {key!r} is missing",
-                where=shown,
+                where=label,
                 remedy=f"a network file has {', '.join(_REQUIRED)}, and may have "
                 f"{', '.join(_OPTIONAL)}",
             )
     for key in data:
-        place = f"{shown}: {key}"
+        place = f"{label}: {key}"
         require_known(str(key), (*_REQUIRED, *_OPTIONAL), f"unknown key {key!r}", place, ModelError)
     if data["model"] != KIND:
         raise ModelError(
-            f"{data['model']!r} given", where=f"{shown}: model", remedy=f"a network is a {KIND!r}"
+            f"{data['model']!r} given", where=f"{label}: model", remedy=f"a network is a {KIND!r}"
         )
     return NarxFile(
         name=str(data["name"]),
-        structure=NarxStructure.from_data(data["structure"], f"{shown}: structure"),
-        network=Network.from_data(data["network"], f"{shown}: network"),
-        limits=_numbers(data, "limits", shown),
+        structure=NarxStructure.from_data(data["structure"], f"{label}: structure"),
+        network=Network.from_data(data["network"], f"{label}: network"),
+        limits=_numbers(data, "limits", label),
         source=str(data.get("source") or ""),
         rig=str(data.get("rig") or ""),
-        training=_mapping(data, "training", shown),
-        effects=_mapping(data, "effects", shown),
+        training=_mapping(data, "training", label),
+        effects=_mapping(data, "effects", label),
     )
 
 
@@ -363,20 +363,20 @@ def _plain(path: Path, text: bytes) -> dict[str, Any]:
     return data
 
 
-def _mapping(data: Mapping[str, Any], key: str, shown: str) -> dict[str, Any]:
+def _mapping(data: Mapping[str, Any], key: str, label: str) -> dict[str, Any]:
     value = data.get(key) or {}
     if not isinstance(value, dict):
-        raise ModelError(f"{value!r} given", where=f"{shown}: {key}", remedy="give a mapping")
+        raise ModelError(f"{value!r} given", where=f"{label}: {key}", remedy="give a mapping")
     return value
 
 
-def _numbers(data: Mapping[str, Any], key: str, shown: str) -> dict[str, float]:
+def _numbers(data: Mapping[str, Any], key: str, label: str) -> dict[str, float]:
     values = {}
-    for name, value in _mapping(data, key, shown).items():
+    for name, value in _mapping(data, key, label).items():
         try:
             values[str(name)] = float(value)
         except (TypeError, ValueError):
             raise ModelError(
-                f"{value!r} given", where=f"{shown}: {key}.{name}", remedy="give a number"
+                f"{value!r} given", where=f"{label}: {key}.{name}", remedy="give a number"
             ) from None
     return values

@@ -165,12 +165,12 @@ class Network:
             expected = {"centres": (n_c, n_z), "widths": (n_c,), "W": (n_out, n_c)}
             expected |= {"A": (n_out, n_z), "b": (n_out,)}
         expected |= {"regressor_sd": (n_z,), "output_sd": (n_out,)}
-        given = {name: value.shape for name, value in self.weights.items()}
-        given |= {"regressor_sd": self.regressor_sd.shape, "output_sd": self.output_sd.shape}
-        for name in sorted(expected.keys() | given.keys()):
-            if expected.get(name) != given.get(name):
+        shapes = {name: value.shape for name, value in self.weights.items()}
+        shapes |= {"regressor_sd": self.regressor_sd.shape, "output_sd": self.output_sd.shape}
+        for name in sorted(expected.keys() | shapes.keys()):
+            if expected.get(name) != shapes.get(name):
                 raise ModelError(
-                    f"shape {given.get(name, 'missing')}",
+                    f"shape {shapes.get(name, 'missing')}",
                     where=name if name.endswith("_sd") else f"weights.{name}",
                     remedy=f"a network of kind {self.kind!r} with {n_z} regressors and {n_out} "
                     f"outputs has {expected.get(name, 'no such weights')}",

@@ -116,14 +116,14 @@ def _beside(
     start = np.concatenate([plain.x, model.rest()[plain.x.size :], plain.u])
     if by_angle:
         rows = [model.state_index(name) for name in model.controlled]
-        held = np.array([at.get(name, 0.0) for name in model.controlled])
+        fixed_values = np.array([at.get(name, 0.0) for name in model.controlled])
     else:
-        rows, held = list(range(n_x, start.size)), plain.u
+        rows, fixed_values = list(range(n_x, start.size)), plain.u
     pins = np.eye(start.size)[rows]
 
     def balance(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         rate, a, b = field.with_slopes(z[:n_x], z[n_x:])
-        return np.concatenate([rate, pins @ z - held]), np.vstack([np.hstack([a, b]), pins])
+        return np.concatenate([rate, pins @ z - fixed_values]), np.vstack([np.hstack([a, b]), pins])
 
     z = newton(balance, start, _FLAT)
     return None if z is None else OperatingPoint(z[:n_x], z[n_x:])
@@ -133,7 +133,7 @@ def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPo
     angles = np.array([at.get(name, 0.0) for name in model.controlled])
     target = SteadyState(model).solve(angles)
     if not target.exact:
-        wanted, reached = (
+        goal, reached = (
             ", ".join(
                 f"{n}={round(v, 6) + 0.0:.4g}"
                 for n, v in zip(model.controlled, values, strict=True)
@@ -141,7 +141,7 @@ def _at_angles(model: Model, at: Mapping[str, float], where: str) -> OperatingPo
             for values in (angles, target.reference_reached)
         )
         raise ConfigurationError(
-            f"model {model.name!r} has no equilibrium at {wanted} within its inputs and stops",
+            f"model {model.name!r} has no equilibrium at {goal} within its inputs and stops",
             where=where,
             remedy=f"the closest that it has: {reached}" if target.converged else "",
         )
@@ -304,36 +304,39 @@ class TrimSolver:
 
         Raises TrmsError for a wrong request, and where there is none.
         """
-        held = self.held(at, where)
+        condition = self.held(at, where)
         if self.model.sample_time is None:
             point = operating_point(self.model, at, where)
-            return self.solve(held, point) or point
+            return self.solve(condition, point) or point
         rest = OperatingPoint(self.model.rest(), np.zeros(self.model.n_u))
-        if not held.by_angle:
-            start = TrimCondition(False, np.zeros(self.model.n_u), held.p)
-            settled = self.advance(start, held, self.solve(start, rest) or rest)
+        if not condition.by_angle:
+            start = TrimCondition(False, np.zeros(self.model.n_u), condition.p)
+            settled = self.advance(start, condition, self.solve(start, rest) or rest)
         else:
-            target = SteadyState(self.model).solve(held.values)
+            target = SteadyState(self.model).solve(condition.values)
             settled = OperatingPoint(target.x, target.u) if target.exact else None
         if settled is None:
-            asked = ", ".join(f"{name}={value:g}" for name, value in at.items())
+            request = ", ".join(f"{name}={value:g}" for name, value in at.items())
             raise ConfigurationError(
-                f"model {self.model.name!r} has no rest at {asked or 'no command'} within its "
+                f"model {self.model.name!r} has no rest at {request or 'no command'} within its "
                 "inputs and stops",
                 where=where,
                 remedy="ask for a smaller angle or command",
             )
         return settled
 
-    def solve(self, held: TrimCondition, guess: OperatingPoint) -> OperatingPoint | None:
+    def solve(self, condition: TrimCondition, guess: OperatingPoint) -> OperatingPoint | None:
         """Newton's method from a point nearby; None where it does not converge."""
         n_s, n_u = self._n_s, self.model.n_u
-        columns = self._controlled if held.by_angle else range(n_s, n_s + n_u)
+        columns = self._controlled if condition.by_angle else range(n_s, n_s + n_u)
         pins = np.eye(n_s + n_u)[list(columns)]
 
         def balance(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-            rates, slope, _ = (np.array(value) for value in self._equations(z, held.p))
-            return (np.concatenate([rates[:, 0], pins @ z - held.values]), np.vstack([slope, pins]))
+            rates, slope, _ = (np.array(value) for value in self._equations(z, condition.p))
+            return (
+                np.concatenate([rates[:, 0], pins @ z - condition.values]),
+                np.vstack([slope, pins]),
+            )
 
         start = np.concatenate([guess.x[self._unknowns], guess.u])
         z = newton(balance, start, _FLAT, iterations=60, patience=6)
@@ -358,56 +361,56 @@ class TrimSolver:
             last_place: tuple[float, OperatingPoint], step: float
         ) -> tuple[tuple[float, OperatingPoint] | None, float]:
             goal = min(1.0, last_place[0] + step)
-            held = TrimCondition(
+            condition = TrimCondition(
                 last.by_angle,
                 (1 - goal) * last.values + goal * following.values,
                 (1 - goal) * last.p + goal * following.p,
             )
-            after = self.solve(held, last_place[1])
+            after = self.solve(condition, last_place[1])
             if after is None or self._jumps(last_place[1], after):
-                after = self._across_standstill(held)
+                after = self._across_standstill(condition)
             if after is None or self._jumps(last_place[1], after):
                 return None, step / 2.0
-            return (goal, self._without_rounding(held, after)), step
+            return (goal, self._without_rounding(condition, after)), step
 
         for share, reached in follow((0.0, point), attempt, 1.0, shortest):
             if share >= 1.0:
                 return reached
         return None
 
-    def _across_standstill(self, held: TrimCondition) -> OperatingPoint | None:
+    def _across_standstill(self, condition: TrimCondition) -> OperatingPoint | None:
         """The point at some angles where Newton's method fails: a rotor begins or ceases to turn.
 
         Its thrust goes as ω|ω| and has no slope there; :class:`SteadyState` starts from several
         commands instead.
         """
-        if not held.by_angle:
+        if not condition.by_angle:
             return None
-        key = held.p.tobytes()
+        key = condition.p.tobytes()
         if self._robust is None or self._robust[0] != key:
-            self._robust = (key, SteadyState(self.model, parameters=held.p))
-        target = self._robust[1].solve(held.values)
+            self._robust = (key, SteadyState(self.model, parameters=condition.p))
+        target = self._robust[1].solve(condition.values)
         if not target.exact:
             return None
         point = OperatingPoint(target.x, target.u)
-        return self.solve(held, point) or point
+        return self.solve(condition, point) or point
 
-    def _without_rounding(self, held: TrimCondition, point: OperatingPoint) -> OperatingPoint:
+    def _without_rounding(self, condition: TrimCondition, point: OperatingPoint) -> OperatingPoint:
         """The point with a command of exactly zero where that holds the same angles.
 
         A double root is met to the square root of the tolerance only.
         """
         nearly = (np.abs(point.u) < _STANDSTILL) & (point.u != 0.0)
-        if not held.by_angle or not nearly.any():
+        if not condition.by_angle or not nearly.any():
             return point
-        exact = self.solve(TrimCondition(False, np.where(nearly, 0.0, point.u), held.p), point)
+        exact = self.solve(TrimCondition(False, np.where(nearly, 0.0, point.u), condition.p), point)
         rows = [self.model.state_index(name) for name in self.model.controlled]
-        if exact is None or np.abs(exact.x[rows] - held.values).max() > _SAME_ANGLE:
+        if exact is None or np.abs(exact.x[rows] - condition.values).max() > _SAME_ANGLE:
             return point
         return exact
 
     def tangent(
-        self, held: TrimCondition, point: OperatingPoint, direction: TrimCondition
+        self, condition: TrimCondition, point: OperatingPoint, direction: TrimCondition
     ) -> FloatArray:
         """How x and u follow what is held, (n_x + n_u,): by the implicit function theorem.
 
@@ -416,8 +419,8 @@ class TrimSolver:
         """
         n_s, n_u = self._n_s, self.model.n_u
         z = np.concatenate([point.x[self._unknowns], point.u])
-        _, slope, by_p = (np.array(value) for value in self._equations(z, held.p))
-        columns = self._controlled if held.by_angle else list(range(n_s, n_s + n_u))
+        _, slope, by_p = (np.array(value) for value in self._equations(z, condition.p))
+        columns = self._controlled if condition.by_angle else list(range(n_s, n_s + n_u))
         pins = np.eye(n_s + n_u)[columns]
         right = np.concatenate([-by_p @ direction.p, direction.values])
         dz = np.linalg.lstsq(np.vstack([slope, pins]), right, rcond=1e-13)[0]

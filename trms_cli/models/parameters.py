@@ -112,17 +112,17 @@ class ParameterSet:
         ``scale``: multiplies every prior standard deviation.
         """
         generator = np.random.default_rng(seed)
-        drawn = []
+        draws = []
         for parameter in self:
             # One number is drawn for each parameter, with or without a prior, so that adding a
             # prior to one does not change the draw of another.
             normal = float(np.clip(generator.standard_normal(), -DRAW_LIMIT_SD, DRAW_LIMIT_SD))
             spread = (parameter.prior_sd or 0.0) * scale
             value = parameter.value * (1.0 + spread * normal)
-            drawn.append(
+            draws.append(
                 replace(parameter, value=float(np.clip(value, parameter.lower, parameter.upper)))
             )
-        return ParameterSet(drawn, self.name)
+        return ParameterSet(draws, self.name)
 
     def joined(self, others: Iterable[Parameter]) -> ParameterSet:
         """This set followed by further parameters."""
@@ -194,14 +194,14 @@ class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
         )
 
 
-def check_limits(limits: Mapping[str, float], known: Collection[str], where: str) -> None:
+def check_limits(limits: Mapping[str, float], valid_names: Collection[str], where: str) -> None:
     """Refuse limits of no input or angle, and such as are not above zero.
 
     Raises ModelError with the key, under ``where``.
     """
     for name, limit in limits.items():
         key = f"{where}.{name}"
-        require_known(name, known, f"there is no input or angle {name!r}", key, ModelError)
+        require_known(name, valid_names, f"there is no input or angle {name!r}", key, ModelError)
         if not limit > 0:
             raise ModelError(f"{limit!r} given", where=key, remedy="give a positive number")
 

@@ -70,8 +70,10 @@ class QuanserAero(BeamRig):
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         lag = p[self.parameters.names.index("tau_y")]
-        shown = {"alpha_v": x[5] - lag * x[4], "alpha_h": x[2] - lag * x[1]}
-        return ca.vertcat(*(shown.get(s.name, x[self.state_index(s.name)]) for s in self.outputs))
+        readings = {"alpha_v": x[5] - lag * x[4], "alpha_h": x[2] - lag * x[1]}
+        return ca.vertcat(
+            *(readings.get(s.name, x[self.state_index(s.name)]) for s in self.outputs)
+        )
 
     def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
         """Dry friction of both axes, ``F sat(rate/v_s)`` taken implicitly.
@@ -85,8 +87,8 @@ class QuanserAero(BeamRig):
             # An axis below v_s keeps 1/(1 + r) of the rate that it would have without friction.
             rigid = inertia[f"inertia_{axis}"] * c["v_s"] / duration
             r = size / rigid
-            held = apply_dry_friction(self, (x, u, p, w), axis, rigid + size, duration)
-            x = x + r / (1 + r) * (held - x)
+            x_rigid = apply_dry_friction(self, (x, u, p, w), axis, rigid + size, duration)
+            x = x + r / (1 + r) * (x_rigid - x)
         return x
 
     def input_path(

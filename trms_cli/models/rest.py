@@ -96,24 +96,24 @@ def resting_state(model: Model, measured: Mapping[str, float], command: FloatArr
     States that only remember an output or input take its value.
     """
     x = model.rest()
-    known = {
+    measured_states = {
         name: value
         for name, value in measured.items()
         if name in model.state_names and np.isfinite(value)
     }
-    for name, value in known.items():
+    for name, value in measured_states.items():
         x[model.state_index(name)] = value
     equations = rest_equations(model)
     rows = list(equations.unknowns)
-    unknown = [k for k, i in enumerate(rows) if model.state_names[i] not in known]
+    unknown = [k for k, i in enumerate(rows) if model.state_names[i] not in measured_states]
     if unknown:
         linear = BufferedFunction(call_memoised(_linear_rates, model), compile=False)
-        weights = equation_weights(model, rows, known.keys())
+        weights = equation_weights(model, rows, measured_states.keys())
         constant = (command, model.parameters.values, np.zeros(model.n_w))
         _solve(x, rows, unknown, weights, lambda at: linear.evaluate(at, *constant))
     if not np.all(np.isfinite(x)):
         x = model.rest()
-        for name, value in known.items():
+        for name, value in measured_states.items():
             x[model.state_index(name)] = value
     whole = BufferedFunction(equations.state, compile=False)
     return whole.evaluate(x[rows], command)[0].copy()
@@ -128,7 +128,7 @@ def _linear_rates(model: Model) -> ca.Function:
     return ca.Function("rates", [s, u, p, w], [f, ca.densify(ca.jacobian(f, s))])
 
 
-def equation_weights(model: Model, rows: list[int], known: Set[str]) -> FloatArray:
+def equation_weights(model: Model, rows: list[int], measured_names: Set[str]) -> FloatArray:
     """How much the equation of each unknown counts."""
     weights = np.ones(len(rows))
     kinds = kinds_of_states(model)
@@ -136,10 +136,10 @@ def equation_weights(model: Model, rows: list[int], known: Set[str]) -> FloatArr
         name, kind = model.state_names[i], kinds[i]
         # A known state may well be changing. The equation of an angle is its rate where there is
         # a derivative; of a black box it is the balance of torques itself.
-        if name in known and (kind != "angle" or model.sample_time is not None):
+        if name in measured_names and (kind != "angle" or model.sample_time is not None):
             weights[k] = 0.0
         if kind == "momentum":
-            weights[k] = _FAINT if known & _angles(model) else 1.0
+            weights[k] = _FAINT if measured_names & _angles(model) else 1.0
     return weights
 
 

@@ -59,18 +59,18 @@ class SingleRotor(Model):
         self._motor = Motor(axis)
         # The keys of the configuration are `model.interface` and `model.voltage_limit`.
         self._circuit = interface_of(axis, interface, voltage_limit, "model.")
-        wanted = (*self._circuit.parameter_names, *self._motor.parameter_names)
-        missing = [name for name in wanted if name not in content.parameters]
+        required_names = (*self._circuit.parameter_names, *self._motor.parameter_names)
+        missing = [name for name in required_names if name not in content.parameters]
         if missing:
             raise ModelError(
                 f"the set {content.name!r} of model {content.model!r} has no {missing[0]!r}",
                 where="model.parameter_set",
                 remedy="choose bench, rahideh or tastemirov, whose motors are electrical",
             )
-        known = content.parameter_set()
-        self.parameters = ParameterSet((known[name] for name in wanted), known.name).replaced(
-            parameters or {}
-        )
+        file_parameters = content.parameter_set()
+        self.parameters = ParameterSet(
+            (file_parameters[name] for name in required_names), file_parameters.name
+        ).replaced(parameters or {})
         self.name = f"propeller_{rotor}" if load_cell else f"motor_{rotor}"
         speed = STATES[f"omega_{axis}"]
         current = (STATES[f"i_{axis}"],) if currents == "dynamic" else ()

@@ -135,8 +135,8 @@ class SteadyState:
         Returns Target: check ``converged`` before use: a disturbance that no input can hold has no
         target.
         """
-        asked = reference.tolist()
-        for i, value in enumerate(asked):
+        goal = reference.tolist()
+        for i, value in enumerate(goal):
             self._r[i] = min(max(value, -self._stops[i]), self._stops[i])
         self._w[:] = 0.0 if disturbance is None else disturbance
         if self._memory:
@@ -144,16 +144,16 @@ class SteadyState:
         if guess is not None:
             bounds_met = self._from(guess)
             if bounds_met is not None:
-                target = self._target(asked, bounds_met)
+                target = self._target(goal, bounds_met)
                 # The closest point found from nearby may be closest in its neighbourhood only:
                 # it is believed where the search over all starts led to just before, unless the
                 # disturbance that kept the reference out of reach has gone.
                 if not target.projected:
                     return target
-                beside = (abs(a - b) < _BESIDE for a, b in zip(asked, guess.asked, strict=True))
+                beside = (abs(a - b) < _BESIDE for a, b in zip(goal, guess.asked, strict=True))
                 if guess.projected and all(beside):
-                    return self._within_reach(asked) or target
-        return self._from_afar(asked)
+                    return self._within_reach(goal) or target
+        return self._from_afar(goal)
 
     def _remembering(self, values: FloatArray | None, guess: Target | None) -> Target | None:
         """Where the search begins, with the values of the states that remember a path."""
@@ -167,13 +167,13 @@ class SteadyState:
         x[rows] = values
         return replace(guess, x=x)
 
-    def _within_reach(self, asked: list[float]) -> Target | None:
+    def _within_reach(self, goal: list[float]) -> Target | None:
         """The reference itself where it can be held with no input at its bound."""
         free = (0,) * self.model.n_u
         for s, u in itertools.islice(self._starts(), 2**self.model.n_u):
             self._s[:], self._u[:], self._multiplier[:] = s, u, 0.0
             if self._converge(free, False) and not self._outside(free):
-                target = self._target(asked, free)
+                target = self._target(goal, free)
                 if not target.projected:
                     return target
         return None
@@ -221,7 +221,7 @@ class SteadyState:
                 after[i] = 0
         return tuple(after)
 
-    def _from_afar(self, asked: list[float]) -> Target:
+    def _from_afar(self, goal: list[float]) -> Target:
         """The best over several starts and all active sets."""
         best: tuple[float, Target] | None = None
         sets = itertools.product((0, 1, -1), repeat=self.model.n_u)
@@ -233,7 +233,7 @@ class SteadyState:
                     continue
                 if self._outside(active):
                     continue
-                target = self._target(asked, active)
+                target = self._target(goal, active)
                 if not target.projected:
                     return target
                 error = self._s[self.controlled] - self._r
@@ -244,7 +244,7 @@ class SteadyState:
             return best[1]
         self._s[:], self._u[:], self._multiplier[:] = self._rest, 0.0, 0.0
         self._newton()
-        return self._target(asked, (0,) * self.model.n_u)
+        return self._target(goal, (0,) * self.model.n_u)
 
     def _outside(self, active: tuple[int, ...]) -> bool:
         """Whether an input that is free is beyond its bound, or an angle beyond its stop."""
@@ -270,7 +270,7 @@ class SteadyState:
             for shares in itertools.product((0.4, -0.4), repeat=self.model.n_u):
                 yield s, np.array(shares) * self._upper
 
-    def _target(self, asked: list[float], active: tuple[int, ...]) -> Target:
+    def _target(self, goal: list[float], active: tuple[int, ...]) -> Target:
         x, u = self._x.copy(), self._u.copy()
         for i, side in enumerate(active):
             if side:
@@ -282,10 +282,10 @@ class SteadyState:
             u,
             np.array(reached),
             residual,
-            any(abs(a - b) > REACHED for a, b in zip(asked, reached, strict=True)),
+            any(abs(a - b) > REACHED for a, b in zip(goal, reached, strict=True)),
             residual <= TOLERANCE,
             active,
-            tuple(asked),
+            tuple(goal),
             self._multiplier.copy(),
         )
 

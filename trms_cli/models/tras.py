@@ -141,9 +141,10 @@ class Tras(BeamRig):
         self._tail = rotor_of("h", tail_curve, "model.tail_curve")
         unused = {name for axis in "vh" for name in ParametricRotor(axis).parameter_names}
         unused -= {*self._main.parameter_names, *self._tail.parameter_names}
-        known = content.parameter_set()
+        file_parameters = content.parameter_set()
         self.parameters = ParameterSet(
-            (parameter for parameter in known if parameter.name not in unused), known.name
+            (parameter for parameter in file_parameters if parameter.name not in unused),
+            file_parameters.name,
         ).replaced(parameters or {})
 
         self.name = "tras"

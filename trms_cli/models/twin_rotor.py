@@ -210,10 +210,12 @@ def _used(
 ) -> ParameterSet:
     """The parameters of a set that these equations have."""
     content.require(["kphi", "m_cb"], "bench, rahideh or tastemirov")
-    known = content.parameter_set()
-    given = {f"k_u{axis}" for axis, circuit in circuits.items() if not circuit.parameter_names}
-    used = (p for p in known if p.name not in {*unused, *given})
+    file_parameters = content.parameter_set()
+    circuit_names = {
+        f"k_u{axis}" for axis, circuit in circuits.items() if not circuit.parameter_names
+    }
+    used = (p for p in file_parameters if p.name not in {*unused, *circuit_names})
     return ParameterSet(
         (replace(p, description=p.description or MEANINGS.get(p.name, "")) for p in used),
-        known.name,
+        file_parameters.name,
     )

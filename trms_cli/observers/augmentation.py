@@ -154,7 +154,7 @@ class AugmentedModel:
         return self.discrete.n_x - self.n_s
 
     def symbols(self, kind: type[ca.SX] | type[ca.MX] = ca.SX) -> tuple[ca.SX, ...]:
-        """Fresh symbols ``(z, memory, u, p, known)``."""
+        """Fresh symbols ``(z, memory, u, p, w_known)``."""
         model = self.model
         sizes = {
             "z": self.n,
@@ -165,9 +165,9 @@ class AugmentedModel:
         }
         return tuple(kind.sym(name, size) for name, size in sizes.items())
 
-    def torques(self, z: ca.SX, known: ca.SX) -> ca.SX:
+    def torques(self, z: ca.SX, w_known: ca.SX) -> ca.SX:
         """All disturbances: the known ones, and what is estimated beside them, (n_w, 1)."""
-        w = type(known)(known)
+        w = type(w_known)(w_known)
         for k, equation in enumerate(self.equations):
             w[equation] += z[self.n_s + k]
         return w
@@ -213,13 +213,16 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
     substeps = options.substeps or max(1, int(np.ceil(setup.sample_time / _LONGEST_SUBSTEP)))
     discrete = discretise(model, setup.sample_time, substeps, sensors=True)
     n_s = model.n_x + discrete.n_sensors
-    shown = discrete.states[model.n_x : n_s]
+    sensor_states = discrete.states[model.n_x : n_s]
     augmented = (
-        *(*model.state_names, *names(shown)),
+        *(*model.state_names, *names(sensor_states)),
         *(names(model.disturbances)[i] for i in equations),
     )
     pushes = kinds_of_disturbances(model)
-    kinds = (*(*kinds_of_states(model), *("past" for _ in shown)), *(pushes[i] for i in equations))
+    kinds = (
+        *(*kinds_of_states(model), *("past" for _ in sensor_states)),
+        *(pushes[i] for i in equations),
+    )
     noise_sd = _noise_sd(setup, options.measurement_noise)
     sd = by_state(options.initial_sd, kinds, augmented, "initial_sd.states")
     for i, channel in _read_at_first(setup):
@@ -251,26 +254,26 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
     )
 
 
-def _equations(setup: ObserverSetup, chosen: tuple[str, ...] | None) -> list[int]:
+def _equations(setup: ObserverSetup, selection: tuple[str, ...] | None) -> list[int]:
     """Positions of the disturbances that are estimated."""
     model = setup.model
-    known = names(model.disturbances)
-    if chosen is None:
+    equation_names = names(model.disturbances)
+    if selection is None:
         if len(setup.outputs) >= model.n_w:
             return list(range(model.n_w))
-        return [known.index(axis.moment) for axis in model.axes.values()]
-    for name in chosen:
+        return [equation_names.index(axis.moment) for axis in model.axes.values()]
+    for name in selection:
         problem = f"model {model.name!r} has no equation for {name!r}"
-        require_known(name, known, problem, "observer.disturbances")
-    return [known.index(name) for name in dict.fromkeys(chosen)]
+        require_known(name, equation_names, problem, "observer.disturbances")
+    return [equation_names.index(name) for name in dict.fromkeys(selection)]
 
 
-def _noise_sd(setup: ObserverSetup, given: Mapping[str, float]) -> FloatArray:
-    for name in given:
+def _noise_sd(setup: ObserverSetup, overrides: Mapping[str, float]) -> FloatArray:
+    for name in overrides:
         require_known(
             name, setup.outputs, f"the rig measures no {name!r}", "observer.measurement_noise"
         )
-    declared = {**setup.noise_sd, **given}
+    declared = {**setup.noise_sd, **overrides}
     sd = np.array([declared.get(name, 0.0) for name in setup.outputs])
     for name, value in zip(setup.outputs, sd, strict=True):
         if not value > 0:

@@ -72,8 +72,8 @@ class _FilterpyStep:
             self.outputs[3][0] = np.nan
 
     def _step(self) -> None:
-        m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate = self.inputs
-        for function, values in ((self._advance, (memory, u, p, known)), (self._measure, (u, p))):
+        m, P, memory, u, y, mask, advance, w_known, p, q, r, floor, gate = self.inputs
+        for function, values in ((self._advance, (memory, u, p, w_known)), (self._measure, (u, p))):
             for argument, value in zip(function.inputs[1:], values, strict=True):
                 argument[:] = value
         peer = self._filter
@@ -97,7 +97,7 @@ class _FilterpyStep:
             )
         covariance = 0.5 * (peer.P + peer.P.T) + np.diag(floor)
         sd = np.sqrt(np.diag(covariance))
-        disturbance, disturbance_sd = known.copy(), np.zeros_like(known)
+        disturbance, disturbance_sd = w_known.copy(), np.zeros_like(w_known)
         for k, equation in enumerate(self._equations):
             disturbance[equation] += peer.x[self._n_s + k]
             disturbance_sd[equation] = sd[self._n_s + k]

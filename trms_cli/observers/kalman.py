@@ -78,20 +78,20 @@ def _coefficients(smooth: Augmentation) -> ca.Function:
     """``(z, memory, u, p) →`` coefficients of a sample and of the measurement there.
 
     In the order in which :func:`_linear_stages` reads them: next z less its linear part, ∂z⁺/∂(z,
-    memory, u, known), next memory likewise, ∂memory⁺/∂(memory, u), y likewise, ∂y/∂(z, u).
+    memory, u, w_known), next memory likewise, ∂memory⁺/∂(memory, u), y likewise, ∂y/∂(z, u).
     """
-    z, memory, u, p, known = smooth.symbols(ca.MX)
-    after, A, remembered = exact_transition(smooth)(z, memory, u, p, known)
+    z, memory, u, p, w_known = smooth.symbols(ca.MX)
+    after, A, remembered = exact_transition(smooth)(z, memory, u, p, w_known)
     y, C = exact_measurement(smooth)(z, u, p)
-    by_memory, by_u, by_known = (ca.jacobian(after, v) for v in (memory, u, known))
-    kept, entered = (ca.jacobian(remembered, v) for v in (memory, u))
+    by_memory, by_u, by_w = (ca.jacobian(after, v) for v in (memory, u, w_known))
+    memory_slope, input_slope = (ca.jacobian(remembered, v) for v in (memory, u))
     D = ca.jacobian(y, u)
     results = [
-        *(after - A @ z - by_memory @ memory - by_u @ u, A, by_memory, by_u, by_known),
-        *(remembered - kept @ memory - entered @ u, kept, entered),
+        *(after - A @ z - by_memory @ memory - by_u @ u, A, by_memory, by_u, by_w),
+        *(remembered - memory_slope @ memory - input_slope @ u, memory_slope, input_slope),
         *(y - C @ z - D @ u, C, D),
     ]
-    dense = ca.Function("here", [z, memory, u, p, known], [ca.densify(part) for part in results])
+    dense = ca.Function("here", [z, memory, u, p, w_known], [ca.densify(part) for part in results])
     at = [ca.MX.sym(name, *dense.size_in(i)) for i, name in enumerate(["z", "memory", "u", "p"])]
     return ca.Function("coefficients", at, dense.call([*at, ca.MX.zeros(*dense.size_in(4))]))
 
@@ -103,34 +103,40 @@ def _linear_stages(
 
     So the compiled code is the same whatever the rig's figures and the operating point are.
     """
-    z, memory, u, own, known = augmented.symbols()
+    z, memory, u, own, w_known = augmented.symbols()
     count = sum(part.numel() for part in coefficients)
     p = ca.SX.sym("p", count + own.numel())
     ends = np.cumsum([0, *(part.numel() for part in coefficients)]).tolist()
-    shift, A, M, B, G, kept_0, kept, entered, y_0, C, D = (
+    shift, A, M, B, G, memory_shift, memory_slope, input_slope, y_0, C, D = (
         ca.reshape(p[begin:end, 0], *part.shape)
         for part, begin, end in zip(coefficients, ends[:-1], ends[1:], strict=True)
     )
-    after = shift + A @ z + M @ memory + B @ u + G @ known
-    remembered = kept_0 + kept @ memory + entered @ u
-    at = [z, memory, u, p, known]
+    after = shift + A @ z + M @ memory + B @ u + G @ w_known
+    remembered = memory_shift + memory_slope @ memory + input_slope @ u
+    at = [z, memory, u, p, w_known]
     transition = ca.Function("transition", at, [ca.densify(v) for v in (after, A, remembered)])
     y = y_0 + C @ z + D @ u
     measurement = ca.Function("measure", [z, u, p], [ca.densify(y), ca.densify(C)])
     restate = ca.Function(
-        "restate", at, [_restated(augmented, after, z, memory, u, p[count:, 0], known)]
+        "restate", at, [_restated(augmented, after, z, memory, u, p[count:, 0], w_known)]
     )
     return transition, measurement, restate
 
 
 def _restated(
-    augmented: Augmentation, after: ca.SX, z: ca.SX, memory: ca.SX, u: ca.SX, p: ca.SX, known: ca.SX
+    augmented: Augmentation,
+    after: ca.SX,
+    z: ca.SX,
+    memory: ca.SX,
+    u: ca.SX,
+    p: ca.SX,
+    w_known: ca.SX,
 ) -> ca.SX:
     """z with the torques for which the model moves as the linear one, in what they push."""
     if not augmented.equations:
         return z
     n_s, model = augmented.n_s, augmented.model
-    follows = exact_transition(augmented)(z, memory, u, p, known)
+    follows = exact_transition(augmented)(z, memory, u, p, w_known)
     pushed = [i for i, kind in enumerate(kinds_of_states(model)) if kind in _PUSHED]
     slope = follows[1][pushed, n_s:]
     missing = (after - follows[0])[pushed]

@@ -29,14 +29,14 @@ def gain_stage(n: int, n_y: int) -> ca.Function:
     return ca.Function("gain", [cross, S], [ca.densify(gain)])
 
 
-def joseph(left: ca.MX, gain: ca.MX, variances: ca.MX, floor: ca.MX) -> ca.MX:
-    """``left + K R Kᵀ`` and the least variances, symmetric: the covariance after an update.
+def joseph(remainder: ca.MX, gain: ca.MX, variances: ca.MX, floor: ca.MX) -> ca.MX:
+    """``remainder + K R Kᵀ`` and the least variances, symmetric: the covariance after an update.
 
-    ``left``: (n, n); what is left of the prior's. ``gain``: K, (n, n_y). ``variances``: (n_y, 1);
-    the diagonal of R.
+    ``remainder``: (n, n); what is left of the prior's. ``gain``: K, (n, n_y).
+    ``variances``: (n_y, 1); the diagonal of R.
     """
     noise = (gain * ca.repmat(variances.T, gain.shape[0], 1)) @ gain.T
-    P = left + noise + diagonal(floor)
+    P = remainder + noise + diagonal(floor)
     return (P + P.T) / 2
 
 
@@ -59,10 +59,10 @@ def step_inputs(augmented: AugmentedModel, n_p: int) -> list[ca.MX]:
 
 
 def disturbances(
-    augmented: AugmentedModel, mean: ca.MX, sd: ca.MX, known: ca.MX
+    augmented: AugmentedModel, mean: ca.MX, sd: ca.MX, w_known: ca.MX
 ) -> tuple[ca.MX, ca.MX]:
     """All disturbances and their standard deviations, (n_w, 1) each."""
-    d, d_sd = ca.MX(known), ca.MX.zeros(augmented.model.n_w)
+    d, d_sd = ca.MX(w_known), ca.MX.zeros(augmented.model.n_w)
     for k, equation in enumerate(augmented.equations):
         d[equation] += mean[augmented.n_s + k]
         d_sd[equation] = sd[augmented.n_s + k]
@@ -78,15 +78,15 @@ def kalman_step(
 ) -> ca.Function:
     """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs.
 
-    ``name``: a valid C identifier. ``transition``: ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
-    ``measurement``: ``(z, u, p) → y, H``. ``restate``: ``(z, memory, u, p, known) → z`` with the
+    ``name``: a valid C identifier. ``transition``: ``(z, memory, u, p, w_known) → z⁺, A, memory⁺``.
+    ``measurement``: ``(z, u, p) → y, H``. ``restate``: ``(z, memory, u, p, w_known) → z`` with the
     torques that the estimate is to tell.
     """
     n, n_y, n_m = augmented.n, len(augmented.channels), augmented.n_m
     inputs = step_inputs(augmented, transition.size1_in(3))
-    m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate = inputs
-    moved, A, memory_next = transition(m, memory, u, p, known)
-    m_prior = ca.if_else(advance > 0, moved, m)
+    m, P, memory, u, y, mask, advance, w_known, p, q, r, floor, gate = inputs
+    z_next, A, memory_next = transition(m, memory, u, p, w_known)
+    m_prior = ca.if_else(advance > 0, z_next, m)
     P_prior = ca.if_else(advance > 0, A @ P @ A.T + diagonal(q), P)
     if n_m:
         memory_next = ca.if_else(advance > 0, memory_next, memory)
@@ -101,17 +101,17 @@ def kalman_step(
     S = S_all * (believed @ believed.T) + diagonal(believed * r + (1 - believed))
     gain = gain_stage(n, n_y)(cross * ca.repmat(believed.T, n, 1), S)
     m_next = m_prior + gain @ innovation
-    left = ca.MX.eye(n) - gain @ H
-    P_next = joseph(left @ P_prior @ left.T, gain, believed * r, floor)
+    reduction = ca.MX.eye(n) - gain @ H
+    P_next = joseph(reduction @ P_prior @ reduction.T, gain, believed * r, floor)
     sd = ca.sqrt(ca.diag(P_next))
-    told = m_next if restate is None else restate(m_next, memory_next, u, p, known)
+    reported_mean = m_next if restate is None else restate(m_next, memory_next, u, p, w_known)
     health = ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P_next))
     return ca.Function(
         name,
         inputs,
         [
             *(m_next, P_next, memory_next, health, sd),
-            *disturbances(augmented, told, sd, known),
+            *disturbances(augmented, reported_mean, sd, w_known),
             *(predicted, innovation, ca.sqrt(variance), mask - believed),
         ],
         list(INPUTS),
@@ -120,34 +120,34 @@ def kalman_step(
 
 
 def exact_transition(augmented: AugmentedModel) -> ca.Function:
-    """The model's own step with its Jacobian: ``(z, memory, u, p, known) → z⁺, A, memory⁺``.
+    """The model's own step with its Jacobian: ``(z, memory, u, p, w_known) → z⁺, A, memory⁺``.
 
     A model that steps several times in a sample is differentiated once, and its slopes follow by
     the chain rule: the code does not grow with the number of steps.
     """
     n_s, n = augmented.n_s, augmented.n
-    z, memory, u, p, known = augmented.symbols()
+    z, memory, u, p, w_known = augmented.symbols()
     parts = _equal_steps(augmented)
     single: dict[int, ca.Function] = {}
     for part in parts:
         if id(part) in single:
             continue
-        after = part(ca.vertcat(z[:n_s, 0], memory), u, p, augmented.torques(z, known))
+        after = part(ca.vertcat(z[:n_s, 0], memory), u, p, augmented.torques(z, w_known))
         following = ca.vertcat(after[:n_s, 0], z[n_s:, 0])
         results = [following, ca.jacobian(following, z), after[n_s:, 0]]
         single[id(part)] = ca.Function(
             f"part_{len(single)}",
-            [z, memory, u, p, known],
+            [z, memory, u, p, w_known],
             [ca.densify(result) for result in ca.cse(results)],
         )
     if len(parts) == 1:
         return single[id(parts[0])]
-    at, held, *rest = augmented.symbols(ca.MX)
-    state, slope, remembered = at, ca.MX.eye(n), held
+    at, memory_0, *rest = augmented.symbols(ca.MX)
+    state, slope, remembered = at, ca.MX.eye(n), memory_0
     for part in parts:
         state, one, remembered = single[id(part)](state, remembered, *rest)
         slope = one @ slope
-    return ca.Function("transition", [at, held, *rest], [state, ca.densify(slope), remembered])
+    return ca.Function("transition", [at, memory_0, *rest], [state, ca.densify(slope), remembered])
 
 
 def _equal_steps(augmented: AugmentedModel) -> tuple[ca.Function, ...]:

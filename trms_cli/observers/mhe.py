@@ -78,21 +78,23 @@ def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
     model, n, n_y = augmented.model, augmented.n, len(augmented.channels)
     Z, arrival = ca.MX.sym("trajectory", n, length + 1), ca.MX.sym("arrival", n)
     P_0, memory = ca.MX.sym("P", n, n), ca.MX.sym("memory", augmented.n_m, length)
-    u, known = ca.MX.sym("u", model.n_u, length), ca.MX.sym("known", model.n_w, length)
+    u, w_known = ca.MX.sym("u", model.n_u, length), ca.MX.sym("known", model.n_w, length)
     y, believed = ca.MX.sym("y", n_y, length), ca.MX.sym("believed", n_y, length)
     p = ca.MX.sym("p", len(model.parameters))
     q, r, floor = ca.MX.sym("q", n), ca.MX.sym("r", n_y), ca.MX.sym("floor", n)
 
     repeated = ca.repmat(p, 1, length)
-    moved, A, _ = exact_transition(augmented).map(length)(Z[:, :length], memory, u, repeated, known)
-    seen, H = exact_measurement(augmented).map(length)(Z[:, 1:], u, repeated)
+    successors, A, _ = exact_transition(augmented).map(length)(
+        Z[:, :length], memory, u, repeated, w_known
+    )
+    readings, H = exact_measurement(augmented).map(length)(Z[:, 1:], u, repeated)
     forward, backward = _forward(n, n_y), gain_stage(n, n)
     m, P = arrival, P_0
     filtered, predicted = [(m, P)], []
     for k in range(length):
         A_k, H_k = A[:, k * n : (k + 1) * n], H[:, k * n : (k + 1) * n]
         m_prior, P_prior, m, P = forward(
-            *(m, P, Z[:, k], moved[:, k], A_k, Z[:, k + 1], seen[:, k], H_k),
+            *(m, P, Z[:, k], successors[:, k], A_k, Z[:, k + 1], readings[:, k], H_k),
             *(y[:, k], believed[:, k], q, r, floor),
         )
         predicted.append((m_prior, P_prior))
@@ -105,8 +107,8 @@ def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
         smoothed.append(m_k + gain @ (smoothed[-1] - m_prior))
     return ca.Function(
         "mhe_step",
-        [Z, arrival, P_0, memory, u, known, y, believed, p, q, r, floor],
-        [ca.horzcat(*reversed(smoothed)), moved, A, seen, H],
+        [Z, arrival, P_0, memory, u, w_known, y, believed, p, q, r, floor],
+        [ca.horzcat(*reversed(smoothed)), successors, A, readings, H],
         list(INPUTS),
         list(OUTPUTS),
     )
@@ -115,21 +117,21 @@ def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
 def _forward(n: int, n_y: int) -> ca.Function:
     """One sample of the Kalman filter of the model linearised at z and at z⁺."""
     m, P = ca.MX.sym("m", n), ca.MX.sym("P", n, n)
-    z, moved, A = ca.MX.sym("z", n), ca.MX.sym("moved", n), ca.MX.sym("A", n, n)
-    z_next, seen, H_all = ca.MX.sym("z_next", n), ca.MX.sym("seen", n_y), ca.MX.sym("H", n_y, n)
+    z, successor, A = ca.MX.sym("z", n), ca.MX.sym("moved", n), ca.MX.sym("A", n, n)
+    z_next, reading, H_all = ca.MX.sym("z_next", n), ca.MX.sym("seen", n_y), ca.MX.sym("H", n_y, n)
     y, believed = ca.MX.sym("y", n_y), ca.MX.sym("believed", n_y)
     q, r, floor = ca.MX.sym("q", n), ca.MX.sym("r", n_y), ca.MX.sym("floor", n)
-    m_prior = moved + A @ (m - z)
+    m_prior = successor + A @ (m - z)
     P_prior = A @ P @ A.T + diagonal(q)
     H = H_all * ca.repmat(believed, 1, n)
     cross = P_prior @ H.T
     gain = gain_stage(n, n_y)(cross, H @ cross + diagonal(believed * r + (1 - believed)))
-    m_next = m_prior + gain @ (believed * (y - seen - H_all @ (m_prior - z_next)))
-    left = ca.MX.eye(n) - gain @ H
-    P_next = joseph(left @ P_prior @ left.T, gain, believed * r, floor)
+    m_next = m_prior + gain @ (believed * (y - reading - H_all @ (m_prior - z_next)))
+    reduction = ca.MX.eye(n) - gain @ H
+    P_next = joseph(reduction @ P_prior @ reduction.T, gain, believed * r, floor)
     return ca.Function(
         "forward",
-        [m, P, z, moved, A, z_next, seen, H_all, y, believed, q, r, floor],
+        [m, P, z, successor, A, z_next, reading, H_all, y, believed, q, r, floor],
         [m_prior, P_prior, m_next, P_next],
     )
 
@@ -299,8 +301,8 @@ class Mhe(FilterOptions):
             trajectory = outputs["smoothed"]
             if not np.isfinite(trajectory).all():
                 return None
-            held = trajectory[state.rows]
-            if state.rows.size and ((held < lower) | (held > upper)).any():
+            bounded_rows = trajectory[state.rows]
+            if state.rows.size and ((bounded_rows < lower) | (bounded_rows > upper)).any():
                 within = _within_bounds(state)
                 if within is None:
                     return None
@@ -346,9 +348,12 @@ def _remember(state: MheState, memory: FloatArray) -> None:
 
     ``memory``: (n_m,) array; of the input path, before the sample.
     """
-    inputs, (_, covariance, _, u, y, _, _, known) = state.inputs, state.arrival.function.inputs[:8]
+    inputs, (_, covariance, _, u, y, _, _, w_known) = (
+        state.inputs,
+        state.arrival.function.inputs[:8],
+    )
     believed = state.arrival.present & (state.arrival.estimate.rejected == 0)
-    for name, value in zip(_KEPT, (memory, u, known, y, believed), strict=True):
+    for name, value in zip(_KEPT, (memory, u, w_known, y, believed), strict=True):
         inputs[name][:, :-1] = inputs[name][:, 1:]
         inputs[name][:, -1] = value
     for columns in (state.means, inputs["trajectory"]):

@@ -28,10 +28,10 @@ class ObserverSetup:
 
         Raises ConfigurationError for a channel that the model knows nothing of.
         """
-        known = names(self.model.outputs)
-        foreign = [name for name in self.outputs if name not in known]
+        output_names = names(self.model.outputs)
+        foreign = [name for name in self.outputs if name not in output_names]
         if foreign:
-            both = [name for name in self.outputs if name in known]
+            both = [name for name in self.outputs if name in output_names]
             raise ConfigurationError(
                 f"the rig measures {', '.join(foreign)}, of which model {self.model.name!r} "
                 "knows nothing",
@@ -40,7 +40,7 @@ class ObserverSetup:
                 if both
                 else f"choose a model that measures {foreign[0]}",
             )
-        return [known.index(name) for name in self.outputs]
+        return [output_names.index(name) for name in self.outputs]
 
 
 class Observer(Protocol):

@@ -210,7 +210,7 @@ def _step(augmented: AugmentedModel, x_0: FloatArray, u_0: FloatArray) -> ca.Fun
 def state_dependent_transition(
     augmented: AugmentedModel, x_0: FloatArray, u_0: FloatArray
 ) -> ca.Function:
-    """``(z, memory, u, p, known) → z⁺, A, memory⁺`` in coefficients around (x₀, u₀).
+    """``(z, memory, u, p, w_known) → z⁺, A, memory⁺`` in coefficients around (x₀, u₀).
 
     Each substep has its own coefficients.
     """
@@ -218,37 +218,37 @@ def state_dependent_transition(
     n_x, n_s = model.n_x, augmented.n_s
     substeps = augmented.substeps
     form = state_dependent(model, x_0, u_0).discrete(length / substeps)
-    z, memory, u, p, known = augmented.symbols()
+    z, memory, u, p, w_known = augmented.symbols()
     state, remembered, slope = z, memory, ca.SX.eye(augmented.n)
     for k in range(substeps):
         window = (k / substeps, (k + 1) / substeps)
         arriving, remembered = model.input_path(remembered, u, p, window, length)
         at = ca.SX.sym("at", augmented.n)
-        x, shown = at[:n_x, 0], at[n_x:n_s, 0]
-        moved = ca.SX.sym("moved", n_x)
-        w = augmented.torques(at, known)
-        landed = moved
+        x, sensor_states = at[:n_x, 0], at[n_x:n_s, 0]
+        x_next = ca.SX.sym("moved", n_x)
+        w = augmented.torques(at, w_known)
+        landed = x_next
         if model.sample_time is None:
-            landed = model.impulse(moved, arriving, p, w, length / substeps)
+            landed = model.impulse(x_next, arriving, p, w, length / substeps)
         if augmented.discrete.n_sensors:
-            shown = model.sensor_path(shown, x, landed, arriving, p, window, length)
-        after = ca.vertcat(landed, shown, at[n_s:, 0])
+            sensor_states = model.sensor_path(sensor_states, x, landed, arriving, p, window, length)
+        after = ca.vertcat(landed, sensor_states, at[n_s:, 0])
         Phi, Gamma_u, Gamma_w, c = form(x, arriving, p)
         linear = x_0 + Phi @ (x - x_0) + Gamma_u @ (arriving - u_0) + Gamma_w @ w + c
         through = ca.horzcat(Phi, ca.SX(n_x, n_s - n_x), Gamma_w[:, augmented.equations])
-        one = ca.jacobian(after, at) + ca.jacobian(after, moved) @ through
-        following, one = ca.substitute([after, one], [moved], [linear])
+        one = ca.jacobian(after, at) + ca.jacobian(after, x_next) @ through
+        following, one = ca.substitute([after, one], [x_next], [linear])
         following, one = ca.substitute([following, one], [at], [state])
         state, slope = following, one @ slope
     return ca.Function(
         "transition",
-        [z, memory, u, p, known],
+        [z, memory, u, p, w_known],
         [ca.densify(result) for result in ca.cse([state, slope, remembered])],
     )
 
 
-def _vector(given: Mapping[str, float], signals: tuple[Signal, ...], key: str) -> FloatArray:
-    known = names(signals)
-    for name in given:
-        require_known(name, known, f"the model has no {name!r}", f"observer.{key}")
-    return np.array([given.get(name, 0.0) for name in known])
+def _vector(values: Mapping[str, float], signals: tuple[Signal, ...], key: str) -> FloatArray:
+    signal_names = names(signals)
+    for name in values:
+        require_known(name, signal_names, f"the model has no {name!r}", f"observer.{key}")
+    return np.array([values.get(name, 0.0) for name in signal_names])

@@ -96,16 +96,16 @@ def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     update = _update_stage(augmented, points)
 
     inputs = kalman.step_inputs(augmented, len(augmented.model.parameters))
-    m, P, memory, u, y, mask, advance, known, p, q, r, floor, gate = inputs
-    drawn = spread(m, P)
+    m, P, memory, u, y, mask, advance, w_known, p, q, r, floor, gate = inputs
+    sigma_points = spread(m, P)
     count = points.count
-    held = (ca.repmat(value, 1, count) for value in (memory, u, p, known))
-    moved = advance_one.map(count)(drawn, *held)
-    m_prior, P_prior = predict(drawn, moved[:n, :], advance, q)
-    memory_next = ca.if_else(advance > 0, moved[n:, 0], memory) if n_m else memory
+    arguments = (ca.repmat(value, 1, count) for value in (memory, u, p, w_known))
+    successors = advance_one.map(count)(sigma_points, *arguments)
+    m_prior, P_prior = predict(sigma_points, successors[:n, :], advance, q)
+    memory_next = ca.if_else(advance > 0, successors[n:, 0], memory) if n_m else memory
     redrawn = spread(m_prior, P_prior)
-    seen = measure.map(count)(redrawn, ca.repmat(u, 1, count), ca.repmat(p, 1, count))
-    results = update(m_prior, redrawn, seen, y, mask, r, floor, known, gate)
+    readings = measure.map(count)(redrawn, ca.repmat(u, 1, count), ca.repmat(p, 1, count))
+    results = update(m_prior, redrawn, readings, y, mask, r, floor, w_known, gate)
     m_next, P_next, health, *rest = results
     return ca.Function(
         "ukf_step",
@@ -124,12 +124,12 @@ def _spread_stage(points: SigmaPoints) -> ca.Function:
 def dynamics_stage(augmented: AugmentedModel) -> ca.Function:
     """One sigma point (and the memory) over one sample."""
     n_s = augmented.n_s
-    z, memory, u, p, known = augmented.symbols()
-    w = augmented.torques(z, known)
+    z, memory, u, p, w_known = augmented.symbols()
+    w = augmented.torques(z, w_known)
     after = augmented.discrete.step(ca.vertcat(z[:n_s, 0], memory), u, p, w)
     return ca.Function(
         "advance_one",
-        [z, memory, u, p, known],
+        [z, memory, u, p, w_known],
         [ca.densify(ca.vertcat(after[:n_s, 0], z[n_s:, 0], after[n_s:, 0]))],
     )
 
@@ -138,9 +138,9 @@ def _prediction_stage(points: SigmaPoints) -> ca.Function:
     n, count = points.n, points.count
     before, after = ca.MX.sym("before", n, count), ca.MX.sym("after", n, count)
     advance, q = ca.MX.sym("advance"), ca.MX.sym("q", n)
-    moved = ca.if_else(advance > 0, after, before)
-    m = moved @ ca.DM(points.mean_weights)
-    off = moved - ca.repmat(m, 1, count)
+    sigma_points = ca.if_else(advance > 0, after, before)
+    m = sigma_points @ ca.DM(points.mean_weights)
+    off = sigma_points - ca.repmat(m, 1, count)
     P = _weighted(off, points) @ off.T + kalman.diagonal(advance * q)
     return ca.Function("predict", [before, after, advance, q], [m, P])
 
@@ -158,34 +158,34 @@ def measurement_stage(augmented: AugmentedModel) -> ca.Function:
 
 def _update_stage(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     n, count, n_y = points.n, points.count, len(augmented.channels)
-    m, drawn = ca.MX.sym("m", n), ca.MX.sym("drawn", n, count)
-    seen = ca.MX.sym("seen", n_y, count)
+    m, sigma_points = ca.MX.sym("m", n), ca.MX.sym("drawn", n, count)
+    readings = ca.MX.sym("seen", n_y, count)
     y, mask, r = ca.MX.sym("y", n_y), ca.MX.sym("mask", n_y), ca.MX.sym("r", n_y)
-    floor, known = ca.MX.sym("floor", n), ca.MX.sym("known", augmented.model.n_w)
+    floor, w_known = ca.MX.sym("floor", n), ca.MX.sym("known", augmented.model.n_w)
     gate = ca.MX.sym("gate", n_y)
 
-    predicted = seen @ ca.DM(points.mean_weights)
-    off_y = seen - ca.repmat(predicted, 1, count)
+    predicted = readings @ ca.DM(points.mean_weights)
+    off_y = readings - ca.repmat(predicted, 1, count)
     variance = ca.diag(_weighted(off_y, points) @ off_y.T) + r
     innovation = mask * (y - predicted)
     believed = kalman.gate_channels(mask, innovation, variance, gate)
     off_y = off_y * ca.repmat(believed, 1, count)
-    off_x = drawn - ca.repmat(m, 1, count)
+    off_x = sigma_points - ca.repmat(m, 1, count)
     S = _weighted(off_y, points) @ off_y.T + kalman.diagonal(believed * r + (1 - believed))
     gain = kalman.gain_stage(n, n_y)(_weighted(off_x, points) @ off_y.T, S)
     m_next = m + gain @ innovation
-    left = off_x - gain @ off_y
-    P = kalman.joseph(_weighted(left, points) @ left.T, gain, believed * r, floor)
+    off_next = off_x - gain @ off_y
+    P = kalman.joseph(_weighted(off_next, points) @ off_next.T, gain, believed * r, floor)
     sd = ca.sqrt(ca.diag(P))
     return ca.Function(
         "update",
-        [m, drawn, seen, y, mask, r, floor, known, gate],
+        [m, sigma_points, readings, y, mask, r, floor, w_known, gate],
         [
             m_next,
             P,
             ca.sum1(m_next) + ca.sum1(sd) + ca.sum1(ca.vec(P)),
             sd,
-            *kalman.disturbances(augmented, m_next, sd, known),
+            *kalman.disturbances(augmented, m_next, sd, w_known),
             predicted,
             innovation,
             ca.sqrt(variance),

@@ -34,16 +34,16 @@ class Sensors:
 
         Raises ConfigurationError for a channel that the model does not have.
         """
-        chosen = available if self.channels is None else tuple(self.channels)
-        for name in chosen:
+        selection = available if self.channels is None else tuple(self.channels)
+        for name in selection:
             require_known(name, available, f"the model measures no {name!r}", "sensors.channels")
-        if not chosen:
+        if not selection:
             raise ConfigurationError(
                 "no channel is measured",
                 where="sensors.channels",
                 remedy=f"choose from: {', '.join(available)}",
             )
-        return chosen
+        return selection
 
     def declared_noise(self, channels: tuple[str, ...]) -> dict[str, float]:
         """Standard deviation of noise and quantisation (uniform, q²/12) together."""
@@ -64,8 +64,8 @@ class Sensors:
         # Always the same number of draws, so that one channel's noise does not shift another's.
         noise = generator.standard_normal((samples, len(channels)))
         noise *= [self.noise_sd.get(name, 0.0) for name in channels]
-        lost = generator.random(samples) < self.loss_probability
-        noise[lost] = np.nan
+        is_lost = generator.random(samples) < self.loss_probability
+        noise[is_lost] = np.nan
         return noise
 
     def quanta(self, channels: tuple[str, ...]) -> FloatArray:

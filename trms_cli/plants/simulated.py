@@ -58,9 +58,9 @@ class MechanicalStop(Effect):
     def impulse(self, at: EffectContext, duration: float) -> ca.SX:
         row = at.model.state_index(at.axis(self.axis).angle)
         angle, limit = at.x[row], at.sizes["range"]
-        held = resisting_impulse(at, self.axis, None, duration)
+        x_stopped = resisting_impulse(at, self.axis, None, duration)
         outward = ca.logic_and(ca.fabs(angle) >= limit, angle * at.rate(self.axis) > 0)
-        x = ca.if_else(outward, held, at.x)
+        x = ca.if_else(outward, x_stopped, at.x)
         x[row] = ca.fmin(ca.fmax(angle, -limit), limit)
         return x
 
@@ -218,10 +218,10 @@ class SimulatedRun:
         sense()
         y = sense.outputs[0] + self._noise[self._sample]
         if self._any_rounded:
-            shown = y / self._quanta
-            np.rint(shown, shown)
-            shown *= self._quanta
-            y = shown if self._all_rounded else np.where(self._rounded, shown, y)
+            readings = y / self._quanta
+            np.rint(readings, readings)
+            readings *= self._quanta
+            y = readings if self._all_rounded else np.where(self._rounded, readings, y)
         for fault in self.faults:
             fault.sensed(self._sample, y)
         return y
@@ -281,9 +281,9 @@ def _broken(
     runs = []
     for name, fault in faults.items():
         seed = (setup.seed, 0x4641554C, zlib.crc32(name.encode()))
-        given = FaultSetup(setup.sample_time, setup.samples, outputs, inputs, seed)
+        fault_setup = FaultSetup(setup.sample_time, setup.samples, outputs, inputs, seed)
         try:
-            runs.append(fault.init(given))
+            runs.append(fault.init(fault_setup))
         except ConfigurationError as error:
             error.where = f"faults.{name}.{error.where}"
             raise
@@ -306,7 +306,7 @@ def _noise_on_states(
 
 
 def _remembering(
-    model: Model, start: FloatArray, command: FloatArray, given: Mapping[str, float]
+    model: Model, start: FloatArray, command: FloatArray, start_values: Mapping[str, float]
 ) -> FloatArray:
     """A start at which what a model that steps remembers agrees with where it is, but as given."""
     equations = rest_equations(model)
@@ -314,7 +314,7 @@ def _remembering(
     s = ca.SX.sym("s", len(equations.unknowns))
     whole = ca.Function("whole", [s, u], [equations.state(s, u)])
     settled = np.array(whole(start[list(equations.unknowns)], command))[:, 0]
-    for name in given:
+    for name in start_values:
         settled[model.state_index(name)] = start[model.state_index(name)]
     return settled
 
@@ -334,6 +334,6 @@ def _vector(values: Mapping[str, float], signals: tuple[Signal, ...], where: str
     return vector
 
 
-def _known(name: str, known: tuple[str, ...], where: str) -> int:
-    require_known(name, known, f"unknown name {name!r}", f"{where}.{name}")
-    return known.index(name)
+def _known(name: str, valid_names: tuple[str, ...], where: str) -> int:
+    require_known(name, valid_names, f"unknown name {name!r}", f"{where}.{name}")
+    return valid_names.index(name)

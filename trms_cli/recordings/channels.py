@@ -72,7 +72,7 @@ def nearest_name(name: str) -> str | None:
     """Return the known name that a misspelt one most likely means, or None."""
     if name.lower() in _OTHER_NAMES:
         return _OTHER_NAMES[name.lower()]
-    lower = {known.lower(): known for known in ("t", *CHANNELS)}
+    lower = {candidate.lower(): candidate for candidate in ("t", *CHANNELS)}
     close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     return lower[close[0]] if close else None
 

@@ -103,8 +103,8 @@ def _lines(path: Path) -> tuple[list[str], bool]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        found = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
-        _refuse(path, line, found, "save the file as UTF-8")
+        problem = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
+        _refuse(path, line, problem, "save the file as UTF-8")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     count, most = text.count("\n"), largest(_USUAL_MOST) // _LEAST_LINE
     if count > most:
@@ -183,13 +183,13 @@ def _header_cell(cell: str, position: int, where: str) -> _Column:
             remedy="name it, or remove the comma too many",
         )
     if name != "t" and find_channel(name) is None:
-        meant = nearest_name(name)
-        known = ", ".join(("t", *CHANNELS, "d_*"))
+        suggestion = nearest_name(name)
+        name_list = ", ".join(("t", *CHANNELS, "d_*"))
         raise RecordingError(
             f"column {position}: the name {name!r} is not known"
-            + (f"; did you mean {meant!r}?" if meant else ""),
+            + (f"; did you mean {suggestion!r}?" if suggestion else ""),
             where=where,
-            remedy=f"names are {known}",
+            remedy=f"names are {name_list}",
         )
     if not match:
         channel = _TIME if name == "t" else find_channel(name)
@@ -221,10 +221,10 @@ def _numbers(
     for number, line in enumerate(islice(lines, first, None), start=first + 1):
         if not line or line.isspace():
             continue
-        found = line.count(",") + 1  # before it is cut up: it may be all of the file
-        if found != width:
-            cut = number == len(lines) and not ends_with_newline and found < width
-            _refuse_width(path, number, line, found, width, cut=cut)
+        cell_count = line.count(",") + 1  # before it is cut up: it may be all of the file
+        if cell_count != width:
+            cut = number == len(lines) and not ends_with_newline and cell_count < width
+            _refuse_width(path, number, line, cell_count, width, cut=cut)
         cells = line.split(",")
         try:
             rows.append([float(c) if c and not c.isspace() else _MISSING for c in cells])
@@ -235,8 +235,10 @@ def _numbers(
             blocks.append(np.array(rows))
             rows = []
     if len(line_numbers) < 2:
-        told = "there is a single row" if line_numbers else "there are no numbers below the header"
-        _refuse(path, first + 1, told, "a recording needs two samples or more")
+        problem = (
+            "there is a single row" if line_numbers else "there are no numbers below the header"
+        )
+        _refuse(path, first + 1, problem, "a recording needs two samples or more")
     table = np.concatenate([*blocks, np.array(rows).reshape(-1, width)])
     # "nan" and "inf" pass float(), and so does an empty cell as our own NaN: only rows with
     # a value that is not finite are looked at again. float() also takes 1_0 for 10.
@@ -255,12 +257,15 @@ def _number(path: Path, line: int, cell: str, column: _Column) -> float:
     text = cell.strip().strip('"').strip()
     if not text:
         return _MISSING
-    held, empty = f"column {column.name!r} holds", "leave the cell empty where a sample is missing"
+    prefix, empty = (
+        f"column {column.name!r} holds",
+        "leave the cell empty where a sample is missing",
+    )
     if not _is_number(text):
-        told = f"{held} {text[:40]!r}, which is not a number"
-        _refuse(path, line, told, f"write numbers as 0.25 or 2.5e-1; {empty}")
+        problem = f"{prefix} {text[:40]!r}, which is not a number"
+        _refuse(path, line, problem, f"write numbers as 0.25 or 2.5e-1; {empty}")
     if not np.isfinite(float(text)):
-        _refuse(path, line, f"{held} {text!r}, which is not finite", empty)
+        _refuse(path, line, f"{prefix} {text!r}, which is not finite", empty)
     return float(text)
 
 
@@ -274,19 +279,21 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _refuse_width(path: Path, line: int, text: str, found: int, width: int, *, cut: bool) -> None:
+def _refuse_width(
+    path: Path, line: int, text: str, cell_count: int, width: int, *, cut: bool
+) -> None:
     if cut:
         _refuse(
             path,
             line,
-            f"the file ends in the middle of the line: {found} of {width} cells",
+            f"the file ends in the middle of the line: {cell_count} of {width} cells",
             "the file was cut; copy it again, or delete its last line",
         )
-    if ";" in text or found >= 2 * width - 1 > 1:
+    if ";" in text or cell_count >= 2 * width - 1 > 1:
         _refuse(
             path,
             line,
-            f"{found} cells where the header has {width}: decimal commas or semicolons?",
+            f"{cell_count} cells where the header has {width}: decimal commas or semicolons?",
             "separate columns by commas and write decimals with a point: 0.25",
         )
     if text.lstrip().startswith("#"):
@@ -294,7 +301,7 @@ def _refuse_width(path: Path, line: int, text: str, found: int, width: int, *, c
     _refuse(
         path,
         line,
-        f"{found} cells where the header has {width}",
+        f"{cell_count} cells where the header has {width}",
         "give each line as many cells as the header; empty cells are missing samples",
     )
 

@@ -166,35 +166,35 @@ class Selection:
         """
         start = -np.inf if self.start is None else self.start
         end = np.inf if self.end is None else self.end
-        chosen = (recording.time >= start) & (recording.time <= end)
-        if np.count_nonzero(chosen) < 2:
+        mask = (recording.time >= start) & (recording.time <= end)
+        if np.count_nonzero(mask) < 2:
             raise ConfigurationError(
                 f"fewer than two samples lie from {start:g} to {end:g} s",
                 where="plant.start" if self.start is not None else "plant.end",
                 remedy=f"the recording goes from {recording.time[0]:g} to {recording.time[-1]:g} s",
             )
-        if chosen.all():
+        if mask.all():
             return recording
-        return recording.select_rows(chosen)
+        return recording.select_rows(mask)
 
     def _inputs(self, recording: Recording, model: Model) -> tuple[Signal, ...]:
         """The model's inputs, all recorded, all in the model's unit or scaled to it."""
-        wanted = names(model.inputs)
-        missing = [name for name in wanted if name not in recording.channels]
+        input_names = names(model.inputs)
+        missing = [name for name in input_names if name not in recording.channels]
         if missing:
             raise ConfigurationError(
                 f"the recording has no {_listed(missing)}; its inputs are "
                 f"{_listed(recording.names('input'))}",
                 where="plant.file",
-                remedy=f"model {model.name!r} needs {_listed(wanted)}; with one rotor at rest "
+                remedy=f"model {model.name!r} needs {_listed(input_names)}; with one rotor at rest "
                 "choose a model of one axis, as model=newtonian_vertical",
             )
-        unknown = [name for name in self.input_scale if name not in wanted]
+        unknown = [name for name in self.input_scale if name not in input_names]
         if unknown:
             raise ConfigurationError(
                 f"the model has no input {unknown[0]!r}",
                 where=f"plant.input_scale.{unknown[0]}",
-                remedy=f"its inputs are {_listed(wanted)}",
+                remedy=f"its inputs are {_listed(input_names)}",
             )
         differing = [
             signal

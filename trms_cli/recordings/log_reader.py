@@ -259,8 +259,8 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
 def _refuse_newer(run: Mapping[str, str], path: Path) -> None:
     """What a version to come means by its fields is not known here; older forms are all read."""
     kind, _, number = run.get("schema", "").partition("/")
-    known_kind, _, known = RUN_SCHEMA.partition("/")
-    if kind == known_kind and number.isdecimal() and int(number[:9]) > int(known):
+    known_kind, _, known_version = RUN_SCHEMA.partition("/")
+    if kind == known_kind and number.isdecimal() and int(number[:9]) > int(known_version):
         raise RecordingError(
             f"the log is of the form {kind}/{number}, this program reads up to {RUN_SCHEMA}",
             where=str(path),
@@ -359,10 +359,10 @@ def _take(opcode: int, body: memoryview, content: _Content) -> None:
     elif opcode == Opcode.CHANNEL:
         channel = Channel.read(ReadDataStream(BytesIO(body)))
         content.channels[channel.id] = channel
-        wanted = content.topics is None or channel.topic in content.topics
+        is_requested = content.topics is None or channel.topic in content.topics
         schema = content.schemas.get(channel.schema_id)
         for_viewers = schema is not None and schema.name.startswith(VIEWER_SCHEMAS)
-        if wanted and not for_viewers and channel.message_encoding == "json":
+        if is_requested and not for_viewers and channel.message_encoding == "json":
             content.times.setdefault(channel.id, [])
             content.messages.setdefault(channel.id, [])
 
@@ -510,16 +510,16 @@ class LogTail:
         if self.finished:
             return None
         data = self._next_bytes(at_once)
-        taken = 0
+        size = 0
         for opcode, body, end in records(memoryview(data)):
             if opcode == Opcode.FOOTER:
                 self.finished = data[end : end + len(MCAP0_MAGIC)] == MCAP0_MAGIC
-                taken = end if self.finished else taken
+                size = end if self.finished else size
                 break
             self._take(opcode, body)
-            taken = end
-        self._offset += taken
-        if not taken:
+            size = end
+        self._offset += size
+        if not size:
             return None
         written, self._written = tuple(self._written), []
         return LogPiece(self._tables(), written)
@@ -622,10 +622,10 @@ class LogTail:
         if schema.name.startswith(VIEWER_SCHEMAS):
             return  # it is there for viewers, and holds no samples
         properties = orjson.loads(schema.data)["properties"]
-        wanted = {n: p for n, p in properties.items() if self._wanted(channel.topic, n)}
-        if wanted:
-            self.units[channel.topic] = {n: p.get("unit", "") for n, p in wanted.items()}
-            self._kinds[channel.id] = channel.topic, {n: p["type"] for n, p in wanted.items()}
+        columns = {n: p for n, p in properties.items() if self._wanted(channel.topic, n)}
+        if columns:
+            self.units[channel.topic] = {n: p.get("unit", "") for n, p in columns.items()}
+            self._kinds[channel.id] = channel.topic, {n: p["type"] for n, p in columns.items()}
             self._rows[channel.id] = _Rows()
 
     def _take_message(self, body: memoryview) -> None:

@@ -152,9 +152,9 @@ class _Walk:
             if word >> 16 > 4:
                 raise MalformedFile("a short part of more than four bytes")
             return _Element(word & 0xFFFF, at + 4, at + 4 + (word >> 16)), at + 8
-        found = _full_tag(self.data, at, end, self.order)
-        padded = size if found.kind == _MATRIX else -(-size // 8) * 8
-        return found, min(at + 8 + padded, end)
+        part = _full_tag(self.data, at, end, self.order)
+        padded = size if part.kind == _MATRIX else -(-size // 8) * 8
+        return part, min(at + 8 + padded, end)
 
     def header(self, matrix: _Element) -> _Header:
         flags, at = self.element(matrix.begin, matrix.end)
@@ -245,15 +245,15 @@ def _recording(path: Path, variables: dict[str, Any]) -> Recording:
     units = variables.get("units", {})
     if not isinstance(units, dict):
         raise RecordingError("'units' is not a struct", where=str(path), remedy="units.t = 's'")
-    known = [name for name in variables if name == "t" or find_channel(name) is not None]
-    require_channels(known, str(path))
+    channel_names = [name for name in variables if name == "t" or find_channel(name) is not None]
+    require_channels(channel_names, str(path))
     times, unit = _vector(path, "t", variables["t"]), str(units.get("t", "s"))
     time, _ = to_si(times, unit, ("s",), where=str(path), name="t")
     _check_time(path, time)
-    channels, si_units = _channels(path, variables, units, len(time), known)
+    channels, si_units = _channels(path, variables, units, len(time), channel_names)
     require_values(channels, str(path))
     metadata = {name: value for name, value in variables.items() if isinstance(value, str)}
-    used = {"t", "units", *known, *metadata}
+    used = {"t", "units", *channel_names, *metadata}
     ignored = [name for name in variables if name not in used]
     remarks = (f"variables not used: {', '.join(ignored)}",) if ignored else ()
     return Recording(time, channels, si_units, metadata, path, remarks)
@@ -264,7 +264,7 @@ def _channels(
     struct: dict[str, Any],
     units: dict[str, Any],
     samples: int,
-    chosen: Iterable[str],
+    names: Iterable[str],
     topic: str = "",
 ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Vectors of a struct in SI, and their units, by name; ``samples``: as many as there are times.
@@ -272,9 +272,9 @@ def _channels(
     ``topic``: the struct's name in an exported log, in which a reference has its angle's name.
     """
     columns, si_units, dot = {}, {}, f"{topic}." if topic else ""
-    meant = REFERENCE_OF_AXIS if topic == "reference" else {}
-    for name in chosen:
-        channel = find_channel(meant.get(name, name))
+    reference_names = REFERENCE_OF_AXIS if topic == "reference" else {}
+    for name in names:
+        channel = find_channel(reference_names.get(name, name))
         if channel is None:
             continue
         vector = _vector(path, f"{dot}{name}", struct[name])
@@ -300,16 +300,18 @@ def _of_topics(path: Path, content: dict[str, Any]) -> Recording:
 
     tables = {f"/{name}": _table(path, name, content[name]) for name in _TOPICS if name in content}
     run = content.get("run", {})
-    told = {str(k): str(v) for k, v in run.items()} if isinstance(run, dict) else {}
+    metadata = {str(k): str(v) for k, v in run.items()} if isinstance(run, dict) else {}
     # a name in MATLAB has no dot
     mangled = OWN_PREFIX.replace(".", "_")
-    told = {
+    metadata = {
         OWN_PREFIX + key.removeprefix(mangled) if key.startswith(mangled) else key: text
-        for key, text in told.items()
+        for key, text in metadata.items()
     }
     complete = bool(content.get("complete", True))
     problems = () if complete else ("the run that it was exported from did not end",)
-    log = LoggedRun(path, complete, told.get("outcome", "died"), tables, told, {}, {}, problems)
+    log = LoggedRun(
+        path, complete, metadata.get("outcome", "died"), tables, metadata, {}, {}, problems
+    )
     recording = recording_of(log)
     require_channels(["t", *recording.channels], str(path))
     require_values(recording.channels, str(path))

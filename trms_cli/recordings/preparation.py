@@ -66,7 +66,7 @@ def fill_gaps(recording: Recording, longest: float, jitter: float) -> Recording:
     the sampling may be, as a share of a sample: see :func:`on_grid`.
     """
     grid = on_grid(recording, jitter)
-    held = recording.held_channels
+    held_names = recording.held_channels
     channels, filled = {}, {}
     for name, values in grid.channels.items():
         there = np.isfinite(values)
@@ -78,21 +78,21 @@ def fill_gaps(recording: Recording, longest: float, jitter: float) -> Recording:
         after = np.minimum.accumulate(np.where(there, index, len(values))[::-1])[::-1]
         inside = ~there & (before >= 0) & (after < len(values))
         span = grid.time[np.minimum(after, len(values) - 1)] - grid.time[np.maximum(before, 0)]
-        chosen = inside & (span <= longest * (1 + 1e-9))
+        mask = inside & (span <= longest * (1 + 1e-9))
         joined = (
             values[np.maximum(before, 0)]
-            if name in held
+            if name in held_names
             else np.interp(grid.time, grid.time[there], values[there])
         )
-        channels[name] = np.where(chosen, joined, values)
-        if chosen.any():
-            filled[name] = int(chosen.sum())
+        channels[name] = np.where(mask, joined, values)
+        if mask.any():
+            filled[name] = int(mask.sum())
     # Points of a gap that stays are no rows of the result.
     keep = grid.present | np.any([np.isfinite(v) for v in channels.values()], axis=0)
     words = ", ".join(f"{name} {count}" for name, count in filled.items()) or "nothing"
     remark = f"filled where missing for at most {longest:g} s: {words} (samples)"
-    kept = {name: values[keep] for name, values in channels.items()}
-    return recording.with_remarks(remark, time=grid.time[keep], channels=kept)
+    columns = {name: values[keep] for name, values in channels.items()}
+    return recording.with_remarks(remark, time=grid.time[keep], channels=columns)
 
 
 def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recording:
@@ -107,14 +107,14 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
     sample for a held channel.
     """
     step = recording.sample_time
-    held = recording.held_channels
+    held_names = recording.held_channels
     first, last = recording.time[0], recording.time[-1]
     channels = dict(recording.channels)
     for name, delay in delays.items():
         problem = f"the recording has no {name!r} to shift"
         require_known(name, channels, problem, f"delays.{name}", RecordingError)
         whole = round(delay / step)
-        if name in held and abs(delay - whole * step) > 0.01 * step:
+        if name in held_names and abs(delay - whole * step) > 0.01 * step:
             raise RecordingError(
                 f"{delay:g} s is {delay / step:.3g} samples, and {name} is held from row to row",
                 where=f"delays.{name}",
@@ -123,7 +123,7 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
         first = max(first, recording.time[0] - delay)
         last = min(last, recording.time[-1] - delay)
         values, at = channels[name], recording.time - delay
-        if name in held:
+        if name in held_names:
             row = np.searchsorted(at, recording.time + 0.01 * step, side="right") - 1
             channels[name] = values[np.clip(row, 0, len(values) - 1)]
         else:
@@ -179,13 +179,13 @@ def resample(recording: Recording, step: float) -> Recording:
         return recording.with_remarks(f"already sampled every {step:g} s")
     time = recording.time[0] + offsets
     channels = {}
-    held = recording.held_channels
+    held_names = recording.held_channels
     inputs = set(recording.names("input"))
     hole = max(GAP_FACTOR * old, step)
     for name, values in recording.channels.items():
         if name in inputs:
             channels[name] = _mean_held(recording.time, values, time, step, hole)
-        elif name in held:
+        elif name in held_names:
             channels[name] = _held(recording.time, values, time, hole)
         else:
             channels[name] = _measured(recording.time, values, time, old, step, hole)
@@ -305,8 +305,8 @@ class Preparation:
         Returns one, unless it is split. Their remarks tell what was found and what was done. Raises
         RecordingError if something asked for cannot be done.
         """
-        found = remarks_on(recording, {} if self.outliers == "mark" else None)
-        recording = recording.with_remarks(*found)
+        remarks = remarks_on(recording, {} if self.outliers == "mark" else None)
+        recording = recording.with_remarks(*remarks)
         if self.outliers == "mark":
             recording = _without_outliers(recording)
         delays = {name: delay for name, delay in self.delays.items() if delay != 0}

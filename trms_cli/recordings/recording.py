@@ -91,10 +91,10 @@ class Recording:
         """Names of the channels that are held from row to row: commands and references."""
         return {*self.names("input"), *self.names("reference")}
 
-    def select_rows(self, chosen: np.ndarray | slice, *remarks: str) -> Recording:
+    def select_rows(self, rows: np.ndarray | slice, *remarks: str) -> Recording:
         """The recording of some rows, with what there is to say of that."""
-        channels = {name: values[chosen] for name, values in self.channels.items()}
-        return self.with_remarks(*remarks, time=self.time[chosen], channels=channels)
+        channels = {name: values[rows] for name, values in self.channels.items()}
+        return self.with_remarks(*remarks, time=self.time[rows], channels=channels)
 
     def with_remarks(self, *remarks: str, **changed: Any) -> Recording:
         """The recording with further remarks, and other fields where they have changed."""
@@ -106,11 +106,11 @@ class Recording:
         if self.sample_time > SLOW_SAMPLE:
             lines.append(f"{self.sample_time:.4g} s a sample: is t in ms? Then write t[ms]")
         if self.gaps:
-            lost = sum(round((b - a) / self.sample_time) - 1 for a, b in self.gaps)
+            lost_samples = sum(round((b - a) / self.sample_time) - 1 for a, b in self.gaps)
             start, end = max(self.gaps, key=lambda gap: gap[1] - gap[0])
             number = "a gap" if len(self.gaps) == 1 else f"{len(self.gaps)} gaps"
             lines.append(
-                f"{number} in t, about {lost} samples in all; "
+                f"{number} in t, about {lost_samples} samples in all; "
                 f"the longest from {start:.6g} to {end:.6g} s"
             )
         for name, count in self.missing.items():
@@ -139,10 +139,10 @@ class Recording:
         long, short = self._uneven
         # What is lost shows only beyond the chance of as many long steps as short ones.
         beyond = long - short > 2 * (long + short) ** 0.5
-        lost = f"about {long - short}" if beyond else "hardly any"
+        loss = f"about {long - short}" if beyond else "hardly any"
         return (
             f"; {long} are as long as a gap and {short} as much too short, so the clock jitters "
-            f"and {lost} samples are lost "
+            f"and {loss} samples are lost "
             "(--resample, or data.resample, evens it)"
         )
 

@@ -265,11 +265,11 @@ class RunLog:
         self._rows.clear()
         self._stream.close()
         if self.safe_until_s is None:
-            kept = "nothing of the run is in the log"
+            consequence = "nothing of the run is in the log"
         else:
-            kept = f"the log is safe up to {self.safe_until_s:.3f} s of the run"
+            consequence = f"the log is safe up to {self.safe_until_s:.3f} s of the run"
         explained = explain_os_error(error, self.path)
-        explained.problem = f"{explained.problem}; {kept}"
+        explained.problem = f"{explained.problem}; {consequence}"
         return explained
 
 

@@ -48,11 +48,11 @@ def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
     """
     from scipy.ndimage import median_filter, percentile_filter
 
-    found = np.zeros(len(values), dtype=bool)
+    is_outlier = np.zeros(len(values), dtype=bool)
     there = np.flatnonzero(np.isfinite(values))
     y = values[there]
     if len(y) < 2 * (2 * _HALF_WIDTH + 1) + 1:
-        return found
+        return is_outlier
     off = np.abs(y - median_filter(y, 2 * _HALF_WIDTH + 1, mode="reflect"))
     width = min(_SCALE_WIDTH, len(y))
     usual = percentile_filter(off, _USUAL_PERCENT, width, mode="reflect")
@@ -72,10 +72,10 @@ def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
             continue
         run = _run_around(work, k, candidates, limit[k])
         if run is not None:
-            found[there[run.start : run.stop]] = True
+            is_outlier[there[run.start : run.stop]] = True
             sides = [i for i in (run.start - 1, run.stop) if 0 <= i < len(y)]
             work[run.start : run.stop] = np.interp(run, sides, work[sides])
-    return found
+    return is_outlier
 
 
 def _run_around(y: np.ndarray, k: int, candidates: set[int], limit: float) -> range | None:
@@ -91,8 +91,8 @@ def _run_around(y: np.ndarray, k: int, candidates: set[int], limit: float) -> ra
 def _stands_apart(y: np.ndarray, run: range, limit: float) -> bool:
     """Whether every sample of a run is off the straight lines of both sides."""
     lines = [_beyond(y, run.start, len(run), side) for side in (-1, 1)]
-    known = [line for line in lines if line is not None]
-    return bool(known) and all(abs(y[k] - line(k)) > limit for k in run for line in known)
+    side_lines = [line for line in lines if line is not None]
+    return bool(side_lines) and all(abs(y[k] - line(k)) > limit for k in run for line in side_lines)
 
 
 def _beyond(y: np.ndarray, first: int, count: int, direction: int) -> Callable[[int], float] | None:
@@ -153,12 +153,14 @@ class LoopState:
     def sentence(self) -> str:
         """For people."""
         shares = ", ".join(f"{name} {share:.0%}" for name, share in self.answered.items())
-        told = f" (of what is new in a command, measurements explain: {shares})" if shares else ""
+        evidence = (
+            f" (of what is new in a command, measurements explain: {shares})" if shares else ""
+        )
         if self.declared:
-            return f"loop: {self.state}, as the recording says{told}"
+            return f"loop: {self.state}, as the recording says{evidence}"
         if self.state == "unknown":
-            return f"loop: open or closed cannot be told{told}; write `# loop: open` or closed"
-        return f"loop: {self.state}, estimated{told}"
+            return f"loop: open or closed cannot be told{evidence}; write `# loop: open` or closed"
+        return f"loop: {self.state}, estimated{evidence}"
 
 
 def find_loop(recording: Recording, jitter: float = 0.2) -> LoopState:
@@ -209,18 +211,18 @@ def _past(table: np.ndarray, lags: int, latest: int) -> np.ndarray:
     """The rows of ``latest``, latest + 1, … samples before, side by side; NaN before the first."""
     columns = []
     for lag in range(latest, latest + lags):
-        moved = np.full(table.shape, np.nan)
-        moved[lag:] = table[: max(len(table) - lag, 0)]
-        columns.append(moved)
+        block = np.full(table.shape, np.nan)
+        block[lag:] = table[: max(len(table) - lag, 0)]
+        columns.append(block)
     return np.hstack(columns)
 
 
 def _surprise(
-    table: np.ndarray, past_of: list[np.ndarray], known: np.ndarray | None = None
+    table: np.ndarray, past_of: list[np.ndarray], current_values: np.ndarray | None = None
 ) -> np.ndarray:
     """What a linear prediction from the past, and from what is known now, does not tell."""
     parts = [np.ones((len(table), 1)), *(_past(part, _LAGS, latest=1) for part in past_of)]
-    x = np.hstack(parts if known is None else [*parts, known])
+    x = np.hstack(parts if current_values is None else [*parts, current_values])
     good = np.isfinite(x).all(axis=1) & np.isfinite(table).all(axis=1)
     surprise = np.full(table.shape, np.nan)
     if np.count_nonzero(good) < max(_LEAST_SAMPLES, 4 * x.shape[1]):
@@ -252,11 +254,11 @@ def _explained(target: np.ndarray, regressors: np.ndarray) -> float:
     scale = np.maximum(np.abs(x).max(axis=0), 1e-300)
     error = y - (x / scale) @ np.linalg.lstsq(x / scale, y, rcond=1e-9)[0]
     free = len(y) - width - 1
-    left, whole = float(error @ error), float(y @ y)
+    residual, whole = float(error @ error), float(y @ y)
     if free < 5 or whole <= 0:
         return 0.0
-    chance = fdtrc(width, free, max(whole - left, 0.0) / width / max(left / free, 1e-300))
-    share = 1 - (left / free) / (whole / (len(y) - 1))
+    chance = fdtrc(width, free, max(whole - residual, 0.0) / width / max(residual / free, 1e-300))
+    share = 1 - (residual / free) / (whole / (len(y) - 1))
     return float(np.clip(share, 0.0, 1.0)) if chance < _CHANCE else 0.0
 
 
@@ -326,8 +328,8 @@ def estimate_delays(recording: Recording, jitter: float = 0.2) -> list[Delay]:
     except RecordingError:
         return []
     pairs = [p for p in _PAIRS if p[0] in grid.channels and p[1] in grid.channels]
-    found = (_delay(grid.channels, grid.sample_time, cause, effect) for cause, effect in pairs)
-    return [delay for delay in found if delay is not None]
+    delays = (_delay(grid.channels, grid.sample_time, cause, effect) for cause, effect in pairs)
+    return [delay for delay in delays if delay is not None]
 
 
 def _delay(
@@ -374,17 +376,17 @@ def _delay(
     rows = rows[good]
     if len(rows) < _LEAST_OF_DELAYS:
         return None
-    without, left = _left_over(target, fixed, moving, rows, shifts)
-    best = _lowest(left.sum(axis=0), shifts)
+    without, residuals = _left_over(target, fixed, moving, rows, shifts)
+    best = _lowest(residuals.sum(axis=0), shifts)
     variance = float(np.sum((target[rows] - target[rows].mean()) ** 2))
-    explained = (without - float(left.sum(axis=0).min())) / max(variance, 1e-300)
+    explained = (without - float(residuals.sum(axis=0).min())) / max(variance, 1e-300)
     if explained < _LEAST_EXPLAINED or best is None:
         return None
-    partial = [_lowest(left.sum(axis=0) - block, shifts) for block in left]
-    told = np.array([p for p in partial if p is not None])
-    if len(told) < len(partial):
+    partial = [_lowest(residuals.sum(axis=0) - block, shifts) for block in residuals]
+    estimates = np.array([p for p in partial if p is not None])
+    if len(estimates) < len(partial):
         return None
-    deviation = float(np.sqrt((len(told) - 1) * np.var(told)))
+    deviation = float(np.sqrt((len(estimates) - 1) * np.var(estimates)))
     # A held command acts on average half a sample after its row.
     lead = 0.5 if of_rotor else 0.0
     return Delay(cause, effect, (best - lead) * step, max(deviation, 0.05) * step, explained, step)
@@ -397,22 +399,22 @@ def _left_over(
     scale = np.maximum(np.abs(fixed[rows]).max(axis=0), 1e-300)
     base, _ = np.linalg.qr(fixed[rows] / scale)
     y = target[rows] - base @ (base.T @ target[rows])
-    left = np.empty((_BLOCKS, len(shifts)))
+    residuals = np.empty((_BLOCKS, len(shifts)))
     for i, shift in enumerate(shifts):
         x = moving[rows - shift]
         x = x / np.maximum(np.abs(x).max(axis=0), 1e-300)
         x = x - base @ (base.T @ x)
         error = y - x @ np.linalg.lstsq(x, y, rcond=1e-9)[0]
-        left[:, i] = [float(block @ block) for block in np.array_split(error, _BLOCKS)]
-    return float(y @ y), left
+        residuals[:, i] = [float(block @ block) for block in np.array_split(error, _BLOCKS)]
+    return float(y @ y), residuals
 
 
-def _lowest(left: np.ndarray, shifts: np.ndarray) -> float | None:
+def _lowest(residuals: np.ndarray, shifts: np.ndarray) -> float | None:
     """The shift of the lowest remainder, by a parabola; None at the edge of the range."""
-    i = int(np.argmin(left))
-    if i in (0, len(left) - 1):
+    i = int(np.argmin(residuals))
+    if i in (0, len(residuals) - 1):
         return None
-    a, b, c = left[i - 1 : i + 2]
+    a, b, c = residuals[i - 1 : i + 2]
     return float(shifts[i] + 0.5 * (a - c) / max(a - 2 * b + c, 1e-300))
 
 

@@ -105,7 +105,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
             )
     if len(names) != len(header):
         raise RecordingError("a column occurs twice", where=where, remedy="name each once")
-    wanted = [names.index("t"), names.index(column)]
+    indices = [names.index("t"), names.index(column)]
     numbers: list[list[float]] = []
     lines: list[int] = []
     for line, cells in rows:
@@ -115,7 +115,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
                 where=f"{path}:{line}",
                 remedy="complete the row, or delete it if the file was cut off",
             )
-        numbers.append([_number(cells[i], names[i], path, line) for i in wanted])
+        numbers.append([_number(cells[i], names[i], path, line) for i in indices])
         lines.append(line)
     if not numbers:
         raise RecordingError("there are no rows", where=str(path), remedy="add rows of numbers")

@@ -222,8 +222,8 @@ def draw_panel(axes: Any, panel: charts.Panel) -> dict[str, Handle]:
         axes.set_title(panel.note, loc="right", fontsize=8, color=GREY, pad=3)
     if panel.equal:
         # limits that were chosen are kept: then it is the box that gives way
-        chosen = panel.x.limits is not None and panel.y.limits is not None
-        axes.set_aspect("equal", adjustable="box" if chosen else "datalim")
+        has_limits = panel.x.limits is not None and panel.y.limits is not None
+        axes.set_aspect("equal", adjustable="box" if has_limits else "datalim")
     return handles
 
 
@@ -238,9 +238,9 @@ def _set_axis(axes: Any, name: str, axis: charts.Axis) -> None:
 def _set_ticks(axes: Any, name: str, axis: charts.Axis) -> None:
     side = getattr(axes, f"{name}axis")
     if axis.ticks:
-        seen = getattr(axes, f"get_{name}lim")()
+        limits = getattr(axes, f"get_{name}lim")()
         side.set_ticks(axis.ticks, [f"{tick:g}" for tick in axis.ticks])
-        getattr(axes, f"set_{name}lim")(*seen)
+        getattr(axes, f"set_{name}lim")(*limits)
     if axis.categories:
         side.set_ticks(range(len(axis.categories)), axis.categories)
         ends = (-0.7, len(axis.categories) - 0.3)
@@ -379,7 +379,7 @@ def _colour(name: str) -> str:
 
 
 def _line_handle(colour: str, style: str, width: float, opacity: float = 1.0) -> Handle:
-    shown = Line2D(
+    line = Line2D(
         [],
         [],
         color=_colour(colour),
@@ -387,7 +387,7 @@ def _line_handle(colour: str, style: str, width: float, opacity: float = 1.0) ->
         linewidth=width * line_scale(),
         alpha=opacity,
     )
-    return Handle(shown, ("line", colour, style))
+    return Handle(line, ("line", colour, style))
 
 
 def _curve(axes: Any, mark: charts.Curve) -> Handle:
@@ -462,8 +462,8 @@ def _points(axes: Any, mark: charts.Points) -> Handle:
         "alpha": mark.opacity,
     }
     if mark.joined:
-        drawn = "steps-post" if mark.joined == "hv" else "steps-pre"
-        axes.plot(mark.x, mark.y, color=colour, linewidth=1.0, drawstyle=drawn, zorder=4)
+        step_style = "steps-post" if mark.joined == "hv" else "steps-pre"
+        axes.plot(mark.x, mark.y, color=colour, linewidth=1.0, drawstyle=step_style, zorder=4)
     if mark.reach is not None:
         axes.errorbar(mark.x, mark.y, xerr=mark.reach, color=colour, linestyle="none", zorder=4)
     where = (mark.x, mark.y) if mark.z is None else (mark.x, mark.y, mark.z)
@@ -502,7 +502,7 @@ def _flow(axes: Any, mark: charts.Flow) -> None:
 
 
 def _contour(axes: Any, mark: charts.Contour) -> Handle:
-    drawn = axes.contour(
+    contours = axes.contour(
         mark.x,
         mark.y,
         np.ma.masked_invalid(mark.values),
@@ -512,7 +512,7 @@ def _contour(axes: Any, mark: charts.Contour) -> Handle:
         linewidths=mark.width,
     )
     if mark.numbers:
-        axes.clabel(drawn, fontsize=7, fmt=_level, inline_spacing=2)
+        axes.clabel(contours, fontsize=7, fmt=_level, inline_spacing=2)
     return _line_handle(mark.colour, mark.style, mark.width)
 
 

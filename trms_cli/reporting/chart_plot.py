@@ -87,14 +87,14 @@ class Plot:
 
     def document(self) -> dict[str, Any]:
         """What the page's script gets."""
-        told = {
+        content = {
             "group": self.group,
             "height": self.height,
             "traces": self.traces,
             "layout": self.layout,
         }
-        told |= {"variants": self.variants} if self.variants else {}
-        return told | ({"fans": self.fans} if self.fans else {})
+        content |= {"variants": self.variants} if self.variants else {}
+        return content | ({"fans": self.fans} if self.fans else {})
 
 
 def plots_of(chart: charts.Chart) -> list[Plot] | None:
@@ -246,8 +246,8 @@ class _Drawing:
             first = False  # the curve stands for both
         elif label:
             self.named.add(label)
-        shown = plot_text(label)
-        group = {"name": shown} | ({"legendgroup": shown} if label else {})
+        text = plot_text(label)
+        group = {"name": text} | ({"legendgroup": text} if label else {})
         return group if first else group | {"showlegend": False}
 
     def _line(
@@ -375,10 +375,10 @@ class _Drawing:
         name = plot_text(f"chosen {mark.label.removesuffix('s')}")
         line = every["line"] | {"color": "@vermilion", "width": 3.0}
         nothing = pack_array(np.zeros(0))
-        chosen = {"name": name, "legendgroup": name, "x": nothing, "y": nothing, "line": line}
+        highlight = {"name": name, "legendgroup": name, "x": nothing, "y": nothing, "line": line}
         every["hoverinfo"] = "skip"
         del every["hovertemplate"]
-        self.traces.append(every | chosen)
+        self.traces.append(every | highlight)
         self.fans = {
             "times": [round(float(time), 6) for time in mark.times],
             "starts": mark.starts,
@@ -404,7 +404,7 @@ class _Drawing:
         colours = list(mark.colours) * (len(mark.places) if len(mark.colours) == 1 else 1)
         for place, quantiles, colour in zip(mark.places, mark.quantiles, colours, strict=True):
             ends = ("lowerfence", "q1", "median", "q3", "upperfence")
-            known = {
+            summary = {
                 key: [round_significant(float(value), 6)]
                 for key, value in zip(ends, quantiles, strict=True)
             }
@@ -417,7 +417,7 @@ class _Drawing:
                     "hoverinfo": quantity,
                     "width": mark.width,
                 }
-                | known
+                | summary
                 | self._legend(mark)
             )
 
@@ -476,18 +476,20 @@ class _Drawing:
 
 
 def _axis(axis: charts.Axis) -> dict[str, Any]:
-    told: dict[str, Any] = {"title": {"text": plot_text(wording.with_unit(axis.label, axis.unit))}}
-    told |= _places(axis.categories) if axis.categories else {}
+    layout: dict[str, Any] = {
+        "title": {"text": plot_text(wording.with_unit(axis.label, axis.unit))}
+    }
+    layout |= _places(axis.categories) if axis.categories else {}
     if axis.ticks:  # figures as they are (0.1, 1, 10) instead of powers
-        told |= {"tickvals": list(axis.ticks)}
+        layout |= {"tickvals": list(axis.ticks)}
     if axis.log:
-        told |= {"type": "log", "exponentformat": "none" if axis.ticks else "power"}
+        layout |= {"type": "log", "exponentformat": "none" if axis.ticks else "power"}
     if axis.limits is not None:
-        told["range"] = [
+        layout["range"] = [
             None if edge is None else round_significant(_place(edge, axis), 9)
             for edge in axis.limits
         ]
-    return told
+    return layout
 
 
 def _places(names: Sequence[str]) -> dict[str, Any]:
@@ -551,7 +553,7 @@ def _stream_lines(flow: charts.Flow) -> tuple[FloatArray, FloatArray, list[int]]
     """Stream lines as one broken curve, and the places of their arrowheads."""
     from matplotlib.figure import Figure
 
-    drawn = (
+    streams = (
         Figure()
         .add_subplot()
         .streamplot(
@@ -563,7 +565,7 @@ def _stream_lines(flow: charts.Flow) -> tuple[FloatArray, FloatArray, list[int]]
         )
     )
     xs, ys, arrows, count = [], [], [], 0
-    for line in _joined(drawn.lines.get_segments()):
+    for line in _joined(streams.lines.get_segments()):
         xs += [line[:, 0], [np.nan]]
         ys += [line[:, 1], [np.nan]]
         arrows.append(count + len(line) // 2)
@@ -616,9 +618,9 @@ def thin_samples(time: Any, values: Any, most: int = MOST_POINTS) -> tuple[Float
     hollow = ~finite & within
     gap = np.where(hollow.any(axis=1), np.argmax(hollow, axis=1), least)
     first = np.arange(pieces) * size
-    chosen = np.unique(np.concatenate([first + least, first + largest, first + gap]))
-    chosen = chosen[chosen < count]
-    return time[chosen], values[chosen]
+    indices = np.unique(np.concatenate([first + least, first + largest, first + gap]))
+    indices = indices[indices < count]
+    return time[indices], values[indices]
 
 
 def pack_array(values: Any) -> dict[str, str]:
@@ -639,12 +641,12 @@ def packed_time(values: Any) -> dict[str, str]:
 
 def plot_text(text: Any) -> str:
     """Text that plotly shows as it stands: it takes ``<b>`` and ``<a href>`` for markup else."""
-    shown = str(text)
-    if len(shown) > _LONGEST_TEXT:
-        shown = shown[: _LONGEST_TEXT - 1] + "…"
+    content = str(text)
+    if len(content) > _LONGEST_TEXT:
+        content = content[: _LONGEST_TEXT - 1] + "…"
     # A per cent sign before a brace would be a placeholder of a hover text.
-    shown = shown.replace("%{", "%\u200b{").replace("\n", " ")
-    return shown.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    content = content.replace("%{", "%\u200b{").replace("\n", " ")
+    return content.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
 def script_json(value: Any) -> str:

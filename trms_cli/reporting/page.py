@@ -150,11 +150,11 @@ def page_html(
     if findings.next:
         last = 0 if findings.next_first else len(sections)
         sections.insert(last, Section("Next", blocks=findings.next))
-    shown = [_section(section, pictures, interactive) for section in sections]
-    for number, section in enumerate(shown):
-        taken = [other["anchor"] for other in shown[:number]]
-        section["anchor"] += f"-{number + 1}" if section["anchor"] in taken else ""
-    kinds = {block["kind"] for section in shown for block in section["blocks"]}
+    section_data = [_section(section, pictures, interactive) for section in sections]
+    for number, section in enumerate(section_data):
+        anchors = [other["anchor"] for other in section_data[:number]]
+        section["anchor"] += f"-{number + 1}" if section["anchor"] in anchors else ""
+    kinds = {block["kind"] for section in section_data for block in section["blocks"]}
     script = page_script() if kinds & {"plots", "rows"} else ""
     plotly = plotly_script() if "plots" in kinds else None
     digests = [text_digest(script)] if script else []
@@ -175,7 +175,7 @@ def page_html(
             }
             for measure in findings.measures
         ],
-        sections=shown,
+        sections=section_data,
     )
     # A file's name may hold what is no text; the page does.
     return text.encode("utf-8", "replace").decode("utf-8")
@@ -197,8 +197,8 @@ def _block(block: Block, pictures: Path | None, interactive: bool) -> dict[str, 
         case Table():
             return _table(block)
         case Remarks():
-            judged = [item if isinstance(item, Datum) else Datum(item) for item in block.items]
-            return {"kind": "points", "points": [(str(i.value), i.judgement) for i in judged]}
+            data = [item if isinstance(item, Datum) else Datum(item) for item in block.items]
+            return {"kind": "points", "points": [(str(i.value), i.judgement) for i in data]}
         case NextCommand():
             return {"kind": "command", "why": block.why, "text": block.text}
         case Details():
@@ -212,9 +212,9 @@ def _chart(chart: Chart | RigDiagram, pictures: Path | None, interactive: bool) 
     from markupsafe import Markup
 
     plots = plots_of(chart) if isinstance(chart, Chart) and interactive else None
-    shown = [(plot, Markup(script_json(plot.document()))) for plot in plots or ()]
+    plot_data = [(plot, Markup(script_json(plot.document()))) for plot in plots or ()]
     if plots is not None and pictures is None:
-        return {"kind": "plots", "plots": shown}
+        return {"kind": "plots", "plots": plot_data}
     # matplotlib takes a third of a second to import, which interactive pages do without
     from trms_cli.reporting.chart_picture import picture_of
     from trms_cli.reporting.rig_diagram import diagram
@@ -225,7 +225,7 @@ def _chart(chart: Chart | RigDiagram, pictures: Path | None, interactive: bool) 
         if pictures is not None:
             save_png(figure, pictures / f"{chart.name}.png", colours=256)
         if plots is not None:
-            return {"kind": "plots", "plots": shown}
+            return {"kind": "plots", "plots": plot_data}
         kind, content = embed_figure(figure)
     source = f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
     return {"kind": "figure", "source": source, "caption": chart.caption}
@@ -254,27 +254,27 @@ def _table(table: Table) -> dict[str, Any]:
 
 
 def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str:
-    judged = cell if isinstance(cell, Datum) else Datum(cell)
-    value, text = judged.value, wording.cell(judged.value, judged.sd)
+    datum = cell if isinstance(cell, Datum) else Datum(cell)
+    value, text = datum.value, wording.cell(datum.value, datum.sd)
     if isinstance(value, bool):
         text = "yes" if value else "no"
     if is_sortable and len(text) > _LONGEST_CELL:
         text = text[: _LONGEST_CELL - 1] + "…"
-    shown = escape(text)
-    if judged.link:
-        shown = f'<a href="{escape(judged.link)}">{shown}</a>'
+    content = escape(text)
+    if datum.link:
+        content = f'<a href="{escape(datum.link)}">{content}</a>'
     if is_head:
-        return f'<th scope="row">{shown}</th>'
+        return f'<th scope="row">{content}</th>'
     is_number = is_numeric or (_is_number(value) and value is not None)
     short = "" if is_sortable or len(text) > _SHORT else "short"
-    names = [judged.judgement, "number" if is_number else short, "bar" * (judged.bar is not None)]
+    names = [datum.judgement, "number" if is_number else short, "bar" * (datum.bar is not None)]
     looks = " ".join(filter(None, names))
     attributes = f' class="{looks}"' if looks else ""
-    if judged.bar is not None:
-        attributes += f' style="--part: {round(100 * judged.bar, 1)}%"'
+    if datum.bar is not None:
+        attributes += f' style="--part: {round(100 * datum.bar, 1)}%"'
     if is_sortable and isinstance(value, int | float) and math.isfinite(value):
         attributes += f' data-v="{value:.6g}"'  # for sorting and filtering
-    return f"<td{attributes}>{shown}</td>"
+    return f"<td{attributes}>{content}</td>"
 
 
 def _is_number(cell: Cell) -> bool:
@@ -288,18 +288,18 @@ def embed_figure(figure: Figure) -> tuple[str, bytes]:
 
     from trms_cli.reporting.style import house_style
 
-    drawn = io.BytesIO()
+    buffer = io.BytesIO()
     lines = [line for axes in figure.axes for line in axes.lines]
     points = sum(np.shape(line.get_path().vertices)[0] for line in lines)
     if points <= _MOST_POINTS:
         with house_style():
-            figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
-        return "image/svg+xml", drawn.getvalue()
+            figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        return "image/svg+xml", buffer.getvalue()
     from PIL import Image
 
-    figure.savefig(drawn, format="png", dpi=_PIXELS_PER_INCH, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=_PIXELS_PER_INCH, metadata={"Software": None})
     content = io.BytesIO()
-    Image.open(drawn).convert("RGB").quantize(128).save(content, format="png")
+    Image.open(buffer).convert("RGB").quantize(128).save(content, format="png")
     return "image/png", content.getvalue()
 
 

@@ -142,17 +142,17 @@ def plot(
         what was asked; :func:`absences` tells what is missing where something is there.
     """
     plotted = _plotted(logs, start, end, names)
-    wanted = _kinds(what)
+    kinds = _kinds(what)
     if style not in VARIANTS:
         raise ConfigurationError(
             f"{style!r} given", where="style", remedy=f"one of {', '.join(VARIANTS)}"
         )
-    panels, reasons = _panels(plotted, wanted)
+    panels, reasons = _panels(plotted, kinds)
     if not panels:
         raise ConfigurationError(
             "there is nothing to be drawn: " + "; ".join(reasons.values()),
-            where=", ".join(wanted),
-            remedy=f"other plots are {', '.join(kind for kind in KINDS if kind not in wanted)}",
+            where=", ".join(kinds),
+            remedy=f"other plots are {', '.join(kind for kind in KINDS if kind not in kinds)}",
         )
     across, high = size_of(width, style)
     with house_style(style):
@@ -177,12 +177,12 @@ def size_of(width: str | None, style: Variant) -> tuple[float, float | None]:
     """
     if width is None:
         return _WIDTHS[style], None
-    found = _SIZE.fullmatch(width.strip())
-    if found is None:
+    match = _SIZE.fullmatch(width.strip())
+    if match is None:
         raise ConfigurationError(
             f"{width!r} is no size", where="width", remedy="89mm, 183mm, 12cm or 120x80mm"
         )
-    across, unit, down, unit_down = found.groups()
+    across, unit, down, unit_down = match.groups()
     size = float(across) * _UNITS[unit or unit_down or "mm"]
     height = None if down is None else float(down) * _UNITS[unit_down or unit or "mm"]
     for length in (size, height):
@@ -201,12 +201,12 @@ def _plotted(
     end: float | None,
     names: Sequence[str] | None,
 ) -> list[RunReport]:
-    given: list[Any] = list(logs) if isinstance(logs, Sequence) else [logs]
-    if not given:
+    log_list: list[Any] = list(logs) if isinstance(logs, Sequence) else [logs]
+    if not log_list:
         raise ConfigurationError("no log was given", where="logs", remedy="name one or more")
-    if len(given) > MOST_LOGS:
+    if len(log_list) > MOST_LOGS:
         raise ConfigurationError(
-            f"{len(given)} logs cannot be told apart in one figure",
+            f"{len(log_list)} logs cannot be told apart in one figure",
             where="logs",
             remedy=f"at most {MOST_LOGS}; `trms compare` ranks any number",
         )
@@ -218,25 +218,27 @@ def _plotted(
             where="start, end",
             remedy="the end after the start",
         )
-    chosen = list(names) if names is not None else names_of(given)
-    if len(chosen) != len(given):
+    run_names = list(names) if names is not None else names_of(log_list)
+    if len(run_names) != len(log_list):
         raise ConfigurationError(
-            f"{len(chosen)} names for {len(given)} logs", where="names", remedy="one name a log"
+            f"{len(run_names)} names for {len(log_list)} logs",
+            where="names",
+            remedy="one name a log",
         )
     runs = [
         RunReport(name=name, tables=log.tables, limits=limits_in(log), score=log.score)
-        for log, name in zip(given, chosen, strict=True)
+        for log, name in zip(log_list, run_names, strict=True)
     ]
-    held = [run for run in runs if not run.is_empty]
-    if not any(run.begin <= high and low <= run.end for run in held):
-        first = min((run.begin for run in held), default=0.0)
-        last = max((run.end for run in held), default=0.0)
-        told = f"the logs go from {first:g} to {last:g} s" if first < last else "they are empty"
+    sampled_runs = [run for run in runs if not run.is_empty]
+    if not any(run.begin <= high and low <= run.end for run in sampled_runs):
+        first = min((run.begin for run in sampled_runs), default=0.0)
+        last = max((run.end for run in sampled_runs), default=0.0)
+        extent = f"the logs go from {first:g} to {last:g} s" if first < last else "they are empty"
         raise ConfigurationError(
             "the logs have no sample"
             + ("" if start is end is None else f" from {low:g} to {high:g} s"),
             where="start, end",
-            remedy=told,
+            remedy=extent,
         )
     return [replace(run, window=(low, high)) for run in runs]
 
@@ -383,11 +385,11 @@ def names_of(logs: Sequence[PlottedLog]) -> list[str]:
     """What tells logs apart: the options and values in which they differ, else their folders."""
     if len(logs) == 1:
         return [name_of(logs[0].path)]
-    told = [_told(log) for log in logs]
-    keys = dict.fromkeys(key for one in told for key in one)
-    differing = [key for key in keys if len({one.get(key) for one in told}) > 1]
+    settings = [_told(log) for log in logs]
+    keys = dict.fromkeys(key for one in settings for key in one)
+    differing = [key for key in keys if len({one.get(key) for one in settings}) > 1]
     names = []
-    for one in told:
+    for one in settings:
         parts = [
             str(one.get(key)) if _names_itself(key) else f"{key} {one.get(key)}"
             for key in differing
@@ -407,7 +409,7 @@ def _told(log: PlottedLog) -> dict[str, str]:
     try:
         choices = named_files(json.loads(log.run.get("choices", "{}")), log.config)
         typed = json.loads(log.run.get("overrides", "[]"))
-        told = {
+        settings = {
             key: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
             for key, value in choices.items()
             if value not in (None, []) and not any(sign in key for sign in _IMPLIED)
@@ -415,14 +417,14 @@ def _told(log: PlottedLog) -> dict[str, str]:
         for word in typed:
             key, equals, value = str(word).lstrip("+").partition("=")
             if equals and "." in key and key not in _ASIDE and "@" not in key:
-                told[key.rpartition(".")[2]] = value
+                settings[key.rpartition(".")[2]] = value
     except (AttributeError, TypeError, ValueError):
         return {}
     if log.run.get("seed"):
-        told["seed"] = str(log.run["seed"])
+        settings["seed"] = str(log.run["seed"])
     if log.run.get("recording.file"):
-        told["recording"] = Path(log.run["recording.file"]).name
-    return told
+        settings["recording"] = Path(log.run["recording.file"]).name
+    return settings
 
 
 def _names_itself(key: str) -> bool:

@@ -45,18 +45,20 @@ class Absent(Exception):
 
 def tracking(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """What was asked of each controlled axis, and what the rig did."""
-    found = _in_order(
+    channel_names = _in_order(
         name for run in runs for name in [*run.names("/reference"), *_angles(run)]
     ) or _in_order(name for run in runs for name in run.channels())
-    if not found:
+    if not channel_names:
         raise Absent(_no_angle(runs))
     if len(runs) == 1:
-        return [channel_panel(runs[0], name) for name in found]
+        return [channel_panel(runs[0], name) for name in channel_names]
     panels = []
-    for name in found:
-        marks, seen, unit = curves_of(runs, RunSignals.truth, name, look)
+    for name in channel_names:
+        marks, samples, unit = curves_of(runs, RunSignals.truth, name, look)
         references = _references(runs, name, look)
-        limits, lines = with_limits(runs, [name], axis_range([*seen, *(c.y for c in references)]))
+        limits, lines = with_limits(
+            runs, [name], axis_range([*samples, *(c.y for c in references)])
+        )
         axis = draw.Axis(label_of(name), unit or "rad", limits)
         panels.append(
             draw.Panel(time_axis(*runs), axis, [*references, *marks, *lines], label_of(name))
@@ -95,10 +97,10 @@ def inputs(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
         raise Absent("no log has a command")
     panels = []
     for name in names:
-        marks, seen, unit = curves_of(
+        marks, samples, unit = curves_of(
             runs, lambda run, name: run.signal("/command", name), name, look, held=True
         )
-        limits, lines = with_limits(runs, [name], axis_range(seen), of_commands=True)
+        limits, lines = with_limits(runs, [name], axis_range(samples), of_commands=True)
         label = f"{label_of(name)}\ncommand" if label_of(name) != name else name
         axis = draw.Axis(label, unit or "V", limits)
         panels.append(
@@ -142,24 +144,24 @@ def estimate(runs: Runs) -> list[draw.Panel]:
         if any(run.names("/estimate") for run in runs):
             raise Absent("the observer is handed the true state (full_state): it estimates nothing")
         raise Absent("no log has an estimate: no observer ran")
-    known = _in_order(
+    comparable_names = _in_order(
         name
         for run in runs
         for name in names[run.name]
         if run.signal("/plant/state", name) is not None
         or f"innovation_{name}" in run.names("/estimate")
     )
-    return [_off_panel(runs, name) for name in known]
+    return [_off_panel(runs, name) for name in comparable_names]
 
 
 def _off_panel(runs: Runs, name: str) -> draw.Panel:
     marks: list[draw.Mark] = [draw.Line(y=0.0, colour="sky", style="solid")]
     what, unit = "", ""
     for i, run in enumerate(runs):
-        found = _off(run, name)
-        if found is None:
+        result = _off(run, name)
+        if result is None:
             continue
-        what, off, deviation = found
+        what, off, deviation = result
         unit, factor = wording.small_unit(off.unit)
         settled = len(deviation) // 20  # an observer that finds its feet hides the rest
         band = 2 * factor * deviation[settled:]
@@ -193,8 +195,8 @@ def _off(run: RunSignals, name: str) -> tuple[str, TimeSeries, FloatArray] | Non
 
 def torques(runs: Runs) -> list[draw.Panel]:
     """Torques that the observer needs besides its model, with two standard deviations."""
-    found = (names for run in runs for place, names in run.torques().items() if place != "pushes")
-    names = _in_order(name for some in found for name in some)
+    groups = (names for run in runs for place, names in run.torques().items() if place != "pushes")
+    names = _in_order(name for some in groups for name in some)
     if not names:
         raise Absent("no log has an estimated torque: its observer estimates none")
     panels = []
@@ -291,13 +293,13 @@ def phase_panels(
         marks: list[draw.Mark] = []
         unit = ""
         for i, run in enumerate(runs):
-            found = _rising(run.smooth(name))
-            if found is not None:
-                unit = found.unit
+            signal = _rising(run.smooth(name))
+            if signal is not None:
+                unit = signal.unit
                 alone = len(runs) == 1
-                label = f"{label_of(name)}, {found.source}" if alone else run.name
+                label = f"{label_of(name)}, {signal.source}" if alone else run.name
                 own = {"colour": draw.signal_colour(name), "style": "solid"} if alone else look(i)
-                marks += _trajectory(found.values, found.rate.values, label, own, alone=alone)
+                marks += _trajectory(signal.values, signal.rate.values, label, own, alone=alone)
         words = label_of(name)
         if marks:
             across, up = draw.Axis(words, unit), draw.Axis(f"{words} rate", f"{unit}/s")
@@ -339,8 +341,8 @@ def _rising(signal: TimeSeries | None) -> TimeSeries | None:
     """A signal without gaps and repeated times, which can be differentiated."""
     if signal is None:
         return None
-    known = np.isfinite(signal.values)
-    time, values = signal.time[known], signal.values[known]
+    is_finite = np.isfinite(signal.values)
+    time, values = signal.time[is_finite], signal.values[is_finite]
     rising = np.concatenate([[True], np.diff(time) > 0])
     if np.count_nonzero(rising) < 2:
         return None
@@ -389,10 +391,10 @@ def comparison(runs: Sequence[RunReport]) -> list[draw.Panel]:
     ]
     panels: list[draw.Panel] = []
     for words, unit, (first, second, last) in figures:
-        found = [finite(part(part(run.score, first), second).get(last)) for run in runs]
-        values = [math.nan if value is None else value for value in found]
-        known = [value for value in values if math.isfinite(value)]
-        if not known:
+        scores = [finite(part(part(run.score, first), second).get(last)) for run in runs]
+        values = [math.nan if value is None else value for value in scores]
+        finite_values = [value for value in values if math.isfinite(value)]
+        if not finite_values:
             continue
         named = len(panels) % 2 == 0
         marks = [
@@ -403,7 +405,7 @@ def comparison(runs: Sequence[RunReport]) -> list[draw.Panel]:
                 notes=[f" {wording.number(value)}" for value in values],
             )
         ]
-        limits = (0.0, 1.05 * max(known) if max(known) > 0 else 1.0)
+        limits = (0.0, 1.05 * max(finite_values) if max(finite_values) > 0 else 1.0)
         height = 0.35 + 0.17 * len(runs)
         panels.append(
             draw.Panel(
@@ -426,27 +428,29 @@ def _over_time(
     height: float = 0.0,
 ) -> draw.Panel:
     """A panel into which each run draws one curve; a log alone is named by what its curve is."""
-    marks, seen, unit = curves_of(runs, pick, name, look)
+    marks, samples, unit = curves_of(runs, pick, name, look)
     zero = [draw.Line(y=0.0, colour="sky", style="solid")] if "error" in label else []
-    axis = draw.Axis(label, unit, axis_range(seen))
+    axis = draw.Axis(label, unit, axis_range(samples))
     return draw.Panel(time_axis(*runs), axis, [*zero, *marks], title, row_height=height)
 
 
 def _references(runs: Runs, name: str, look: Look) -> list[draw.Curve]:
     """One dashed line for a reference that all share, else one each in the run's colour."""
-    told = [
-        (i, wanted)
+    references = [
+        (i, reference)
         for i, run in enumerate(runs)
-        if (wanted := run.signal("/reference", name)) is not None
+        if (reference := run.signal("/reference", name)) is not None
     ]
-    if not told:
+    if not references:
         return []
-    longest = max((wanted for _, wanted in told), key=lambda wanted: float(wanted.time[-1]))
-    if all(_same(wanted, longest) for _, wanted in told):
+    longest = max(
+        (reference for _, reference in references), key=lambda signal: float(signal.time[-1])
+    )
+    if all(_same(reference, longest) for _, reference in references):
         return [reference_curve(longest)]
     return [
-        reference_curve(wanted, label=f"reference of {runs[i].name}", colour=look(i)["colour"])
-        for i, wanted in told
+        reference_curve(reference, label=f"reference of {runs[i].name}", colour=look(i)["colour"])
+        for i, reference in references
     ]
 
 
@@ -465,8 +469,8 @@ def _angles(run: RunSignals) -> list[str]:
 def _in_order(names: Iterable[str]) -> list[str]:
     """Without repetitions; pitch before yaw, angles before speeds."""
     usual = (*_ANGLES, "u_v", "u_h", "S_v", "S_h", *_SPEEDS)
-    found = list(dict.fromkeys(names))
-    return sorted(found, key=lambda name: usual.index(name) if name in usual else len(usual))
+    unique_names = list(dict.fromkeys(names))
+    return sorted(unique_names, key=lambda name: usual.index(name) if name in usual else len(usual))
 
 
 def _symbol(name: str) -> str:

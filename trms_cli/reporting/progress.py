@@ -289,9 +289,9 @@ class DiagnoseProgress(FitProgress):
 class ReadingProgress(ProgressLine):
     """Tells how many logs are left to be read, on a terminal and when it takes a while."""
 
-    def __call__(self, done: int, of: int) -> None:
-        """Say that `done` logs of `of` have been read."""
-        self.tell(f"reading logs: {done} of {of}")
+    def __call__(self, count: int, of: int) -> None:
+        """Say that `count` logs of `of` have been read."""
+        self.tell(f"reading logs: {count} of {of}")
 
 
 class LoopBar:

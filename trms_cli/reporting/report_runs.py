@@ -95,9 +95,9 @@ def findings_of_run(run: RunReport, *, title: str = "") -> Findings:
     sections = [section for section in sections if section.blocks]
     if not any(isinstance(block, Chart) for section in sections for block in section.blocks):
         sections.insert(0, Section("Nothing to draw", ["The log holds no sample of any signal."]))
-    made: list[Block] = [NextCommand(run.command, "What was typed:")] if run.command else []
-    made += [Details("The whole configuration", _cut(run.config))] if run.config else []
-    sections.append(Section(MADE, [THINNED], made, folded=True))
+    origin: list[Block] = [NextCommand(run.command, "What was typed:")] if run.command else []
+    origin += [Details("The whole configuration", _cut(run.config))] if run.config else []
+    sections.append(Section(MADE, [THINNED], origin, folded=True))
     return Findings(
         title or title_of(run),
         _lead(run),
@@ -148,21 +148,21 @@ def _lead(run: RunReport) -> list[str]:
     who = run.choices.get("controller") or "The run"
     score = {"duration_s": run.duration} | dict(run.score)
     injected = sum(event.kind == "fault_injected" for event in run.events)
-    held = sum(event.kind == "fault" for event in run.events)
+    invalid_commands = sum(event.kind == "fault" for event in run.events)
     more = [f"{wording.count(injected, 'fault')} injected"] if injected else []
-    if held:
-        more.append(f"**{wording.count(held, 'command')} that were no numbers**")
+    if invalid_commands:
+        more.append(f"**{wording.count(invalid_commands, 'command')} that were no numbers**")
     sentence = answer(score, who)
     return [", ".join([sentence[:-1], *more]) + ".", *_problems(run)]
 
 
 def _problems(run: RunReport) -> list[str]:
-    told = list(run.problems)
-    if run.outcome != "completed" and not told:
-        told = [f"the run {run_ending(run)}"]
-    if not told:
+    reasons = list(run.problems)
+    if run.outcome != "completed" and not reasons:
+        reasons = [f"the run {run_ending(run)}"]
+    if not reasons:
         return []
-    return [f"**Incomplete**: {'; '.join(told)}. What follows goes as far as the log does."]
+    return [f"**Incomplete**: {'; '.join(reasons)}. What follows goes as far as the log does."]
 
 
 def _facts(run: RunReport) -> dict[str, str]:
@@ -184,8 +184,8 @@ def _events(run: RunReport) -> Section:
         Column("in words", "message"),
         Column("value", "value"),
     ]
-    left = len(run.events) - _MOST_EVENTS
-    more = f"The first {_MOST_EVENTS}; {left} more are in the log." if left > 0 else ""
+    remainder = len(run.events) - _MOST_EVENTS
+    more = f"The first {_MOST_EVENTS}; {remainder} more are in the log." if remainder > 0 else ""
     keys = ("time", "what", "where", "words", "value")
     rows = table(run.events[:_MOST_EVENTS], columns, more, keys=keys, example="what=fault")
     words = "; ".join(f"{kind} {count}" for kind, count in counts)
@@ -218,12 +218,12 @@ def findings_of_comparison(
     names = [run.name for run in runs]
     boxes = plot_kinds.time_boxes(runs)
     solver = _where_there(plot_kinds.solver, runs)
-    given = Table(["", *names], [[key, *values] for key, values in differences])
+    settings_table = Table(["", *names], [[key, *values] for key, values in differences])
     best = "A star: the best, where it differs by more than 0.1 %."
     scores = Table(["", *names], comparison_rows([run.score for run in runs]), best)
     missing = Table(["file", "why"], [list(each) for each in left_out])
     sections = [
-        Section("How they differ", blocks=[given] if given.rows else []),
+        Section("How they differ", blocks=[settings_table] if settings_table.rows else []),
         plot_section("Tracking", _tracking(runs), HOW_TO_TURN),
         plot_section("Commands", _where_there(plot_kinds.inputs, runs)),
         Section("Score", blocks=[scores] if scores.rows else []),
@@ -250,16 +250,16 @@ def ranking_section(ranking: Ranking | None) -> Section:
 
 def _ratios(standings: Sequence[Standing]) -> list[Panel]:
     """Ratios as dots with their intervals; none with fewer than two."""
-    told = [each for each in standings if math.isfinite(each.ratio)]
-    if len(told) < 2:
+    entrants = [each for each in standings if math.isfinite(each.ratio)]
+    if len(entrants) < 2:
         return []
-    ends = [(each.ratio, each.interval) for each in told]
+    ends = [(each.ratio, each.interval) for each in entrants]
     below = [0.0 if i is None else max(ratio - i.low, 0.0) for ratio, i in ends]
     above = [0.0 if i is None else max(i.high - ratio, 0.0) for ratio, i in ends]
-    names = [each.name for each in told]
+    names = [each.name for each in entrants]
     dots = Points(
-        [each.ratio for each in told],
-        range(len(told)),
+        [each.ratio for each in entrants],
+        range(len(entrants)),
         "",
         "dot",
         "blue",
@@ -272,7 +272,7 @@ def _ratios(standings: Sequence[Standing]) -> list[Panel]:
             Axis("", categories=names),
             [dots],
             "error over the best's",
-            row_height=(70 + 26 * min(len(told), 60)) / 256,
+            row_height=(70 + 26 * min(len(entrants), 60)) / 256,
         )
     ]
 

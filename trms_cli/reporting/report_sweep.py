@@ -53,19 +53,19 @@ def spread_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
         marks: list[Mark] = [Boxes(range(len(entrants)), quantiles, colours=colours)]
         for place, (_, runs) in enumerate(entrants):
             low, high = quantiles[place][0], quantiles[place][-1]
-            shown = [
+            dots = [
                 (i, value, run.name)
                 for i, (run, value) in enumerate(zip(runs, _numbers(runs, figure), strict=True))
                 if few or value < low or value > high
             ]
-            beside = [place + 0.3 * (i * _SCATTER % 1.0 - 0.5) for i, _, _ in shown]
+            beside = [place + 0.3 * (i * _SCATTER % 1.0 - 0.5) for i, _, _ in dots]
             marks.append(
                 Points(
-                    [value for _, value, _ in shown],
+                    [value for _, value, _ in dots],
                     beside,
                     colour=colours[place],
                     size=3,
-                    told=[name for _, _, name in shown],
+                    told=[name for _, _, name in dots],
                     opacity=0.55,
                 )
             )
@@ -76,9 +76,9 @@ def spread_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
 
     def counts(figure: str) -> Panel:
         values = [np.array(_numbers(runs, figure)) for _, runs in groups]
-        known = np.concatenate([[], *values])
-        known = known[np.isfinite(known)]
-        low, high = (known.min(), known.max()) if len(known) else (0.0, 1.0)
+        all_values = np.concatenate([[], *values])
+        all_values = all_values[np.isfinite(all_values)]
+        low, high = (all_values.min(), all_values.max()) if len(all_values) else (0.0, 1.0)
         edges = np.linspace(low, high if high > low else low + 1e-9, _BINS + 1)
         several = len(groups) > 1
         marks = [
@@ -100,7 +100,7 @@ def key_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
     """A figure against each key that was varied: dots over numbers, boxes over options."""
     if not figures:
         return []
-    numeric, chosen = sweep.numeric_keys, _numeric(sweep)
+    numeric, number_keys = sweep.numeric_keys, _numeric(sweep)
     others = [
         key
         for key in sweep.keys
@@ -108,11 +108,13 @@ def key_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
         and not sweep.names_entrants(key)  # their spread is drawn already
         and 1 < _distinct(sweep, key) <= _MOST_CATEGORIES
     ]
-    panels = [_chosen(sweep, figures, partial(_scatter, sweep, key)) for key in chosen[:_MOST_KEYS]]
+    panels = [
+        _chosen(sweep, figures, partial(_scatter, sweep, key)) for key in number_keys[:_MOST_KEYS]
+    ]
     for key in others[:_MOST_KEYS]:
         panels.append(_chosen(sweep, figures, partial(_categories, sweep, key)))
-    if len(chosen) >= 2:
-        panels.append(_chosen(sweep, figures, partial(_map, sweep, chosen[0], chosen[1])))
+    if len(number_keys) >= 2:
+        panels.append(_chosen(sweep, figures, partial(_map, sweep, number_keys[0], number_keys[1])))
     return panels
 
 
@@ -159,7 +161,7 @@ def _pareto(
     sweep: SweepReport, front: Sequence[SweepRun], one: Objective, other: Objective, half: bool
 ) -> Panel:
     both = {one.figure, other.figure}
-    known = [run for run in sweep.tried if not run.failed and both <= set(run.figures)]
+    candidates = [run for run in sweep.tried if not run.failed and both <= set(run.figures)]
     best = sorted(
         (run for run in front if both <= set(run.figures)), key=lambda run: run.figures[one.figure]
     )
@@ -168,14 +170,14 @@ def _pareto(
         runs: Sequence[SweepRun], label: str, colour: Colour, size: float, **more: Any
     ) -> Mark:
         x, y = (_numbers(runs, objective.figure) for objective in (one, other))
-        told = [run.name for run in runs]
-        return Points(x, y, label, colour=colour, size=size, told=told, **more)
+        names = [run.name for run in runs]
+        return Points(x, y, label, colour=colour, size=size, told=names, **more)
 
     # Between two runs of the front nothing is known to be had: steps, not a slope. With three
     # objectives the front is a surface, and a line over it would say nothing.
     steps = ("vh" if one.largest else "hv") if len(sweep.objectives) == 2 else ""
     marks = [
-        dots(known, "trials" if sweep.trials else "runs", "grey", 4.5),
+        dots(candidates, "trials" if sweep.trials else "runs", "grey", 4.5),
         dots(best, "Pareto front", "vermilion", 6.5, joined=steps),
     ]
     across, up = (
@@ -270,14 +272,14 @@ def _rings(
     for place, entrant in enumerate(entrants if ringed else [""]):
         own = [run for run in runs if not ringed or run.entrant == entrant]
         x, y = ([_float(run.values[key]) for run in own] for key in (across, up))
-        told = [f"{run.name}, {entrant}" if ringed else run.name for run in own]
+        labels = [f"{run.name}, {entrant}" if ringed else run.name for run in own]
         marks.append(
             Points(
                 x,
                 y,
                 marker="unstable" if place else "dot",
                 size=5.7 + 4.3 * place,
-                told=told,
+                told=labels,
                 values=_numbers(own, figure),
             )
         )
@@ -312,13 +314,14 @@ def _chosen(sweep: SweepReport, figures: Sequence[str], draw: Callable[[str], Pa
 
 def _quartiles(values: Sequence[float]) -> list[float]:
     """Whisker, quartile, median, quartile, whisker; NaN without a value."""
-    known = np.array(values, dtype=float)
-    known = known[np.isfinite(known)]
-    if not len(known):
+    finite_values = np.array(values, dtype=float)
+    finite_values = finite_values[np.isfinite(finite_values)]
+    if not len(finite_values):
         return [math.nan] * 5
-    first, middle, third = np.quantile(known, (0.25, 0.5, 0.75))
+    first, middle, third = np.quantile(finite_values, (0.25, 0.5, 0.75))
     reach = _WHISKER * (third - first)
-    low, high = known[known >= first - reach].min(), known[known <= third + reach].max()
+    low = finite_values[finite_values >= first - reach].min()
+    high = finite_values[finite_values <= third + reach].max()
     return [float(value) for value in (low, first, middle, third, high)]
 
 
@@ -351,8 +354,8 @@ def _distinct(sweep: SweepReport, key: str) -> int:
 
 
 def _spans_decades(values: Sequence[Any]) -> bool:
-    known = [float(v) for v in values if isinstance(v, (int, float))]
-    return bool(known) and min(known) > 0 and max(known) / min(known) >= 100
+    numbers = [float(v) for v in values if isinstance(v, (int, float))]
+    return bool(numbers) and min(numbers) > 0 and max(numbers) / min(numbers) >= 100
 
 
 _MOST_REASONS, _LONGEST_REASON = 50, 300
@@ -393,25 +396,25 @@ def findings_of_sweep(
 
 def _telling(sweep: SweepReport) -> list[str]:
     """Figures that differ between runs, objectives first."""
-    wanted = [objective.figure for objective in sweep.objectives]
-    found = []
-    for name in dict.fromkeys([*wanted, *sweep.figures]):
+    objective_figures = [objective.figure for objective in sweep.objectives]
+    names = []
+    for name in dict.fromkeys([*objective_figures, *sweep.figures]):
         values = [r.figures[name] for r in sweep.runs if not r.failed and name in r.figures]
-        if len(set(values)) > 1 or (values and name in wanted):
-            found.append(name)
-    return found[:_MOST_CHOICES]
+        if len(set(values)) > 1 or (values and name in objective_figures):
+            names.append(name)
+    return names[:_MOST_CHOICES]
 
 
 def _lead(sweep: SweepReport, ranking: Ranking | None) -> list[str]:
     outcomes = Counter(run.outcome for run in sweep.runs)
     completed = outcomes.pop("completed", 0)
     others = ", ".join(f"**{count} {outcome}**" for outcome, count in outcomes.most_common())
-    wanted = max(sweep.asked or 0, len(sweep.runs))
-    never = wanted - len(sweep.runs)
+    total = max(sweep.asked or 0, len(sweep.runs))
+    never = total - len(sweep.runs)
     if never:
-        begun = f"**{never} not begun**: the sweep stopped before its end"
-        others = f"{others}, {begun}" if others else begun
-    sentences = [f"{completed} of {wanted} runs completed{'; ' + others if others else ''}."]
+        shortfall = f"**{never} not begun**: the sweep stopped before its end"
+        others = f"{others}, {shortfall}" if others else shortfall
+    sentences = [f"{completed} of {total} runs completed{'; ' + others if others else ''}."]
     if ranking is not None and len(ranking.ranked) > 1:
         first, second = ranking.ranked[:2]
         sentence = f"**{first.name}** tracks best"
@@ -447,21 +450,21 @@ def _best(sweep: SweepReport) -> tuple[SweepRun, float, str] | None:
     if name is None:
         return None
     # A run that ended early has had less time to err.
-    known = [r for r in sweep.tried if r.outcome == "completed" and name in r.figures]
-    if not known:
+    candidates = [r for r in sweep.tried if r.outcome == "completed" and name in r.figures]
+    if not candidates:
         return None
-    run = min(known, key=lambda each: each.figures[name])
+    run = min(candidates, key=lambda each: each.figures[name])
     return run, run.figures[name], sweep.title(name)
 
 
 def _where(sweep: SweepReport, run: SweepRun) -> str:
-    told = [key for key in sweep.keys if run.values.get(key) not in (None, "")]
-    chosen = [key for key in told if key not in sweep.drawn_keys]
-    parts = [f"{key} {_shown(run.values[key])}" for key in chosen[:_MOST_NAMED]]
-    if len(chosen) > _MOST_NAMED:
-        parts.append(f"and {len(chosen) - _MOST_NAMED} more")
-    if len(told) > len(chosen):
-        parts.append(f"{len(told) - len(chosen)} drawn values")
+    filled_keys = [key for key in sweep.keys if run.values.get(key) not in (None, "")]
+    setting_keys = [key for key in filled_keys if key not in sweep.drawn_keys]
+    parts = [f"{key} {_shown(run.values[key])}" for key in setting_keys[:_MOST_NAMED]]
+    if len(setting_keys) > _MOST_NAMED:
+        parts.append(f"and {len(setting_keys) - _MOST_NAMED} more")
+    if len(filled_keys) > len(setting_keys):
+        parts.append(f"{len(filled_keys) - len(setting_keys)} drawn values")
     return f" ({', '.join(parts)})" if parts else ""
 
 
@@ -501,17 +504,19 @@ def _draws(draws: Draws) -> list[Section]:
         "that of Clopper and Pearson for independent draws."
     )
     failures = [table(draws.failures, columns)] if draws.failures else []
-    told = [each for each in draws.correlations if each.p is not None and each.p < _LEVEL]
-    shown = (told or draws.correlations[:5])[:_MOST_CORRELATIONS]
+    significant_rows = [
+        each for each in draws.correlations if each.p is not None and each.p < _LEVEL
+    ]
+    rows = (significant_rows or draws.correlations[:5])[:_MOST_CORRELATIONS]
     words = (
         "Spearman's rank correlation of each drawn value with each figure, the strongest first: "
-        f"{len(told)} of {len(draws.correlations)} are more than chance explains (p < {_LEVEL:g}, "
-        "adjusted for their number by Benjamini and Hochberg)"
+        f"{len(significant_rows)} of {len(draws.correlations)} are more than chance explains "
+        f"(p < {_LEVEL:g}, adjusted for their number by Benjamini and Hochberg)"
     )
-    if not told:
+    if not significant_rows:
         words += "; the strongest are here, and may be chance"
-    elif len(told) > len(shown):
-        words += f"; the first {len(shown)} are here"
+    elif len(significant_rows) > len(rows):
+        words += f"; the first {len(rows)} are here"
     columns = [
         Column("figure", "figure"),
         Column("who", "who"),
@@ -519,7 +524,7 @@ def _draws(draws: Draws) -> list[Section]:
         Column("correlation", lambda each: f"{each.rho:+.2f}"),
         Column("adjusted p", "p"),
     ]
-    correlations = [table(shown, columns, heads=3)] if shown else []
+    correlations = [table(rows, columns, heads=3)] if rows else []
     return [
         Section("Failures among the draws", [counted], failures),
         Section("Sensitivities", [f"{words}."], correlations),
@@ -531,13 +536,13 @@ def _failures_sentence(draws: Draws) -> list[str]:
     failed = [each for each in draws.failures if each.count]
     if not failed:
         return []
-    told = ", ".join(
+    shares = ", ".join(
         f"{each.who} **{each.count} of {each.draws}** ({_percent(each.share)}, 95 % interval "
         f"{_interval(each)})"
         for each in failed[:6]
     )
     more = f", and {len(failed) - 6} more" if len(failed) > 6 else ""
-    return [f"Draws that failed{_beyond(draws)}: {told}{more}."]
+    return [f"Draws that failed{_beyond(draws)}: {shares}{more}."]
 
 
 def _beyond(draws: Draws) -> str:
@@ -549,10 +554,10 @@ def _percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.1f} %"
 
 
-def _interval(told: FailureShare) -> str:
-    if told.low is None or told.high is None:
+def _interval(share: FailureShare) -> str:
+    if share.low is None or share.high is None:
         return "–"
-    return f"{100 * told.low:.1f}\u2060–\u2060{100 * told.high:.1f} %"
+    return f"{100 * share.low:.1f}\u2060–\u2060{100 * share.high:.1f} %"
 
 
 def _failures(sweep: SweepReport) -> Section:
@@ -585,7 +590,7 @@ def _names(runs: Sequence[SweepRun]) -> str:
 def _all_runs(sweep: SweepReport) -> Section:
     figures, alike = _apart(sweep)
     keys = [key for key in sweep.keys if key not in sweep.drawn_keys]
-    drawn = [key for key in sweep.keys if key in sweep.drawn_keys]
+    random_keys = [key for key in sweep.keys if key in sweep.drawn_keys]
     columns = [("run", Column("run", lambda run: Datum(run.name, link=run.page)))]
     # A key that alone names who ran would say it twice.
     if len(sweep.entrants) > 1 and not any(map(sweep.names_entrants, sweep.keys)):
@@ -594,7 +599,7 @@ def _all_runs(sweep: SweepReport) -> Section:
     columns.append(("outcome", Column("outcome", "outcome")))
     columns += [(name, Column(sweep.title(name), _figure(name))) for name in figures]
     # They are many, and would push what came of them off the screen.
-    columns += [(key, Column(key, _value(key))) for key in drawn]
+    columns += [(key, Column(key, _value(key))) for key in random_keys]
     if any(run.problem for run in sweep.runs):
         columns.append(("problem", Column("why it failed", "problem")))
     caption = "A click on a head sorts. On paper stand the first 200 rows."

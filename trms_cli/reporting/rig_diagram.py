@@ -66,8 +66,10 @@ def diagram(chart: RigDiagram) -> Figure:
     A place is filled the darker the larger its share; one without has next to nothing. A sensor
     that was not recorded is dashed, and a rotor with its axis of which nothing was is left out.
     """
-    known = set(chart.channels) or set(_CHANNELS.values()) | {"u_v", "u_h"}
-    sides = [side for side, letter in _SIDES.items() if any(c.endswith(letter) for c in known)]
+    channel_names = set(chart.channels) or set(_CHANNELS.values()) | {"u_v", "u_h"}
+    sides = [
+        side for side, letter in _SIDES.items() if any(c.endswith(letter) for c in channel_names)
+    ]
     with house_style():
         boxes = {name: box for name, box in _boxes().items() if box.side in sides}
         low = min(box.y for box in boxes.values()) - 0.6
@@ -78,14 +80,14 @@ def diagram(chart: RigDiagram) -> Figure:
         panel.set_aspect("equal")
         _wires(panel, boxes, sides)
         for name, box in boxes.items():
-            seen = _CHANNELS.get(name, "") in known or name not in _CHANNELS
-            _draw(panel, box, chart.shares.get(name), seen)
+            is_recorded = _CHANNELS.get(name, "") in channel_names or name not in _CHANNELS
+            _draw(panel, box, chart.shares.get(name), is_recorded)
         panel.set_xlim(-1.62, 4 * _ACROSS + 1.55)
         panel.set_ylim(low, high)
         return figure
 
 
-def _draw(panel: Axes, box: _Box, place: Share | None, seen: bool) -> None:
+def _draw(panel: Axes, box: _Box, place: Share | None, is_recorded: bool) -> None:
     share = 0.0 if place is None else max(0.0, min(1.0, place[0]))
     panel.add_patch(
         FancyBboxPatch(
@@ -96,7 +98,7 @@ def _draw(panel: Axes, box: _Box, place: Share | None, seen: bool) -> None:
             facecolor=_mixed(share / _DARKEST),
             edgecolor=INK if place is not None else GREY,
             linewidth=1.8 if share >= 0.5 else 0.9,
-            linestyle="-" if seen or place is not None else (0, (3, 2)),
+            linestyle="-" if is_recorded or place is not None else (0, (3, 2)),
             zorder=3,
         )
     )

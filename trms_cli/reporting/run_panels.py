@@ -56,12 +56,12 @@ def time_axis(*runs: RunSignals) -> draw.Axis:
     return draw.Axis("time", "s", (begin, max(end, begin + 1e-3)), linked="time")
 
 
-def axis_range(seen: Iterable[Any], margin: float = 0.08) -> tuple[float, float] | None:
+def axis_range(samples: Iterable[Any], margin: float = 0.08) -> tuple[float, float] | None:
     """Range of an axis by what happened; None without a finite value.
 
     The bands of an uncertain start are not among what is seen: they would flatten the rest.
     """
-    values = [np.asarray(v, dtype=float) for v in seen]
+    values = [np.asarray(v, dtype=float) for v in samples]
     finite = np.concatenate([[], *(v[np.isfinite(v)] for v in values)])
     if not finite.size:
         return None
@@ -78,7 +78,7 @@ def channel_panel(run: RunSignals, name: str, *, detail: bool = False) -> draw.P
 
     ``detail``: what was measured of a rig whose true state is known, and when it was not normal.
     """
-    truth, wanted = run.truth(name), run.signal("/reference", name)
+    truth, reference = run.truth(name), run.signal("/reference", name)
     measured = run.signal("/measurement", name) if detail else None
     guess = run.estimated(name)
     marks: list[draw.Mark] = _not_normal(run) if detail else []
@@ -91,15 +91,17 @@ def channel_panel(run: RunSignals, name: str, *, detail: bool = False) -> draw.P
         marks.append(draw.Curve(truth.time, truth.values, "rig", **wide))  # type: ignore[arg-type]
     elif truth is not None and truth.source == "measured":
         marks.append(draw.Curve(truth.time, truth.values, "measured", width=1.2))
-    if wanted is not None:
-        marks.append(reference_curve(wanted))
+    if reference is not None:
+        marks.append(reference_curve(reference))
     marks += [] if detail else estimated
     if guess is None and truth is not None and truth.source == "estimate":
         marks.append(draw.Curve(truth.time, truth.values, "estimate", "vermilion"))
-    told = truth if truth is not None and (truth.source != "estimate" or guess is None) else None
-    seen = [each.values for each in (told, wanted, measured) if each is not None]
-    limits, lines = with_limits([run], [name], axis_range(seen))
-    unit = next((each.unit for each in (truth, wanted) if each is not None and each.unit), "")
+    response = (
+        truth if truth is not None and (truth.source != "estimate" or guess is None) else None
+    )
+    samples = [each.values for each in (response, reference, measured) if each is not None]
+    limits, lines = with_limits([run], [name], axis_range(samples))
+    unit = next((each.unit for each in (truth, reference) if each is not None and each.unit), "")
     axis = draw.Axis(label_of(name), unit, limits)
     return draw.Panel(time_axis(run), axis, [*marks, *lines], label_of(name))
 
@@ -110,15 +112,15 @@ def command_panel(run: RunSignals) -> draw.Panel | None:
     if not names:
         return None
     marks: list[draw.Mark] = []
-    seen = []
+    samples = []
     for number, name in enumerate(names):
         colour, values = draw.signal_colour(name, number), run.numbers("/command", name)
         spans = list(run.saturated(name))[:_MOST_SPANS]
         marks += [draw.Span(*span, colour=colour, opacity=0.18) for span in spans]
         time = run.time("/command")
         marks.append(draw.Curve(time, values, symbol_label(name), colour, width=1.0, held=True))
-        seen.append(values)
-    limits, lines = with_limits([run], names, axis_range(seen), of_commands=True)
+        samples.append(values)
+    limits, lines = with_limits([run], names, axis_range(samples), of_commands=True)
     axis = draw.Axis("command", run.unit("/command", names[0]), limits)
     caption = (
         "As applied to the rig, after limits. Dotted: limits; shaded: an input asked for more."
@@ -140,10 +142,10 @@ def torque_panel(run: RunSignals, place: str, names: Sequence[str]) -> draw.Pane
     marks: list[draw.Mark] = [draw.Line(y=0.0, colour="pale", style="solid")]
     reach, unit = [], ""
     for number, name in enumerate(names):
-        found = run.estimated(name)
-        assert found is not None
-        torque, factor = in_small_unit(found[0])
-        deviation, unit = factor * found[1], torque.unit
+        estimate = run.estimated(name)
+        assert estimate is not None
+        torque, factor = in_small_unit(estimate[0])
+        deviation, unit = factor * estimate[1], torque.unit
         again = any(
             draw.signal_colour(other) == draw.signal_colour(name) for other in names[:number]
         )
@@ -192,16 +194,16 @@ def state_panels(run: RunSignals) -> list[draw.Panel]:
     panels = []
     for words, members in list(groups.items())[:_MOST_PANELS]:
         unit = next((unit for topic in topics if (unit := run.unit(topic, members[0]))), "")
-        marks, seen = [], []
+        marks, samples = [], []
         for number, name in enumerate(members[:6]):
             own, values = _state(run, name, draw.signal_colour(name, number))
             marks += own
-            seen += values
+            samples += values
         caption = ""
         if any(name.startswith("S_") for name in members):
             caption = "S is the rate less what the other rotor's momentum gives the axis."
         if marks:
-            axis, time = draw.Axis(words, unit, axis_range(seen)), time_axis(run)
+            axis, time = draw.Axis(words, unit, axis_range(samples)), time_axis(run)
             panels.append(draw.Panel(time, axis, marks, words, half=True, caption=caption))
     return panels
 
@@ -223,8 +225,8 @@ def _state(run: RunSignals, name: str, colour: Any) -> tuple[list[draw.Mark], li
     elif truth is None and (alone := run.signal("/estimate", name)) is not None:
         truth = alone
         marks.append(draw.Curve(alone.time, alone.values, f"{label} estimate", colour, "dotted"))
-    seen = truth or (guess[0] if guess is not None else None)
-    return marks, [] if seen is None else [seen.values]
+    series = truth or (guess[0] if guess is not None else None)
+    return marks, [] if series is None else [series.values]
 
 
 def innovation_panels(
@@ -234,22 +236,24 @@ def innovation_panels(
 
     ``figures``: of a replay, by channel, which then has a panel each.
     """
-    wanted = run.names("/estimate") if figures is None else [f"innovation_{n}" for n in figures]
-    names = [n for n in wanted if n.startswith("innovation_") and "innovation_sd_" not in n]
+    candidates = run.names("/estimate") if figures is None else [f"innovation_{n}" for n in figures]
+    names = [n for n in candidates if n.startswith("innovation_") and "innovation_sd_" not in n]
     panels = []
     for name in names[: None if figures else _MOST_PANELS]:
         channel = name.removeprefix("innovation_")
-        found = run.signal("/estimate", name)
-        if found is None:
+        innovation = run.signal("/estimate", name)
+        if innovation is None:
             continue
         deviation = run.numbers("/estimate", f"innovation_sd_{channel}")
-        band = 2 * deviation if len(deviation) else np.full(len(found.time), np.nan)
+        band = 2 * deviation if len(deviation) else np.full(len(innovation.time), np.nan)
         marks: list[draw.Mark] = [
-            draw.Band(found.time, -band, band, "±2σ expected", "vermilion", 0.3),
-            draw.Curve(found.time, found.values, "innovation", width=0.7),
+            draw.Band(innovation.time, -band, band, "±2σ expected", "vermilion", 0.3),
+            draw.Curve(innovation.time, innovation.values, "innovation", width=0.7),
         ]
         words = label_of(channel)
-        axis = draw.Axis(f"innovation\nof {words}", found.unit, _around_band(found.values, band))
+        axis = draw.Axis(
+            f"innovation\nof {words}", innovation.unit, _around_band(innovation.values, band)
+        )
         panels.append(
             draw.Panel(
                 time_axis(run),
@@ -286,7 +290,7 @@ def solver_panel(run: RunSignals) -> draw.Panel | None:
     if times is None:
         return None
     time, deadline = run.time("/controller"), run.deadline
-    known = times[np.isfinite(times)]
+    finite_times = times[np.isfinite(times)]
     marks: list[draw.Mark] = _not_normal(run, named=True)
     marks.append(draw.Points(time, times, "", "dot", "grey", size=1.6))
     for rows, label, marker, colour in (
@@ -294,16 +298,17 @@ def solver_panel(run: RunSignals) -> draw.Panel | None:
         (run.fell_back(), "fall-back", "down", "vermilion"),
     ):
         if rows.any():
-            taken = np.where(np.isfinite(times[rows]), times[rows], known.min())
-            marks.append(draw.Points(time[rows], taken, label, marker, colour, size=5))  # type: ignore[arg-type]
+            heights = np.where(np.isfinite(times[rows]), times[rows], finite_times.min())
+            marks.append(draw.Points(time[rows], heights, label, marker, colour, size=5))  # type: ignore[arg-type]
     marks += [draw.Line(y=deadline, colour="alarm")] if deadline is not None else []
-    top = 3 * max(deadline, float(known.max())) if deadline is not None else None
-    axis = step_axis((0.5 * float(known.min()), top))
+    top = 3 * max(deadline, float(finite_times.max())) if deadline is not None else None
+    axis = step_axis((0.5 * float(finite_times.min()), top))
     failed, missed = int(run.fell_back().sum()), int(run.missed().sum())
-    note = f"median {np.median(known):.3g} ms"
+    note = f"median {np.median(finite_times):.3g} ms"
     words = (
-        f"Median {np.median(known):.3g} ms, 99th percentile {np.quantile(known, 0.99):.3g} ms, "
-        f"longest {known.max():.3g} ms"
+        f"Median {np.median(finite_times):.3g} ms, "
+        f"99th percentile {np.quantile(finite_times, 0.99):.3g} ms, "
+        f"longest {finite_times.max():.3g} ms"
     )
     if deadline is not None:
         note += f", deadline {deadline:.3g} ms" + (f", {missed} missed" if missed else "")
@@ -324,10 +329,10 @@ def solver_panels(run: RunSignals) -> list[draw.Panel]:
     over_time, times = solver_panel(run), run.step_times()
     if over_time is None or times is None:
         return []
-    known = times[np.isfinite(times)]
-    low, high = float(known.min()), float(known.max())
+    finite_times = times[np.isfinite(times)]
+    low, high = float(finite_times.min()), float(finite_times.max())
     edges = np.geomspace(low, max(high, 1.0001 * low), _BINS + 1)
-    marks: list[draw.Mark] = [histogram(known, edges)]
+    marks: list[draw.Mark] = [histogram(finite_times, edges)]
     marks += [draw.Line(x=run.deadline, colour="alarm")] if run.deadline is not None else []
     return [
         over_time,
@@ -379,46 +384,46 @@ def event_marks(run: RunSignals) -> list[draw.Events]:
 
 def fan_panels(run: RunSignals, most: int = MOST_FANS) -> list[draw.Panel]:
     """All predictions of a controller, of which a page draws one bold, over what happened."""
-    made = run.time("/prediction")
+    starts = run.time("/prediction")
     ahead = run.column("/prediction", "time")
     if not len(ahead):
         return []
-    step = max(1, math.ceil(len(made) / most))
-    length = max(np.size(ahead[i]) for i in range(0, len(made), step))
-    step = max(step, math.ceil(len(made) * max(length, 1) / _MOST_SAMPLES))
+    step = max(1, math.ceil(len(starts) / most))
+    length = max(np.size(ahead[i]) for i in range(0, len(starts), step))
+    step = max(step, math.ceil(len(starts) * max(length, 1) / _MOST_SAMPLES))
     names = [*run.channels(), *run.inputs()]
-    known = [name for name in names if name in run.names("/prediction")]
-    return [panel for name in known if (panel := _fan_panel(run, name, step)) is not None]
+    predicted_names = [name for name in names if name in run.names("/prediction")]
+    return [panel for name in predicted_names if (panel := _fan_panel(run, name, step)) is not None]
 
 
 def _fan_panel(run: RunSignals, name: str, step: int) -> draw.Panel | None:
-    made, ahead = run.time("/prediction"), run.column("/prediction", "time")
+    starts, ahead = run.time("/prediction"), run.column("/prediction", "time")
     values = run.column("/prediction", name)
     xs: list[Any] = []
     ys: list[Any] = []
     times: list[float] = []
-    for i in range(0, len(made), step):
+    for i in range(0, len(starts), step):
         later, foretold = (np.ravel(each[i]).astype(float) for each in (ahead, values))
         count = min(len(later), len(foretold))  # the inputs have one step less than the states
         if count:
-            xs += [made[i] + later[:count], [np.nan]]
+            xs += [starts[i] + later[:count], [np.nan]]
             ys += [foretold[:count], [np.nan]]
-            times.append(float(made[i]))
+            times.append(float(starts[i]))
     if not times:
         return None
     is_input = name in run.inputs()
     happened = run.signal("/command", name) if is_input else run.truth(name)
-    wanted = run.signal("/reference", name)
+    reference = run.signal("/reference", name)
     marks: list[draw.Mark] = []
     if happened is not None:
         look: dict[str, Any] = {"width": 3.0, "opacity": 0.5, "held": is_input}
         marks.append(draw.Curve(happened.time, happened.values, "what happened", **look))
-    marks += [reference_curve(wanted)] if wanted is not None else []
+    marks += [reference_curve(reference)] if reference is not None else []
     marks.append(draw.Fans(times, np.concatenate(xs), np.concatenate(ys), held=is_input))
-    seen = [each.values for each in (happened, wanted) if each is not None]
+    samples = [each.values for each in (happened, reference) if each is not None]
     label = symbol_label(name) if is_input else label_of(name)
     axis = draw.Axis(
-        label, happened.unit if happened is not None else "", axis_range(seen) or axis_range(ys)
+        label, happened.unit if happened is not None else "", axis_range(samples) or axis_range(ys)
     )
     return draw.Panel(time_axis(run), axis, marks, f"predictions of {label}")
 
@@ -433,9 +438,9 @@ def score_note(score: Mapping[str, Any]) -> str:
     )
 
 
-def reference_curve(wanted: TimeSeries, **look: Any) -> draw.Curve:
+def reference_curve(reference: TimeSeries, **look: Any) -> draw.Curve:
     usual: dict[str, Any] = {"label": "reference", "colour": "ink", "style": "dashed"}
-    return draw.Curve(wanted.time, wanted.values, **(usual | look), width=1.0, held=True)
+    return draw.Curve(reference.time, reference.values, **(usual | look), width=1.0, held=True)
 
 
 def with_band(
@@ -506,16 +511,16 @@ def curves_of(
 ) -> tuple[list[draw.Mark], list[FloatArray], str]:
     """A curve a run of one of its signals, their values, and their unit."""
     marks: list[draw.Mark] = []
-    seen, unit = [], ""
+    samples, unit = [], ""
     for i, run in enumerate(runs):
         signal = pick(run, name)
         if signal is None:
             continue
         unit = unit or signal.unit
-        seen.append(signal.values)
+        samples.append(signal.values)
         own, label = look(i), run.name
         if len(runs) == 1:  # the colour says which axis it is
             own = {"colour": draw.signal_colour(name), "style": "solid"}
             label = f"{label_of(name)}, {signal.source}" if signal.source else ""
         marks.append(draw.Curve(signal.time, signal.values, label, **own, held=held))
-    return marks, seen, unit
+    return marks, samples, unit

@@ -81,10 +81,10 @@ class Painter:
         self, tables: Mapping[str, Columns], score: Mapping[str, Any], path: Path, **words: Any
     ) -> None:
         """Draw a run; see :func:`draw_run`."""
-        shown = {topic: table for topic, table in tables.items() if topic in _TOPICS}
-        if self._process is not None and self._drawn_beside((shown, score, path, words)):
+        picture_tables = {topic: table for topic, table in tables.items() if topic in _TOPICS}
+        if self._process is not None and self._drawn_beside((picture_tables, score, path, words)):
             return
-        draw_run(shown, score, path, **words)
+        draw_run(picture_tables, score, path, **words)
 
     def _drawn_beside(self, order: tuple[Any, ...]) -> bool:
         process, self._process = self._process, None

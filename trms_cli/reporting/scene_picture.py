@@ -116,10 +116,10 @@ def animate_scene(
     pictures: list[Any] = []
     for shot in shots:
         figure = draw_scene(bodies, shot, width=100.0, style="paper")
-        drawn = io.BytesIO()
+        buffer = io.BytesIO()
         with house_style("paper"):
-            figure.savefig(drawn, format="png", dpi=pixels / (100.0 / 25.4))
-        pictures.append(Image.open(drawn).convert("RGB"))
+            figure.savefig(buffer, format="png", dpi=pixels / (100.0 / 25.4))
+        pictures.append(Image.open(buffer).convert("RGB"))
     # One palette, no dithering: what stands still costs nothing from frame to frame.
     some = pictures[:: -(-len(pictures) // _PALETTE_FRAMES)]
     sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
@@ -140,13 +140,13 @@ def animate_scene(
     return content.getvalue()
 
 
-def _vector(told: Mapping[str, float]) -> FloatArray:
-    return np.array([told["x"], told["y"], told["z"]], dtype=float)
+def _vector(components: Mapping[str, float]) -> FloatArray:
+    return np.array([components["x"], components["y"], components["z"]], dtype=float)
 
 
-def _rotation(told: Mapping[str, float]) -> FloatArray:
+def _rotation(quaternion: Mapping[str, float]) -> FloatArray:
     """The matrix of a unit quaternion."""
-    x, y, z, w = (float(told[key]) for key in ("x", "y", "z", "w"))
+    x, y, z, w = (float(quaternion[key]) for key in ("x", "y", "z", "w"))
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -84,10 +84,10 @@ class Terminal:
 def terminal(stream: IO[str] | None = None) -> Terminal:
     """As wide as the terminal, at most :data:`WIDTH`; that wide for a file."""
     stream = stream or sys.stdout
-    shown = stream.isatty()
-    width = get_terminal_size().columns if shown or "COLUMNS" in os.environ else WIDTH
+    is_terminal = stream.isatty()
+    width = get_terminal_size().columns if is_terminal or "COLUMNS" in os.environ else WIDTH
     plain_only = os.environ.get("NO_COLOR") or os.environ.get("TERM") in ("dumb", "unknown")
-    return Terminal(stream, min(width, WIDTH), shown and not plain_only)
+    return Terminal(stream, min(width, WIDTH), is_terminal and not plain_only)
 
 
 def show(
@@ -141,9 +141,9 @@ def say(head: str, text: str) -> None:
 def show_remarks(out: Terminal, items: Sequence[str | Datum]) -> None:
     """Print sentences, each behind the sign of its judgement."""
     for item in items:
-        judged = item if isinstance(item, Datum) else Datum(item)
-        style, sign = _COLOURS[judged.judgement], _POINTS[judged.judgement]
-        for line in fold(_plain(str(judged.value)), out.width - 2, " ").split("\n"):
+        datum = item if isinstance(item, Datum) else Datum(item)
+        style, sign = _COLOURS[datum.judgement], _POINTS[datum.judgement]
+        for line in fold(_plain(str(datum.value)), out.width - 2, " ").split("\n"):
             out.print([(sign, style), (f" {line}", "")])
             sign = " "
     _say(out)
@@ -187,11 +187,11 @@ def measures_table(measures: Sequence[Measure]) -> Table:
 
 def show_table(out: Terminal, table: Table, rows: int = _MOST_ROWS) -> None:
     """Print a table, folded and parted to the width of the console."""
-    shown = [[_text(cell) for cell in row] for row in table.rows[:rows]]
-    for number, part in enumerate(split_columns(table.columns, shown, table.heads, out.width)):
+    texts = [[_text(cell) for cell in row] for row in table.rows[:rows]]
+    for number, part in enumerate(split_columns(table.columns, texts, table.heads, out.width)):
         if number:
             _say(out)
-        for line in _lines(table, shown, part):
+        for line in _lines(table, texts, part):
             out.print(line)
     if table.caption:
         _say(out, _plain(table.caption), "dim italic")
@@ -222,20 +222,20 @@ def split_columns(
     ]
     if _taken(folded) <= width:
         return [dict(enumerate(_grown(folded, whole, width)))]
-    left = list(range(min(heads, len(columns))))
-    taken = _taken([folded[i] for i in left])
+    head_columns = list(range(min(heads, len(columns))))
+    head_width = _taken([folded[i] for i in head_columns])
     parts: list[list[int]] = [[]]
-    for i in range(len(left), len(columns)):
-        needed = _taken([folded[j] for j in [*left, *parts[-1], i]])
-        if needed > width and parts[-1]:
+    for i in range(len(head_columns), len(columns)):
+        part_width = _taken([folded[j] for j in [*head_columns, *parts[-1], i]])
+        if part_width > width and parts[-1]:
             parts.append([])
         parts[-1].append(i)
     result = []
     for part in parts:
-        chosen = [*left, *part]
-        room = max(width, taken)
-        grown = _grown([folded[i] for i in chosen], [whole[i] for i in chosen], room)
-        result.append(dict(zip(chosen, grown, strict=True)))
+        indices = [*head_columns, *part]
+        room = max(width, head_width)
+        grown = _grown([folded[i] for i in indices], [whole[i] for i in indices], room)
+        result.append(dict(zip(indices, grown, strict=True)))
     return result
 
 
@@ -286,8 +286,8 @@ def _lines(table: Table, rows: Sequence[Sequence[str]], part: dict[int, int]) ->
         lines += line_block(table.columns, styles, at_foot=True)
         lines.append([("─" * _taken(list(part.values())), "dim")])
     for row, texts in zip(table.rows, rows, strict=False):
-        judged = [cell.judgement if isinstance(cell, Datum) else "" for cell in row]
-        lines += line_block(texts, [_COLOURS[judged[i]] for i in part], at_foot=False)
+        judgements = [cell.judgement if isinstance(cell, Datum) else "" for cell in row]
+        lines += line_block(texts, [_COLOURS[judgements[i]] for i in part], at_foot=False)
     return lines
 
 

@@ -94,8 +94,8 @@ class RunSignals:
         """A field as floats; NaN where it holds something else."""
         array = np.asarray(self.column(topic, name))
         if array.dtype == object:
-            known = [v if isinstance(v, (int, float)) else np.nan for v in array]
-            return np.array(known, dtype=float)
+            values = [v if isinstance(v, (int, float)) else np.nan for v in array]
+            return np.array(values, dtype=float)
         return array.astype(float)
 
     def signal(self, topic: str, name: str, source: str = "") -> TimeSeries | None:
@@ -113,8 +113,8 @@ class RunSignals:
 
     def truth(self, name: str) -> TimeSeries | None:
         """The best that is known of a signal: the true state, else measured, else estimated."""
-        found = (self.signal(topic, name, source) for topic, source in _TRUTH)
-        return next((signal for signal in found if signal is not None), None)
+        candidates = (self.signal(topic, name, source) for topic, source in _TRUTH)
+        return next((signal for signal in candidates if signal is not None), None)
 
     def smooth(self, name: str) -> TimeSeries | None:
         """The same, fit to be differentiated: the difference of an encoder's steps is noise."""
@@ -132,12 +132,14 @@ class RunSignals:
 
     def error(self, name: str) -> TimeSeries | None:
         """Reference minus what was, at the times of the latter; None without one of them."""
-        found, wanted = self.truth(name), self.signal("/reference", name)
-        if found is None or wanted is None:
+        response, reference = self.truth(name), self.signal("/reference", name)
+        if response is None or reference is None:
             return None
-        at = np.searchsorted(wanted.time, found.time, side="right") - 1
-        held = wanted.values[np.clip(at, 0, None)]
-        return TimeSeries(found.time, np.where(at >= 0, held - found.values, np.nan), found.unit)
+        at = np.searchsorted(reference.time, response.time, side="right") - 1
+        setpoints = reference.values[np.clip(at, 0, None)]
+        return TimeSeries(
+            response.time, np.where(at >= 0, setpoints - response.values, np.nan), response.unit
+        )
 
     def channels(self) -> list[str]:
         """What is controlled; without references, the measured angles, or all that is measured."""
@@ -151,13 +153,13 @@ class RunSignals:
 
     def torques(self) -> dict[str, list[str]]:
         """Torques that are estimated at all, by where they act."""
-        found: dict[str, list[str]] = {}
+        groups: dict[str, list[str]] = {}
         for place, ending in (("axes", "_moment"), ("rotors", "_motor"), ("pushes", "_push")):
             names = [name for name in self.names("/estimate") if name.endswith(ending)]
             names = [name for name in names if not name.startswith("sd_")]
-            known = [name for name in names if self.estimated(name) is not None]
-            found |= {place: known} if known else {}
-        return found
+            estimated_names = [name for name in names if self.estimated(name) is not None]
+            groups |= {place: estimated_names} if estimated_names else {}
+        return groups
 
     @cached_property
     def events(self) -> list[RunEvent]:
@@ -245,8 +247,8 @@ class RunSignals:
                 yield times.tolist()
 
     def _told(self, name: str) -> FloatArray:
-        told = self.numbers("/controller", name)
-        return told if len(told) else np.zeros(len(self.time("/controller")))
+        values = self.numbers("/controller", name)
+        return values if len(values) else np.zeros(len(self.time("/controller")))
 
     def _inside(self, times: FloatArray) -> npt.NDArray[np.bool_]:
         inside: npt.NDArray[np.bool_] = (times >= self.window[0]) & (times <= self.window[1])

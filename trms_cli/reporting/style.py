@@ -162,10 +162,10 @@ def thin_every(time: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(time, dtype=float)[::step], np.asarray(values, dtype=float)[::step]
 
 
-def legend_above(panel: Axes, columns: int = 6, **shown: Any) -> None:
+def legend_above(panel: Axes, columns: int = 6, **entries: Any) -> None:
     """The legend over the panel, where it hides nothing."""
     panel.legend(
-        **shown,
+        **entries,
         loc="lower left",
         bbox_to_anchor=(0.0, 0.99),
         ncols=columns,
@@ -182,9 +182,9 @@ def save_png(figure: Figure, path: Path, colours: int = _COLOURS_OF_A_PNG) -> No
     """Write a PNG of a limited palette, whole or not at all; equal figures give equal bytes."""
     from PIL import Image
 
-    drawn = io.BytesIO(save_figure(figure, dpi=DPI, format="png"))
+    buffer = io.BytesIO(save_figure(figure, dpi=DPI, format="png"))
     # A third of the bytes at no loss that an eye sees: figures of this program have few colours.
-    picture = Image.open(drawn).convert("RGB").quantize(colours)
+    picture = Image.open(buffer).convert("RGB").quantize(colours)
     content = io.BytesIO()
     picture.save(content, format="png", optimize=True)
     replace_whole(path, content.getvalue())

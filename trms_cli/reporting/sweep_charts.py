@@ -106,9 +106,9 @@ def _search(summary: Mapping[str, Any]) -> Chart:
     limits = _without_outliers(values, objective["direction"] == "maximise")
     axis = Axis(column_title(objective["name"], objective["unit"]), limits=limits)
     panel = Panel(Axis("trial"), axis, marks)
-    shown = sum(_is_inside(panel, number(trial), value(trial)) for trial in _ran(summary))
+    visible_count = sum(_is_inside(panel, number(trial), value(trial)) for trial in _ran(summary))
     return Chart(
-        "search", [_titled(panel, summary, (), len(values) - shown)], width=6.6, height=3.6
+        "search", [_titled(panel, summary, (), len(values) - visible_count)], width=6.6, height=3.6
     )
 
 
@@ -138,9 +138,9 @@ def _points(
     size: float,
     **how: Any,
 ) -> Mark:
-    told = [f"trial {trial['trial']}" for trial in trials]
+    names = [f"trial {trial['trial']}" for trial in trials]
     places = [x(trial) for trial in trials], [y(trial) for trial in trials]
-    return Points(*places, label, marker, colour, size=size, told=told, **how)
+    return Points(*places, label, marker, colour, size=size, told=names, **how)
 
 
 def _again(
@@ -216,11 +216,17 @@ def _robustness(summary: Mapping[str, Any]) -> list[Chart]:
     for name in names:
         marks: list[Mark] = []
         for i, group in enumerate(groups):
-            if (told := group["figures"].get(name)) is not None:
+            if (statistics := group["figures"].get(name)) is not None:
                 # Draws without the figure failed: the curve ends below 100 %.
-                share, look = told["draws"] / max(group["failures"]["draws"], 1), curve_look(i)
-                curve = Curve(told["percentiles"], share * shares, _words(group), **look)
-                marks += [curve, Points([told["median"]], [50 * share], colour=look["colour"])]
+                share, look = (
+                    statistics["draws"] / max(group["failures"]["draws"], 1),
+                    curve_look(i),
+                )
+                curve = Curve(statistics["percentiles"], share * shares, _words(group), **look)
+                marks += [
+                    curve,
+                    Points([statistics["median"]], [50 * share], colour=look["colour"]),
+                ]
         if (limit := summary["limits"].get(name)) is not None:
             marks.append(Line(x=limit, label="limit", colour="alarm", style="solid"))
         axis = Axis(column_title(name, summary["figures"][name]["unit"]))
@@ -245,14 +251,16 @@ def _sensitivity(summary: Mapping[str, Any]) -> list[Chart]:
     legend.append(Points([], [], "not distinguishable from chance", "square", "pale"))
     panels, most = [], 0
     for name in summary["figures"]:
-        found = [{e["key"]: e for e in g["sensitivity"] if e["figure"] == name} for g in groups]
+        correlations = [
+            {e["key"]: e for e in g["sensitivity"] if e["figure"] == name} for g in groups
+        ]
         strength: dict[str, float] = {}
-        for each in (each for own in found for each in own.values()):
+        for each in (each for own in correlations for each in own.values()):
             strength[each["key"]] = max(strength.get(each["key"], 0.0), abs(each["rho"]))
         keys = sorted(strength, key=lambda key: -strength[key])[:_MOST_BARS]
         if not keys:
             continue
-        rows = [(key, i, own.get(key)) for key in keys for i, own in enumerate(found)]
+        rows = [(key, i, own.get(key)) for key in keys for i, own in enumerate(correlations)]
         bars = Bars(
             [short[key] if i == 0 else "" for key, i, _ in rows],
             [math.nan if each is None else each["rho"] for _, _, each in rows],
@@ -280,7 +288,7 @@ def _side_by_side(name: str, panels: Sequence[Panel], height: float) -> list[Cha
 
 def _words(group: Mapping[str, Any]) -> str:
     """``pid``, or ``controller=pid ref=sine`` where several things were chosen."""
-    chosen = list(group["choices"].values())
-    if len(chosen) == 1:
-        return str(chosen[0])
-    return choices_of(group) if chosen else "all draws"
+    options = list(group["choices"].values())
+    if len(options) == 1:
+        return str(options[0])
+    return choices_of(group) if options else "all draws"

@@ -110,8 +110,8 @@ class SweepReport:
     @cached_property
     def numeric_keys(self) -> list[str]:
         """Keys whose values are numbers, seeds (which have no order) last."""
-        found = [key for key in self.keys if self._is_numeric(key)]
-        return sorted(found, key=lambda key: key.endswith("seed"))
+        matches = [key for key in self.keys if self._is_numeric(key)]
+        return sorted(matches, key=lambda key: key.endswith("seed"))
 
     @cached_property
     def drawn_keys(self) -> frozenset[str]:
@@ -120,8 +120,8 @@ class SweepReport:
 
     def names_entrants(self, key: str) -> bool:
         """Whether one key alone tells who ran."""
-        told = [run for run in self.runs if run.values.get(key) is not None]
-        return bool(told) and all(str(run.values[key]) == run.entrant for run in told)
+        key_runs = [run for run in self.runs if run.values.get(key) is not None]
+        return bool(key_runs) and all(str(run.values[key]) == run.entrant for run in key_runs)
 
     def title(self, figure: str) -> str:
         """``rmse_yaw [rad]``."""
@@ -142,20 +142,20 @@ class SweepReport:
         As the sweep names them, of those that are here; else worked out.
         """
         named = {run.number: run for run in self.tried if run.number is not None}
-        told = [named[number] for number in self.pareto if number in named]
-        if told:
-            return told
+        front_runs = [named[number] for number in self.pareto if number in named]
+        if front_runs:
+            return front_runs
         signs = [-1.0 if objective.largest else 1.0 for objective in self.objectives]
-        known = [
+        candidates = [
             run
             for run in self.tried
             if not run.failed and all(o.figure in run.figures for o in self.objectives)
         ]
-        if not known or not signs:
+        if not candidates or not signs:
             return []
         names = [objective.figure for objective in self.objectives]
-        costs = np.array([[run.figures[name] for name in names] for run in known]) * signs
-        return [known[i] for i in front(costs)]
+        costs = np.array([[run.figures[name] for name in names] for run in candidates]) * signs
+        return [candidates[i] for i in front(costs)]
 
     def _is_numeric(self, key: str) -> bool:
         present = [run.values[key] for run in self.runs if run.values.get(key) is not None]

@@ -114,15 +114,15 @@ def draw_summary(folder: Path, summary: Mapping[str, Any]) -> list[Path]:
     """Pictures of what a sampler said, into the folder of the sweep; none where there are none."""
     from trms_cli.reporting.sweep_charts import summary_charts
 
-    drawn = []
+    paths = []
     for chart in summary_charts(summary):
         from trms_cli.reporting.chart_picture import picture_of
         from trms_cli.reporting.style import house_style, save_png
 
-        drawn.append(folder / f"{chart.name}.png")
+        paths.append(folder / f"{chart.name}.png")
         with house_style():
-            save_png(picture_of(chart), drawn[-1])
-    return drawn
+            save_png(picture_of(chart), paths[-1])
+    return paths
 
 
 def say_outcome(document: Mapping[str, Any]) -> None:

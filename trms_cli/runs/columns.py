@@ -153,8 +153,8 @@ def figures_of(score: Mapping[str, Any]) -> dict[str, float | None]:
         if figure in members:
             members[figure].append(entry.value)
     for figure, own in members.items():
-        known = [value for value in own if value is not None]
-        largest = max(known, default=None)
+        finite_values = [value for value in own if value is not None]
+        largest = max(finite_values, default=None)
         values[figure.column_name] = figures.total(own) if figure.total == "sum" else largest
     return values
 
@@ -187,8 +187,8 @@ def column_sql(name: str, extra: Collection[str] | None = ()) -> tuple[IndexColu
 
 def nearest(name: str, extra: Collection[str] | None = ()) -> str:
     """What may have been meant, as a sentence."""
-    known = [*COLUMNS, *ALIASES, *(extra or ())]
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    names = [*COLUMNS, *ALIASES, *(extra or ())]
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
     if close:
         return f"did you mean {' or '.join(close)}? all columns: trms runs --help"
     return "all columns: trms runs --help; a key that was typed has its dots: plant.prior_seed"

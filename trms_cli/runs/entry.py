@@ -97,8 +97,8 @@ def _entry(head: LogHead) -> IndexEntry:
 
 def choices_of_run(choices: Mapping[str, Any]) -> dict[str, str | None]:
     """The columns of what was choices_of_run, from the option of each group."""
-    found = {group: _text(choices.get(group)) for group in _GROUPS}
-    return found | {
+    options = {group: _text(choices.get(group)) for group in _GROUPS}
+    return options | {
         "effects": _joined(choices.get("effect")),
         "faults": _joined(choices.get("fault")),
     }
@@ -156,12 +156,12 @@ def _sample_time(config: str) -> float | None:
 
 def typed_overrides(overrides: list[str]) -> dict[str, Any]:
     """What was typed, by its key; a sweep's own settings are none of the run's."""
-    found = {}
+    values = {}
     for word in overrides:
         key, equals, value = word.lstrip("+").partition("=")
         if equals and not key.startswith("hydra"):
-            found[key] = _parsed(value)
-    return found
+            values[key] = _parsed(value)
+    return values
 
 
 def _parsed(text: str) -> Any:

@@ -100,7 +100,7 @@ def character(text: str, offset: int) -> int:
 def _with_operators(text: str) -> str:
     """Put the operators in the place of the words, where a word stands behind a value."""
     tokens = _tokens(text)
-    found = list(text)
+    characters = list(text)
     for i, token in enumerate(tokens):
         if token.type == tokenize.OP and token.string in _WORDS.values():
             raise FilterError(
@@ -116,8 +116,8 @@ def _with_operators(text: str) -> str:
             first, word = i - 1, f"not {word}"
         if first > 0 and _ends_a_value(tokens[first - 1]):
             begin, end = tokens[first].start[1], token.end[1]
-            found[begin:end] = _WORDS[word].center(end - begin)
-    return "".join(found)
+            characters[begin:end] = _WORDS[word].center(end - begin)
+    return "".join(characters)
 
 
 def _ends_a_value(token: tokenize.TokenInfo) -> bool:
@@ -128,14 +128,14 @@ def _ends_a_value(token: tokenize.TokenInfo) -> bool:
 
 def _tokens(text: str) -> list[tokenize.TokenInfo]:
     """As far as they can be told apart; the parser says what is wrong with the rest."""
-    found = []
+    tokens = []
     try:
         for token in tokenize.generate_tokens(io.StringIO(text).readline):
             if token.string and token.start[0] == 1 and not token.string.isspace():
-                found.append(token)
+                tokens.append(token)
     except (tokenize.TokenError, SyntaxError):
         pass
-    return found
+    return tokens
 
 
 def _explained(text: str, position: int, error: SyntaxError) -> tuple[str, str, int, str]:
@@ -221,8 +221,8 @@ class _Translation:
 
     def _compared(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> Sql:
         if isinstance(operator, ast.In | ast.NotIn):
-            found = self._membership(left, right)
-            return found if isinstance(operator, ast.In) else _negated(found)
+            condition = self._membership(left, right)
+            return condition if isinstance(operator, ast.In) else _negated(condition)
         a, b = self._value(left), self._value(right, beside=left)
         if type(operator) in _ORDER:
             return self._order(a, _ORDER[type(operator)], b)
@@ -286,12 +286,12 @@ class _Translation:
 
     def _match(self, node: ast.BinOp) -> Sql:
         if isinstance(node.op, CONTAINS | NOT_CONTAINS):
-            found = self._contained(
+            condition = self._contained(
                 self._value(node.right, beside=node.left), self._value(node.left)
             )
         else:
-            found = self._like(node)
-        return _negated(found) if isinstance(node.op, NOT_LIKE | NOT_CONTAINS) else found
+            condition = self._like(node)
+        return _negated(condition) if isinstance(node.op, NOT_LIKE | NOT_CONTAINS) else condition
 
     def _like(self, node: ast.BinOp) -> Sql:
         value, pattern = self._value(node.left), node.right
@@ -352,19 +352,19 @@ class _Translation:
             self._refuse(f"{self._said(node)} is no column", node)
         if name.lower() in _CONSTANTS:
             return self._constant(node, _CONSTANTS[name.lower()])
-        found = column_sql(name, self._extra)
-        if found is None:
+        entry = column_sql(name, self._extra)
+        if entry is None:
             remedy = nearest(name, self._extra)
             if beside is not None and self._is_text(beside):
                 remedy = f"a text is quoted: '{name}'; or {remedy}"
             self._refuse(f"there is no column {name!r}", node, remedy)
-        column, sql = found
+        column, sql = entry
         return _Value(sql, column.kind, node)
 
     def _is_text(self, node: ast.expr) -> bool:
         name = dotted_name(node)
-        found = None if name is None else column_sql(name, self._extra)
-        return found is not None and found[0].kind == "text"
+        entry = None if name is None else column_sql(name, self._extra)
+        return entry is not None and entry[0].kind == "text"
 
     def _number(self, node: ast.expr) -> Sql:
         value = self._value(node)
@@ -429,7 +429,7 @@ def names_in(text: str) -> list[str]:
     """
     if not text.strip():
         return []
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     waiting: list[ast.AST] = [parse_filter(text)]
     while waiting:
         node = waiting.pop(0)
@@ -437,5 +437,5 @@ def names_in(text: str) -> list[str]:
         if name is None:
             waiting.extend(ast.iter_child_nodes(node))
         elif column_sql(name, None) is not None:
-            found[name] = None
-    return list(found)
+            names[name] = None
+    return list(names)

@@ -272,8 +272,8 @@ class RunSamples:
             self._forgotten += max(0, len(self._events) + len(rows) - _MOST_EVENTS)
             self._events.extend(rows)
 
-    def _add_errors(self, time: FloatArray, wanted: dict[str, np.ndarray]) -> None:
-        for name, reference in wanted.items():
+    def _add_errors(self, time: FloatArray, references: dict[str, np.ndarray]) -> None:
+        for name, reference in references.items():
             source = self._source(name)
             if source is not None:
                 error = reference - source.held(name, time)
@@ -291,13 +291,13 @@ class RunSamples:
     def _limits_of(self, name: str) -> tuple[float, float]:
         """Lower and upper limit of a command; infinite where the log has none."""
         if self._limits is None:
-            given = json_or_none(self._run.get("limits"))
+            limits = json_or_none(self._run.get("limits"))
             self._limits = {
                 str(key): (
                     -math.inf if pair[0] is None else float(pair[0]),
                     math.inf if pair[1] is None else float(pair[1]),
                 )
-                for key, pair in (given.items() if isinstance(given, dict) else ())
+                for key, pair in (limits.items() if isinstance(limits, dict) else ())
                 if isinstance(pair, list) and len(pair) == 2
             }
         return self._limits.get(name, (-math.inf, math.inf))
@@ -334,8 +334,8 @@ class RunSamples:
         first = int(np.searchsorted(base.time.values, time - span - 1e-9))
         times = base.time.values[first:last].copy()
         none = np.full(len(times), np.nan)
-        shown = none if source is None else source.held(name, times)
-        wanted = none if reference is None else reference.held(name, times)
+        outputs = none if source is None else source.held(name, times)
+        references = none if reference is None else reference.held(name, times)
         rmse = math.sqrt(self._squares[name].mean_until(last)) if name in self._squares else NAN
         return AxisMoment(
             name=name,
@@ -344,11 +344,11 @@ class RunSamples:
             measured=now("/measurement"),
             state=now("/plant/state"),
             estimate=now("/estimate"),
-            error=float(wanted[-1] - shown[-1]) if len(times) else NAN,
+            error=float(references[-1] - outputs[-1]) if len(times) else NAN,
             rmse=rmse,
             time=times,
-            wanted=wanted,
-            shown=shown,
+            wanted=references,
+            shown=outputs,
         )
 
     def _inputs(self, time: float) -> list[Input]:
@@ -356,14 +356,14 @@ class RunSamples:
         if samples is None:
             return []
         count = samples.count_until(time)
-        found = []
+        inputs = []
         for name in samples.numbers:
             value, (lower, upper) = samples.number(name, count), self._limits_of(name)
             share = self._limited[name].mean_until(count)
             saturated = bool(_at_limit(np.array([value]), lower, upper)[0] > 0)
             unit = samples.units.get(name, "")
-            found.append(Input(name, unit, value, lower, upper, saturated, share))
-        return found
+            inputs.append(Input(name, unit, value, lower, upper, saturated, share))
+        return inputs
 
     def _solver(self, time: float) -> Solver | None:
         words = self._topics.get("/controller")
@@ -448,8 +448,8 @@ class RunFollower(RunSamples):
     @property
     def choices(self) -> dict[str, Any]:
         """The option of each group; empty for what is no run of the loop."""
-        found = json_or_none(self.tail.run.get("choices"))
-        return found if isinstance(found, dict) else {}
+        options = json_or_none(self.tail.run.get("choices"))
+        return options if isinstance(options, dict) else {}
 
     @property
     def total(self) -> float | None:

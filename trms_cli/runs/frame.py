@@ -89,28 +89,28 @@ def runs_frame(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any
             "runs_table(…) an Arrow table",
         )
     pandas = import_module("pandas")
-    found = _found(filter, folders, **how)
-    frame = table_of(found).to_pandas()
+    result = _found(filter, folders, **how)
+    frame = table_of(result).to_pandas()
     if "time" in frame:
         frame["time"] = pandas.to_datetime(frame["time"], utc=True)
-    frame.attrs["units"] = {name: column.unit for name, column in found.columns.items()}
+    frame.attrs["units"] = {name: column.unit for name, column in result.columns.items()}
     return frame
 
 
-def table_of(found: QueryResult) -> Any:
+def table_of(result: QueryResult) -> Any:
     """An answer of the index as a ``pyarrow.Table``."""
     from trms_cli.recordings.output_file import arrow_table
 
-    columns: dict[str, IndexColumn] = found.columns
+    columns: dict[str, IndexColumn] = result.columns
     kinds = {name: _TYPES[column.kind] for name, column in columns.items()}
-    return arrow_table(found.runs, kinds, {name: column.unit for name, column in columns.items()})
+    return arrow_table(result.runs, kinds, {name: column.unit for name, column in columns.items()})
 
 
 def _found(
     filter: str, folders: Path | Sequence[Path], *, columns: Sequence[str] = (), **how: Any
 ) -> QueryResult:
     several = (folders,) if isinstance(folders, (str, os.PathLike)) else tuple(folders)
-    asked = (columns,) if isinstance(columns, str) else tuple(columns)
+    column_names = (columns,) if isinstance(columns, str) else tuple(columns)
     return find(
-        Query(filter=filter, folders=several, columns=asked, **({"descending": False} | how))
+        Query(filter=filter, folders=several, columns=column_names, **({"descending": False} | how))
     )

@@ -143,14 +143,14 @@ class RunIndex:
                     "INSERT OR IGNORE INTO logs VALUES (?, -1, -1, ?, '')", rows
                 )
 
-    def put(self, looked: Sequence[LogReading]) -> None:
+    def put(self, readings: Sequence[LogReading]) -> None:
         """Write what was found out of logs, in place of what was known of them."""
         names = [*COLUMNS, "typed", "more"]
         columns = ", ".join(f'"{name}"' for name in names)
         marks = ", ".join("?" * len(names))
         statement = f"INSERT OR REPLACE INTO runs ({columns}) VALUES ({marks})"
-        logs = [(a.log, a.seen.mtime_ns, a.seen.size, a.kind, a.problem) for a in looked]
-        rows = [_row(a.entry) for a in looked if a.entry is not None]
+        logs = [(a.log, a.seen.mtime_ns, a.seen.size, a.kind, a.problem) for a in readings]
+        rows = [_row(a.entry) for a in readings if a.entry is not None]
         with self._writing():
             self._connection.executemany("DELETE FROM runs WHERE log = ?", [(a[0],) for a in logs])
             self._connection.executemany("INSERT OR REPLACE INTO logs VALUES (?, ?, ?, ?, ?)", logs)
@@ -207,12 +207,12 @@ class RunIndex:
         Raises RecordingError if the database refuses: a filter that is too large for it.
         """
         # Positions instead of names: a name is whatever was typed.
-        chosen = ", ".join(f"{sql.text} AS c{i}" for i, (_, sql) in enumerate(columns.values()))
+        selection = ", ".join(f"{sql.text} AS c{i}" for i, (_, sql) in enumerate(columns.values()))
         direction = "DESC" if descending else "ASC"
         values = [value for _, sql in columns.values() for value in sql.values]
         values += [*condition.values, *order.values, *order.values]
         statement = (
-            f"SELECT {chosen} FROM runs WHERE {condition.text}"
+            f"SELECT {selection} FROM runs WHERE {condition.text}"
             f" ORDER BY {order.text} IS NULL, {order.text} {direction}, time {direction},"
             f" log {direction} LIMIT ?"
         )

@@ -24,9 +24,9 @@ _LONGEST_LEDGER = 64 * 2**20  # bytes: nobody has listed runs for half a million
 
 def index_folder() -> Path:
     """The folder of the index (``TRMS_RUNS``, or beside what else is cached)."""
-    chosen = os.environ.get(ENVIRONMENT)
-    if chosen and chosen != "off":
-        return Path(chosen).expanduser()
+    setting = os.environ.get(ENVIRONMENT)
+    if setting and setting != "off":
+        return Path(setting).expanduser()
     cache = os.environ.get("TRMS_CACHE")
     if cache:
         return Path(cache).expanduser() / "runs"
@@ -66,11 +66,13 @@ def new_runs() -> Iterator[list[str]]:
     with contextlib.suppress(OSError):
         ledger.rename(ledger.with_name(f"{ledger.name}.{os.getpid()}"))
     with contextlib.suppress(OSError):
-        for taken in sorted(ledger.parent.glob(f"{ledger.name}.*")):  # also of one that was killed
+        for ledger_file in sorted(
+            ledger.parent.glob(f"{ledger.name}.*")
+        ):  # also of one that was killed
             with contextlib.suppress(OSError):
-                lines = taken.read_bytes().splitlines()
+                lines = ledger_file.read_bytes().splitlines()
                 yield [line.decode() for line in lines if _is_path(line)]
-                taken.unlink(missing_ok=True)
+                ledger_file.unlink(missing_ok=True)
 
 
 def _is_path(line: bytes) -> bool:

@@ -69,7 +69,7 @@ class _Walk:
     remarks: list[str] = field(default_factory=list)
 
 
-def find(question: Query, tell: Tell = lambda done, of: None) -> QueryResult:
+def find(question: Query, tell: Tell = lambda count, of: None) -> QueryResult:
     """Bring the index up to date, and ask it.
 
     `tell` is called with the number of logs read and of those to be read. Raises FilterError if the
@@ -95,8 +95,8 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         roots = [_folder(os.curdir)]
     walk = _Walk(left=MOST_ENTRIES if bounded else None)
     with _opened(walk.remarks) as index:
-        for told in new_runs():
-            index.expect(told)
+        for paths in new_runs():
+            index.expect(paths)
         if question.rebuild:
             index.doubt(roots)
         refresh(index, roots, walk, tell)
@@ -130,44 +130,44 @@ def refresh(
 ) -> None:
     """Make the index say of folders what lies in them; None: of all logs that it knows."""
     walk = walk or _Walk()
-    known = index.known(roots)
+    earlier_stamps = index.known(roots)
     for root in roots or ():
         _look_through(root, walk)
-    found, gone = walk.logs, []
-    for log in known.keys() - found.keys():  # in folders that were passed over, or gone
-        seen = _seen(log)
-        if seen is None:
-            gone.append(log)
+    stamps, absent_logs = walk.logs, []
+    for log in earlier_stamps.keys() - stamps.keys():  # in folders that were passed over, or gone
+        stamp = _seen(log)
+        if stamp is None:
+            absent_logs.append(log)
         else:
-            found[log] = seen
-    changed = sorted(log for log, seen in found.items() if known.get(log) != seen)
+            stamps[log] = stamp
+    changed = sorted(log for log, stamp in stamps.items() if earlier_stamps.get(log) != stamp)
     batch: list[LogReading] = []
-    for done, log in enumerate(changed):
+    for count, log in enumerate(changed):
         if tell is not None:
-            tell(done, len(changed))
-        batch.append(_look(log, found[log]))
+            tell(count, len(changed))
+        batch.append(_look(log, stamps[log]))
         if len(batch) == _BATCH:
             index.put(batch)
             batch = []
     if batch:
         index.put(batch)
-    index.forget(log for log in gone if _seen(log) is None)
+    index.forget(log for log in absent_logs if _seen(log) is None)
 
 
-def _look(log: str, seen: FileStamp) -> LogReading:
+def _look(log: str, stamp: FileStamp) -> LogReading:
     try:
         read = read_status if os.path.basename(log) == STATUS_NAME else read_entry
-        return LogReading(log, seen, read(Path(log)))
+        return LogReading(log, stamp, read(Path(log)))
     except RecordingError as error:
-        return LogReading(log, seen, problem=error.problem or "it cannot be read")
+        return LogReading(log, stamp, problem=error.problem or "it cannot be read")
 
 
 def _look_through(root: str, walk: _Walk) -> None:
     """Find the logs in a folder, or the one that it is."""
     if os.path.isfile(root):
-        seen = _seen(root)
-        if seen is not None:
-            walk.logs[root] = seen
+        stamp = _seen(root)
+        if stamp is not None:
+            walk.logs[root] = stamp
         return
     waiting = [root]
     while waiting:
@@ -193,7 +193,7 @@ def logs_in(folder: Path) -> dict[str, FileStamp]:
     """The logs under a folder, as far as the working folder is looked through."""
     walk = _Walk(left=MOST_ENTRIES)
     _look_through(str(folder), walk)
-    return {log: seen for log, seen in walk.logs.items() if log.endswith(_SUFFIX)}
+    return {log: stamp for log, stamp in walk.logs.items() if log.endswith(_SUFFIX)}
 
 
 def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
@@ -201,9 +201,9 @@ def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
         if not entry.name.startswith(".") and entry.name not in _PASSED_OVER:
             waiting.append(entry.path)
     elif entry.name == STATUS_NAME:
-        seen = _seen(entry.path)
-        if seen is not None:
-            walk.logs[entry.path] = seen
+        stamp = _seen(entry.path)
+        if stamp is not None:
+            walk.logs[entry.path] = stamp
     elif entry.name.endswith(_SUFFIX) and not entry.name.startswith(".") and entry.is_file():
         try:
             entry.path.encode()
@@ -244,12 +244,12 @@ def _folder(folder: str | os.PathLike[str]) -> str:
 
 
 def _column(name: str, more: Sequence[str] | None, where: str) -> tuple[IndexColumn, Sql]:
-    found = column_sql(name, more)
-    if found is None:
+    entry = column_sql(name, more)
+    if entry is None:
         raise ConfigurationError(
             f"there is no column {name!r}", where=where, remedy=nearest(name, more)
         )
-    return found
+    return entry
 
 
 @contextlib.contextmanager
@@ -288,7 +288,7 @@ class Latest:
 
 def latest_run(folder: Path) -> Latest | None:
     """The latest run under a folder that is going on, else the latest one; None without any."""
-    logs = sorted(((seen.mtime_ns, log) for log, seen in logs_in(folder).items()), reverse=True)
+    logs = sorted(((stamp.mtime_ns, log) for log, stamp in logs_in(folder).items()), reverse=True)
     for _, log in logs[:_ASKED]:
         if _is_written(log) and _is_run(log):
             return Latest(Path(log), True)

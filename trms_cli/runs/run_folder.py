@@ -131,7 +131,7 @@ def write_whole(text: str, path: Path) -> None:
 #: A process that makes thousands of folders keeps descriptors of no more.
 _MANY = 64
 #: Folders that this process holds: descriptor, and the thread that took it.
-_held: dict[tuple[int, int], tuple[int, int, Path]] = {}
+_folders: dict[tuple[int, int], tuple[int, int, Path]] = {}
 _guard = threading.Lock()
 
 
@@ -149,10 +149,10 @@ def hold(folder: Path) -> bool:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         about = os.fstat(descriptor)
         key = (about.st_dev, about.st_ino)
-        known = _held.get(key)
-        if known is not None:
+        entry = _folders.get(key)
+        if entry is not None:
             os.close(descriptor)
-            return known[1] == threading.get_ident()
+            return entry[1] == threading.get_ident()
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -161,7 +161,7 @@ def hold(folder: Path) -> bool:
         except OSError:  # no locks here
             os.close(descriptor)
             return True
-        _held[key] = descriptor, threading.get_ident(), folder
+        _folders[key] = descriptor, threading.get_ident(), folder
         return True
 
 
@@ -169,9 +169,9 @@ def let_go(folder: Path) -> None:
     """Let go of a folder; nothing happens where it is not held."""
     with _guard, contextlib.suppress(OSError):
         about = os.stat(folder)
-        known = _held.pop((about.st_dev, about.st_ino), None)
-        if known is not None:
-            os.close(known[0])
+        entry = _folders.pop((about.st_dev, about.st_ino), None)
+        if entry is not None:
+            os.close(entry[0])
 
 
 def _forget_written() -> None:
@@ -179,13 +179,13 @@ def _forget_written() -> None:
 
     One that holds a file is nobody else's any more, since only empty ones are taken.
     """
-    if len(_held) < _MANY:
+    if len(_folders) < _MANY:
         return
-    for key, (descriptor, _, folder) in list(_held.items()):
+    for key, (descriptor, _, folder) in list(_folders.items()):
         try:
-            needed = not any(folder.iterdir())
+            is_needed = not any(folder.iterdir())
         except OSError:
-            needed = False
-        if not needed:
+            is_needed = False
+        if not is_needed:
             os.close(descriptor)
-            del _held[key]
+            del _folders[key]

@@ -85,8 +85,12 @@ def compare(score: Mapping[str, Any], baseline: Baseline) -> list[BaselineRow]:
         if new is None and old is None:
             continue
         own = baseline.tolerances
-        chosen = own.get(key) or own.get(key.rpartition(".")[2]) or entry.figure.tolerance
-        allowed = chosen.allowed(old) if chosen is not None and old is not None else 0.0
+        figure_tolerance = own.get(key) or own.get(key.rpartition(".")[2]) or entry.figure.tolerance
+        allowed = (
+            figure_tolerance.allowed(old)
+            if figure_tolerance is not None and old is not None
+            else 0.0
+        )
         verdict = _verdict(new, old, allowed)
         rows.append(BaselineRow(key, old, new, allowed, entry.unit, verdict, entry.figure.judged))
     return rows
@@ -126,7 +130,7 @@ def baseline_from(document: Any, where: str) -> Baseline:
         if schema == SCHEMA:
             return Baseline(
                 _checked_score(document["score"]),
-                {key: _tolerance(given) for key, given in document["tolerances"].items()},
+                {key: _tolerance(entry) for key, entry in document["tolerances"].items()},
                 str(document.get("reason", "")),
             )
         problem = f"its schema is {schema!r}"
@@ -158,10 +162,10 @@ def _check_numbers(owner: Mapping[str, Any], keys: Iterable[str]) -> None:
             float(owner[key])
 
 
-def _tolerance(given: Any) -> FigureTolerance:
+def _tolerance(entry: Any) -> FigureTolerance:
     """A number is an absolute tolerance; otherwise a mapping with absolute and relative."""
     tolerance = (
-        FigureTolerance(**given) if isinstance(given, dict) else FigureTolerance(absolute=given)
+        FigureTolerance(**entry) if isinstance(entry, dict) else FigureTolerance(absolute=entry)
     )
     for value in (tolerance.absolute, tolerance.relative):
         if not (math.isfinite(value) and value >= 0):

@@ -230,9 +230,9 @@ def entries(score: Mapping[str, Any], *groups: Group) -> Iterator[Entry]:
     ``score``: ``trms.score/1``, also one of an older version, or one that holds what it should not:
     what is no finite number is None.
     """
-    wanted = {figure.group for figure in FIGURES if not groups or figure.group in groups}
+    requested_groups = {figure.group for figure in FIGURES if not groups or figure.group in groups}
     for group in dict.fromkeys(figure.group for figure in FIGURES):
-        if group not in wanted:
+        if group not in requested_groups:
             continue
         figures = of_group(group)
         if group in ("channels", "inputs", "constraint_violations"):

@@ -153,7 +153,7 @@ def comparison_table(rows: Sequence[BaselineRow], name: str, *, everything: bool
     def judgement(row: BaselineRow) -> Judgement:
         return "bad" if row.regressed else "good" if row.verdict == "better" else ""
 
-    shown = [row for row in rows if everything or row.verdict != "same"]
+    visible_rows = [row for row in rows if everything or row.verdict != "same"]
     columns = [
         Column(f"against {name}", lambda r: wording.with_unit(_key_in_words(r.key), r.unit)),
         Column("baseline", lambda r: Datum(r.baseline, sd=r.tolerance or None)),
@@ -162,7 +162,7 @@ def comparison_table(rows: Sequence[BaselineRow], name: str, *, everything: bool
         Column("", lambda r: Datum(r.verdict if r.judged else f"({r.verdict})", judgement(r))),
     ]
     hint = "In brackets: shown only, does not decide."
-    return table(shown, columns, hint if any(not row.judged for row in shown) else "")
+    return table(visible_rows, columns, hint if any(not row.judged for row in visible_rows) else "")
 
 
 def comparison_sentence(rows: Sequence[BaselineRow], name: str) -> str:
@@ -181,12 +181,12 @@ def comparison_rows(scores: Sequence[Mapping[str, Any]]) -> list[list[Cell]]:
     for key in dict.fromkeys(key for entries in every for key in entries):
         entry = next(entries[key] for entries in every if key in entries)
         values = [entries[key].value if key in entries else None for entries in every]
-        known = [value for value in values if value is not None]
-        if not known:
+        numbers = [value for value in values if value is not None]
+        if not numbers:
             continue
         # Equal to the digits that are shown is no victory.
-        least, largest = min(known), max(known)
-        apart = len(known) > 1 and largest - least > 1e-3 * max(abs(largest), abs(least))
+        least, largest = min(numbers), max(numbers)
+        apart = len(numbers) > 1 and largest - least > 1e-3 * max(abs(largest), abs(least))
         best = least if apart and entry.figure.better == "less" else None
         title = wording.with_unit(entry.figure.label, entry.unit)
         rows.append(
@@ -228,9 +228,9 @@ def innovation_sentences(estimate: Mapping[str, Any]) -> list[str]:
         )
     for key, words in (("missing", "missing"), ("rejected", "rejected as outliers")):
         counts = {name: c.get(key, 0) for name, c in part(estimate, "innovations").items()}
-        told = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
-        if told:
-            sentences.append(f"samples {words}: {told}")
+        channel_counts = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
+        if channel_counts:
+            sentences.append(f"samples {words}: {channel_counts}")
     if abs(correlation) > _MUCH_CORRELATION or max(squares, default=0.0) > _MUCH_NIS:
         sentences.append("the model, or the noise that the observer was told, misses something")
     return sentences

@@ -47,8 +47,8 @@ def integral(time: Array, values: Array) -> float:
     present = ~np.isnan(values)
     if np.count_nonzero(present) < 2:
         return math.nan
-    known, times = values[present], time[present]
-    return float(np.sum((known[1:] + known[:-1]) / 2 * np.diff(times)))
+    samples, times = values[present], time[present]
+    return float(np.sum((samples[1:] + samples[:-1]) / 2 * np.diff(times)))
 
 
 def iae(time: Array, error: Array) -> float:
@@ -198,7 +198,7 @@ def holds(time: Array, reference: Array) -> list[tuple[int, int]]:
 
 def steps(time: Array, reference: Array, response: Array) -> list[StepMetrics]:
     """Metrics of every step of the reference, in order; ``time``: (n,) s, the others (n,) rad."""
-    found = []
+    results = []
     for begin, end in holds(time, reference):
         origin = _origin(reference, response, begin)
         size = float(reference[begin]) - origin
@@ -206,8 +206,8 @@ def steps(time: Array, reference: Array, response: Array) -> list[StepMetrics]:
         present = ~np.isnan(response[part])
         if abs(size) >= SMALLEST_STEP and present.any():
             fraction = (response[part][present] - origin) / size
-            found.append(_step_metrics(time[part][present] - time[begin], fraction))
-    return found
+            results.append(_step_metrics(time[part][present] - time[begin], fraction))
+    return results
 
 
 def steady_state_error(time: Array, reference: Array, response: Array) -> float:

@@ -52,13 +52,13 @@ def score_log(log: LoggedRun) -> dict[str, Any]:
 
 def limits_of(log: LoggedRun) -> dict[str, tuple[float, float]]:
     """The limits that a run wrote into its log; none if it wrote none."""
-    given = json.loads(log.run.get(LIMITS_KEY, "{}"))
+    limits = json.loads(log.run.get(LIMITS_KEY, "{}"))
     return {
         name: (
             -math.inf if low is None else float(low),
             math.inf if high is None else float(high),
         )
-        for name, (low, high) in given.items()
+        for name, (low, high) in limits.items()
     }
 
 
@@ -203,7 +203,7 @@ def _failures(columns: Mapping[str, Any]) -> int | None:
 
 def _violations(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]:
     """Samples outside the limits, and by how much at worst, per channel that has limits."""
-    found = {}
+    violations = {}
     for name, (lower, upper) in limits.items():
         command = tables.get("/command")
         is_input = command is not None and name in command.columns
@@ -214,12 +214,12 @@ def _violations(tables: Mapping[str, Columns], limits: Limits) -> dict[str, Any]
         if beyond.size:
             # rounding at a limit that is reached exactly is no violation
             tolerance = 1e-9 * (1.0 + min(abs(lower), abs(upper)))
-            found[name] = {
+            violations[name] = {
                 "samples": int(np.sum(beyond > tolerance)),
                 "worst": float(np.max(beyond)) if np.max(beyond) > tolerance else 0.0,
                 "unit": unit(tables[source], name),
             }
-    return found
+    return violations
 
 
 def _source_of(name: str, tables: Mapping[str, Columns]) -> str | None:
@@ -329,8 +329,8 @@ def _innovations(
         missing[name] = int(np.count_nonzero(np.isnan(values)))
         innovations[name] = np.where(rejected[name], np.nan, values)
         spread = f"innovation_sd_{name}"
-        known = spread in estimate.columns
-        spreads[name] = floats(estimate, spread) if known else np.full(values.shape, np.nan)
+        has_spread = spread in estimate.columns
+        spreads[name] = floats(estimate, spread) if has_spread else np.full(values.shape, np.nan)
     return innovations, spreads, missing
 
 

@@ -181,7 +181,7 @@ class Loop:
         log_reference, log_command = history.writer("/reference"), history.writer("/command")
         log_measurement, log_state = history.writer("/measurement"), history.writer("/plant/state")
         log_estimate, log_known = history.writer("/estimate"), history.writer("/disturbance")
-        measured, known = self._known_torques()
+        measured, known_torques = self._known_torques()
         faults = getattr(plant, "faults", ())
         u = plant.first_command.copy()
         landing = False
@@ -191,15 +191,15 @@ class Loop:
             if faults:
                 self._tell_of_faults(faults, k)
             y = plant.measure()
-            seen = watch.screen(y)
+            screened_y = watch.screen(y)
             truth_row = plant.state.tolist()
             truth = dict(zip(state_names, truth_row, strict=True)) if state_names else None
-            if known is None:
-                estimate = e.observer.step(self._observer_state, u, seen, truth)
+            if known_torques is None:
+                estimate = e.observer.step(self._observer_state, u, screened_y, truth)
             else:
                 # What acted until now is what was measured at the sample before.
                 estimate = e.observer.step(
-                    self._observer_state, u, seen, truth, known=known[max(k - 1, 0)]
+                    self._observer_state, u, screened_y, truth, known=known_torques[max(k - 1, 0)]
                 )
                 log_known(now_ns, measured[k].tolist())
             watch.judge(estimate, self._tell)
@@ -234,15 +234,15 @@ class Loop:
 
     def _known_torques(self) -> tuple[FloatArray, FloatArray | None]:
         """Measured torques as logged (samples, n), and on the model's equations (samples, n_w)."""
-        given = self.plant.known_disturbances
-        if not given:
+        torques = self.plant.known_disturbances
+        if not torques:
             return np.zeros((self.experiment.samples, 0)), None
         equations = names(self.experiment.model.disturbances)
-        known = np.zeros((self.experiment.samples, len(equations)))
-        for equation, torque in given.items():
+        model_torques = np.zeros((self.experiment.samples, len(equations)))
+        for equation, torque in torques.items():
             if equation in equations:
-                known[:, equations.index(equation)] = torque
-        return np.column_stack(list(given.values())), known
+                model_torques[:, equations.index(equation)] = torque
+        return np.column_stack(list(torques.values())), model_torques
 
     def _control(self, sample: ControlSample, count: int, deadline: float) -> FloatArray:
         """One control step: its command within the limits, its words in the log."""
@@ -368,16 +368,16 @@ class CommandGate:
         if not isinstance(command, Command):
             raise _no_command(f"step returned {command!r}, not a Command")
         try:
-            asked = np.asarray(command.u, dtype=float)
+            request = np.asarray(command.u, dtype=float)
         except (TypeError, ValueError):
             raise _no_command(f"command is {command.u!r}, no array of numbers") from None
-        if asked.shape != previous.shape:
-            raise _no_command(f"command has shape {asked.shape}, the rig takes {previous.shape}")
-        values = asked.tolist()
+        if request.shape != previous.shape:
+            raise _no_command(f"command has shape {request.shape}, the rig takes {previous.shape}")
+        values = request.tolist()
         if not (self._saturated or self._not_finite) and all(
             map(_between, self._lower, values, self._upper)
         ):
-            return asked.copy()  # as almost always: nothing to cut, nothing to tell
+            return request.copy()  # as almost always: nothing to cut, nothing to tell
         applied = previous.copy()
         for i, value in enumerate(values):
             name, finite = self._inputs[i], math.isfinite(value)

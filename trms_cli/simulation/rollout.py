@@ -194,13 +194,13 @@ class Rollout:
     ) -> _Call:
         begin = np.ascontiguousarray(first, dtype=np.int64)
         lengths = np.ascontiguousarray(count, dtype=np.int64)
-        given = self.model.parameters.values if p is None else p
+        parameter_values = self.model.parameters.values if p is None else p
         call = _Call(
             np.ascontiguousarray(commands, dtype=float),
             begin,
             lengths,
             np.ascontiguousarray(starts, dtype=float),
-            np.ascontiguousarray(given, dtype=float),
+            np.ascontiguousarray(parameter_values, dtype=float),
         )
         m = len(begin)
         shapes = {
@@ -209,9 +209,9 @@ class Rollout:
             "starts": (call.starts.shape, (m, self.n_x)),
             "p": (call.p.shape, (len(self.model.parameters),)),
         }
-        for name, (shape, wanted) in shapes.items():
-            if shape != wanted:
-                raise ValueError(f"{name} has shape {shape}, and {wanted} is needed")
+        for name, (shape, expected_shape) in shapes.items():
+            if shape != expected_shape:
+                raise ValueError(f"{name} has shape {shape}, and {expected_shape} is needed")
         if m and (begin.min() < 0 or lengths.min() < 1 or (begin + lengths).max() > len(commands)):
             raise ValueError("a window lies outside the commands")
         return call

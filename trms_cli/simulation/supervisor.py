@@ -149,11 +149,11 @@ class Supervisor:
         Raises ConfigurationError for an input that the model does not have, or a command beyond its
         limit.
         """
-        known = names(setup.model.inputs)
+        input_names = names(setup.model.inputs)
         for name in self.landing_command:
             if name not in {"u_v", "u_h"}:
                 words = f"the model has no input {name!r}"
-                require_known(name, known, words, f"landing_command.{name}")
+                require_known(name, input_names, words, f"landing_command.{name}")
             limit = setup.model.input_limits.get(name, math.inf)
             if not abs(self.landing_command[name]) <= limit:
                 raise ConfigurationError(
@@ -216,7 +216,7 @@ class WatchingRun(SupervisorRun):
         return y
 
     def judge(self, estimate: Estimate, tell: Tell) -> None:
-        seen: list[tuple[Reason, str]] = []
+        reasons: list[tuple[Reason, str]] = []
         total, mean, frozen = self._sum, self._mean, self._frozen
         innovations, spreads = estimate.innovation.tolist(), estimate.innovation_sd.tolist()
         for i, (innovation, spread) in enumerate(zip(innovations, spreads, strict=True)):
@@ -227,19 +227,19 @@ class WatchingRun(SupervisorRun):
                 if self._same[i] >= self._frozen_after and not frozen[i]:
                     frozen[i] = self._should_move(i)
             if self._missed[i] >= self._missing_after:
-                seen.append((Reason.MISSING, self._outputs[i]))
+                reasons.append((Reason.MISSING, self._outputs[i]))
             elif frozen[i]:
-                seen.append((Reason.FROZEN, self._outputs[i]))
+                reasons.append((Reason.FROZEN, self._outputs[i]))
             elif mean[i] > self._limit:
-                seen.append((Reason.INCONSISTENT, self._outputs[i]))
+                reasons.append((Reason.INCONSISTENT, self._outputs[i]))
         if not math.isfinite(sum(estimate.x.tolist())):
-            seen.append((Reason.ESTIMATE, ""))
+            reasons.append((Reason.ESTIMATE, ""))
         if self._failing:
-            seen.append((Reason.CONTROLLER, ""))
+            reasons.append((Reason.CONTROLLER, ""))
         if self._out_of_reach:
-            seen.append((Reason.REFERENCE, ""))
-        if seen or self._active:
-            self._update(seen, tell)
+            reasons.append((Reason.REFERENCE, ""))
+        if reasons or self._active:
+            self._update(reasons, tell)
 
     def _should_move(self, i: int) -> bool:
         """Whether a channel whose reading has been the same for a while is frozen."""
@@ -249,9 +249,9 @@ class WatchingRun(SupervisorRun):
             return False
         return self._sum[i] > self._frozen_limit * self._same[i]
 
-    def _update(self, seen: list[tuple[Reason, str]], tell: Tell) -> None:
+    def _update(self, reasons: list[tuple[Reason, str]], tell: Tell) -> None:
         """Begin and end reasons, and choose the mode."""
-        for key in seen:
+        for key in reasons:
             if key not in self._active:
                 self._active[key] = [0, 0]
                 tell("degraded_begin", key[1] or key[0].label, key[0].begins.format(key[1]))

@@ -138,10 +138,10 @@ def _overriding(model: Model, methods: tuple[str, ...]) -> tuple[str, ...]:
 def _without_paths(model: Model) -> Model:
     """The model without the effects that act on commands and sensors only."""
     effects = effects_of(model)
-    kept = {name: e for name, e in effects if _overrides(e, (*_INSIDE, *_IMPULSES))}
-    if len(kept) == len(effects):
+    inner_effects = {name: e for name, e in effects if _overrides(e, (*_INSIDE, *_IMPULSES))}
+    if len(inner_effects) == len(effects):
         return model
-    moving = extend_model(model.without_effects(), kept)
+    moving = extend_model(model.without_effects(), inner_effects)
     values = {p.name: p.value for p in model.parameters if p.name in moving.parameters}
     moving.parameters = moving.parameters.replaced(values)
     return moving
@@ -179,8 +179,8 @@ def not_level(model: Model, at: Mapping[str, float], point: OperatingPoint) -> t
     reached = {name: float(point.x[model.state_index(name)]) for name in level}
     if at or all(abs(reached[name] - level[name]) < _AS_ASKED for name in level):
         return ()
-    asked = ", ".join(f"{name} = {value:g}" for name, value in level.items())
+    level_text = ", ".join(f"{name} = {value:g}" for name, value in level.items())
     return (
-        f"the model has no equilibrium at {asked} rad, where the study begins when nothing is "
+        f"the model has no equilibrium at {level_text} rad, where the study begins when nothing is "
         "asked for: this is the rest without command instead (choose another by study.at)",
     )

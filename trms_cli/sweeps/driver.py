@@ -115,9 +115,9 @@ class Driver:
         self._again = ("failed", "lost", "interrupted") if retry_failed else ("interrupted",)
         self._stopping = False
 
-    def take_stock(self, known: Iterable[SweepPoint]) -> None:
+    def take_stock(self, earlier_points: Iterable[SweepPoint]) -> None:
         """Look at what earlier processes left of the points that they proposed."""
-        for point in known:
+        for point in earlier_points:
             folder = RunFolder(self._record.folder, point.number)
             result = folder.result()
             attempt = folder.last_attempt()
@@ -173,12 +173,12 @@ class Driver:
         self._tell(self.progress, None)
         return True
 
-    def _fill(self, wanted: int) -> None:
+    def _fill(self, count: int) -> None:
         """Ask the sampler for points, and write them down."""
-        if wanted <= 0 and not self._new:
+        if count <= 0 and not self._new:
             return
-        told, self._new = self._new, []
-        points = self._proposals.more(told, max(0, wanted))
+        results, self._new = self._new, []
+        points = self._proposals.more(results, max(0, count))
         if points:
             self._record.append(points)
             self._waiting.extend(Attempt(point) for point in points)
@@ -199,14 +199,14 @@ class Driver:
             self._take(result)
             return
         folder = RunFolder(self._record.folder, attempt.point.number)
-        told = folder.result()
-        if told is not None and told.state != "interrupted":
-            self._take(told)
+        folder_result = folder.result()
+        if folder_result is not None and folder_result.state != "interrupted":
+            self._take(folder_result)
         elif folder.last_attempt() < attempt.number:
             self._waiting.appendleft(attempt)  # it left before it began with this one
-        elif told is None and is_alive(folder.holder() or _NOBODY) is not False:
+        elif folder_result is None and is_alive(folder.holder() or _NOBODY) is not False:
             self._watched[attempt.point.number] = _Watched(attempt)
-        elif told is not None:
+        elif folder_result is not None:
             self._try_again(attempt, "it was told to end each time", _MOST_INTERRUPTIONS)
         else:
             self._try_again(attempt, ended.reason or "no reason given", self._retries)
@@ -255,10 +255,10 @@ class Driver:
         until = time.monotonic() + _GRACE
         while self._handed and time.monotonic() < until:
             try:
-                found = crew.ended(_LOOK)
+                attempts = crew.ended(_LOOK)
             except TrmsError:
                 break  # no workers any more
-            for ended in found:
+            for ended in attempts:
                 with contextlib.suppress(TrmsError):
                     self._settle(ended)
 
@@ -287,7 +287,7 @@ class _Watched:
 
 def counts_of(results: Mapping[int, RunResult]) -> dict[str, int]:
     """Results by state, each state named."""
-    found = dict.fromkeys(("done", "failed", "lost", "interrupted"), 0)
+    counts = dict.fromkeys(("done", "failed", "lost", "interrupted"), 0)
     for result in results.values():
-        found[result.state] += 1
-    return found
+        counts[result.state] += 1
+    return counts

@@ -20,25 +20,25 @@ def canonical(name: str, where: str) -> str:
 
     Raises ConfigurationError if there is no figure of that name.
     """
-    found = ALIASES.get(name, name)
-    column = COLUMNS.get(found)
-    if found == MERIT or (column is not None and column.is_number):
-        return found
+    figure = ALIASES.get(name, name)
+    column = COLUMNS.get(figure)
+    if figure == MERIT or (column is not None and column.is_number):
+        return figure
     said = [*with_aliases(n for n, each in COLUMNS.items() if each.is_number), MERIT]
-    of_channel = column is None and any(found.startswith(f"{stem}_") for stem in figure_stems())
-    if of_channel and not get_close_matches(found, said, n=1, cutoff=_MISSPELT):
-        return found  # of a channel that the twin rotor does not have
+    of_channel = column is None and any(figure.startswith(f"{stem}_") for stem in figure_stems())
+    if of_channel and not get_close_matches(figure, said, n=1, cutoff=_MISSPELT):
+        return figure  # of a channel that the twin rotor does not have
     raise ConfigurationError(
         f"runs have no figure {name!r}", where=where, remedy=near_figures(name, said)
     )
 
 
-def near_figures(name: str, known: Iterable[str]) -> str:
+def near_figures(name: str, figures: Iterable[str]) -> str:
     """A remedy: the few figures that may have been meant, and where all of them are told.
 
-    ``known``: figures that there are, by any of their names.
+    ``figures``: figures that there are, by any of their names.
     """
-    close = get_close_matches(name, sorted({*known}), n=_MOST_NEAR, cutoff=_NEAR)
+    close = get_close_matches(name, sorted({*figures}), n=_MOST_NEAR, cutoff=_NEAR)
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     return f"{hint}all figures: trms runs --help"
 
@@ -50,8 +50,8 @@ def objective_name(name: str, typed: Iterable[str]) -> str:
 
 def with_aliases(names: Iterable[str]) -> list[str]:
     """Figures by their names in scores, and by those that are typed for them."""
-    known = list(names)
-    return [*known, *(typed for typed, meant in ALIASES.items() if meant in known)]
+    figures = list(names)
+    return [*figures, *(typed for typed, figure in ALIASES.items() if figure in figures)]
 
 
 def canonical_all(names: Iterable[str], where: str) -> tuple[str, ...]:
@@ -73,11 +73,11 @@ def figure_of(result: RunResult, name: str) -> float | None:
         return None
     if name == MERIT:
         return result.objective
-    found = result.figures.get(name)
-    if found is None:
-        said = next((n for n, meant in ALIASES.items() if meant == name), name)
-        found = result.figures.get(said)
-    return found
+    value = result.figures.get(name)
+    if value is None:
+        said = next((n for n, figure in ALIASES.items() if figure == name), name)
+        value = result.figures.get(said)
+    return value
 
 
 def unit_of(name: str) -> str:

@@ -54,7 +54,7 @@ def sweep_findings(document: Mapping[str, Any]) -> Findings:
         facts["best"] = f"run {best['run']}  {best['objective']:.4g}  {few(best['overrides'])}"
     folder = Path(document["folder"])
     pictures = [folder / name for name in PICTURES.get(summary.get("kind", ""), ())]
-    drawn = {path.stem: path for path in pictures if path.is_file()}
+    picture_files = {path.stem: path for path in pictures if path.is_file()}
     about = summary_findings(summary, document["primary"])
     warnings = list(about.warnings)
     if document["failures"] and all(each.get("bad_input") for each in document["failures"]):
@@ -68,7 +68,7 @@ def sweep_findings(document: Mapping[str, Any]) -> Findings:
         [*_runs(document), *_failures(document), *about.sections],
         warnings=warnings,
         facts=facts,
-        files=drawn | {"folder": folder},
+        files=picture_files | {"folder": folder},
         next=[*about.next, *_next(document)],
     )
 
@@ -107,8 +107,8 @@ def _failures(document: Mapping[str, Any]) -> list[Section]:
         more = ", …" if failure["count"] > _MOST_NUMBERS else ""
         problem = "\n".join(part for part in (failure["problem"], failure["remedy"]) if part)
         rows.append([failure["state"], f"{failure['count']}×", where + problem, numbers + more])
-    left = len(failures) - _MOST_REASONS
-    caption = f"and {wording.count(left, 'other reason')} (--json)" if left > 0 else ""
+    remaining = len(failures) - _MOST_REASONS
+    caption = f"and {wording.count(remaining, 'other reason')} (--json)" if remaining > 0 else ""
     columns = ["state", "runs", "why", "which"]
     return [Section("Failures", blocks=[Table(columns, rows, caption)])]
 
@@ -172,8 +172,8 @@ def _search(summary: Mapping[str, Any], primary: str) -> Findings:
     best, before = front_of(summary), baseline_of(summary)
     if not best:
         return Findings("", [title, "no trial ran to its end within the limits"])
-    chosen = trial_to_run(summary)
-    rows = _few(best, chosen)
+    trial = trial_to_run(summary)
+    rows = _few(best, trial)
     notes = []
     if any("confirmed" in each for each in best):
         notes.append(
@@ -187,12 +187,12 @@ def _search(summary: Mapping[str, Any], primary: str) -> Findings:
 
 
 def _alone(summary: Mapping[str, Any], primary: str) -> list[NextCommand]:
-    chosen = trial_to_run(summary)
-    if chosen is None or not chosen["overrides"]:
+    trial = trial_to_run(summary)
+    if trial is None or not trial["overrides"]:
         return []
     fixed = [word for word in summary["fixed"] if word.partition("=")[0] not in _SET_BY_SWEEPS]
-    words = shlex.join([*fixed, *chosen["overrides"]])
-    return [NextCommand(f"{program()} {primary} {words}", f"trial {chosen['trial']} alone")]
+    words = shlex.join([*fixed, *trial["overrides"]])
+    return [NextCommand(f"{program()} {primary} {words}", f"trial {trial['trial']} alone")]
 
 
 def _trials(
@@ -220,8 +220,8 @@ def _trials(
                 values.append(_number(again.get(objective["name"])))
         return values + [_number(trial["values"].get(key)) for key in keys]
 
-    shown = [each for each in rows if before is None or each["trial"] != before["trial"]]
-    body = [cells(str(each["trial"]), each) for each in shown]
+    table_rows = [each for each in rows if before is None or each["trial"] != before["trial"]]
+    body = [cells(str(each["trial"]), each) for each in table_rows]
     if before is not None:
         body.append(cells("before", before))
     return Table(columns, body, caption)
@@ -284,13 +284,13 @@ def _losses(summary: Mapping[str, Any], trial: Mapping[str, Any]) -> list[float]
 
 
 def _few(
-    best: Sequence[Mapping[str, Any]], chosen: Mapping[str, Any] | None
+    best: Sequence[Mapping[str, Any]], trial: Mapping[str, Any] | None
 ) -> list[Mapping[str, Any]]:
     """At most a screenful, evenly along the front, with the one that is to be run."""
     if len(best) <= _MOST_ROWS:
         return list(best)
     at = set(np.linspace(0, len(best) - 1, _MOST_ROWS).round().astype(int).tolist())
-    return [each for i, each in enumerate(best) if i in at or each is chosen]
+    return [each for i, each in enumerate(best) if i in at or each is trial]
 
 
 def choices_of(group: Mapping[str, Any]) -> str:
@@ -340,15 +340,17 @@ def _shares_failed(summary: Mapping[str, Any], limits: str) -> Table:
     for group in summary["groups"]:
         failures = group["failures"]
         share = failures["share"]
-        lost = f" and {group['lost']} lost with their workers" if group["lost"] else ""
-        known = share is not None
+        loss_remark = f" and {group['lost']} lost with their workers" if group["lost"] else ""
+        has_share = share is not None
         rows.append(
             [
                 choices_of(group),
                 failures["draws"],
-                f"{failures['count']}{lost}",
+                f"{failures['count']}{loss_remark}",
                 wording.percent(share, 1),
-                wording.percent_interval(failures["low"], failures["high"], 1) if known else None,
+                wording.percent_interval(failures["low"], failures["high"], 1)
+                if has_share
+                else None,
             ]
         )
     what = "failed, or beyond a limit" if limits else "failed"

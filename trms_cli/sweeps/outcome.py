@@ -50,7 +50,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     ends: list[float] = []
     retried = 0
     best: tuple[float, int] | None = None
-    shown: Sequence[str] = document["overrides"]
+    common_overrides: Sequence[str] = document["overrides"]
     for point in points:
         run = record.RunFolder(folder, point.number)
         status = run.status()
@@ -80,7 +80,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
         "primary": document["primary"],
         "state": "running" if driven else "interrupted" if state == "running" else state,
         "driven": driven,
-        "overrides": list(shown),
+        "overrides": list(common_overrides),
         "total": total,
         "counts": counts,
         "retried": retried,
@@ -95,7 +95,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
         else {
             "run": best[1],
             "objective": best[0],
-            "overrides": [w for w in points[best[1]].overrides if w not in set(shown)],
+            "overrides": [w for w in points[best[1]].overrides if w not in set(common_overrides)],
         },
         "told": [line for line in lines if line] if len(points) <= _MOST_LINES else [],
         "summary": document.get("summary") or {},
@@ -125,8 +125,8 @@ def few(words: Sequence[str]) -> str:
     """
     if len(words) <= MOST_WORDS:
         return " ".join(map(_readable, words))
-    shown = [_readable(word) for word in words[:MOST_WORDS]]
-    return f"{' '.join(shown)} … and {len(words) - MOST_WORDS} more"
+    first_words = [_readable(word) for word in words[:MOST_WORDS]]
+    return f"{' '.join(first_words)} … and {len(words) - MOST_WORDS} more"
 
 
 def _readable(word: str) -> str:
@@ -279,8 +279,8 @@ class SweepFollower:
         self._look_at_plan()
         assert self._plan is not None
         for file, changed in _status_files(self.folder):
-            known = self._jobs.get(file)
-            if known is None or known[0] != changed or known[1].state in ("running", "gone"):
+            entry = self._jobs.get(file)
+            if entry is None or entry[0] != changed or entry[1].state in ("running", "gone"):
                 job = _job(Path(file), self.folder, changed)
                 if job is not None:
                     self._jobs[file] = changed, job
@@ -396,8 +396,8 @@ def _plan_of_hydra(folder: Path) -> _Plan:
     if not sweeper.endswith("BasicSweeper") or hydra["sweeper"].get("params"):
         return _Plan(overrides, None)
     counts = [_values(word.partition("=")[2]) for word in overrides]
-    known = [count for count in counts if count is not None]
-    return _Plan(overrides, math.prod(known) if len(known) == len(counts) else None)
+    valid_counts = [count for count in counts if count is not None]
+    return _Plan(overrides, math.prod(valid_counts) if len(valid_counts) == len(counts) else None)
 
 
 def _values(text: str) -> int | None:

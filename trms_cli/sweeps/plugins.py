@@ -23,10 +23,10 @@ class Proposals(Protocol):
     def total(self) -> int | None:
         """Points there will be in all; None where nobody knows."""
 
-    def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
+    def more(self, results: Sequence[RunResult], count: int) -> list[SweepPoint]:
         """The next points, numbered on from the last.
 
-        `results`: those that came since the last call. `wanted`: points for which there are
+        `results`: those that came since the last call. `count`: points for which there are
         workers; more or fewer may be given. None while some are still at work: nothing until
         further results come. None when none is at work: the sweep is complete.
         """
@@ -42,13 +42,13 @@ class Proposals(Protocol):
 class Sampler(Protocol):
     """Configuration of how values are chosen."""
 
-    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Proposals:
+    def start(self, space: Space, earlier_points: Sequence[SweepPoint] = ()) -> Proposals:
         """Begin, or go on.
 
-        `known`: points that were proposed before the sweep was interrupted, in their order. Their
-        results are told by the first call of `Proposals.more`; equal configuration and results give
-        equal points. Raises ConfigurationError if the space does not suit the sampler: a range
-        under ``grid``, nothing to vary, …
+        `earlier_points`: those that were proposed before the sweep was interrupted, in their
+        order. Their results are told by the first call of `Proposals.more`; equal configuration and
+        results give equal points. Raises ConfigurationError if the space does not suit the sampler:
+        a range under ``grid``, nothing to vary, …
         """
 
 

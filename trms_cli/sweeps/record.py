@@ -85,8 +85,8 @@ class RunFolder:
             names = os.listdir(self.path)
         except OSError:
             return 0
-        found = (_ATTEMPT.fullmatch(name) for name in names)
-        return max((int(match[1]) for match in found if match), default=0)
+        matches = (_ATTEMPT.fullmatch(name) for name in names)
+        return max((int(match[1]) for match in matches if match), default=0)
 
     def holder(self) -> Claim | None:
         """Who has begun the latest attempt."""
@@ -94,8 +94,8 @@ class RunFolder:
         if not attempt:
             return None
         try:
-            told = json.loads(self.attempt_file(attempt).read_bytes())
-            return Claim(attempt, str(told["host"]), int(told["pid"]), str(told["born"]))
+            claim = json.loads(self.attempt_file(attempt).read_bytes())
+            return Claim(attempt, str(claim["host"]), int(claim["pid"]), str(claim["born"]))
         except (OSError, ValueError, KeyError, TypeError):
             return Claim(attempt, "", 0, "")  # it died between making the file and writing it
 
@@ -127,12 +127,12 @@ class RunFolder:
 
         ``attempt``: the one that begins.
         """
-        left = [name for name in os.listdir(self.path) if not _is_kept(name)]
-        if not left:
+        leftovers = [name for name in os.listdir(self.path) if not _is_kept(name)]
+        if not leftovers:
             return
         aside = self.path / f"attempt-{max(1, attempt - 1)}"
         aside.mkdir(exist_ok=True)
-        for name in left:
+        for name in leftovers:
             _rename(self.path / name, aside)
 
 
@@ -141,14 +141,14 @@ def lost(point: SweepPoint, attempt: int, reason: str, before: Mapping[str, Any]
 
     `before` is the status that the last worker left, for what is known of it.
     """
-    known = {key: before[key] for key in ("host", "pid", "begin", "choices") if key in before}
+    facts = {key: before[key] for key in ("host", "pid", "begin", "choices") if key in before}
     words = "time" if attempt == 1 else "times"
     return {
         "schema": STATUS_SCHEMA,
         "job": point.number,
         "overrides": list(point.overrides),
         "state": "lost",
-        **known,
+        **facts,
         "attempt": attempt,
         "end": now(),
         "error": {
@@ -397,15 +397,15 @@ class Record:
         if mend and len(whole) < len(content):
             with file.open("r+b") as stream:
                 stream.truncate(len(whole))
-        found = []
+        proposals = []
         for number, line in enumerate(whole.splitlines()):
             try:
-                told = json.loads(line)
+                entry = json.loads(line)
                 point = SweepPoint(
-                    int(told["number"]),
-                    tuple(map(str, told["overrides"])),
-                    dict(told["values"]),
-                    told["trial"],
+                    int(entry["number"]),
+                    tuple(map(str, entry["overrides"])),
+                    dict(entry["values"]),
+                    entry["trial"],
                 )
                 if point.number != number:
                     raise ValueError(f"point {point.number}")
@@ -415,8 +415,8 @@ class Record:
                     where=f"{file}, line {number + 1}",
                     remedy="points are numbered from 0 without gaps; make the sweep anew",
                 ) from error
-            found.append(point)
-        return found
+            proposals.append(point)
+        return proposals
 
     def _write(self, document: Mapping[str, Any]) -> None:
         file = self.folder / RECORD_NAME
@@ -466,9 +466,9 @@ def explain_disk_error(error: OSError, file: Path) -> RecordingError:
     )
 
 
-def _space(told: Mapping[str, Any]) -> Space:
+def _space(document: Mapping[str, Any]) -> Space:
     continuous = tuple(
-        PriorOfKey(**each) if "mean" in each else Range(**each) for each in told["continuous"]
+        PriorOfKey(**each) if "mean" in each else Range(**each) for each in document["continuous"]
     )
-    choices = tuple(Choice(each["key"], tuple(each["values"])) for each in told["choices"])
-    return Space(tuple(told["fixed"]), choices, continuous)
+    choices = tuple(Choice(each["key"], tuple(each["values"])) for each in document["choices"])
+    return Space(tuple(document["fixed"]), choices, continuous)

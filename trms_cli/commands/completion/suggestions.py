@@ -67,8 +67,8 @@ def _of_command(command: str, module: Any, earlier: Sequence[str], word: str) ->
 
 def _words_of(option: str, help_text: str) -> list[str]:
     """The words that an option takes, where its help has them as ``--format csv|mat``."""
-    found = re.search(rf"{option} ([a-z]+(?:\|[a-z]+)+)", help_text)
-    return found[1].split("|") if found else []
+    match = re.search(rf"{option} ([a-z]+(?:\|[a-z]+)+)", help_text)
+    return match[1].split("|") if match else []
 
 
 def _takes_file(option: str, help_text: str) -> bool:
@@ -119,10 +119,10 @@ def _options(options: Iterable[str], value: str, several: bool) -> list[str]:
         head, tail = "[", value[1:]
     elif comma:
         head += ","
-    taken = set(re.split(r"[\[\],]", head))
+    earlier_names = set(re.split(r"[\[\],]", head))
     if several and not head:
         head = "["
-    return [head + name for name in _starting(tail, options) if name not in taken]
+    return [head + name for name in _starting(tail, options) if name not in earlier_names]
 
 
 def _keys_starting(keys: DeclaredKeys, key: str) -> list[str]:

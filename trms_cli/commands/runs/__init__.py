@@ -93,60 +93,68 @@ _GLANCE = 40
 
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
-    given = _given(argv)
+    arguments = _given(argv)
     from trms_cli.reporting.progress import ReadingProgress
     from trms_cli.runs.columns import COLUMNS
     from trms_cli.runs.filter import names_in
     from trms_cli.runs.query import Query, find
 
-    shown = not (given.json or given.csv or given.parquet)
-    extra, asked = _asked(given.columns)
-    usual = extra or not asked
-    if asked == ["all"]:
-        asked = list(COLUMNS)
-    told = [*asked, *([given.sort] if given.sort else []), *names_in(given.filter)]
-    limit = given.limit
-    if limit is None and shown and sys.stdout.isatty():
+    is_on_screen = not (arguments.json or arguments.csv or arguments.parquet)
+    extra, requested_columns = _asked(arguments.columns)
+    usual = extra or not requested_columns
+    if requested_columns == ["all"]:
+        requested_columns = list(COLUMNS)
+    mentioned_columns = [
+        *requested_columns,
+        *([arguments.sort] if arguments.sort else []),
+        *names_in(arguments.filter),
+    ]
+    limit = arguments.limit
+    if limit is None and is_on_screen and sys.stdout.isatty():
         limit = _GLANCE
-    if shown and usual:
+    if is_on_screen and usual:
         from trms_cli.commands.runs.screen import OVERRIDES, USUAL
 
-        columns = tuple(dict.fromkeys([*USUAL, *told, OVERRIDES]))
+        columns = tuple(dict.fromkeys([*USUAL, *mentioned_columns, OVERRIDES]))
     else:
-        columns = tuple(dict.fromkeys([*COLUMNS, *asked] if usual else asked))
+        columns = tuple(
+            dict.fromkeys([*COLUMNS, *requested_columns] if usual else requested_columns)
+        )
     question = Query(
-        filter=given.filter,
-        folders=tuple(given.folders),
-        everywhere=given.all,
-        sort=given.sort or "time",
-        descending=given.desc or not given.sort,
+        filter=arguments.filter,
+        folders=tuple(arguments.folders),
+        everywhere=arguments.all,
+        sort=arguments.sort or "time",
+        descending=arguments.desc or not arguments.sort,
         columns=columns,
         limit=limit or None,
-        rebuild=given.rebuild,
+        rebuild=arguments.rebuild,
     )
     with ReadingProgress() as tell:
-        found = find(question, tell)
-    _present(found, given, told if usual else None, shown)
+        result = find(question, tell)
+    _present(result, arguments, mentioned_columns if usual else None, is_on_screen)
     return EXIT_OK
 
 
-def _present(found: QueryResult, given: Any, told: list[str] | None, shown: bool) -> None:
+def _present(
+    result: QueryResult, arguments: Any, mentioned_columns: list[str] | None, is_on_screen: bool
+) -> None:
     from trms_cli.commands.runs import screen as runs_screen
 
-    if given.csv:
-        runs_screen.write_csv(found, given.csv, force=given.force)
-    if given.parquet:
-        runs_screen.write_parquet(found, given.parquet, force=given.force)
-    if given.json:
-        print_json(runs_screen.document(found, given.filter), allow_nan=False)
-    if given.unreadable and shown:
-        runs_screen.print_unreadable(found)
-    elif shown:
-        runs_screen.print_runs(found, told, filtered=bool(given.filter.strip()))
-    elif not given.json and given.csv != Path("-"):
-        files = " and ".join(str(file) for file in (given.csv, given.parquet) if file)
-        print(f"{len(found.runs)} runs written to {files}")
-    runs_screen.say_remarks(found, unreadable=not given.unreadable)
+    if arguments.csv:
+        runs_screen.write_csv(result, arguments.csv, force=arguments.force)
+    if arguments.parquet:
+        runs_screen.write_parquet(result, arguments.parquet, force=arguments.force)
+    if arguments.json:
+        print_json(runs_screen.document(result, arguments.filter), allow_nan=False)
+    if arguments.unreadable and is_on_screen:
+        runs_screen.print_unreadable(result)
+    elif is_on_screen:
+        runs_screen.print_runs(result, mentioned_columns, filtered=bool(arguments.filter.strip()))
+    elif not arguments.json and arguments.csv != Path("-"):
+        files = " and ".join(str(file) for file in (arguments.csv, arguments.parquet) if file)
+        print(f"{len(result.runs)} runs written to {files}")
+    runs_screen.say_remarks(result, unreadable=not arguments.unreadable)
 
 
 def _given(argv: list[str]) -> Any:
@@ -159,24 +167,24 @@ def _given(argv: list[str]) -> Any:
     options.add_argument("--csv", type=Path)
     options.add_argument("--parquet", type=Path)
     options.add_flags("--all", "--desc", "--json", "--force", "--unreadable", "--rebuild")
-    given = options.parse_args(argv)
-    if len(given.filter) > 1:
+    arguments = options.parse_args(argv)
+    if len(arguments.filter) > 1:
         options.error(
-            f"{len(given.filter)} words given where one filter goes: put all of it in quotes, "
+            f"{len(arguments.filter)} words given where one filter goes: put all of it in quotes, "
             "and texts inside into the other kind of quotes"
         )
-    given.filter = given.filter[0] if given.filter else ""
-    if given.filter and Path(given.filter).is_dir():
-        options.error(f"{given.filter!r} is a folder: write --in {given.filter}")
-    if given.limit is not None and given.limit < 0:
-        options.error(f"--limit {given.limit} is less than none")
-    if given.all and given.folders:
+    arguments.filter = arguments.filter[0] if arguments.filter else ""
+    if arguments.filter and Path(arguments.filter).is_dir():
+        options.error(f"{arguments.filter!r} is a folder: write --in {arguments.filter}")
+    if arguments.limit is not None and arguments.limit < 0:
+        options.error(f"--limit {arguments.limit} is less than none")
+    if arguments.all and arguments.folders:
         options.error("--all goes without --in")
-    if given.force and not (given.csv or given.parquet):
+    if arguments.force and not (arguments.csv or arguments.parquet):
         options.error("--force goes with --csv or --parquet")
-    if given.json and given.csv == Path("-"):
+    if arguments.json and arguments.csv == Path("-"):
         options.error("--json and --csv - both print")
-    return given
+    return arguments
 
 
 def _asked(text: str) -> tuple[bool, list[str]]:

@@ -59,99 +59,102 @@ _NOTHING = "–"
 _MOST_TOLD = 200  # characters of a line on trouble
 
 
-def print_runs(found: QueryResult, told: Sequence[str] | None, *, filtered: bool) -> None:
+def print_runs(
+    result: QueryResult, mentioned_columns: Sequence[str] | None, *, filtered: bool
+) -> None:
     """Print the table, and a line on how much of all it is.
 
-    `told`: columns that were asked about, shown beside the usual ones. None: all that `found` has
-    are shown, and no others.
+    `mentioned_columns`: those that were asked about, shown beside the usual ones. None: all that
+    `result` has are shown, and no others.
     """
-    if not found.runs:
-        print(_why_nothing(found, filtered))
+    if not result.runs:
+        print(_why_nothing(result, filtered))
         return
-    names = list(found.columns)
-    if told is not None:
-        names = _chosen(found, told)
-        names += _settings(found, names)
+    names = list(result.columns)
+    if mentioned_columns is not None:
+        names = _chosen(result, mentioned_columns)
+        names += _settings(result, names)
     if sys.stdout.isatty():
-        _print_table(found, names)
+        _print_table(result, names)
     else:
-        _print_plain(found, names)
+        _print_plain(result, names)
     if sys.stdout.isatty():
-        print(_count(found, filtered))
+        print(_count(result, filtered))
 
 
-def print_unreadable(found: QueryResult) -> None:
+def print_unreadable(result: QueryResult) -> None:
     """Print the logs that could not be read, a line each."""
-    for log, problem in found.unreadable:
+    for log, problem in result.unreadable:
         print(f"{_clean(log)}: {_clean(problem)}")
-    if not found.unreadable:
+    if not result.unreadable:
         print("all logs could be read")
 
 
-def say_remarks(found: QueryResult, *, unreadable: bool) -> None:
+def say_remarks(result: QueryResult, *, unreadable: bool) -> None:
     """Say what limits the answer, apart from it."""
-    for remark in found.remarks:
+    for remark in result.remarks:
         sys.stderr.write(f"note   {_clean(remark)}\n")
-    if found.unreadable and unreadable:
-        log, problem = found.unreadable[0]
-        count = len(found.unreadable)
+    if result.unreadable and unreadable:
+        log, problem = result.unreadable[0]
+        count = len(result.unreadable)
         logs = wording.count(count, "log")
         first = _cut(f"{_clean(_near(log))}: {_clean(problem)}", _MOST_TOLD)
         more = "" if count == 1 else " (all: trms runs --unreadable)"
         sys.stderr.write(f"note   {logs} could not be read: {first}{more}\n")
 
 
-def _chosen(found: QueryResult, told: Sequence[str]) -> list[str]:
+def _chosen(result: QueryResult, mentioned_columns: Sequence[str]) -> list[str]:
     """The columns worth showing: those asked for, and the usual ones that say something."""
-    asked = {ALIASES.get(name, name) for name in told}
-    chosen: dict[str, str] = {}  # by the column's own name: an alias is shown once
-    for name in found.columns:
+    requested_names = {ALIASES.get(name, name) for name in mentioned_columns}
+    names_by_column: dict[str, str] = {}  # by the column's own name: an alias is shown once
+    for name in result.columns:
         own = ALIASES.get(name, name)
-        if own in chosen or (own == OVERRIDES and own not in asked):
+        if own in names_by_column or (own == OVERRIDES and own not in requested_names):
             continue
-        values = {run[name] for run in found.runs}
+        values = {run[name] for run in result.runs}
         same = len(values - {None}) < 2 and own in _IF_DIFFERENT
         usual_end = own == "outcome" and values == {"completed"}
         empty = values <= {None, ""}
-        if own in asked or not (same or usual_end or empty):
-            chosen[own] = name
-    return list(chosen.values())
+        if own in requested_names or not (same or usual_end or empty):
+            names_by_column[own] = name
+    return list(names_by_column.values())
 
 
 #: What nobody typed: a sweep gives it to its runs.
 _SET_BY_SWEEPS = ("picture", "sim.scene_every")
 
 
-def _settings(found: QueryResult, names: Sequence[str]) -> list[str]:
+def _settings(result: QueryResult, names: Sequence[str]) -> list[str]:
     """Keys that were typed, and in which the runs differ: else the runs of a sweep look alike."""
     from trms_cli.runs.entry import typed_overrides
 
-    given = [typed_overrides(json.loads(run.get(OVERRIDES) or "[]")) for run in found.runs]
+    overrides = [typed_overrides(json.loads(run.get(OVERRIDES) or "[]")) for run in result.runs]
     settings = []
-    for key in dict.fromkeys(key for keys in given for key in keys):
+    for key in dict.fromkeys(key for keys in overrides for key in keys):
         own = ALIASES.get(key, key)
-        values = {str(keys.get(key)) for keys in given}
+        values = {str(keys.get(key)) for keys in overrides}
         if (
             key not in _SET_BY_SWEEPS
             and ("." in key or "@" in key)
-            and own not in found.columns
+            and own not in result.columns
             and len(values) > 1
         ):
             settings.append(key)
-            found.columns[key] = IndexColumn(key, "any")
-            for run, keys in zip(found.runs, given, strict=True):
+            result.columns[key] = IndexColumn(key, "any")
+            for run, keys in zip(result.runs, overrides, strict=True):
                 run[key] = keys.get(key)
     return [key for key in settings if key not in names][:_MOST_SETTINGS]
 
 
-def _print_plain(found: QueryResult, names: Sequence[str]) -> None:
+def _print_plain(result: QueryResult, names: Sequence[str]) -> None:
     """Aligned columns with two spaces between them: nothing is cut or left out."""
     rows = [list(names)]
     rows += [
-        [_text(run[name], found.columns[name], whole=True) for name in names] for run in found.runs
+        [_text(run[name], result.columns[name], whole=True) for name in names]
+        for run in result.runs
     ]
     widths = [max(len(row[i]) for row in rows) for i in range(len(names))]
-    numbers = [found.columns[name].kind not in ("text", "truth") for name in names]
+    numbers = [result.columns[name].kind not in ("text", "truth") for name in names]
     for row in rows:
         cells = (
             text.rjust(width) if number else text.ljust(width)
@@ -160,16 +163,16 @@ def _print_plain(found: QueryResult, names: Sequence[str]) -> None:
         print("  ".join(cells).rstrip())
 
 
-def _print_table(found: QueryResult, names: Sequence[str]) -> None:
+def _print_table(result: QueryResult, names: Sequence[str]) -> None:
     """As wide as the terminal: names are folded, and columns parted into tables of their own."""
     from trms_cli.reporting.screen import show_table, terminal
 
     rows: list[list[Cell]] = []
-    for run in found.runs:
+    for run in result.runs:
         ended = run.get("outcome", "completed") == "completed"
-        cells = [_cell(run[name], found.columns[name]) for name in names]
+        cells = [_cell(run[name], result.columns[name]) for name in names]
         rows.append([Datum(cell, "" if ended else "doubtful") for cell in cells])
-    heads = [wording.with_unit(_HEADINGS.get(n, n), found.columns[n].unit) for n in names]
+    heads = [wording.with_unit(_HEADINGS.get(n, n), result.columns[n].unit) for n in names]
     show_table(terminal(), Table(heads, rows), len(rows))
 
 
@@ -210,17 +213,19 @@ def _cut(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def _count(found: QueryResult, filtered: bool) -> str:
-    count = f"{found.matching} of {found.of} runs" if filtered else wording.count(found.of, "run")
-    if len(found.runs) < found.matching:
-        return f"{len(found.runs)} of {count} (all: --limit 0)"
+def _count(result: QueryResult, filtered: bool) -> str:
+    count = (
+        f"{result.matching} of {result.of} runs" if filtered else wording.count(result.of, "run")
+    )
+    if len(result.runs) < result.matching:
+        return f"{len(result.runs)} of {count} (all: --limit 0)"
     return count
 
 
-def _why_nothing(found: QueryResult, filtered: bool) -> str:
-    if found.of and filtered:
-        return f"none of the {found.of} runs matches"
-    where = " and ".join(_clean(folder) for folder in found.folders)
+def _why_nothing(result: QueryResult, filtered: bool) -> str:
+    if result.of and filtered:
+        return f"none of the {result.of} runs matches"
+    where = " and ".join(_clean(folder) for folder in result.folders)
     if not where:
         return "no run is known: make one by `trms run`"
     return f"no run under {where}: another folder by --in FOLDER, every known run by --all"
@@ -229,28 +234,28 @@ def _why_nothing(found: QueryResult, filtered: bool) -> str:
 SCHEMA = "trms.runs/1"
 
 
-def document(found: QueryResult, filter: str) -> dict[str, Any]:
+def document(result: QueryResult, filter: str) -> dict[str, Any]:
     """``trms.runs/1``: the runs, the units of their columns, and what limits the answer."""
     return {
         "schema": SCHEMA,
         "filter": filter,
-        "folders": list(found.folders),
-        "matching": found.matching,
-        "of": found.of,
-        "units": {name: column.unit for name, column in found.columns.items() if column.unit},
-        "runs": found.runs,
-        "unreadable": [{"log": log, "problem": problem} for log, problem in found.unreadable],
-        "remarks": list(found.remarks),
+        "folders": list(result.folders),
+        "matching": result.matching,
+        "of": result.of,
+        "units": {name: column.unit for name, column in result.columns.items() if column.unit},
+        "runs": result.runs,
+        "unreadable": [{"log": log, "problem": problem} for log, problem in result.unreadable],
+        "remarks": list(result.remarks),
     }
 
 
-def write_csv(found: QueryResult, path: Path, *, force: bool) -> None:
+def write_csv(result: QueryResult, path: Path, *, force: bool) -> None:
     """Write a header of names and a line a run; ``-`` prints it. Empty cells for what is not there.
 
     Raises RecordingError if there is such a file and not `force`, or it cannot be written.
     """
     if path == Path("-"):
-        _write_lines(found, sys.stdout)
+        _write_lines(result, sys.stdout)
         return
     from trms_cli.recordings.output_file import whole_file
 
@@ -258,10 +263,10 @@ def write_csv(found: QueryResult, path: Path, *, force: bool) -> None:
         whole_file(path, force=force) as temporary,
         temporary.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file,
     ):
-        _write_lines(found, file)
+        _write_lines(result, file)
 
 
-def write_parquet(found: QueryResult, path: Path, *, force: bool) -> None:
+def write_parquet(result: QueryResult, path: Path, *, force: bool) -> None:
     """Write a table with types, and units in the metadata of its fields.
 
     Raises RecordingError if there is such a file and not `force`, or it cannot be written.
@@ -269,14 +274,14 @@ def write_parquet(found: QueryResult, path: Path, *, force: bool) -> None:
     from trms_cli.recordings.output_file import write_parquet
     from trms_cli.runs.frame import table_of
 
-    write_parquet(table_of(found), path, force=force)
+    write_parquet(table_of(result), path, force=force)
 
 
-def _write_lines(found: QueryResult, file: TextIO) -> None:
+def _write_lines(result: QueryResult, file: TextIO) -> None:
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(found.columns)
-    for run in found.runs:
-        writer.writerow([_csv_cell(run[name]) for name in found.columns])
+    writer.writerow(result.columns)
+    for run in result.runs:
+        writer.writerow([_csv_cell(run[name]) for name in result.columns])
 
 
 def _csv_cell(value: Any) -> Any:

@@ -50,20 +50,20 @@ examples
 
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
-    given = _given(argv)
+    arguments = _given(argv)
     from trms_cli.sweeps.outcome import SweepFollower
 
-    what = _target(given.what)
+    what = _target(arguments.what)
     if what.is_dir():
-        for option, value in (("--speed", given.speed), ("--from", given.begin)):
+        for option, value in (("--speed", arguments.speed), ("--from", arguments.begin)):
             if value is not None:
                 raise ConfigurationError(
                     "this is the folder of a sweep, which is not replayed",
                     where=option,
                     remedy=f"name one of its runs: {what}/0",
                 )
-        return _watch_sweep(SweepFollower(what), given)
-    return _watch_run(what, given)
+        return _watch_sweep(SweepFollower(what), arguments)
+    return _watch_run(what, arguments)
 
 
 def _given(argv: list[str]) -> Any:
@@ -73,15 +73,15 @@ def _given(argv: list[str]) -> Any:
     options.add_argument("--from", type=float, dest="begin")
     options.add_argument("--span", type=float, default=20.0)
     options.add_flags("--once", "--plain")
-    given = options.parse_args(argv)
-    for name, value, low in (("--speed", given.speed, 0.0), ("--span", given.span, 0.0)):
+    arguments = options.parse_args(argv)
+    for name, value, low in (("--speed", arguments.speed, 0.0), ("--span", arguments.span, 0.0)):
         if value is not None and not low < value < 1e6:
             raise ConfigurationError(f"{value:g} given", where=name, remedy="a number above 0")
-    if given.begin is not None and not 0.0 <= given.begin < math.inf:
+    if arguments.begin is not None and not 0.0 <= arguments.begin < math.inf:
         raise ConfigurationError(
-            f"{given.begin:g} given", where="--from", remedy="seconds of the run, from 0 on"
+            f"{arguments.begin:g} given", where="--from", remedy="seconds of the run, from 0 on"
         )
-    return given
+    return arguments
 
 
 def _target(what: Path | None) -> Path:
@@ -110,28 +110,28 @@ def _target(what: Path | None) -> Path:
     return latest.log if sweep is None else sweep
 
 
-def _watch_run(log: Path, given: Any) -> int:
+def _watch_run(log: Path, arguments: Any) -> int:
     from trms_cli.commands.watch.frame import Player
     from trms_cli.commands.watch.screen import show, show_once
     from trms_cli.runs.follower import RunFollower
 
     run = RunFollower(log)
     try:
-        _begin(run, log, given.begin)
-        replay = given.begin is not None or given.speed is not None
-        if given.once:
-            replay = given.begin is not None
-            run.look_until(math.inf if not replay else math.nextafter(given.begin, math.inf))
-        live = not replay and (given.once or run.going_on)
+        _begin(run, log, arguments.begin)
+        replay = arguments.begin is not None or arguments.speed is not None
+        if arguments.once:
+            replay = arguments.begin is not None
+            run.look_until(math.inf if not replay else math.nextafter(arguments.begin, math.inf))
+        live = not replay and (arguments.once or run.going_on)
         player = Player(
             run,
             live=live,
-            speed=given.speed or 1.0,
-            begin=given.begin or 0.0,
-            span=given.span,
-            plain=_plain(given),
+            speed=arguments.speed or 1.0,
+            begin=arguments.begin or 0.0,
+            span=arguments.span,
+            plain=_plain(arguments),
         )
-        if given.once:
+        if arguments.once:
             show_once(player)
             return EXIT_OK
         show(player)
@@ -158,20 +158,20 @@ def _begin(run: RunFollower, log: Path, begin: float | None) -> None:
             )
 
 
-def _watch_sweep(sweep: SweepFollower, given: Any) -> int:
+def _watch_sweep(sweep: SweepFollower, arguments: Any) -> int:
     from trms_cli.commands.watch.screen import show, show_once
     from trms_cli.commands.watch.sweep import SweepPlayer
 
-    shown = SweepPlayer(sweep, plain=_plain(given))
-    if given.once:
-        show_once(shown)
+    player = SweepPlayer(sweep, plain=_plain(arguments))
+    if arguments.once:
+        show_once(player)
         return EXIT_OK
-    show(shown)
-    now = shown.now
+    show(player)
+    now = player.now
     return EXIT_WORSE if now.ended and (now.failures or now.stopped) else EXIT_OK
 
 
-def _plain(given: Any) -> bool:
+def _plain(arguments: Any) -> bool:
     from trms_cli.commands.watch.screen import is_plain
 
-    return bool(given.plain) or is_plain()
+    return bool(arguments.plain) or is_plain()

@@ -208,7 +208,7 @@ def run_frame(view: View, width: int, height: int, *, plain: bool = False) -> li
     """
     moment = view.moment
     head = [*_header(view, width, plain), *_table(moment.axes)]
-    body = [_bar(given, width, plain) for given in moment.inputs]
+    body = [_bar(command, width, plain) for command in moment.inputs]
     body += _solver_lines(moment.solver)
     if view.problem:
         body.append(Text(f"damaged  {view.problem}", _ALARM))
@@ -217,13 +217,13 @@ def run_frame(view: View, width: int, height: int, *, plain: bool = False) -> li
         Text.assemble((f"{event.time:7.2f} s ", "dim"), event.message or event.source)
         for event in moment.events
     ]
-    left = height - len(head) - len(body) - len(foot)
-    room = min(len(events), _MOST_EVENTS, max(1, left // 4))
-    charts = max(0, left - room - 1) // max(1, len(moment.axes)) if moment.axes else 0
+    free_height = height - len(head) - len(body) - len(foot)
+    room = min(len(events), _MOST_EVENTS, max(1, free_height // 4))
+    charts = max(0, free_height - room - 1) // max(1, len(moment.axes)) if moment.axes else 0
     charts = min(charts, 12)
-    room = min(len(events), _MOST_EVENTS, max(0, left - 1 - charts * len(moment.axes)))
+    room = min(len(events), _MOST_EVENTS, max(0, free_height - 1 - charts * len(moment.axes)))
     if charts < _LEAST_CHART:
-        charts, room = 0, min(len(events), _MOST_EVENTS, max(0, left))
+        charts, room = 0, min(len(events), _MOST_EVENTS, max(0, free_height))
     lines = list(head)
     if charts:
         for axis in moment.axes:
@@ -249,8 +249,9 @@ def plain_line(view: View) -> str:
                 f"{name} {value:.3f} of {axis.reference:.3f} {axis.unit}, RMSE {_short(axis.rmse)}"
             )
     parts += [
-        f"{given.name} {given.value:.2f} {given.unit}{' at its limit' if given.saturated else ''}"
-        for given in moment.inputs
+        f"{command.name} {command.value:.2f} {command.unit}"
+        + (" at its limit" if command.saturated else "")
+        for command in moment.inputs
     ]
     solver = moment.solver
     if solver is not None:
@@ -282,8 +283,8 @@ def _header(view: View, width: int, plain: bool) -> list[Text]:
         end = f" {100 * share:3.0f} %{end}"
     cells = max(0, min(width - len(begin) - len(end), 60)) if total else 0
     full = round(share * cells)
-    done, rest = ("=", "-") if plain else ("━", "─")
-    progress = Text.assemble(begin, (done * full, "green"), (rest * (cells - full), "dim"), end)
+    mark, rest = ("=", "-") if plain else ("━", "─")
+    progress = Text.assemble(begin, (mark * full, "green"), (rest * (cells - full), "dim"), end)
     return [*lines, progress]
 
 
@@ -293,17 +294,17 @@ def _table(axes: tuple[AxisMoment, ...]) -> list[Text]:
     columns = ("reference", "measured", "state", "estimate", "error", "RMSE")
     rows = [(a.reference, a.measured, a.state, a.estimate, a.error, a.rmse) for a in axes]
     # What no axis has is no column.
-    kept = [i for i in range(len(columns)) if any(not math.isnan(row[i]) for row in rows)]
+    column_indices = [i for i in range(len(columns)) if any(not math.isnan(row[i]) for row in rows)]
     title = Text(" " * 14)
-    for i in kept:
+    for i in column_indices:
         style = {"reference": _REFERENCE, "state": _ANGLE}.get(columns[i], "")
-        if columns[i] == "measured" and 2 not in kept:
+        if columns[i] == "measured" and 2 not in column_indices:
             style = _ANGLE
         title.append(f"{columns[i]:>11}", style or "dim")
     lines = [title]
     for axis, row in zip(axes, rows, strict=True):
         line = Text(f"{NAMES.get(axis.name, axis.name)[:8]:<8} {axis.unit[:5]:<5}")
-        for i in kept:
+        for i in column_indices:
             line.append(f"{_figure(row[i]):>11}", "bold" if columns[i] in ("error", "RMSE") else "")
         lines.append(line)
     return lines
@@ -344,30 +345,32 @@ def _time_axis(view: View, width: int) -> Text:
     return Text(" " * _MARGIN + left + " " * gap + right, "dim")
 
 
-def _bar(given: Input, width: int, plain: bool) -> Text:
+def _bar(command: Input, width: int, plain: bool) -> Text:
     """A command between its limits, filled from zero."""
-    name = f"{NAMES.get(given.name, given.name)[:10]:<10} {given.name[:4]:<4}"
-    value = f"{_figure(given.value):>8} {given.unit}"
-    share = "" if math.isnan(given.share) else f"  at a limit {100 * given.share:.1f} %"
+    name = f"{NAMES.get(command.name, command.name)[:10]:<10} {command.name[:4]:<4}"
+    value = f"{_figure(command.value):>8} {command.unit}"
+    share = "" if math.isnan(command.share) else f"  at a limit {100 * command.share:.1f} %"
     if not (
-        math.isfinite(given.lower) and math.isfinite(given.upper) and given.upper > given.lower
+        math.isfinite(command.lower)
+        and math.isfinite(command.upper)
+        and command.upper > command.lower
     ):
         return Text(f"{name} {value}")
-    low, high = f"{given.lower:g}", f"{given.upper:g}"
+    low, high = f"{command.lower:g}", f"{command.upper:g}"
     room = width - len(name) - len(value) - len(share) - len(low) - len(high) - 6
     cells = max(8, min(room, 41))
     line = Text(f"{name} {low} ").append("[", "dim")
-    reach = given.upper - given.lower
-    zero = round(min(1.0, max(0.0, -given.lower / reach)) * (cells - 1))
+    reach = command.upper - command.lower
+    zero = round(min(1.0, max(0.0, -command.lower / reach)) * (cells - 1))
     at = (
         zero
-        if math.isnan(given.value)
-        else round((given.value - given.lower) / reach * (cells - 1))
+        if math.isnan(command.value)
+        else round((command.value - command.lower) / reach * (cells - 1))
     )
     at = min(cells - 1, max(0, at))
     first, last = sorted((zero, at))
     full, empty, centre = ("#", "-", "|") if plain else ("█", "─", "┼")
-    style = _ALARM if given.saturated else "blue"
+    style = _ALARM if command.saturated else "blue"
     for cell in range(cells):
         inside = first <= cell <= last and at != zero
         if inside:
@@ -375,7 +378,7 @@ def _bar(given: Input, width: int, plain: bool) -> Text:
         else:
             line.append(centre if cell == zero else empty, "dim")
     line.append("]", "dim").append(f" {high} ")
-    line.append(value, style if given.saturated else "bold")
+    line.append(value, style if command.saturated else "bold")
     return line.append(share, "dim")
 
 

@@ -42,25 +42,25 @@ class WatchScreen(Protocol):
         """Whether there is nothing more to wait for: neither news nor, with keys, a person."""
 
 
-def show(shown: WatchScreen) -> None:
+def show(player: WatchScreen) -> None:
     """Show until there is nothing more to come, or somebody quits.
 
     Ctrl-C raises KeyboardInterrupt, with the terminal as it was before.
     """
     if is_interactive():
-        _on_terminal(shown)
+        _on_terminal(player)
     else:
-        _in_lines(shown)
+        _in_lines(player)
 
 
-def show_once(shown: WatchScreen) -> None:
+def show_once(player: WatchScreen) -> None:
     """Print one picture, of the size of the terminal (80 by 24 without one)."""
-    shown.advance(0.0)
+    player.advance(0.0)
     width, height = shutil.get_terminal_size()
-    _print(Console(highlight=False, width=width), shown.frame(width, height - 1, keys=False))
+    _print(Console(highlight=False, width=width), player.frame(width, height - 1, keys=False))
 
 
-def _on_terminal(shown: WatchScreen) -> None:
+def _on_terminal(player: WatchScreen) -> None:
     console = Console(highlight=False)
     with Keyboard() as keyboard:
         # An alternate screen: what the terminal showed before comes back afterwards.
@@ -71,45 +71,45 @@ def _on_terminal(shown: WatchScreen) -> None:
             redirect_stdout=False,
             redirect_stderr=False,
         ) as live:
-            _draw(shown, keyboard, live, console)
+            _draw(player, keyboard, live, console)
         # The last picture stays, among what was typed before and after.
         width, height = console.size
-        _print(console, shown.frame(width, height - 1, keys=False))
+        _print(console, player.frame(width, height - 1, keys=False))
 
 
-def _draw(shown: WatchScreen, keyboard: Keyboard, live: Live, console: Console) -> None:
-    drawn: object = None
+def _draw(player: WatchScreen, keyboard: Keyboard, live: Live, console: Console) -> None:
+    last_picture: object = None
     before = monotonic()
     while True:
         now = monotonic()
-        shown.advance(now - before)
+        player.advance(now - before)
         before = now
         width, height = console.size
-        lines = shown.frame(width, height, keys=keyboard.there)
+        lines = player.frame(width, height, keys=keyboard.there)
         picture = (width, height, [(line.plain, line.spans) for line in lines])
-        if picture != drawn:
+        if picture != last_picture:
             live.update(Group(*lines), refresh=True)
-            drawn = picture
-        if shown.done(keys=keyboard.there):
+            last_picture = picture
+        if player.done(keys=keyboard.there):
             return
-        if not all(map(shown.press, keyboard.wait(max(0.01, _FRAME - (monotonic() - now))))):
+        if not all(map(player.press, keyboard.wait(max(0.01, _FRAME - (monotonic() - now))))):
             return
 
 
-def _in_lines(shown: WatchScreen, say: Callable[[str], object] = print) -> None:
+def _in_lines(player: WatchScreen, say: Callable[[str], object] = print) -> None:
     said = ""
     before = monotonic()
     with Keyboard() as keyboard:
         while True:
             now = monotonic()
-            shown.advance(now - before)
+            player.advance(now - before)
             before = now
-            line, done = shown.line(), shown.done(keys=False)
+            line, is_over = player.line(), player.done(keys=False)
             if line != said:
                 say(line)
                 sys.stdout.flush()
                 said = line
-            if done:
+            if is_over:
                 return
             keyboard.wait(max(0.0, _LINE - (monotonic() - now)))
 
@@ -203,16 +203,16 @@ def keys_in(text: str) -> list[str]:
     """The keys that a terminal has sent, by name; what is not known is left out."""
     keys = []
     while text:
-        found = next((s for s in _SEQUENCES if text.startswith(s)), "")
-        if found:
-            keys.append(_SEQUENCES[found])
+        sequence = next((s for s in _SEQUENCES if text.startswith(s)), "")
+        if sequence:
+            keys.append(_SEQUENCES[sequence])
         elif text[0] != "\x1b":
-            found = text[0]
-            keys.append(found)
+            sequence = text[0]
+            keys.append(sequence)
         else:  # an escape of a key that does nothing here, up to its last letter
             end = next((i for i, c in enumerate(text[1:], 1) if c.isalpha() or c == "~"), 0)
-            found = text[: end + 1]
-        text = text[len(found) :]
+            sequence = text[: end + 1]
+        text = text[len(sequence) :]
     return keys
 
 

@@ -65,9 +65,9 @@ def _progress(sweep: SweepState, width: int, plain: bool) -> Text:
     of = "" if sweep.total is None else f" / {sweep.total}"
     begin = f"{sweep.count('done')}{of} done "
     line = Text(begin)
-    left = 0 if sweep.total is None else sweep.total - len(sweep.jobs)
+    remaining = 0 if sweep.total is None else sweep.total - len(sweep.jobs)
     words = [f"{sweep.count('running')} running", *_troubles(sweep)]
-    words += [f"{left} not begun"] if sweep.stopped and left > 0 else []
+    words += [f"{remaining} not begun"] if sweep.stopped and remaining > 0 else []
     if sweep.total:
         cells = max(4, min(60, width - len(begin) - sum(len(each) + 2 for each in words)))
         signs = {"done": "=", "failed": "!", "running": ">"} if plain else {}

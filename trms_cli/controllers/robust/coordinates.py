@@ -69,8 +69,8 @@ class ThrustDemand:
 
     def bound(self, psi_s: float) -> float:
         """Largest |ν| at a steady ψ_s, (rad/s)²; negative where even ν = 0 asks too much."""
-        moved = (1.0 - self.pole) * psi_s
-        return min(self.above - moved, self.below + moved)
+        shift = (1.0 - self.pole) * psi_s
+        return min(self.above - shift, self.below + shift)
 
     @property
     def scale(self) -> float:
@@ -250,12 +250,12 @@ class Coordinates:
             x[row] = momenta[i]
         derivative = self._at_rest(ca.vertcat(*x))
         rates = ca.vertcat(*(derivative[angle] for angle in self.rates))
-        wanted = ca.vertcat(*(z[self.kept.index(row)] for row in self.rates.values()))
+        goal_rates = ca.vertcat(*(z[self.kept.index(row)] for row in self.rates.values()))
         zero = ca.SX.zeros(len(self.rates))
         offset, slope = (
             ca.substitute(part, momenta, zero) for part in (rates, ca.jacobian(rates, momenta))
         )
-        solved = ca.solve(slope, wanted - offset)
+        solved = ca.solve(slope, goal_rates - offset)
         for i, row in enumerate(self.rates.values()):
             x[row] = solved[i]
         return ca.vertcat(*x)
@@ -265,14 +265,14 @@ class Coordinates:
         model = self.model
         u = [v[i] for i in range(model.n_u)]
         at, command, _, torque = model.symbols()
-        wanted = ca.SX.sym("wanted")
+        goal = ca.SX.sym("wanted")
         after = self.discrete.step(at, command, ca.DM(self._p), torque)
         for rotor in self.rotors:
             reached, own = after[rotor.state], command[rotor.input]
             newton = ca.Function(
                 "newton",
-                [at, command, torque, wanted],
-                [own - (reached - wanted) / ca.jacobian(reached, own)],
+                [at, command, torque, goal],
+                [own - (reached - goal) / ca.jacobian(reached, own)],
             )
             omega = _speed(v[rotor.input], self.epsilon, ca.sqrt)
             u[rotor.input] = ca.SX(0.0)
@@ -334,8 +334,8 @@ def _rates(model: Model, thrust_states: Sequence[int]) -> dict[int, int]:
         angle = model.state_index(axis.angle)
         moment = names(model.disturbances).index(axis.moment)
         on = ca.jacobian(f[angle], x).sparsity()
-        moved = [k for k in range(model.n_x) if not ca.jacobian(f[k], w[moment]).is_zero()]
-        momenta = [k for k in moved if on.has_nz(0, k) and k != angle]
+        driven_states = [k for k in range(model.n_x) if not ca.jacobian(f[k], w[moment]).is_zero()]
+        momenta = [k for k in driven_states if on.has_nz(0, k) and k != angle]
         others = [k for k in range(model.n_x) if on.has_nz(0, k) and k not in momenta]
         affine = (
             len(momenta) == 1

@@ -85,13 +85,13 @@ class Certificate:
         return bool(worst <= 1.0 + 10 * TOLERANCE)
 
     def __str__(self) -> str:
-        held = "holds" if self.stable else "FAILS"
-        kept = "kept" if self.constrained else "NOT kept"
+        decrease = "holds" if self.stable else "FAILS"
+        bounds = "kept" if self.constrained else "NOT kept"
         return (
-            f"decrease {held}: largest contraction {self.contraction:.5f}, least eigenvalue "
+            f"decrease {decrease}: largest contraction {self.contraction:.5f}, least eigenvalue "
             f"{self.residuals.min():+.1e} over {self.residuals.size} inequalities; "
             f"gamma {self.gamma:.4g} certified, {self.claimed:.4g} claimed; "
-            f"bounds {kept}: inputs {np.round(self.inputs, 3).tolist()}, "
+            f"bounds {bounds}: inputs {np.round(self.inputs, 3).tolist()}, "
             f"states {self.states.max():.3f}, state at {self.state:.4f} of the ellipsoid"
         )
 
@@ -107,8 +107,8 @@ def certify(task: Task, solution: LmiSolution) -> Certificate:
     own = np.arange(len(task.A)) % count
     root = roots[own]
     # Over all pairs of the vertex now (axis 0) and the Lyapunov matrix of the next (axis 1).
-    moved = closed @ root
-    after = np.einsum("jab,lac,jcd->jlbd", moved, inverses, moved)
+    images = closed @ root
+    after = np.einsum("jab,lac,jcd->jlbd", images, inverses, images)
     price = root @ stage @ root
     n = Q.shape[1]
     rest = np.eye(n) - after
@@ -198,7 +198,7 @@ class Inequalities:
 
         self.n, self.m, self.vertices = n, m, vertices
         self._bounded = list(bounded)
-        kept = len(self._bounded)
+        n_bounded = len(self._bounded)
         self._options = _options(solver, max_iterations)
         own = vertices if lyapunov == "parameter_dependent" else 1
         self._Q = [cp.Variable((n, n), symmetric=True) for _ in range(own)]
@@ -206,13 +206,13 @@ class Inequalities:
         self._Y = cp.Variable((m, n))
         self._gamma = cp.Variable()
         T = cp.Variable((n, n), symmetric=True)
-        self._slack = cp.Variable(m + kept, nonneg=True)
+        self._slack = cp.Variable(m + n_bounded, nonneg=True)
         self._A = [cp.Parameter((n, n)) for _ in range(vertices)]
         self._B = [cp.Parameter((n, m)) for _ in range(vertices)]
         self._C, self._R = cp.Parameter((q, n)), cp.Parameter((m, m))
         self._z = [cp.Parameter((n, 1)) for _ in range(states)]
         self._input = cp.Parameter(m, nonneg=True)
-        self._state = cp.Parameter(kept, nonneg=True) if kept else None
+        self._state = cp.Parameter(n_bounded, nonneg=True) if n_bounded else None
         self._inside = cp.Parameter((n, n), symmetric=True) if nested else None
 
         Q, G, Y = self._Q, self._G, self._Y
@@ -223,8 +223,8 @@ class Inequalities:
             one = np.ones((1, 1))
             constraints += [cp.bmat([[one, z.T], [z, Qj]]) >> 0 for z in self._z]
             if self._state is not None:
-                held = cp.hstack([Qj[i, i] for i in self._bounded])
-                constraints.append(held <= self._state + self._slack[m:])
+                diagonal = cp.hstack([Qj[i, i] for i in self._bounded])
+                constraints.append(diagonal <= self._state + self._slack[m:])
             if self._inside is not None:
                 constraints.append(self._inside - Qj >> 0)
         for j in range(vertices):

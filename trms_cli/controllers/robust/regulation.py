@@ -129,15 +129,15 @@ class Regulation:
 
     def aim(self, sample: ControlSample, previous: Aim | None, disturbance: FloatArray) -> Aim:
         """The steady state of the reference under the torques that are estimated."""
-        asked = sample.reference[-1]
+        request = sample.reference[-1]
         if (
             previous is not None
-            and np.array_equal(asked, previous.asked)
+            and np.array_equal(request, previous.asked)
             and np.array_equal(disturbance, previous.target.w)
         ):
             return previous
         last = previous.steady if previous is not None else None
-        steady = self.steady.solve(asked, disturbance, last)
+        steady = self.steady.solve(request, disturbance, last)
         message = ""
         if not steady.converged and last is not None:
             assert previous is not None
@@ -152,7 +152,7 @@ class Regulation:
         z = self.coordinates.forward(steady.x)
         target = RegulationTarget(z, self.coordinates.demand(z, steady.u), disturbance.copy())
         return Aim(
-            steady, target, message, asked.copy(), last is None or steady.asked != last.asked
+            steady, target, message, request.copy(), last is None or steady.asked != last.asked
         )
 
     def aim_at(self, reference: FloatArray) -> Aim:

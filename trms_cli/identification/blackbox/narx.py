@@ -56,20 +56,20 @@ class NarxFit:
         data = prepare_fit(self.regressors, problem, self.training)
         structure = data.structure
         network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
-        kept: Training | None = None
+        best: Training | None = None
         for start in range(self.starts):
             name = "one step" if self.starts == 1 else f"start {start + 1} of {self.starts}"
             share = 1.0 / self.starts
             watcher = training_watcher(progress, start * share, share, self.stopping, name)
             theta = _random_start(network, problem.seed + start)
-            found = data.train_one_step(network, self.training, theta, self.stopping, watcher)
-            if kept is None or _merit(found) < _merit(kept):
-                kept = found
-            if was_interrupted([Stage(name, found)]):
-                kept = replace(kept, outcome=found.outcome)
+            candidate = data.train_one_step(network, self.training, theta, self.stopping, watcher)
+            if best is None or _merit(candidate) < _merit(best):
+                best = candidate
+            if was_interrupted([Stage(name, candidate)]):
+                best = replace(best, outcome=candidate.outcome)
                 break
-        assert kept is not None
-        return fit_result("narx", problem, data, network, [Stage("one step", kept)])
+        assert best is not None
+        return fit_result("narx", problem, data, network, [Stage("one step", best)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,10 +105,10 @@ class NnoeFit:
         first = Stopping(epochs=self.first_epochs, patience=0)
         watcher = training_watcher(progress, 0.0, share, first, "one step")
         theta = _random_start(network, problem.seed)
-        found = data.train_one_step(
+        result = data.train_one_step(
             network, LevenbergMarquardt(), theta, first, watcher, self.every
         )
-        stages = [Stage("one step", found)]
+        stages = [Stage("one step", result)]
         for number, horizon in enumerate(self.horizons, start=1):
             if was_interrupted(stages):
                 break
@@ -118,7 +118,7 @@ class NnoeFit:
             name = f"{horizon:g} s"
             objective = data.simulation(network, steps, "fitted", stride, self.every)
             checked = data.simulation(network, steps, "validation") if data.validation else None
-            found = train(
+            result = train(
                 self.training,
                 objective,
                 stages[-1].training.theta,
@@ -126,7 +126,7 @@ class NnoeFit:
                 validation=checked,
                 watcher=training_watcher(progress, number * share, share, self.stopping, name),
             )
-            stages.append(Stage(name, found))
+            stages.append(Stage(name, result))
         return fit_result("nnoe", problem, data, network, stages)
 
 

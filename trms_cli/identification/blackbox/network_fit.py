@@ -230,11 +230,11 @@ def training_watcher(
     """
 
     def watch(epoch: int, loss: float, validation: float) -> None:
-        done = begin + share * min(1.0, epoch / stopping.epochs)
+        fraction = begin + share * min(1.0, epoch / stopping.epochs)
         message = f"{name}: epoch {epoch}, RMS error {np.sqrt(loss):.3g}"
         if np.isfinite(validation):
             message += f", validation {np.sqrt(validation):.3g}"
-        if not progress.update(done, loss, message):
+        if not progress.update(fraction, loss, message):
             raise KeyboardInterrupt
 
     return watch

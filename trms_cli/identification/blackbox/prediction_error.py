@@ -75,17 +75,20 @@ def sample_signals(dataset: Dataset, structure: NarxStructure, smoothing: float 
 
 
 def _columns(
-    dataset: Dataset, wanted: Sequence[str], values: FloatArray, known: Sequence[str]
+    dataset: Dataset,
+    requested_names: Sequence[str],
+    values: FloatArray,
+    recorded_names: Sequence[str],
 ) -> FloatArray:
-    for name in wanted:
-        if name not in known:
+    for name in requested_names:
+        if name not in recorded_names:
             raise RecordingError(
                 f"{name!r} is not recorded",
                 where=dataset.source,
-                remedy=f"there are: {', '.join(known)}; choose a model that has no more",
+                remedy=f"there are: {', '.join(recorded_names)}; choose a model that has no more",
             )
-    result = values[:, [list(known).index(name) for name in wanted]]
-    for name, column in zip(wanted, result.T, strict=True):
+    result = values[:, [list(recorded_names).index(name) for name in requested_names]]
+    for name, column in zip(requested_names, result.T, strict=True):
         if not np.any(np.isfinite(column)):
             raise RecordingError(
                 f"{name!r} has no sample", where=dataset.source, remedy="leave it out or record it"
@@ -345,10 +348,10 @@ class MultiStepError:
         self.network, self.structure, self.scaling = network, structure, scaling
         self.steps, self._first = steps, structure.longest_lag
         past, inputs, targets = [], [], []
-        for samples, begun in zip(recordings, starts or recordings, strict=True):
+        for samples, start in zip(recordings, starts or recordings, strict=True):
             last = len(samples) - steps
             for first in range(self._first, last + 1, stride or steps):
-                before = begun.outputs[first - self._first : first]
+                before = start.outputs[first - self._first : first]
                 after = samples.outputs[first : first + steps]
                 if np.isfinite(before).all() and np.isfinite(after).any():
                     past.append(before)

@@ -201,7 +201,7 @@ def select_columns(
     q = candidates - basis @ (basis.T @ candidates)
     rest = targets - basis @ (basis.T @ targets)
     sizes = (candidates**2).sum(axis=0)
-    chosen: list[int] = []
+    selection: list[int] = []
     for _ in range(min(units, candidates.shape[1])):
         squares = (q**2).sum(axis=0)
         usable = squares > 1e-8 * sizes  # else it is a sum of those already chosen
@@ -209,12 +209,12 @@ def select_columns(
         best = int(np.argmax(gain))
         if not gain[best] > 0:
             break
-        chosen.append(best)
+        selection.append(best)
         direction = q[:, best] / np.sqrt(squares[best])
         q = q - np.outer(direction, direction @ q)
         rest = rest - np.outer(direction, direction @ rest)
         q[:, best] = 0.0
-    return chosen
+    return selection
 
 
 def with_linear_weights(
@@ -298,13 +298,13 @@ class RadialFit:
                 widths = np.full(len(centres), self.width * np.sqrt(z.shape[1]))
             else:
                 centres, widths = dyadic(z, self.levels)
-                kept = _drawn(len(centres), _MOST_CANDIDATES, generator)
-                centres, widths = centres[kept], widths[kept]
+                draw = _drawn(len(centres), _MOST_CANDIDATES, generator)
+                centres, widths = centres[draw], widths[draw]
             family = Radial(self.kind, z.shape[1], n_out, len(centres))
             outputs = family.units(centres, widths, z[few])
             fixed = np.hstack([z[few], np.ones((len(few), 1))])
-            chosen = select_columns(outputs, targets[few], fixed, self.units)
-            centres, widths = centres[chosen], widths[chosen]
+            selection = select_columns(outputs, targets[few], fixed, self.units)
+            centres, widths = centres[selection], widths[selection]
         network = Radial(self.kind, z.shape[1], n_out, len(centres))
         return network, with_linear_weights(network, centres, widths, z, targets, self.ridge)
 

@@ -218,9 +218,9 @@ def largest_amplitudes(
                 where=f"amplitude.{name}",
                 remedy=f"from 0 to {room[i] / request.share:.3g} {model.inputs[i].unit}",
             )
-    given = np.array([request.amplitude.get(name, np.nan) for name in inputs])
-    free = np.isnan(given)
-    fixed = np.where(free, 0.0, given)
+    presets = np.array([request.amplitude.get(name, np.nan) for name in inputs])
+    free = np.isnan(presets)
+    fixed = np.where(free, 0.0, presets)
     if not trial.fits(commands(fixed)):
         raise ConfigurationError(
             "with the amplitudes given the simulated rig passes "
@@ -240,8 +240,8 @@ def largest_amplitudes(
         one[i] = room[i]
         alone[i] = room[i] * along(fixed, one)
     progress("amplitudes together")
-    wanted = np.where(free, alone, 0.0)
-    amplitude = fixed + wanted * along(fixed, wanted)
+    search_direction = np.where(free, alone, 0.0)
+    amplitude = fixed + search_direction * along(fixed, search_direction)
     weak = [i for i in np.flatnonzero(free).tolist() if amplitude[i] < LEAST_SHARE * upper[i]]
     if weak:
         name = inputs[weak[0]]
@@ -349,7 +349,7 @@ def design(
     states, outputs = played
     first = len(head)
     progress("rigs drawn from the priors")
-    drawn, lost = _drawn(model, request, whole, first)
+    prior_ranges, loss_count = _drawn(model, request, whole, first)
     return ExcitationDesign(
         model,
         np.arange(len(whole), dtype=np.float64) * request.sample_time,
@@ -363,9 +363,9 @@ def design(
         bounds,
         outputs,
         _ranges(model, [outputs[first:]]),
-        drawn,
+        prior_ranges,
         request.rigs,
-        lost,
+        loss_count,
         linearise_model(model, _at_working_speed(model, point, states[first:]), centre),
         pole_range(rough),
     )
@@ -413,15 +413,15 @@ def _operating_point(
             )
         return np.zeros(model.n_u), rest
     targets = {name: 0.5 * float(rest[model.state_index(name)]) for name in model.controlled}
-    given = request.operating_point or {}
-    for name, value in given.items():
+    angles = request.operating_point or {}
+    for name, value in angles.items():
         problem = f"model {model.name!r} controls no {name!r}"
         require_known(name, model.controlled, problem, f"operating_point.{name}")
         targets[name] = float(value)
     for name, value in targets.items():
         if not abs(value) < bounds.get(name, np.inf):
             raise ConfigurationError(
-                f"{value:.3g} rad " + ("given" if name in given else "without another one given"),
+                f"{value:.3g} rad " + ("given" if name in angles else "without another one given"),
                 where=f"operating_point.{name}",
                 remedy=f"within the bound of ±{bounds[name]:.3g} rad",
             )
@@ -457,14 +457,14 @@ def _drawn(
     }
     beyond = {name: stop if np.isfinite(stop) else 4 * np.pi for name, stop in stops.items()}
     free = Trial(model, request.sample_time, beyond, first)
-    kept, lost = [], 0
+    trajectories, loss_count = [], 0
     for number in range(request.rigs):
         played = free.play(commands, prior_seed=request.seed * 1000 + number)
         if played is None:
-            lost += 1
+            loss_count += 1
         else:
-            kept.append(played[1][first:])
-    return (_ranges(model, kept) if kept else {}), lost
+            trajectories.append(played[1][first:])
+    return (_ranges(model, trajectories) if trajectories else {}), loss_count
 
 
 def _ranges(model: Model, outputs: list[FloatArray]) -> dict[str, tuple[float, float]]:

@@ -82,12 +82,16 @@ def summary(design: ExcitationDesign, spectra: Spectra) -> dict[str, Any]:
     predicted = {}
     for i, signal in enumerate(model.outputs):
         ratio = spectra.ratio[inside, i]
-        seen = spectra.frequencies[inside][ratio > _SEEN] * 2 ** (0.5 / _BANDS_AN_OCTAVE)
+        visible_frequencies = spectra.frequencies[inside][ratio > _SEEN] * 2 ** (
+            0.5 / _BANDS_AN_OCTAVE
+        )
         predicted[signal.name] = {
             "unit": signal.unit,
             "range": list(design.ranges[signal.name]),
             "range_of_drawn_rigs": list(design.drawn_ranges.get(signal.name, ())) or None,
-            "seen_up_to_hz": min(plan.highest, float(seen.max())) if len(seen) else None,
+            "seen_up_to_hz": min(plan.highest, float(visible_frequencies.max()))
+            if len(visible_frequencies)
+            else None,
             "signal_to_noise_db": (10 * np.log10(np.maximum(ratio, 1e-30))).tolist(),
         }
     return {
@@ -131,12 +135,12 @@ def findings(
     """
     low, high = document["band_hz"]
     slow, fast = document["poles_hz"]
-    lost, drawn = document["drawn_rigs_beyond_stops"], document["drawn_rigs"]
+    loss_count, rig_count = document["drawn_rigs_beyond_stops"], document["drawn_rigs"]
     warnings = []
-    if lost:
+    if loss_count:
         warnings.append(
-            f"{lost} of {wording.count(drawn, 'rig')} drawn from the priors reach a stop: watch "
-            "the first run, or lower share"
+            f"{loss_count} of {wording.count(rig_count, 'rig')} drawn from the priors reach a "
+            "stop: watch the first run, or lower share"
         )
     chart = None if designed is None or spectra is None else excitation_chart(designed, spectra)
     sections = [Section("Inputs", (), [_inputs(document)]), _predicted(document)]
@@ -204,7 +208,7 @@ def excitation_chart(designed: ExcitationDesign, spectra: Spectra) -> Chart:
         of.over_time({name: values[name] for name in bounded}, False),
         of.input_spectra(),
         of.responses(bounded),
-        *(of.output_spectra(chosen) for chosen in (bounded, speeds) if chosen),
+        *(of.output_spectra(group) for group in (bounded, speeds) if group),
     ]
     for i, (angle, speed) in enumerate((("alpha_v", "omega_v"), ("alpha_h", "omega_h"))):
         if angle in values and speed in values:
@@ -256,9 +260,9 @@ class _Panels:
         """On logarithmic axes, with the band shaded and the poles dashed."""
         designed, spectra = self.designed, self.spectra
         poles = [Line(x=pole / (2 * np.pi), style="dashed") for pole in designed.poles]
-        known = np.concatenate([np.ravel(one) for one in values])
-        known = known[np.isfinite(known) & (known > 0)]
-        low, high = (0.5 * known.min(), 2 * known.max()) if known.size else (0.1, 1.0)
+        densities = np.concatenate([np.ravel(one) for one in values])
+        densities = densities[np.isfinite(densities) & (densities > 0)]
+        low, high = (0.5 * densities.min(), 2 * densities.max()) if densities.size else (0.1, 1.0)
         ends = [designed.plan.lowest, designed.plan.highest]
         band = Band(ends, [low, low], [high, high], "", "grey", 0.15)
         f = spectra.frequencies
@@ -267,20 +271,20 @@ class _Panels:
 
     def input_spectra(self) -> Panel:
         spectra, inputs = self.spectra, self.inputs
-        marks, shown = [], []
+        marks, densities = [], []
         for i, (colour, name) in enumerate(zip(CURVES, inputs, strict=False)):
             density = spectra.inputs[:, i]
             # below the resolution of a multisine's lines there is nothing to be shown
-            shown.append(np.where(density > 1e-6 * density.max(), density, np.nan))
-            marks.append(Curve(spectra.frequencies, shown[-1], name, colour, held=True))
+            densities.append(np.where(density > 1e-6 * density.max(), density, np.nan))
+            marks.append(Curve(spectra.frequencies, densities[-1], name, colour, held=True))
         unit = self.units[inputs[0]]
         label = f"input [{unit}²/Hz]" if unit != "1" else "input [1/Hz]"
-        return self._spectrum(label, marks, shown)
+        return self._spectrum(label, marks, densities)
 
-    def responses(self, shown: Sequence[str]) -> Panel:
+    def responses(self, output_names: Sequence[str]) -> Panel:
         spectra, inputs = self.spectra, self.inputs
         marks, values = [], []
-        for colour, output in zip(CURVES, shown, strict=False):
+        for colour, output in zip(CURVES, output_names, strict=False):
             for j, name in enumerate(inputs[:2]):
                 response = spectra.response[:, self.outputs.index(output), j]
                 if np.any(response > 1e-9):
@@ -289,14 +293,14 @@ class _Panels:
                     marks.append(Curve(spectra.frequencies, response, label, colour, style, 1.2))
                     values.append(response)
         per = "/".join({self.units[name]: None for name in inputs})
-        label = f"response [{self.units[shown[0]]}/{per}]"
+        label = f"response [{self.units[output_names[0]]}/{per}]"
         return self._spectrum(label, marks, values)
 
-    def output_spectra(self, chosen: Sequence[str]) -> Panel:
+    def output_spectra(self, output_names: Sequence[str]) -> Panel:
         spectra = self.spectra
         marks: list[Mark] = []
         values = []
-        for colour, name in zip(CURVES, chosen, strict=False):
+        for colour, name in zip(CURVES, output_names, strict=False):
             i = self.outputs.index(name)
             noise = float(spectra.noise[i])
             density = spectra.outputs[:, i]
@@ -304,7 +308,7 @@ class _Panels:
             marks.append(Curve(spectra.frequencies, density, label, colour, held=True))
             marks.append(Line(y=noise, colour=colour))
             values += [density, [noise]]
-        return self._spectrum(f"output [({self.units[chosen[0]]})²/Hz]", marks, values)
+        return self._spectrum(f"output [({self.units[output_names[0]]})²/Hz]", marks, values)
 
     def rates(self, angles: Mapping[str, Any]) -> Panel:
         designed = self.designed

@@ -37,7 +37,7 @@ class MultilevelExcitation:
         if longest is None:
             longest = min(_SHARE_OF_PERIOD / plan.lowest, 2 * plan.duration / _LEAST_HOLDS)
         longest = max(longest, shortest)
-        drawn = [
+        candidates = [
             Multilevel(
                 amplitude=1.0,
                 levels=self.levels,
@@ -47,16 +47,16 @@ class MultilevelExcitation:
             ).sample(plan.time)
             for i in range(_DRAWS if plan.inputs > 1 else 1)
         ]
-        chosen = _least_alike(drawn, plan.inputs)
-        return shape_of(chosen, shortest_s=shortest, longest_s=longest, levels=self.levels)
+        selection = _least_alike(candidates, plan.inputs)
+        return shape_of(selection, shortest_s=shortest, longest_s=longest, levels=self.levels)
 
 
-def _least_alike(drawn: list[FloatArray], count: int) -> list[FloatArray]:
+def _least_alike(candidates: list[FloatArray], count: int) -> list[FloatArray]:
     """The first signal, and of the others those with the least correlation to the ones before."""
-    chosen = drawn[:1]
-    while len(chosen) < count:
-        left = [d for d in drawn if not any(d is c for c in chosen)]
-        chosen.append(
-            min(left, key=lambda d: max(abs(float(np.corrcoef(d, c)[0, 1])) for c in chosen))
+    selection = candidates[:1]
+    while len(selection) < count:
+        rest = [d for d in candidates if not any(d is c for c in selection)]
+        selection.append(
+            min(rest, key=lambda d: max(abs(float(np.corrcoef(d, c)[0, 1])) for c in selection))
         )
-    return chosen
+    return selection

@@ -61,8 +61,8 @@ class MultisineExcitation:
                 where="excitation.periods",
                 remedy="a longer duration, fewer periods or a wider band",
             )
-        wanted = np.geomspace(first, last, self.lines * plan.inputs)
-        free = np.unique(np.round(wanted).astype(np.int64))
+        ideal_lines = np.geomspace(first, last, self.lines * plan.inputs)
+        free = np.unique(np.round(ideal_lines).astype(np.int64))
         return [free[i :: plan.inputs] for i in range(plan.inputs)]
 
 

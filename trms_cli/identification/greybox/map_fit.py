@@ -85,12 +85,12 @@ def score_covariances(slopes: FloatArray, gamma: FloatArray) -> FloatArray:
     kernel[:, : lags + 1] = gamma
     kernel[:, size - lags :] = gamma[:, :0:-1]
     density = np.fft.rfft(kernel, axis=1).real  # (n_y, frequencies)
-    found = []
+    covariances = []
     for c in range(slopes.shape[2]):
         spectrum = np.fft.rfft(slopes[:, :, c], size, axis=1)
         smooth = np.fft.irfft(spectrum * density[c][None, :, None], size, axis=1)[:, :length]
-        found.append(np.einsum("mtf,mtg->fg", slopes[:, :, c], smooth))
-    matrices = np.array(found)
+        covariances.append(np.einsum("mtf,mtg->fg", slopes[:, :, c], smooth))
+    matrices = np.array(covariances)
     return np.asarray((matrices + matrices.swapaxes(1, 2)) / 2)
 
 
@@ -121,17 +121,17 @@ class Information:
         """Curvature of the data's part of the cost, (n_f, n_f), scaled."""
         return np.asarray(np.einsum("c,cfg->fg", self.trust, self.curvature))
 
-    def covariance(self, held: BoolArray | None = None) -> FloatArray:
+    def covariance(self, is_held: BoolArray | None = None) -> FloatArray:
         """Covariance of the estimate about the truth, (n_f, n_f), in the parameters' units.
 
         ``H⁻¹ (Σ trust² M + P) H⁻¹`` with ``H = Σ trust F + P``: the sandwich of misspecified
         likelihoods (White 1982, Econometrica 50), where the prior is taken at its word: the
         truth is a draw from it. Where the residuals are as assumed it is ``H⁻¹``.
 
-        ``held``: (n_f,) array of bool or None; parameters on a bound; they get no variance and pass
-        none on.
+        ``is_held``: (n_f,) array of bool or None; parameters on a bound; they get no variance and
+        pass none on.
         """
-        free = np.ones(len(self.scales), dtype=bool) if held is None else ~held
+        free = np.ones(len(self.scales), dtype=bool) if is_held is None else ~is_held
         inner = np.ix_(free, free)
         h = (self.of_data + np.diag(self.prior))[inner]
         spread = (np.einsum("c,cfg->fg", self.trust**2, self.score) + np.diag(self.prior))[inner]
@@ -194,8 +194,8 @@ def information(objective: MapObjective, theta: FloatArray, starts: FloatArray) 
     gamma = autocovariance(score, windows.measured, max(1, int(lags)))
     count = np.maximum(windows.measured.sum(axis=(0, 1)), 1)
     white = np.einsum("mtyf,mtyg->yfg", projected * inside[..., None], projected)
-    found = score_covariances(projected, gamma)
-    floored = np.array([_at_least(*pair) for pair in zip(white, found, strict=True)])
+    covariances = score_covariances(projected, gamma)
+    floored = np.array([_at_least(*pair) for pair in zip(white, covariances, strict=True)])
     return Information(
         curvature=white,
         score=floored / windows.share,
@@ -207,17 +207,17 @@ def information(objective: MapObjective, theta: FloatArray, starts: FloatArray) 
     )
 
 
-def _at_least(white: FloatArray, found: FloatArray) -> FloatArray:
+def _at_least(white: FloatArray, estimate: FloatArray) -> FloatArray:
     """A score's covariance, no smaller in any direction than that of white residuals.
 
     Fitted starts and parameters take the slow part out of the residuals, so that their estimated
     autocorrelation errs to the small side; an interval must not profit from that.
     """
     values, vectors = np.linalg.eigh(white)
-    heard = values > _HEARD * max(float(values.max(initial=0.0)), 1e-300)
-    root = vectors[:, heard] * np.sqrt(values[heard])
-    inverse = vectors[:, heard] / np.sqrt(values[heard])
-    ratio, directions = np.linalg.eigh(inverse.T @ found @ inverse)
+    is_informed = values > _HEARD * max(float(values.max(initial=0.0)), 1e-300)
+    root = vectors[:, is_informed] * np.sqrt(values[is_informed])
+    inverse = vectors[:, is_informed] / np.sqrt(values[is_informed])
+    ratio, directions = np.linalg.eigh(inverse.T @ estimate @ inverse)
     scaled = root @ directions
     return np.asarray((scaled * np.maximum(ratio, 1.0)) @ scaled.T)
 
@@ -264,8 +264,8 @@ def identifiability(
     fisher = information.of_data
     size = np.sqrt(np.diag(fisher))
     loud = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
-    heard = np.flatnonzero(loud).tolist()
-    gram = fisher[np.ix_(heard, heard)] / np.outer(size[heard], size[heard])
+    columns = np.flatnonzero(loud).tolist()
+    gram = fisher[np.ix_(columns, columns)] / np.outer(size[columns], size[columns])
     sd = np.sqrt(np.diag(covariance))
     remaining = {
         name: float(sd[i] / information.scales[i])
@@ -278,8 +278,8 @@ def identifiability(
     silent = tuple(names[i] for i in np.flatnonzero(~loud).tolist())
     return Identifiability(
         remaining,
-        {names[i]: float(against_all[k]) for k, i in enumerate(heard)},
-        tuple(_confounded(gram, [names[i] for i in heard])),
+        {names[i]: float(against_all[k]) for k, i in enumerate(columns)},
+        tuple(_confounded(gram, [names[i] for i in columns])),
         silent,
         tuple(n for n in names if remaining.get(n, 0.0) > _UNINFORMED or n in silent),
     )
@@ -289,25 +289,25 @@ def correlations(covariance: FloatArray) -> FloatArray:
     """Correlation matrix; NaN beside a parameter without variance, its own included."""
     sd = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
-        found: FloatArray = covariance / np.outer(sd, sd)
-    return found
+        matrix: FloatArray = covariance / np.outer(sd, sd)
+    return matrix
 
 
 def _confounded(gram: FloatArray, names: Sequence[str]) -> list[CollinearSet]:
-    found: list[tuple[tuple[int, ...], float]] = []
+    results: list[tuple[tuple[int, ...], float]] = []
     for size in range(2, min(_LARGEST_SET, len(names)) + 1):
         sets = np.array(list(combinations(range(len(names)), size)))
-        for known, _ in found:  # a larger set around a known one says nothing new
-            inside = np.isin(sets, known).sum(axis=1) == len(known)
+        for subset, _ in results:  # a larger set around a known one says nothing new
+            inside = np.isin(sets, subset).sum(axis=1) == len(subset)
             sets = sets[~inside]
         if not len(sets):
             break
         least = np.linalg.eigvalsh(gram[sets[:, :, None], sets[:, None, :]])[:, 0]
         index = 1 / np.sqrt(np.maximum(least, 1e-16))
         bad = np.flatnonzero(index > COLLINEAR)
-        found += [(tuple(sets[k].tolist()), float(index[k])) for k in bad]
-    found.sort(key=lambda item: -item[1])
-    return [CollinearSet(tuple(names[i] for i in rows), index) for rows, index in found]
+        results += [(tuple(sets[k].tolist()), float(index[k])) for k in bad]
+    results.sort(key=lambda item: -item[1])
+    return [CollinearSet(tuple(names[i] for i in rows), index) for rows, index in results]
 
 
 #: First damping, in the scaled units: as strong as the priors.
@@ -365,8 +365,8 @@ def minimise(
         if promised < tolerance and damping <= _FIRST_DAMPING:
             return SearchEnd(best, FitOutcome.CONVERGED, k)
         theta = np.clip(best.theta + dtheta * objective.scales, *bounds)
-        moved = best.starts + dx * objective.windows.spread
-        cost, starts = objective.better_starts(theta, moved, best.starts)
+        trial_starts = best.starts + dx * objective.windows.spread
+        cost, starts = objective.better_starts(theta, trial_starts, best.starts)
         gained = best.cost - cost
         if gained > 0:
             small = small + 1 if gained < tolerance else 0
@@ -393,26 +393,28 @@ def step(
     scales: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """The damped parabola's minimum within bounds: changes of starts and parameters, scaled."""
-    left = eliminate_starts(quadratic, damping)
+    reduction = eliminate_starts(quadratic, damping)
     n_f = len(theta)
-    rows = np.vstack([left.factor, np.diag(quadratic.prior_root), np.sqrt(damping) * np.eye(n_f)])
-    wanted = -np.concatenate([left.residual, quadratic.prior_gap, np.zeros(n_f)])
+    rows = np.vstack(
+        [reduction.factor, np.diag(quadratic.prior_root), np.sqrt(damping) * np.eye(n_f)]
+    )
+    target = -np.concatenate([reduction.residual, quadratic.prior_gap, np.zeros(n_f)])
     low, high = (bounds[0] - theta) / scales, (bounds[1] - theta) / scales
-    dtheta = bounded_least_squares(rows, wanted, low, high)
-    return left.starts(dtheta), dtheta
+    dtheta = bounded_least_squares(rows, target, low, high)
+    return reduction.starts(dtheta), dtheta
 
 
 def bounded_least_squares(
-    rows: FloatArray, wanted: FloatArray, low: FloatArray, high: FloatArray
+    rows: FloatArray, target: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """``min |rows·x − wanted|²`` with ``low ≤ x ≤ high``; held where the two are equal."""
+    """``min |rows·x − target|²`` with ``low ≤ x ≤ high``; held where the two are equal."""
     x = np.zeros(rows.shape[1])
-    held = low == high
-    x[held] = low[held]
-    free = ~held
+    is_held = low == high
+    x[is_held] = low[is_held]
+    free = ~is_held
     if not free.any():
         return x
-    a, b = rows[:, free], wanted - rows[:, held] @ x[held]
+    a, b = rows[:, free], target - rows[:, is_held] @ x[is_held]
     inner, *_ = np.linalg.lstsq(a, b, rcond=None)
     if ((inner < low[free]) | (inner > high[free])).any():
         from scipy.optimize import lsq_linear  # 0.4 s to import, and seldom needed
@@ -485,7 +487,7 @@ def fit_from(
     if not np.isfinite(point.cost):
         return MapFit(point, FitOutcome.FAILED, objective, None, 0)
     objective.weights = fit_weights(objective, point, None)
-    known, done, outcome = None, 0, FitOutcome.CONVERGED
+    last_information, steps, outcome = None, 0, FitOutcome.CONVERGED
     for round_ in range(_ROUNDS):
         objective.joined = joints[min(round_, len(joints) - 1)]
         search = minimise(
@@ -494,14 +496,14 @@ def fit_from(
             bounds=bounds,
             iterations=_ROUND_ITERATIONS,
             tolerance=_ROUND_TOLERANCE,
-            watch=lambda k, at, done=done: watch(done + k, at),  # type: ignore[misc]
+            watch=lambda k, at, steps=steps: watch(steps + k, at),  # type: ignore[misc]
         )
-        point, done = search.point, done + search.iterations
+        point, steps = search.point, steps + search.iterations
         if search.outcome is FitOutcome.INTERRUPTED:
             outcome = search.outcome
             break
-        known = information(objective, point.theta, point.starts)
-        weights = fit_weights(objective, point, known)
+        last_information = information(objective, point.theta, point.starts)
+        weights = fit_weights(objective, point, last_information)
         before, objective.weights = objective.weights, weights
         scale = before.sd / weights.sd * np.sqrt(before.samples / weights.samples)
         if np.max(np.abs(np.log(scale))) < _SETTLED and round_ + 1 >= len(joints):
@@ -513,11 +515,11 @@ def fit_from(
             bounds=bounds,
             iterations=settings.iterations,
             tolerance=settings.tolerance,
-            watch=lambda k, at: watch(done + k, at),
+            watch=lambda k, at: watch(steps + k, at),
         )
-        point, outcome, done = search.point, search.outcome, done + search.iterations
-    known = information(objective, point.theta, point.starts)
-    return MapFit(point, outcome, objective, known, done)
+        point, outcome, steps = search.point, search.outcome, steps + search.iterations
+    last_information = information(objective, point.theta, point.starts)
+    return MapFit(point, outcome, objective, last_information, steps)
 
 
 def _joints(last: float | None) -> list[float | None]:
@@ -532,36 +534,36 @@ def _joints(last: float | None) -> list[float | None]:
 
 def with_fitted_starts(objective: MapObjective, theta: FloatArray, starts: FloatArray) -> Point:
     """The parameters as they are, with the starts that fit best to them."""
-    held = (theta, theta)
+    fixed_bounds = (theta, theta)
     best = Point(theta, starts, objective.cost(theta, starts))
     for _ in range(_START_STEPS):
         _, quadratic, residuals = objective.parabola(theta, best.starts)
         if not residuals.finite:
             break
-        dx, _ = step(quadratic, 1e-6, theta, held, objective.scales)
-        tried = best.starts + dx * objective.windows.spread
-        cost = objective.cost(theta, tried)
+        dx, _ = step(quadratic, 1e-6, theta, fixed_bounds, objective.scales)
+        trial = best.starts + dx * objective.windows.spread
+        cost = objective.cost(theta, trial)
         if not cost < best.cost:
             break
-        gained, best = best.cost - cost, Point(theta, tried, cost)
+        gained, best = best.cost - cost, Point(theta, trial, cost)
         if gained < 1e-3 * cost:
             break
     return best
 
 
 def fit_weights(
-    objective: MapObjective, point: Point, known: Information | None
+    objective: MapObjective, point: Point, information: Information | None
 ) -> ResidualWeights:
     """Weights that fit the residuals at a point; see :class:`ResidualWeights`."""
     windows, problem = objective.windows, objective.windows.problem
-    if problem.discrepancy == "none" and known is not None:
+    if problem.discrepancy == "none" and information is not None:
         return _declared(windows)
     p = problem.all_values(point.theta)
     r = windows.residuals(p, point.starts).r
     size = np.maximum(1.0, sizes(r, windows.measured, windows.declared))
     samples = objective.weights.samples
-    if known is not None:
-        samples = np.maximum(1.0, known.samples_per_sample())
+    if information is not None:
+        samples = np.maximum(1.0, information.samples_per_sample())
     return ResidualWeights(windows.declared * size, samples, windows.share, problem.robust)
 
 
@@ -619,24 +621,24 @@ def profile(
                 break
             theta = point.theta.copy()
             theta[column] = value
-            held = (low.copy(), high.copy())
-            held[0][column] = held[1][column] = value
-            found = minimise(
+            fixed_bounds = (low.copy(), high.copy())
+            fixed_bounds[0][column] = fixed_bounds[1][column] = value
+            minimum = minimise(
                 objective,
                 point._replace(theta=theta),
-                bounds=held,
+                bounds=fixed_bounds,
                 iterations=_ITERATIONS,
                 tolerance=_TOLERANCE,
                 watch=watch,
             ).point
-            rise = factor * (found.cost - best.cost)
+            rise = factor * (minimum.cost - best.cost)
             before = factor * (point.cost - best.cost)
             if before < _RISE_95 <= rise:
                 share = _root_share(before, rise)
                 end = float(point.theta[column] + share * (value - point.theta[column]))
             values.append(value)
             rises.append(rise)
-            point = found
+            point = minimum
             if not np.isfinite(rise) or rise > _FOLLOWED * _RISE_95:
                 break
             if rise < 0.25 * _RISE_95:  # flat: longer strides

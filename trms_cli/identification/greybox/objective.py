@@ -94,12 +94,12 @@ def sizes(r: FloatArray, measured: BoolArray, declared: FloatArray) -> FloatArra
     ``r``, ``measured``: (m, c, n_y) arrays. ``declared``: (m, n_y) array.
     """
     z = np.abs(r / declared[:, None])
-    found = np.ones(r.shape[2])
+    ratios = np.ones(r.shape[2])
     for i in range(r.shape[2]):
         here = z[..., i][measured[..., i]]
         if len(here):
-            found[i] = np.sqrt(np.mean(np.minimum(here, np.quantile(here, 0.99)) ** 2))
-    return found
+            ratios[i] = np.sqrt(np.mean(np.minimum(here, np.quantile(here, 0.99)) ** 2))
+    return ratios
 
 
 #: Entries of a matrix that is factorised in one piece.
@@ -212,21 +212,21 @@ def eliminate_starts(quadratic: Quadratic, damping: float) -> ReducedQuadratic:
     columns = quadratic.triangles.shape[2]
     stacked = quadratic.rows
     if damping > 0:
-        held = np.zeros((m, n, columns))
-        held[:, :, :n] = np.sqrt(damping) * np.eye(n)
-        stacked = np.concatenate([stacked, held], axis=1)
+        damping_rows = np.zeros((m, n, columns))
+        damping_rows[:, :, :n] = np.sqrt(damping) * np.eye(n)
+        stacked = np.concatenate([stacked, damping_rows], axis=1)
     if quadratic.joint is not None:
         return _along_chains(quadratic.joint, stacked, n)
     whole = _triangle(stacked)
-    left = whole[:, n:, n:].reshape(-1, columns - n)
+    remainder = whole[:, n:, n:].reshape(-1, columns - n)
     back = _solved(whole[:, :n, :n], whole[:, :n, n:])
-    return ReducedQuadratic(*_compact(left), back[..., :-1], back[..., -1])
+    return ReducedQuadratic(*_compact(remainder), back[..., :-1], back[..., -1])
 
 
 def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> ReducedQuadratic:
     m, _, columns = stacked.shape
     n_f = columns - n - 1
-    left, carried = [], np.zeros((0, columns))
+    remainders, carried = [], np.zeros((0, columns))
     pivots: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for j in range(m):
         last = j + 1 == m or not joint.follows[j + 1]
@@ -246,7 +246,7 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> ReducedQuadratic
         pivots.append((solved[:, :n], solved[:, n:-1], solved[:, -1]))
         rest = whole[n:, n:]
         if last:
-            left.append(rest[:, n:])
+            remainders.append(rest[:, n:])
             carried = np.zeros((0, columns))
         else:
             carried = rest
@@ -257,7 +257,7 @@ def _along_chains(joint: Joint, stacked: FloatArray, n: int) -> ReducedQuadratic
         if j + 1 < m and joint.follows[j + 1]:
             to_starts[j] += in_next @ to_starts[j + 1]
             at_zero[j] += in_next @ at_zero[j + 1]
-    return ReducedQuadratic(*_compact(np.vstack(left)), to_starts, at_zero)
+    return ReducedQuadratic(*_compact(np.vstack(remainders)), to_starts, at_zero)
 
 
 def _triangle(rows: FloatArray) -> FloatArray:
@@ -326,9 +326,9 @@ class PosteriorObjective(ABC):
         windows need not fail because one start fell on the wrong side.
         """
         parts = np.array([self.by_window(theta, starts) for starts in (one, other)])
-        chosen = np.argmin(parts, axis=0)
+        choice = np.argmin(parts, axis=0)
         total = float(parts.min(axis=0).sum()) + self.of_parameters(theta)
-        return total, np.where((chosen == 0)[:, None], one, other)
+        return total, np.where((choice == 0)[:, None], one, other)
 
     def of_parameters(self, theta: FloatArray) -> float:
         """What the priors of the parameters add, nats."""

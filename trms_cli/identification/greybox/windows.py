@@ -84,9 +84,11 @@ class StartEstimator:
         )
         self._values, self._rates = _polynomials(dataset, first)
         self._kinematics = _Kinematics(model, {model.state_names[i] for i in self._rows})
-        seen = {s.name: float(v) for s, v in zip(dataset.outputs, self._values[0], strict=True)}
+        first_values = {
+            s.name: float(v) for s, v in zip(dataset.outputs, self._values[0], strict=True)
+        }
         command = dataset.commands[0]
-        self._opening = rollout.initial(resting_state(model, seen, command), command)
+        self._opening = rollout.initial(resting_state(model, first_values, command), command)
         measured = bool(np.isfinite(self._values[:, self._columns]).all())
         #: Whether all that is put right at the starts follows from the measurements there alone
         self._at_once = (
@@ -108,8 +110,8 @@ class StartEstimator:
                 state, slopes = _carried(rollout, self._commands, (at, sample), state, slopes, p)
                 at = int(sample)
             state = state.copy()
-            known = np.isfinite(self._values[j, self._columns])
-            columns, rows = np.array(self._columns, dtype=int)[known], self._rows[known]
+            is_measured = np.isfinite(self._values[j, self._columns])
+            columns, rows = np.array(self._columns, dtype=int)[is_measured], self._rows[is_measured]
             state[rows] = self._values[j, columns]
             moving = {
                 model.state_names[row]: float(self._rates[j, column])
@@ -125,11 +127,13 @@ class StartEstimator:
         m, momenta = len(self._first), self._kinematics.momenta
         states = np.full((m, rollout.n_x), np.nan)
         states[:, self._rows] = self._values[:, self._columns]
-        known = np.tile(self._opening[:n], (m, 1))
-        known[:, self._rows] = states[:, self._rows]
+        full_states = np.tile(self._opening[:n], (m, 1))
+        full_states[:, self._rows] = states[:, self._rows]
         moving = dict(zip(self._rows.tolist(), self._rates[:, self._columns].T, strict=True))
-        known = self._kinematics.with_all_rates(known, self._commands[self._first], moving, p)
-        states[:, momenta] = known[:, momenta]
+        full_states = self._kinematics.with_all_rates(
+            full_states, self._commands[self._first], moving, p
+        )
+        states[:, momenta] = full_states[:, momenta]
         no_slopes = np.zeros((m, rollout.n_x - rollout.n_free, len(rollout.free)))
         if np.isfinite(states).all():
             return Starts(states, no_slopes)
@@ -225,13 +229,13 @@ class _Kinematics:
         ``rates``: (m,) arrays of the states that are measured.
         """
         m, angles = len(x), self._angles
-        given = np.repeat(p[:, None], m, axis=1), np.zeros((self._model.n_w, m))
-        values = self._function.map(m)(x.T, u.T, *given)
+        arguments = np.repeat(p[:, None], m, axis=1), np.zeros((self._model.n_w, m))
+        values = self._function.map(m)(x.T, u.T, *arguments)
         now, slope = (np.asarray(ca.DM(value).full()) for value in values)
         slopes = slope.T.reshape(m, len(angles), len(angles)).swapaxes(1, 2)
-        wanted = np.array([rates[row] for row in angles]) - now
+        gaps = np.array([rates[row] for row in angles]) - now
         after = x.copy()
-        after[:, self._momenta] += np.linalg.solve(slopes, wanted.T[..., None])[..., 0]
+        after[:, self._momenta] += np.linalg.solve(slopes, gaps.T[..., None])[..., 0]
         return after
 
     def with_rates(
@@ -242,14 +246,14 @@ class _Kinematics:
         rows = [k for k, name in enumerate(names_) if name in rates]
         if not rows or not self._momenta:
             return x
-        wanted = np.array([rates[names_[k]] for k in rows])
+        goal_rates = np.array([rates[names_[k]] for k in rows])
         with self._one_at_a_time:
             now, slope = (
                 np.reshape(value, (len(self._angles), -1))[rows]
                 for value in self._rate.evaluate(x, u, p, np.zeros(self._model.n_w))
             )
         # The rates are linear in the momenta.
-        change, *_ = np.linalg.lstsq(slope, wanted - now[:, 0], rcond=None)
+        change, *_ = np.linalg.lstsq(slope, goal_rates - now[:, 0], rcond=None)
         after = x.copy()
         after[self._momenta] += change
         return after

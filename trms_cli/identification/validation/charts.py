@@ -113,12 +113,12 @@ def free_run_chart(validations: Sequence[ModelValidation]) -> Chart:
             dataset = dataset or own
             column = windows.channels.index(channel)
             values = np.full(len(own), np.nan)
-            chosen = _one_after_another(windows.first, windows.errors.shape[1])
-            for k in chosen:
+            selection = _one_after_another(windows.first, windows.errors.shape[1])
+            for k in selection:
                 at = slice(windows.first[k], windows.first[k] + windows.errors.shape[1])
                 values[at] = (windows.measured - windows.errors)[k, :, column]
             values = np.where(np.isfinite(values), values, np.nan)
-            starts = own.time[windows.first[chosen]]
+            starts = own.time[windows.first[selection]]
             simulations.append(values)
             runs.append(Curve(own.time, values, validation.name, _colour(i), width=0.9))
             error = own.output(channel) - values
@@ -129,10 +129,10 @@ def free_run_chart(validations: Sequence[ModelValidation]) -> Chart:
         lines = [Line(x=float(start), colour="pale", style="solid") for start in starts]
         marks = [*lines, Curve(time, measured, "measured", "grey", width=2.2), *runs]
         x = Axis("time", "s", (float(time[0]), float(time[-1])))
-        shown = wording.unit(unit)
+        unit_label = wording.unit(unit)
         limits = near(measured, simulations, 0.6)
-        panels.append(Panel(x, Axis(wording.signal(channel), shown, limits), marks))
-        panels.append(Panel(x, Axis("error", shown), [*lines, *errors], row_height=0.6))
+        panels.append(Panel(x, Axis(wording.signal(channel), unit_label, limits), marks))
+        panels.append(Panel(x, Axis("error", unit_label), [*lines, *errors], row_height=0.6))
     return Chart(
         "free_runs",
         panels,
@@ -147,11 +147,11 @@ def free_run_chart(validations: Sequence[ModelValidation]) -> Chart:
 
 def _one_after_another(first: np.ndarray, length: int) -> list[int]:
     """Windows that do not overlap, from the first on."""
-    chosen: list[int] = []
+    selection: list[int] = []
     for i, begin in enumerate(first):
-        if not chosen or begin >= first[chosen[-1]] + length:
-            chosen.append(i)
-    return chosen
+        if not selection or begin >= first[selection[-1]] + length:
+            selection.append(i)
+    return selection
 
 
 def region_chart(validations: Sequence[ModelValidation]) -> Chart | None:
@@ -208,9 +208,9 @@ def correlation_chart(
     for signal in validation.channels:
         tests = [t for t in validation.tests.of(signal.name) if t.kind in _DRAWN]
         tests.sort(key=lambda t: list(_DRAWN).index(t.kind))
-        drawn = [t for t in tests if not np.isnan(t.result.correlations).all()]
-        if drawn and (channels is None or signal.name in channels):
-            rows[signal.name] = drawn
+        finite_tests = [t for t in tests if not np.isnan(t.result.correlations).all()]
+        if finite_tests and (channels is None or signal.name in channels):
+            rows[signal.name] = finite_tests
     if not rows:
         return None
     columns = max(len(tests) for tests in rows.values())

@@ -234,14 +234,14 @@ def _ratios(
     other: Mapping[tuple[str, float], metrics.BlockSums],
     seed: int,
 ) -> dict[str, dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = {}
+    ratios: dict[str, dict[str, Any]] = {}
     for channel, horizon in one:
         interval = metrics.ratio_interval(one[channel, horizon], other[channel, horizon], seed)
-        found.setdefault(channel, {})[_key(horizon)] = {
+        ratios.setdefault(channel, {})[_key(horizon)] = {
             "ratio": interval.value,
             "ci95": interval.ends,
         }
-    return found
+    return ratios
 
 
 def _key(horizon: float) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from trms_cli.core import findings as report
 from trms_cli.core import wording
 from trms_cli.core.invocation import command_line
-from trms_cli.identification.admission import Issue
+from trms_cli.identification.admission.issues import Issue
 from trms_cli.identification.validation import charts
 from trms_cli.identification.validation.metrics import characteristics_of
 from trms_cli.identification.validation.residual_tests import p_words
@@ -270,9 +270,9 @@ def _tests(
         else "from the limit of long recordings, valid for any input and in closed loop"
     )
     blocks: list[report.Block] = [_test_table(name, of) for name, of in models.items()]
-    drawn = {v.name: charts.correlation_chart(v) for v in validations}
-    blocks += [chart for chart in drawn.values() if chart is not None]
-    short = [name for name, chart in drawn.items() if chart is None]
+    charts_by_model = {v.name: charts.correlation_chart(v) for v in validations}
+    blocks += [chart for chart in charts_by_model.values() if chart is not None]
+    short = [name for name, chart in charts_by_model.items() if chart is None]
     return report.Section(
         "Residual tests",
         [
@@ -292,8 +292,8 @@ def _test_table(name: str, of: Document) -> report.Table:
     rows: list[list[report.Cell]] = []
     for test in dict.fromkeys(key[1] for key in by_place):
         own = [by_place.get((channel, test)) for channel in channels]
-        known = [one for one in own if one is not None and one["p_holm"] is not None]
-        meaning, formula = (known[-1]["meaning"], known[-1]["formula"]) if known else ("", "")
+        results = [one for one in own if one is not None and one["p_holm"] is not None]
+        meaning, formula = (results[-1]["meaning"], results[-1]["formula"]) if results else ("", "")
         rows.append([formula, *map(_p_value, own), meaning])
     heads = ["test", *(word(channel) for channel in channels), "if it fails"]
     count = of["residual_tests"]["count"]
@@ -312,12 +312,12 @@ def _p_value(test: Document | None) -> report.Cell:
 
 def _predictor(of: Document) -> str:
     orders = of["residual_tests"]["whitening_order"]
-    taken = ", ".join(f"{word(c)} {order}" for c, order in orders.items() if order)
+    order_words = ", ".join(f"{word(c)} {order}" for c, order in orders.items() if order)
     text = f"Predictor: {of['predictor']}."
-    if taken:
+    if order_words:
         text += (
-            f" An autoregression (order: {taken}) was taken out before all tests but the first "
-            "two of correlation in time."
+            f" An autoregression (order: {order_words}) was taken out before all tests but the "
+            "first two of correlation in time."
         )
     return text
 
@@ -370,9 +370,9 @@ def _method(document: Document, models: Mapping[str, Document]) -> report.Sectio
         "Where a test or an interval does not exist, there is a dash. All figures are in "
         "validation.json beside this page.",
     ]
-    left = document["left_out_horizons_s"]
-    if left:
-        listed = ", ".join(f"{horizon:g} s" for horizon in left)
+    omissions = document["left_out_horizons_s"]
+    if omissions:
+        listed = ", ".join(f"{horizon:g} s" for horizon in omissions)
         items.append(f"Horizons that do not fit the recording: {listed}.")
     return report.Section(
         "How it was made", (), [report.Remarks(items, on_screen=False)], folded=True
@@ -447,8 +447,8 @@ def _lead_of_several(document: Document) -> list[str]:
     best = ranking[0]
     if best["relative_error"] is None:
         return ["None of the models can be ranked: no error is finite, or nothing moves."]
-    wanted = [best["model"], ranking[1]["model"]]
-    against = next((pair for pair in document["comparison"] if pair["models"] == wanted), None)
+    best_two = [best["model"], ranking[1]["model"]]
+    against = next((pair for pair in document["comparison"] if pair["models"] == best_two), None)
     sentences = []
     lasting = document["models"][best["model"]]
     horizon = _last(lasting)
@@ -495,19 +495,19 @@ def remarks_on(document: Document) -> list[report.Datum]:
 def _on_errors(document: Document) -> Iterator[report.Datum]:
     for channel, rows in document["by_horizon"].items():
         unit = document["units"][channel]
-        chosen = list(rows)[-2:]
+        horizons = list(rows)[-2:]
         errors = wording.listing(
-            [f"{quantity_words(rows[h]['rms'], unit)} over {float(h):g} s" for h in chosen]
+            [f"{quantity_words(rows[h]['rms'], unit)} over {float(h):g} s" for h in horizons]
         )
-        naive = wording.listing([quantity_words(rows[h]["unchanged_rms"], unit) for h in chosen])
-        grades = [_grade(document, channel, rows[h]) for h in chosen]
+        naive = wording.listing([quantity_words(rows[h]["unchanged_rms"], unit) for h in horizons])
+        grades = [_grade(document, channel, rows[h]) for h in horizons]
         judgement: report.Judgement = "doubtful"
         if "bad" in grades:
             judgement = "bad"
         elif "useful" not in grades:
             judgement = "good"
         text = f"**{word(channel)}**: {errors}; predicting no change errs by {naive}"
-        fit = rows[chosen[-1]]["fit_percent"]
+        fit = rows[horizons[-1]]["fit_percent"]
         if fit is not None:
             text += f"; fit {fit:.0f} %".replace("-", "−")
         if set(grades) == {"noise"}:
@@ -562,16 +562,16 @@ def _on_tests(document: Document) -> Iterator[report.Datum]:
     for test in failed:
         if test["name"] not in _WHITENESS:
             groups.setdefault((test["channel"], test["meaning"]), []).append(test)
-    for (channel, meaning), found in list(groups.items())[:_MOST_TESTS]:
-        inputs = [" × ".join(word(name) for name in test["inputs"]) for test in found]
+    for (channel, meaning), failures in list(groups.items())[:_MOST_TESTS]:
+        inputs = [" × ".join(word(name) for name in test["inputs"]) for test in failures]
         of = f" ({wording.listing(inputs)})" if any(inputs) else ""
         size = ""
-        if found[0]["name"] != "mean":
-            largest = max(abs(test["largest_correlation"] or 0.0) for test in found)
+        if failures[0]["name"] != "mean":
+            largest = max(abs(test["largest_correlation"] or 0.0) for test in failures)
             size = f" correlation up to {largest:.2f},"
-        p = p_words(found[0]["p_holm"])
+        p = p_words(failures[0]["p_holm"])
         yield report.Datum(f"**{word(channel)}**: {meaning}{of};{size} {p}.", "bad")
-    rest = sum(len(found) for found in list(groups.values())[_MOST_TESTS:])
+    rest = sum(len(failures) for failures in list(groups.values())[_MOST_TESTS:])
     if rest:
         yield report.Datum(f"{rest} more tests fail: see the table.", "bad")
 
@@ -583,15 +583,15 @@ def _on_regions(document: Document) -> Iterator[report.Datum]:
         row = rows.get(repr(float(horizon)))
         if row is None or _grade(document, channel, row) == "noise":
             continue
-        found = [
+        quarters = [
             (share, low, high, time, table["variable"])
             for table in document["regions"]["tables"]
             if table["channel"] == channel
             for low, high, time, share in [worst_quarter(table)]
         ]
-        if not found:
+        if not quarters:
             continue
-        share, low, high, time, variable = max(found)
+        share, low, high, time, variable = max(quarters)
         if share >= max(_CONCENTRATED, 1.5 * time):
             unit = document["units"].get(variable, "")
             yield report.Datum(

@@ -176,8 +176,8 @@ def mean_log_ratio(
     logs = np.zeros(len(draws))
     for key in keys:
         # blocks that only shorter horizons reach are taken from the same places, wrapped
-        chosen = draws % blocks[key]
-        a, b = (_rms_of_draws(x[key], chosen) for x in (one, other))
+        indices = draws % blocks[key]
+        a, b = (_rms_of_draws(x[key], indices) for x in (one, other))
         with np.errstate(divide="ignore", invalid="ignore"):
             logs += np.log(a / b) / len(keys)
     lower, upper = np.exp(np.nanquantile(logs, [0.025, 0.975]))
@@ -195,11 +195,11 @@ def _interval(
         return BootstrapInterval(value, np.nan, np.nan)
     draws = _draws(blocks, seed)
     with np.errstate(divide="ignore", invalid="ignore"):
-        drawn = figure([_rms_of_draws(each, draws) for each in sums])
-    drawn = drawn[np.isfinite(drawn)]
-    if not drawn.size:
+        samples = figure([_rms_of_draws(each, draws) for each in sums])
+    samples = samples[np.isfinite(samples)]
+    if not samples.size:
         return BootstrapInterval(value, np.nan, np.nan)
-    lower, upper = np.quantile(drawn, [0.025, 0.975])
+    lower, upper = np.quantile(samples, [0.025, 0.975])
     return BootstrapInterval(value, float(lower), float(upper))
 
 
@@ -254,12 +254,12 @@ def region_tables(
 def _table(
     channel: str, variable: str, error: FloatArray, values: FloatArray, edges: FloatArray
 ) -> RegionTable | None:
-    known = np.isfinite(error) & ~np.isnan(values)
-    square = error[known] ** 2
+    is_valid = np.isfinite(error) & ~np.isnan(values)
+    square = error[is_valid] ** 2
     if not square.size or not np.isfinite(square.sum()) or not square.sum() > 0:
         return None
     n = len(edges) - 1
-    bin_of = np.clip(np.searchsorted(edges, values[known], side="right") - 1, 0, n - 1)
+    bin_of = np.clip(np.searchsorted(edges, values[is_valid], side="right") - 1, 0, n - 1)
     counts = np.bincount(bin_of, minlength=n).astype(float)
     sums = np.bincount(bin_of, square, minlength=n)
     if np.any(counts == 0):
@@ -419,7 +419,7 @@ def characteristics(
         share = np.cumsum(density.density) / density.density.sum()
         edge = float(density.frequencies[int(np.searchsorted(share, 0.95))])
     counts, edges = np.histogram(present, bins=_HISTOGRAM_BINS)
-    shown = len(r) if np.isnan(time) else min(len(r), max(20, round(10 * time / sample_time)))
+    lag_count = len(r) if np.isnan(time) else min(len(r), max(20, round(10 * time / sample_time)))
     return Characteristics(
         name,
         unit,
@@ -438,7 +438,7 @@ def characteristics(
         reverse_arrangements(parts_of(values - mean, lambda part: np.nanmean(part**2))),
         counts.astype(float),
         edges,
-        r[:shown],
+        r[:lag_count],
     )
 
 
@@ -448,8 +448,8 @@ def characteristics_of(dataset: Dataset) -> list[Characteristics]:
         *zip(dataset.outputs, dataset.measurements.T, strict=True),
         *zip(dataset.inputs, dataset.commands.T, strict=True),
     ]
-    found = [characteristics(s.name, s.unit, y, dataset.sample_time) for s, y in columns]
-    return [signal for signal in found if signal.samples]
+    results = [characteristics(s.name, s.unit, y, dataset.sample_time) for s, y in columns]
+    return [signal for signal in results if signal.samples]
 
 
 def autocorrelation(values: FloatArray) -> FloatArray:
@@ -457,10 +457,10 @@ def autocorrelation(values: FloatArray) -> FloatArray:
     from scipy.signal import correlate
 
     centred = values - np.nanmean(values)
-    known = ~np.isnan(centred)
-    centred = np.where(known, centred, 0.0)
+    is_present = ~np.isnan(centred)
+    centred = np.where(is_present, centred, 0.0)
     n = len(values)
-    pairs = correlate(known.astype(float), known.astype(float), method="fft")[n - 1 :]
+    pairs = correlate(is_present.astype(float), is_present.astype(float), method="fft")[n - 1 :]
     sums = correlate(centred, centred, method="fft")[n - 1 :]
     half = max(1, n // 2)
     pairs = np.maximum(np.round(pairs[:half]), 1.0)

@@ -108,10 +108,10 @@ def moment_test(
     values, vectors = np.linalg.eigh(
         second[np.ix_(varying, varying)] / np.outer(spread[varying], spread[varying])
     )
-    kept = values > _LEAST_SHARE
-    along = vectors[:, kept].T @ scaled
-    statistic = float(n * np.sum(along**2 / values[kept]))
-    degrees = int(np.count_nonzero(kept))
+    is_large = values > _LEAST_SHARE
+    along = vectors[:, is_large].T @ scaled
+    statistic = float(n * np.sum(along**2 / values[is_large]))
+    degrees = int(np.count_nonzero(is_large))
     return MomentTest(
         all_lags, correlations, errors, statistic, degrees, chi2_tail(statistic, degrees)
     )
@@ -375,16 +375,16 @@ def _of_channel(
     def test(kind: str, formula: str, result: MomentTest, *names: str) -> ResidualTest:
         return ResidualTest(channel, kind, names, formula, result)
 
-    found = [
+    tests = [
         test("mean", "E[ξ]", mean_test(residual)),
         test("auto", "φ_ξξ", moment_test(raw, raw, near)),
         test("ljung_box", "Q of φ_ξξ", ljung_box(raw, lags)),
     ]
     if others:
-        found.append(test("other", "φ_ξ'ξ", moment_test(residual, others, _FEW)))
+        tests.append(test("other", "φ_ξ'ξ", moment_test(residual, others, _FEW)))
     squares = {name: _centred(u) ** 2 for name, u in inputs.items()}
     for name, u in inputs.items():
-        found += [
+        tests += [
             test("input", f"φ_uξ, {name}", moment_test(residual, u, far), name),
             test("square", f"φ_u²'ξ, {name}", moment_test(residual, squares[name], far), name),
             test(
@@ -400,11 +400,11 @@ def _of_channel(
         ]
     for one, two in combinations(inputs, 2):
         product = _centred(inputs[one]) * _centred(inputs[two])
-        found.append(
+        tests.append(
             test("product", f"φ_(uu)'ξ, {one}·{two}", moment_test(residual, product, far), one, two)
         )
-    found.append(test("output_error", "φ_(yξ)ξ²", moment_test(with_output, centred**2, far)))
-    return found
+    tests.append(test("output_error", "φ_(yξ)ξ²", moment_test(with_output, centred**2, far)))
+    return tests
 
 
 #: Lags at which the other channels' residuals are looked at.

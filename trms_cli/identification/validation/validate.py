@@ -262,8 +262,8 @@ class OneStepFilter:
             values[...] = initial
         state.started = False
         for name, factor in factors.items():
-            chosen = self._group == name
-            self._variances[chosen] = factor**2 * self._nominal[chosen]
+            is_member = self._group == name
+            self._variances[is_member] = factor**2 * self._nominal[is_member]
         n, n_y = measurements.shape
         innovations, sd = np.empty((n, n_y)), np.empty((n, n_y))
         states = np.empty((n, self._n_x))
@@ -327,21 +327,21 @@ def common_windows(
     """
     step = dataset.sample_time
     stride = max(1, round(options.windows.stride / step))
-    found = {}
+    first_samples = {}
     for horizon in options.horizons:
         last = len(dataset) - samples_of(horizon, step)
         first = np.arange(lead, last + 1, stride, dtype=np.int64)
         if first.size and horizon >= 0.5 * step:
-            found[horizon] = first
-    if not found:
-        needed = lead * step + options.horizons[0]
+            first_samples[horizon] = first
+    if not first_samples:
+        minimum = lead * step + options.horizons[0]
         raise ConfigurationError(
-            f"{dataset.source} lasts {dataset.duration:.3g} s, and {needed:.3g} s are needed: "
+            f"{dataset.source} lasts {dataset.duration:.3g} s, and {minimum:.3g} s are needed: "
             f"{lead * step:.3g} s to estimate a start from, then the shortest horizon",
             where="real",
             remedy="give a longer recording, or shorten windows.history and horizons",
         )
-    return found
+    return first_samples
 
 
 def lead_samples(models: Sequence[Model], dataset: Dataset, options: ValidationOptions) -> int:
@@ -402,9 +402,13 @@ def _errors(
 ) -> metrics.WindowErrors:
     simulated = simulated_windows(rollout, dataset, first, samples, starts)
     measured = dataset.measurements[first[:, None] + np.arange(samples)]
-    known = _filled(dataset.measurements)[np.maximum(first - 1, 0)]
+    last_values = _filled(dataset.measurements)[np.maximum(first - 1, 0)]
     return metrics.WindowErrors(
-        names(dataset.outputs), first, measured - simulated, measured, measured - known[:, None, :]
+        names(dataset.outputs),
+        first,
+        measured - simulated,
+        measured,
+        measured - last_values[:, None, :],
     )
 
 
@@ -459,12 +463,12 @@ class ModelValidation:
 
     def pooled(self, channel: str, horizon: float, what: str = "errors") -> FloatArray:
         """Errors of a channel over the windows of all recordings, shape (windows, samples)."""
-        found = [
+        parts = [
             getattr(windows, what)[:, :, windows.channels.index(channel)]
             for windows in self.windows(horizon)
             if channel in windows.channels
         ]
-        return np.vstack(found)
+        return np.vstack(parts)
 
     def sums(self, channel: str, horizon: float, what: str = "errors") -> metrics.BlockSums:
         """Squared errors by blocks of time, for intervals."""
@@ -562,7 +566,7 @@ def validate_all(
         max(lead_samples([models[name]], datasets[name][i], options) for name in models)
         for i in range(len(recordings))
     ]
-    found = []
+    validations = []
     for name, model in models.items():
         own = tuple(datasets[name])
         tell(f"{name}: compile")
@@ -579,8 +583,10 @@ def validate_all(
             runs.append(free_runs(model, dataset, rollout, step, windows, options))
         tell(f"{name}: residual tests")
         tests = tests_of(model, own, steps, options)
-        found.append(ModelValidation(name, model, own, tuple(steps), tuple(runs), tests, options))
-    return found
+        validations.append(
+            ModelValidation(name, model, own, tuple(steps), tuple(runs), tests, options)
+        )
+    return validations
 
 
 def tests_of(
@@ -715,5 +721,5 @@ def _measured(
     # be the same in every simulation.
     phase = quantum * generator.uniform(-0.5, 0.5, quantum.shape)
     step = np.where(quantum > 0, quantum, 1.0)
-    shown = np.where(quantum > 0, np.round((noisy - phase) / step) * step + phase, noisy)
-    return np.where(np.isnan(dataset.measurements), np.nan, shown)
+    readings = np.where(quantum > 0, np.round((noisy - phase) / step) * step + phase, noisy)
+    return np.where(np.isnan(dataset.measurements), np.nan, readings)

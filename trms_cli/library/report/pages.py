@@ -77,8 +77,10 @@ def _choices(texts: Mapping[str, str], config: str) -> dict[str, str]:
     choices = json_or_none(texts.get("choices"))
     if not isinstance(choices, Mapping):
         return {}
-    shown = choice_labels(choices, config)
-    return {group: told[:_MOST_TEXT] for group, told in shown.items() if told not in ("", "none")}
+    labels = choice_labels(choices, config)
+    return {
+        group: label[:_MOST_TEXT] for group, label in labels.items() if label not in ("", "none")
+    }
 
 
 def _facts(log: LoggedRun, texts: Mapping[str, str], path: Path) -> dict[str, str]:
@@ -91,10 +93,10 @@ def _facts(log: LoggedRun, texts: Mapping[str, str], path: Path) -> dict[str, st
     facts["log"] = str(path)
     versions = json_or_none(texts.get("versions"))
     if isinstance(versions, Mapping):
-        told = [f"{name} {versions[name]}" for name in _PACKAGES if name in versions]
+        package_versions = [f"{name} {versions[name]}" for name in _PACKAGES if name in versions]
         if texts.get("git"):
-            told.append(f"git {texts['git']}")
-        facts["versions"] = ", ".join(told)[:_MOST_TEXT]
+            package_versions.append(f"git {texts['git']}")
+        facts["versions"] = ", ".join(package_versions)[:_MOST_TEXT]
     return facts
 
 
@@ -115,23 +117,24 @@ def ranking_of(runs: Sequence[ComparisonRun]) -> Ranking | None:
     return ranking if ranking.best else None
 
 
-def runs_of_rows(found: QueryResult, drawn: Sequence[str] = ()) -> list[ComparisonRun]:
+def runs_of_rows(result: QueryResult, draw_keys: Sequence[str] = ()) -> list[ComparisonRun]:
     """Rows of the index as a ranking takes them, without reading a log again.
 
-    All that was `drawn` for a run is one coordinate, its draw: a condition, and no entrant's.
+    All that was drawn for a run, by `draw_keys`, is one coordinate, its draw: a condition, and no
+    entrant's.
     """
     from trms_cli.scoring.comparison.runs import ComparisonRun
 
-    typed = sweeps.typed_values(found.runs)
-    keys = [key for key in sweeps.keys_of(found.runs, typed) if key not in drawn]
+    typed = sweeps.typed_values(result.runs)
+    keys = [key for key in sweeps.keys_of(result.runs, typed) if key not in draw_keys]
     draws: dict[tuple[str, ...], str] = {}
 
     def coordinates(row: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, str]:
-        told = {key: _coordinate(row, values, key) for key in (*_RANKED, *keys)}
-        if drawn:
-            place = tuple(str(values.get(key)) for key in drawn)
-            told[_DRAW] = draws.setdefault(place, str(len(draws) + 1))
-        return told
+        run_coordinates = {key: _coordinate(row, values, key) for key in (*_RANKED, *keys)}
+        if draw_keys:
+            place = tuple(str(values.get(key)) for key in draw_keys)
+            run_coordinates[_DRAW] = draws.setdefault(place, str(len(draws) + 1))
+        return run_coordinates
 
     return [
         ComparisonRun(
@@ -141,7 +144,7 @@ def runs_of_rows(found: QueryResult, drawn: Sequence[str] = ()) -> list[Comparis
             score=_score(row),
             message=str(row.get("problem") or ""),
         )
-        for row, values in zip(found.runs, typed, strict=True)
+        for row, values in zip(result.runs, typed, strict=True)
     ]
 
 
@@ -242,31 +245,31 @@ def report_of(
     for several paths. `quiet`: show no progress. Raises RecordingError if a path does not exist, or
     there is nothing to report.
     """
-    given = [Path(path).expanduser() for path in paths]
-    for path in given:
+    sources = [Path(path).expanduser() for path in paths]
+    for path in sources:
         if not path.exists():
             raise absent(path, "file or folder")
-    folder = _folder(given)
-    own = [log for path in given if (log := _own_log(path)) is not None]
+    folder = _folder(sources)
+    own = [log for path in sources if (log := _own_log(path)) is not None]
     logs = list({log.resolve(): log for log in own}.values())
-    if len(own) == len(given) and len(logs) <= MOST_OVERLAID:
+    if len(own) == len(sources) and len(logs) <= MOST_OVERLAID:
         return _of_logs(logs, folder, title, [])
-    found = sweeps.rows_of(
+    result = sweeps.rows_of(
         [
             path if path.is_dir() else path.parent if path.name == LOG_NAME else path
-            for path in given
+            for path in sources
         ],
         quiet=quiet,
     )
-    if not found.runs:
-        return _of_scores(given, found, folder, title)
-    rows = [str(row["log"]) for row in found.runs]
+    if not result.runs:
+        return _of_scores(sources, result, folder, title)
+    rows = [str(row["log"]) for row in result.runs]
     overlaid = all(log.endswith(".mcap") for log in rows) and len(rows) <= MOST_OVERLAID
     # Few runs of a sweep are a sweep still: each may be of another drawn rig, or a trial.
-    if overlaid and not any(map(sweeps.sweep_document, given)):
-        return _of_logs([Path(log) for log in rows], folder, title, found.unreadable)
+    if overlaid and not any(map(sweeps.sweep_document, sources)):
+        return _of_logs([Path(log) for log in rows], folder, title, result.unreadable)
     page_folder = (out.parent if out is not None else folder).resolve()
-    return _of_sweep(given, found, folder, page_folder, title)
+    return _of_sweep(sources, result, folder, page_folder, title)
 
 
 def _of_logs(
@@ -296,31 +299,31 @@ def _of_logs(
 
 
 def _of_sweep(
-    given: Sequence[Path], found: QueryResult, folder: Path, page_folder: Path, title: str
+    paths: Sequence[Path], result: QueryResult, folder: Path, page_folder: Path, title: str
 ) -> Report:
     from trms_cli.reporting.report_sweep import findings_of_sweep
 
-    sweep = sweeps.read_sweep(given, found, page_folder)
+    sweep = sweeps.read_sweep(paths, result, page_folder)
     # A search tries each set of weights once or a few times: its own objectives say which is best.
-    drawn = drawn_keys(sweeps.sweep_document(given[0])) if len(given) == 1 else []
-    ranking = None if sweep.objectives else ranking_of(runs_of_rows(found, drawn))
+    draw_keys = drawn_keys(sweeps.sweep_document(paths[0])) if len(paths) == 1 else []
+    ranking = None if sweep.objectives else ranking_of(runs_of_rows(result, draw_keys))
     findings = findings_of_sweep(sweep, ranking=ranking, title=title)
-    runs = tuple(str(row["path"]) for row in found.runs)
-    return Report(findings, "sweep", runs, folder, tuple(found.unreadable))
+    runs = tuple(str(row["path"]) for row in result.runs)
+    return Report(findings, "sweep", runs, folder, tuple(result.unreadable))
 
 
-def _of_scores(given: Sequence[Path], found: QueryResult, folder: Path, title: str) -> Report:
+def _of_scores(paths: Sequence[Path], result: QueryResult, folder: Path, title: str) -> Report:
     """Folders without a log: scores alone, as tournaments leave them."""
     from trms_cli.reporting.report_sweep import findings_of_sweep
     from trms_cli.scoring.comparison.runs import gather
 
-    if found.unreadable:
-        file, problem = found.unreadable[0]
+    if result.unreadable:
+        file, problem = result.unreadable[0]
         raise RecordingError(
             f"no run here can be read: {problem}", where=file, remedy="a report is drawn from logs"
         )
-    gathered = gather(given)
-    sweep, ranking = sweeps.from_scores(gathered, given), ranking_of(gathered.runs)
+    gathered = gather(paths)
+    sweep, ranking = sweeps.from_scores(gathered, paths), ranking_of(gathered.runs)
     runs = tuple(run.path for run in gathered.runs)
     findings = findings_of_sweep(sweep, ranking=ranking, title=title)
     return Report(findings, "sweep", runs, folder, tuple(gathered.left_out))
@@ -344,18 +347,18 @@ def _differences(runs: Sequence[RunReport]) -> list[tuple[str, list[str]]]:
     options = dict.fromkeys(key for run in runs for key in run.choices)
     rows = [(key, [run.choices.get(key, "none") for run in runs]) for key in options]
     rows.append(("seed", [run.facts.get("seed", "–") for run in runs]))
-    found = [(key, values) for key, values in rows if len(set(values)) > 1]
-    told = {key for key, _ in rows}
-    below = tuple(f"{key}." for key, _ in found)
+    entries = [(key, values) for key, values in rows if len(set(values)) > 1]
+    row_keys = {key for key, _ in rows}
+    below = tuple(f"{key}." for key, _ in entries)
     configs = [mapping_in(run.config) for run in runs]
     settings: dict[str, dict[int, str]] = {}
     for i, config in enumerate(configs[1:], start=1):
         for key, first, other in differences(configs[0], config):
-            if not key.startswith(below) and key not in told:
+            if not key.startswith(below) and key not in row_keys:
                 settings.setdefault(key, {0: first})[i] = other
     for key, values in list(settings.items())[:_MOST_DIFFERENCES]:
-        found.append((key, [values.get(i, values[0]) for i in range(len(runs))]))
-    return found
+        entries.append((key, [values.get(i, values[0]) for i in range(len(runs))]))
+    return entries
 
 
 def _own_log(path: Path) -> Path | None:
@@ -367,10 +370,10 @@ def _own_log(path: Path) -> Path | None:
     return log if log.is_file() and not (path / sweeps.SWEEP_NAME).is_file() else None
 
 
-def _folder(given: Sequence[Path]) -> Path:
-    if len(given) > 1:
+def _folder(paths: Sequence[Path]) -> Path:
+    if len(paths) > 1:
         return Path()
-    return given[0] if given[0].is_dir() else given[0].parent
+    return paths[0] if paths[0].is_dir() else paths[0].parent
 
 
 def _names(logs: Sequence[Path]) -> list[str]:
@@ -380,5 +383,8 @@ def _names(logs: Sequence[Path]) -> list[str]:
         return names
     paths = [str((log.parent if log.name == LOG_NAME else log).resolve()) for log in logs]
     root = os.path.commonpath(paths)
-    shown = [os.path.relpath(path, root) for path in paths]
-    return [f"{name} ({i})" if shown.count(name) > 1 else name for i, name in enumerate(shown)]
+    relative_paths = [os.path.relpath(path, root) for path in paths]
+    return [
+        f"{name} ({i})" if relative_paths.count(name) > 1 else name
+        for i, name in enumerate(relative_paths)
+    ]

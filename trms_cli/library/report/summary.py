@@ -64,49 +64,49 @@ def draws_of(plan: Mapping[str, Any], names: Mapping[str, str]) -> Draws | None:
     )
 
 
-def short_names(drawn: Sequence[str], others: Sequence[str]) -> dict[str, str]:
+def short_names(draw_keys: Sequence[str], others: Sequence[str]) -> dict[str, str]:
     """What drawn keys are called on a page: short, and not as another key is."""
     from trms_cli.sweeps.space import short_keys
 
     return {
-        key: key if short in others else short for key, short in short_keys(list(drawn)).items()
+        key: key if short in others else short for key, short in short_keys(list(draw_keys)).items()
     }
 
 
 def search_of(plan: Mapping[str, Any]) -> Mapping[str, Any]:
     """The part of a sweep's document that has objectives; empty for a sweep that seeks nothing."""
     inner = [plan, *(value for value in plan.values() if isinstance(value, Mapping))]
-    asked = [each for each in inner if isinstance(each.get("objectives"), list)]
+    searches = [each for each in inner if isinstance(each.get("objectives"), list)]
     # The settings of the search name its objectives too, before anything was found.
-    return next((each for each in asked if "pareto" in each), asked[0] if asked else {})
+    return next((each for each in searches if "pareto" in each), searches[0] if searches else {})
 
 
 def objectives_of(words: Mapping[str, Any]) -> list[Objective]:
     """What is sought: names, or mappings with a name and a direction."""
     from trms_cli.reporting.sweep_report import Objective
 
-    found = []
+    objectives = []
     for each in words.get("objectives", ()):
-        told: Mapping[str, Any] = each if isinstance(each, Mapping) else {"name": each}
-        name = next((told[k] for k in ("name", "figure") if isinstance(told.get(k), str)), "")
+        entry: Mapping[str, Any] = each if isinstance(each, Mapping) else {"name": each}
+        name = next((entry[k] for k in ("name", "figure") if isinstance(entry.get(k), str)), "")
         if name:
-            found.append(
-                Objective(bench_name(name), str(told.get("direction", "")).startswith("max"))
+            objectives.append(
+                Objective(bench_name(name), str(entry.get("direction", "")).startswith("max"))
             )
-    return found
+    return objectives
 
 
 def pareto_of(words: Mapping[str, Any]) -> list[int]:
     """Numbers of the best trials."""
-    given = words.get("pareto")
-    return [n for n in given if isinstance(n, int)] if isinstance(given, list) else []
+    numbers = words.get("pareto")
+    return [n for n in numbers if isinstance(n, int)] if isinstance(numbers, list) else []
 
 
 def trials_of(words: Mapping[str, Any]) -> list[SweepRun]:
     """What was tried, with the figures over all conditions of a trial."""
     from trms_cli.reporting.sweep_report import SweepRun
 
-    found = []
+    trials = []
     for each in _mappings(words.get("trials"), _MOST_TRIALS):
         if not isinstance(each.get("trial"), int):
             continue
@@ -114,7 +114,7 @@ def trials_of(words: Mapping[str, Any]) -> list[SweepRun]:
         ended = "completed" if each.get("allowed", True) else "beyond a limit"
         values = _part(each, "values").items()
         plain = (str, int, float, type(None))
-        found.append(
+        trials.append(
             SweepRun(
                 name=str(each["trial"]),
                 number=each["trial"],
@@ -124,15 +124,15 @@ def trials_of(words: Mapping[str, Any]) -> list[SweepRun]:
                 problem=problem,
             )
         )
-    return found
+    return trials
 
 
 def history_of(words: Mapping[str, Any]) -> list[float | None]:
     """After each trial the best so far."""
-    given = words.get("history")
-    if not isinstance(given, list):
+    history = words.get("history")
+    if not isinstance(history, list):
         return []
-    return [float(value) if _is_number(value) else None for value in given[:_MOST_TRIALS]]
+    return [float(value) if _is_number(value) else None for value in history[:_MOST_TRIALS]]
 
 
 def bench_name(name: str) -> str:
@@ -140,48 +140,48 @@ def bench_name(name: str) -> str:
     from trms_cli.runs.columns import ALIASES
 
     return next(
-        (told for told, meant in ALIASES.items() if meant == name and "." not in told), name
+        (alias for alias, figure in ALIASES.items() if figure == name and "." not in alias), name
     )
 
 
 def _robustness(plan: Mapping[str, Any]) -> Mapping[str, Any]:
-    found = _part(plan, "summary")
-    return found if found.get("kind") == "robustness" else {}
+    summary = _part(plan, "summary")
+    return summary if summary.get("kind") == "robustness" else {}
 
 
 def _groups(plan: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Who was drawn for, in words, and what came of it."""
     for group in _mappings(_robustness(plan).get("groups")):
-        told = [
+        labels = [
             str(value) if "." not in str(key) and str(key) != "seed" else f"{key}={value}"
             for key, value in _part(group, "choices").items()
         ]
-        yield " + ".join(told) or "all", group
+        yield " + ".join(labels) or "all", group
 
 
-def _converted(given: Any, kind: type[_T], **more: Any) -> list[_T]:
+def _converted(value: Any, kind: type[_T], **more: Any) -> list[_T]:
     """Those of a list that are as a dataclass wants them."""
-    found = []
-    for each in _mappings(given):
+    records = []
+    for each in _mappings(value):
         with suppress(msgspec.ValidationError):
-            found.append(msgspec.convert({**each, **more}, kind))
-    return found
+            records.append(msgspec.convert({**each, **more}, kind))
+    return records
 
 
-def _numbers(given: Mapping[str, Any]) -> dict[str, float]:
+def _numbers(figures: Mapping[str, Any]) -> dict[str, float]:
     """Figures by their names at the bench."""
-    return {bench_name(str(k)): float(v) for k, v in given.items() if _is_number(v)}
+    return {bench_name(str(k)): float(v) for k, v in figures.items() if _is_number(v)}
 
 
 def _part(owner: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    found = owner.get(key)
-    return found if isinstance(found, Mapping) else {}
+    part = owner.get(key)
+    return part if isinstance(part, Mapping) else {}
 
 
-def _mappings(given: Any, most: int = _MOST) -> list[Mapping[str, Any]]:
-    if not isinstance(given, list):
+def _mappings(value: Any, most: int = _MOST) -> list[Mapping[str, Any]]:
+    if not isinstance(value, list):
         return []
-    return [each for each in given[:most] if isinstance(each, Mapping)]
+    return [each for each in value[:most] if isinstance(each, Mapping)]
 
 
 def _is_number(value: Any) -> TypeGuard[float]:

@@ -66,27 +66,27 @@ def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
     from trms_cli.runs.query import Query, find
 
     with ReadingProgress(quiet=quiet) as progress:
-        found = find(Query(folders=tuple(folders), sort="path", descending=False), progress)
-    return replace(found, runs=_completed(found.runs))
+        result = find(Query(folders=tuple(folders), sort="path", descending=False), progress)
+    return replace(result, runs=_completed(result.runs))
 
 
-def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -> SweepReport:
-    """Many runs in folders, `found` by their rows, as a report sees them.
+def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) -> SweepReport:
+    """Many runs in folders, by their rows in `result`, as a report sees them.
 
     `page_folder`: where the page will be, for links to reports of single runs.
     """
     from trms_cli.reporting.sweep_report import SweepReport
 
-    rows = found.runs
+    rows = result.runs
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
     words = summary.search_of(plan)
     objectives = summary.objectives_of(words)
     typed = typed_values(rows)
     keys = keys_of(rows, typed, summary.drawn_keys(plan))
-    drawn = [key for key in summary.drawn_keys(plan) if key in keys]
-    others = [key for key in keys if key not in drawn]
+    draw_keys = [key for key in summary.drawn_keys(plan) if key in keys]
+    others = [key for key in keys if key not in draw_keys]
     by = _entrant_keys(others)
-    named = summary.short_names(drawn, others)
+    named = summary.short_names(draw_keys, others)
     root = _root(rows, folders)
     figures, total = _figures(rows, objectives), plan.get("total")
     runs = [
@@ -105,7 +105,7 @@ def read_sweep(folders: Sequence[Path], found: QueryResult, page_folder: Path) -
         history=summary.history_of(words),
         asked=total if isinstance(total, int) and not isinstance(total, bool) else None,
         draws=summary.draws_of(plan, named),
-        left_out=[*found.unreadable],
+        left_out=[*result.unreadable],
         facts=_facts(folders, plan, rows),
     )
 
@@ -117,13 +117,13 @@ def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> SweepReport
     from trms_cli.scoring.comparison.ranking import controller_name, usual_entrants
     from trms_cli.scoring.comparison.runs import differing_coordinates
 
-    told = list(gathered.runs)
-    keys = differing_coordinates(told)[:_MOST_KEYS]
+    scored_runs = list(gathered.runs)
+    keys = differing_coordinates(scored_runs)[:_MOST_KEYS]
     by = usual_entrants(keys)
     units = {name: COLUMNS[ALIASES.get(name, name)].unit for name in _page_figures()}
     root = folders[0].resolve() if len(folders) == 1 else Path.cwd()
     runs = []
-    for run in told:
+    for run in scored_runs:
         all_figures = figures_of(run.score or {})
         figures = {
             name: value
@@ -170,32 +170,32 @@ def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective])
     """Figures that some run has, with their units."""
     from trms_cli.runs.columns import ALIASES, COLUMNS
 
-    wanted = dict.fromkeys([*(o.figure for o in objectives), *_page_figures()])
-    found = {}
-    for name in wanted:
+    figure_names = dict.fromkeys([*(o.figure for o in objectives), *_page_figures()])
+    units = {}
+    for name in figure_names:
         column = ALIASES.get(name, name)
         if any(row.get(column) is not None for row in rows):
-            found[name] = COLUMNS[column].unit if column in COLUMNS else ""
-    return found
+            units[name] = COLUMNS[column].unit if column in COLUMNS else ""
+    return units
 
 
 def keys_of(
     rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]], last: Sequence[str] = ()
 ) -> list[str]:
     """Options and typed keys in which runs differ; `last` behind the others, in their order."""
-    found = [o for o in _OPTIONS if len({row.get(o) or "" for row in rows}) > 1]
+    keys = [o for o in _OPTIONS if len({row.get(o) or "" for row in rows}) > 1]
     every = dict.fromkeys(key for values in typed for key in values)
     for key in every:
         stem = key.partition("@")[0]
-        told = stem in ("effect", "fault") or (key in _OPTIONS and "." not in key)
-        if key in _NO_KEYS or told or key == "seed":
+        is_option = stem in ("effect", "fault") or (key in _OPTIONS and "." not in key)
+        if key in _NO_KEYS or is_option or key == "seed":
             continue
         if len({str(values.get(key)) for values in typed}) > 1:
-            found.append(key)
+            keys.append(key)
     if len({row.get("seed") for row in rows}) > 1:
-        found.append("seed")
+        keys.append("seed")
     places = {key: i for i, key in enumerate(last, start=1)}
-    return sorted(found, key=lambda key: places.get(key, 0))[:_MOST_KEYS]
+    return sorted(keys, key=lambda key: places.get(key, 0))[:_MOST_KEYS]
 
 
 def _entrant_keys(keys: Sequence[str]) -> tuple[str, ...]:
@@ -223,17 +223,17 @@ def _swept(
     path = Path(str(row["path"]))
     own = (path if path.is_dir() else path.parent) / PAGE_NAME
     own_page = own.parent != page_folder and own.is_file()
-    told = {}
+    numbers = {}
     for name in figures:
         value = row.get(ALIASES.get(name, name))
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            told[name] = float(value)
+            numbers[name] = float(value)
     return SweepRun(
         name=_relative(str(path), root),
         entrant=controller_name({key: str(value_of(row, typed, key) or "–") for key in by}, by),
         outcome=str(row.get("outcome") or "unfinished"),
         values={named.get(key, key): value_of(row, typed, key) for key in keys},
-        figures=told,
+        figures=numbers,
         problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
         page=relative_link(str(own), str(page_folder)) if own_page else "",
         number=int(path.name) if path.name.isascii() and path.name.isdigit() else None,
@@ -267,8 +267,8 @@ def _completed(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def value_of(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> Value:
     """What a run has for an option, or for a key that was typed; None for nothing."""
-    found = row.get(key) if key in row else typed.get(key)
-    return found if isinstance(found, (str, int, float)) or found is None else str(found)
+    value = row.get(key) if key in row else typed.get(key)
+    return value if isinstance(value, (str, int, float)) or value is None else str(value)
 
 
 def typed_values(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -306,9 +306,9 @@ def _facts(
     command = plan.get("command")
     if not isinstance(command, str):
         commands = {row.get("command") for row in rows if row.get("command")}
-        told = str(next(iter(commands))) if len(commands) == 1 else ""
+        run_command = str(next(iter(commands))) if len(commands) == 1 else ""
         # A sweep by Hydra names its own settings too, which nobody typed.
-        command = told.partition(" 'hydra.")[0].partition(" hydra")[0]
+        command = run_command.partition(" 'hydra.")[0].partition(" hydra")[0]
     if command:
         facts["command"] = f"`{command[:2000].replace('`', chr(39))}`"
     times = sorted(str(row["time"]) for row in rows if row.get("time"))
@@ -335,8 +335,8 @@ def _name(folders: Sequence[Path], root: Path) -> str:
 
 
 def _relative(path: str, root: Path) -> str:
-    found = os.path.relpath(os.path.abspath(path), root)
-    return root.name if found == "." else found
+    relative_path = os.path.relpath(os.path.abspath(path), root)
+    return root.name if relative_path == "." else relative_path
 
 
 def _number_or_text(text: str | None) -> Value:

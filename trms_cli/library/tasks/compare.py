@@ -60,12 +60,17 @@ def sort_standings(ranking: Ranking, sort: str) -> list[Standing]:
     """The standings in the order of a column; those without a rank stay last."""
     from trms_cli.scoring.comparison.ranking import figures_of
 
-    columns: dict[str, Callable[[Figures], float]] = {
-        "worst": lambda told: told.ratio_worst,
-        "effort": lambda told: told.effort,
-        "variation": lambda told: told.variation,
-        "time": lambda told: told.step_ms,
-        "failures": lambda told: (told.failed, told.non_finite or 0, told.fallbacks, told.missed),  # type: ignore[return-value,dict-item]
+    columns: dict[str, Callable[[Figures], Any]] = {
+        "worst": lambda figures: figures.ratio_worst,
+        "effort": lambda figures: figures.effort,
+        "variation": lambda figures: figures.variation,
+        "time": lambda figures: figures.step_ms,
+        "failures": lambda figures: (
+            figures.failed,
+            figures.non_finite or 0,
+            figures.fallbacks,
+            figures.missed,
+        ),
     }
     standings = list(ranking.standings)
     if sort == "name":
@@ -73,8 +78,8 @@ def sort_standings(ranking: Ranking, sort: str) -> list[Standing]:
     elif sort == "tracking":
         standings.sort(key=lambda standing: _last_if_nan(standing.ratio))
     elif sort in columns:
-        told = {id(s): columns[sort](figures_of(s, ranking.metric)) for s in standings}
-        standings.sort(key=lambda standing: _last_if_nan(told[id(standing)]))
+        sort_values = {id(s): columns[sort](figures_of(s, ranking.metric)) for s in standings}
+        standings.sort(key=lambda standing: _last_if_nan(sort_values[id(standing)]))
     return standings
 
 

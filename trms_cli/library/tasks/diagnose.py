@@ -42,7 +42,8 @@ from trms_cli.gap.diagnosis import (
     likeliest,
 )
 from trms_cli.gap.problem import GapProblem
-from trms_cli.identification.admission import Admission, admit
+from trms_cli.identification.admission.admit import admit
+from trms_cli.identification.admission.issues import Admission
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
@@ -170,10 +171,13 @@ def _against(
     """
     if options.against is None:
         return ()
-    found = tuple(load_datasets(several(options.against, "against"), model, data))
-    _require(admit(found, model, sum(p.prior_sd is not None for p in model.parameters)), name)
+    reference_datasets = tuple(load_datasets(several(options.against, "against"), model, data))
+    _require(
+        admit(reference_datasets, model, sum(p.prior_sd is not None for p in model.parameters)),
+        name,
+    )
     both = {d.sha256: d for d in datasets}
-    for dataset in found:
+    for dataset in reference_datasets:
         if dataset.sha256 in both:
             raise ConfigurationError(
                 f"{dataset.source} is among the recordings in question, too",
@@ -190,15 +194,15 @@ def _against(
                     remedy="compare what both measure: "
                     f"data.channels=[{','.join(n for n in one if n in two)}]",
                 )
-    for where, given in (("against", found), ("real", datasets)):
-        length = sum(d.duration for d in given)
+    for where, recordings in (("against", reference_datasets), ("real", datasets)):
+        length = sum(d.duration for d in recordings)
         if length < _SHORTEST_COMPARED:
             raise ConfigurationError(
                 f"{length:.3g} s recorded are too short to compare",
                 where=where,
                 remedy=f"give at least {_SHORTEST_COMPARED:g} s, better 60 s",
             )
-    return found
+    return reference_datasets
 
 
 def _require(admission: Admission, model: str) -> None:
@@ -339,28 +343,28 @@ def effect_nodes(config_dirs: Sequence[Path] = ()) -> dict[str, dict[str, Any]]:
 
 def _chosen(words: Sequence[str], library: Mapping[str, Any]) -> list[str]:
     """Names in the order of the library."""
-    taken: set[str] = set()
+    selection: set[str] = set()
     if words and all(word.startswith("!") for word in words):
-        taken = set(library)  # `all` goes without saying
+        selection = set(library)  # `all` goes without saying
     for word in words:
         if word.startswith("!"):
-            taken -= _fitting(word[1:], library)
+            selection -= _fitting(word[1:], library)
         else:
-            taken |= _fitting(word, library)
-    return [name for name in library if name in taken]
+            selection |= _fitting(word, library)
+    return [name for name in library if name in selection]
 
 
 def _fitting(word: str, library: Mapping[str, Any]) -> set[str]:
     if word == _ALL:
         return set(library)
-    found = {name for name in library if fnmatch.fnmatchcase(name, word)}
-    if not found:
+    matches = {name for name in library if fnmatch.fnmatchcase(name, word)}
+    if not matches:
         raise ConfigurationError(
             f"no effect is called {word!r}",
             where="candidates",
             remedy=nearest(word, [_ALL, *library]),
         )
-    return found
+    return matches
 
 
 CORRECTED_NAME, REFIT_NAME = "corrected_model.yaml", "refit_model.yaml"
@@ -431,8 +435,8 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
                 else ("the recordings", "in them")
             )
             return f"the nominal model fitted to {part} with {named}, which begins {when}"
-        begun = "fitted to the known state" if diagnosis.against else "refitted together"
-        return f"the nominal model {begun} with {named}{open_}"
+        fit_words = "fitted to the known state" if diagnosis.against else "refitted together"
+        return f"the nominal model {fit_words} with {named}{open_}"
     if diagnosis.against and diagnosis.residual:
         named = " with ".join(diagnosis.residual)
         return f"the model fitted to the known state with {named}, which stands in for what pulls"
@@ -480,8 +484,8 @@ def _write(
         if name in MODEL_FORM and name not in effect_names(model):
             model = extend_model(model, {name: MODEL_FORM[name]})
             effects[name] = {}  # of the library, with the values that were fitted
-    known = [name for name in values if name in model.parameters]
-    free = free_parameters(model.parameters, known) if known else ()
+    parameter_names = [name for name in values if name in model.parameters]
+    free = free_parameters(model.parameters, parameter_names) if parameter_names else ()
     if cause is not None:
         candidates = request.candidates
         model = extend_model(model, {name: candidates.effects[name] for name in cause.effects})
@@ -558,10 +562,10 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         from trms_cli.reporting.page import write_page
 
         facts = {**result.facts, "command": f"`{command_line()}`"}
-        shown = replace(result, facts=facts)
+        page_findings = replace(result, facts=facts)
         if request.options.effort == "quick":
-            shown = _without_drawings(shown)
-        page = write_page(shown, folder / PAGE_NAME, pictures=False, interactive=False)
+            page_findings = _without_drawings(page_findings)
+        page = write_page(page_findings, folder / PAGE_NAME, pictures=False, interactive=False)
         files |= {"report": page} if page else {}
     progress.finish(f"verdict {diagnosis.verdict}: {diagnosis.sentence}")
     spent = {"time": wording.seconds(perf_counter() - begin)}
@@ -572,9 +576,11 @@ def _without_drawings(result: Findings) -> Findings:
     """What a quick diagnosis has to tell: drawing takes a quarter of its time."""
     sections = []
     for section in result.sections:
-        kept = [block for block in section.blocks if not isinstance(block, Chart | RigDiagram)]
-        if kept or not section.blocks:
-            sections.append(replace(section, blocks=kept))
+        remaining_blocks = [
+            block for block in section.blocks if not isinstance(block, Chart | RigDiagram)
+        ]
+        if remaining_blocks or not section.blocks:
+            sections.append(replace(section, blocks=remaining_blocks))
     return replace(result, sections=sections)
 
 
@@ -606,8 +612,8 @@ def _worth(
     mine += [f"--allow={package}" for package in sorted(allowed_for_now()) if mine]
     command = shlex.join([*program().split(), "run", f"model={file}", *words, *mine])
     try:
-        given = [f"model={file}", *words]
-        config = compose(given, config_dirs=composition.config_dirs).config
+        overrides = [f"model={file}", *words]
+        config = compose(overrides, config_dirs=composition.config_dirs).config
         return worth_of(experiment_of(config), model, controller=_CONTROLLER, command=command)
     except TrmsError:
         return None  # a rig that the loop does not suit is diagnosed all the same

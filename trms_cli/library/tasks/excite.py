@@ -53,17 +53,17 @@ def perform(composition: Composition, listener: Listener) -> Done:
     document["file"] = str(files["commands"])
     write_document(document, files["figures"])
     then = [NextCommand(_play(document, folder, composition))]
-    told = findings(document, designed, spectra, then)
+    result = findings(document, designed, spectra, then)
     if config["picture"]:
         from trms_cli.reporting.page import write_page
 
-        page = write_page(told, folder / PAGE_NAME, interactive=False)
+        page = write_page(result, folder / PAGE_NAME, interactive=False)
         files |= {"picture": folder / "excitation.png", "page": page} if page else {}
     if composition.job is not None:
         amplitudes = ", ".join(f"{n} {i['amplitude']:.3g}" for n, i in document["inputs"].items())
-        told = replace(told, lead=[amplitudes])
+        result = replace(result, lead=[amplitudes])
     spent = {"time": wording.seconds(perf_counter() - begin)}
-    return Done(folder, replace(told, facts=spent, files=files))
+    return Done(folder, replace(result, facts=spent, files=files))
 
 
 def _request(config: Mapping[str, Any]) -> Any:
@@ -123,7 +123,9 @@ def _csv(designed: Any, kind: str) -> str:
 def _play(document: Mapping[str, Any], folder: Path, composition: Composition) -> str:
     table = shlex.quote(str(folder / TABLE_NAME))
     whole = document["duration_s"] + document["lead_in_s"]
-    given = [o for o in composition.overrides if o.partition("=")[0].split(".")[0] == "model"]
+    model_overrides = [
+        o for o in composition.overrides if o.partition("=")[0].split(".")[0] == "model"
+    ]
     inputs = list(document["inputs"])
     if len(inputs) == 2:
         play = ["controller=played", f"controller.u_v.file={table}"]
@@ -137,7 +139,7 @@ def _play(document: Mapping[str, Any], folder: Path, composition: Composition) -
         ]
     if not document["bounds_rad"]:  # a rotor alone: the references of a run are speeds
         play.insert(0, "ref=speed")
-    words = [program(), "run", *(shlex.quote(o) for o in given), *play]
+    words = [program(), "run", *(shlex.quote(o) for o in model_overrides), *play]
     if document["sample_time_s"] != 0.02:
         words.append(f"sim.sample_time={document['sample_time_s']:g}")
     return " ".join([*words, f"sim.duration={whole:g}"])

@@ -80,8 +80,8 @@ def raise_explained(
     if failure is None:
         raise error
     if log is not None and str(log) != failure.where:
-        kept = f"the log up to {time:.2f} s: {log}"
-        failure.remedy = f"{failure.remedy}\n{kept}" if failure.remedy else kept
+        hint = f"the log up to {time:.2f} s: {log}"
+        failure.remedy = f"{failure.remedy}\n{hint}" if failure.remedy else hint
     if failure is error:
         raise error
     raise failure from error

@@ -72,10 +72,10 @@ def effect_arguments(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
     library = config_folder() / "effect" / f"{name}.yaml"
     arguments = dict(node)
     if library.is_file():
-        known = read_yaml(library).get(name, {})
-        if known.get(TARGET) == arguments.get(TARGET):
+        library_node = read_yaml(library).get(name, {})
+        if library_node.get(TARGET) == arguments.get(TARGET):
             del arguments[TARGET]
-            arguments = {key: v for key, v in arguments.items() if known.get(key) != v}
+            arguments = {key: v for key, v in arguments.items() if library_node.get(key) != v}
     return arguments
 
 
@@ -88,12 +88,12 @@ def _check_places(option: str, node: Mapping[str, Any]) -> None:
             where="model",
             remedy="fit a model of the library with effects, or use the method from Python",
         )
-    known = read_yaml(file)
+    library_node = read_yaml(file)
     for key, value in node.items():
-        if key not in _OF_THE_FILE and known.get(key) != value:
+        if key not in _OF_THE_FILE and library_node.get(key) != value:
             raise ConfigurationError(
-                f"{key} is {value!r} here and {known.get(key)!r} in the option {option!r}, by "
-                "which a model file is read",
+                f"{key} is {value!r} here and {library_node.get(key)!r} in the option {option!r}, "
+                "by which a model file is read",
                 where=f"model.{key}",
                 remedy="choose an option of `trms list model` that has it",
             )

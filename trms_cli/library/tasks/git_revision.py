@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Self
 
 #: The answer, where it has been found out for many runs at once.
-_known: ContextVar[str | None] = ContextVar("known", default=None)
+_revision: ContextVar[str | None] = ContextVar("revision", default=None)
 
 
 @contextmanager
 def known_revision(revision: str) -> Iterator[None]:
     """Inside, nobody asks git: this is its answer."""
-    before = _known.set(revision)
+    before = _revision.set(revision)
     try:
         yield
     finally:
-        _known.reset(before)
+        _revision.reset(before)
 
 
 class GitRevision:
@@ -33,9 +33,9 @@ class GitRevision:
     @classmethod
     def ask(cls) -> Self:
         """Start to find out; no git or no checkout is no error."""
-        known = _known.get()
-        if known is not None:
-            return cls(None, known)
+        revision = _revision.get()
+        if revision is not None:
+            return cls(None, revision)
         root = Path(__file__).resolve().parents[3]
         if not (root / ".git").exists():
             return cls(None)

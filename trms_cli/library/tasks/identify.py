@@ -19,7 +19,8 @@ from trms_cli.core.invocation import command_line, program
 from trms_cli.core.plugins import TARGET, build, construct
 from trms_cli.core.versions import versions
 from trms_cli.identification import free_runs
-from trms_cli.identification.admission import Admission, admit
+from trms_cli.identification.admission.admit import admit
+from trms_cli.identification.admission.issues import Admission
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.findings import findings, in_short
@@ -176,7 +177,9 @@ def _parts(
         return recordings, held_out
     if keep.share == 0:
         return recordings, ()
-    fitted, held = zip(*(dataset.split(1.0 - keep.share) for dataset in recordings), strict=True)
+    fitted, validation_parts = zip(
+        *(dataset.split(1.0 - keep.share) for dataset in recordings), strict=True
+    )
     for dataset in fitted:
         if len(dataset) < _FEWEST_SAMPLES:
             raise ConfigurationError(
@@ -184,19 +187,19 @@ def _parts(
                 where="validation.share",
                 remedy="hold out less, or record longer",
             )
-    return fitted, tuple(dataset for dataset in held if len(dataset) >= _FEWEST_SAMPLES)
+    return fitted, tuple(dataset for dataset in validation_parts if len(dataset) >= _FEWEST_SAMPLES)
 
 
 def _refuse_for_networks(options: IdentifyOptions, driven: Sequence[str]) -> None:
     """Refuse what only a fit of equations can heed: a training would drop it without a word."""
-    asked = {
+    settings = {
         "driven": driven,
         "free": several(options.free, "free") not in (("priors",), ["priors"]),
         "priors": options.priors,
         "bounds": options.bounds,
     }
-    for key, given in asked.items():
-        if given:
+    for key, value in settings.items():
+        if value:
             raise ConfigurationError(
                 f"a network has no parameters of a model, and {key} is given",
                 where=key,
@@ -216,9 +219,9 @@ def _free(
     }
     bounds = {name: _bounds(name, node) for name, node in _flat(options.bounds, _is_leaf)}
     words = several(options.free, "free")
-    found = free_parameters(model.parameters, words, priors=priors, bounds=bounds)
+    candidates = free_parameters(model.parameters, words, priors=priors, bounds=bounds)
     used = acting_parameters(model)
-    idle = tuple(parameter.name for parameter in found if parameter.name not in used)
+    idle = tuple(parameter.name for parameter in candidates if parameter.name not in used)
     for name in idle:
         if name in words:
             raise ConfigurationError(
@@ -227,7 +230,7 @@ def _free(
                 remedy="leave it out; of those that have a prior these act: "
                 + ", ".join(p.name for p in model.parameters if p.prior_sd and p.name in used),
             )
-    return tuple(parameter for parameter in found if parameter.name in used), idle
+    return tuple(parameter for parameter in candidates if parameter.name in used), idle
 
 
 def _flat(node: Mapping[str, Any], is_leaf: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -306,11 +309,11 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     written = {"model": model, "numbers": folder / DOCUMENT_NAME}
     write_document(document, written["numbers"])
     then = _next(composition, request, document, folder)
-    told = findings(document, fitted, then)
+    summary = findings(document, fitted, then)
     if composition.config["picture"]:
         from trms_cli.reporting.page import write_page
 
-        page = write_page(told, folder / PAGE_NAME, interactive=False)
+        page = write_page(summary, folder / PAGE_NAME, interactive=False)
         written |= {"page": page} if page else {}
     if progress.exit_code is not None and composition.job is not None:
         raise KeyboardInterrupt
@@ -320,10 +323,10 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         "time": f"{wording.seconds(perf_counter() - begin)} in all",
     }
     code = EXIT_OK if progress.exit_code is None else progress.exit_code
-    told = replace(told, facts=spent, files=written, warnings=())
+    summary = replace(summary, facts=spent, files=written, warnings=())
     if composition.job is not None:
-        told = replace(told, lead=[in_short(document)])
-    return Done(folder, told, exit_code=code, objective=result.cost)
+        summary = replace(summary, lead=[in_short(document)])
+    return Done(folder, summary, exit_code=code, objective=result.cost)
 
 
 def write_fitted_model(

@@ -113,14 +113,14 @@ def _changed(logged: Mapping[str, Any], argv: Sequence[str], primary: str) -> st
 
 def _differences(then: Any, now: Any, where: str) -> list[str]:
     if isinstance(then, Mapping) and isinstance(now, Mapping):
-        found = []
+        places = []
         for key in {**then, **now}:
             place = f"{where}.{key}" if where else str(key)
             if place in _OWN_KEYS:
                 continue
             missing = object()
-            found += _differences(then.get(key, missing), now.get(key, missing), place)
-        return found
+            places += _differences(then.get(key, missing), now.get(key, missing), place)
+        return places
     return [] if then == now and type(then) is type(now) else [where]
 
 

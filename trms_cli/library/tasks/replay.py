@@ -180,10 +180,10 @@ def _objective(table: Mapping[str, Any]) -> float | None:
 
 def _notes(composition: Composition, rig: RecordedRun) -> Iterator[str]:
     ignored = [text for text in composition.overrides if _has_no_part(text)]
-    given = f" ({' '.join(ignored)})" if ignored else ""
+    parenthesis = f" ({' '.join(ignored)})" if ignored else ""
     yield (
         "a recording cannot be steered: commands, references and sample time are its own; "
-        f"{', '.join(_NO_PART)} have no part in it{given}"
+        f"{', '.join(_NO_PART)} have no part in it{parenthesis}"
     )
     yield from rig.remarks
     if any(happening.kind == "gap" for happening in rig.happenings):

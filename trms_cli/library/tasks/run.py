@@ -54,7 +54,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
         for what in never_begun(experiment.plant, experiment.duration):
             note(f"note   {what}")
     revision = GitRevision.ask()
-    wanted = bool(composition.config["picture"])
+    has_picture = bool(composition.config["picture"])
     logs: list[Any] = []
 
     def make_history(plant: Any) -> History:
@@ -79,7 +79,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
     with (
         np.errstate(over="ignore", invalid="ignore", divide="ignore"),
         # beside the run, which hides the plotting library's start; in a sweep, in line
-        Painter(beside=wanted and composition.job is None) as painter,
+        Painter(beside=has_picture and composition.job is None) as painter,
     ):
         try:
             loop = Loop.start(experiment, make_history)
@@ -109,7 +109,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
             raise
         write_document(score, log.path.with_name(SCORE_NAME))
         files = {"log": log.path}
-        if wanted:
+        if has_picture:
             picture = log.path.with_name(PICTURE_NAME)
             try:
                 limits = assembly.limits_of(loop.plant, experiment.model)
@@ -232,10 +232,10 @@ def _unheard(composition: Composition, experiment: Experiment) -> Iterator[str]:
     if _follows(experiment):
         return
     heads = (text.lstrip("+~").partition("=")[0] for text in composition.overrides)
-    asked = [head for head in heads if re.match(r"ref\b|\w+@ref\b", head)]
-    if asked:
+    reference_keys = [head for head in heads if re.match(r"ref\b|\w+@ref\b", head)]
+    if reference_keys:
         name = composition.choices.get("controller")
-        yield (f"{name} follows no reference; of no effect: {', '.join(asked)}")
+        yield (f"{name} follows no reference; of no effect: {', '.join(reference_keys)}")
 
 
 def _beyond_limits(score: Mapping[str, Any]) -> Iterator[str]:

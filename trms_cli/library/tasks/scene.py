@@ -113,9 +113,9 @@ def _lengths(log: LoggedRun) -> dict[str, float]:
     from trms_cli.core.yaml_data import load_yaml
 
     try:
-        told = load_yaml(log.attachments.get(PARAMETERS_ATTACHMENT, b"").decode()) or {}
-        chosen = told.get("plant") or told.get("model") or {}
-        return {name: float(parameter["value"]) for name, parameter in chosen.items()}
+        document = load_yaml(log.attachments.get(PARAMETERS_ATTACHMENT, b"").decode()) or {}
+        parameters = document.get("plant") or document.get("model") or {}
+        return {name: float(parameter["value"]) for name, parameter in parameters.items()}
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise RecordingError(
             f"its {PARAMETERS_ATTACHMENT} is not as trms writes it ({error})", where=str(log.path)
@@ -128,12 +128,12 @@ def _limits(log: LoggedRun) -> dict[str, float]:
     commands = log.tables.get("/command")
     if commands is not None:
         for name, column in commands.columns.items():
-            known = np.abs(np.asarray(column, dtype=float))
-            if np.isfinite(known).any():
-                limits[name] = float(np.nanmax(known))
-    told: Any = json.loads(log.run.get("limits", "{}"))
-    if isinstance(told, Mapping):
-        for name, bounds in told.items():
+            magnitudes = np.abs(np.asarray(column, dtype=float))
+            if np.isfinite(magnitudes).any():
+                limits[name] = float(np.nanmax(magnitudes))
+    run_limits: Any = json.loads(log.run.get("limits", "{}"))
+    if isinstance(run_limits, Mapping):
+        for name, bounds in run_limits.items():
             if name in limits and bounds[1] and np.isfinite(bounds[1]):
                 limits[name] = float(bounds[1])
     return limits

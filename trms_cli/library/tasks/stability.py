@@ -87,8 +87,10 @@ def _loop_of(composition: Composition) -> LoopParts | None:
         raise ConfigurationError(
             f"{sample_time!r} given", where="sim.sample_time", remedy="a time above 0 s"
         )
-    chosen = {key: str(composition.choices.get(key)) for key in ("controller", "observer")}
-    return LoopParts(parts["model"], parts["controller"], parts["observer"], sample_time, chosen)
+    option_names = {key: str(composition.choices.get(key)) for key in ("controller", "observer")}
+    return LoopParts(
+        parts["model"], parts["controller"], parts["observer"], sample_time, option_names
+    )
 
 
 def findings_of(request: StabilityRequest, tell: Callable[[str], None]) -> Findings:

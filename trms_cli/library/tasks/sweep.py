@@ -124,15 +124,17 @@ def go_on(
     record.document()
     with drive_sweep(folder):
         plan = record.plan()
-        known = record.points(mend=True)
+        earlier_points = record.points(mend=True)
         with place_of(plan):
             steered = resumed_settings(plan, settings)
             sampler, launcher = sampler_and_launcher(steered)
-            proposals = sampler.start(plan.space, known)
+            proposals = sampler.start(plan.space, earlier_points)
             record.note(state="running", launcher=steered.launcher, retries=steered.retries)
             begun(folder)
             plan, task = replace(plan, retries=steered.retries), task or task_of(plan)
-            return _driven(record, plan, proposals, launcher, task, tell, known, retry_failed)
+            return _driven(
+                record, plan, proposals, launcher, task, tell, earlier_points, retry_failed
+            )
 
 
 def first_job(request: ComposeRequest, primary: str) -> Composition:
@@ -161,7 +163,7 @@ def _driven(
     launcher: Any,
     task: Task,
     tell: Tell,
-    known: Sequence[SweepPoint],
+    earlier_points: Sequence[SweepPoint],
     retry_failed: bool,
 ) -> SweepOutcome:
     """Drive the sweep, and write down at the end, whatever it is, how it stands."""
@@ -183,7 +185,7 @@ def _driven(
         record, proposals, work, retries=plan.retries, tell=tell, retry_failed=retry_failed
     )
     record.note(total=proposals.total)
-    driver.take_stock(known)
+    driver.take_stock(earlier_points)
     state = "interrupted"
     results = driver.progress.results
     try:
@@ -273,19 +275,19 @@ def task_of(plan: SweepPlan) -> Task:
     Raises RecordingError if the record names no command of this program.
     """
     module, _, name = plan.task.partition(":")
-    found: Any = None
+    function: Any = None
     if module.startswith(_TASKS) and name.isidentifier():
         try:
-            found = getattr(importlib.import_module(module), name, None)
+            function = getattr(importlib.import_module(module), name, None)
         except ImportError:
-            found = None
-    if not callable(found) or getattr(found, "__module__", "") != module:
+            function = None
+    if not callable(function) or getattr(function, "__module__", "") != module:
         raise RecordingError(
             f"its runs are made by {plan.task!r}, which is no command of this program",
             where="sweep.json",
             remedy="a sweep that was begun from Python is gone on with from Python",
         )
-    return found
+    return function
 
 
 def check_choices(space: Space, primary: str, config_dirs: tuple[Path, ...]) -> None:
@@ -296,12 +298,12 @@ def check_choices(space: Space, primary: str, config_dirs: tuple[Path, ...]) -> 
     from trms_cli.composition.composer import composer_of
 
     composer = composer_of(primary, config_dirs)
-    seen: set[str] = set()
+    checked_nodes: set[str] = set()
     for word, overrides in _runs(space):
         try:
             composition = composer.compose(overrides)
             if primary == "run":
-                _check_run(composition.config, seen)
+                _check_run(composition.config, checked_nodes)
         except TrmsError as error:
             if word:
                 error.problem = f"{error.problem} (in the runs with {word})"
@@ -324,7 +326,7 @@ def _runs(space: Space) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield word, (*first[:place], word, *first[place + 1 :])
 
 
-def _check_run(config: Mapping[str, Any], seen: set[str]) -> None:
+def _check_run(config: Mapping[str, Any], checked_nodes: set[str]) -> None:
     """What a run would refuse before its first step."""
     from trms_cli.composition.plain_values import check_files, number, whole_number
     from trms_cli.core.plugins import build
@@ -340,9 +342,9 @@ def _check_run(config: Mapping[str, Any], seen: set[str]) -> None:
     whole_number(config["sim"]["prediction_every"], "sim.prediction_every")
     for key in ("model", *assembly.PARTS):
         node = json.dumps([key, config[key]], default=str)
-        if node in seen or not _is_ours(config[key]):
+        if node in checked_nodes or not _is_ours(config[key]):
             continue
-        seen.add(node)
+        checked_nodes.add(node)
         try:
             build(config[key], key)
         except TrmsError:

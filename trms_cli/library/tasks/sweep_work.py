@@ -66,9 +66,9 @@ class MakeRun:
         try:
             if not run.claim(attempt.number):
                 return run.result()  # done already, or another worker is at it
-            known = run.result()
-            if known is not None and known.state == "done":
-                return known
+            earlier_result = run.result()
+            if earlier_result is not None and earlier_result.state == "done":
+                return earlier_result
             run.put_aside(attempt.number)
             status: dict[str, Any] = {
                 "schema": STATUS_SCHEMA,
@@ -98,7 +98,7 @@ class MakeRun:
     def _made(self, attempt: Attempt, run: RunFolder) -> dict[str, Any]:
         """Keys of the status that the run ends with."""
         point = attempt.point
-        told: dict[str, Any] = {}
+        status: dict[str, Any] = {}
         said, errors = io.StringIO(), io.StringIO()
         for package in self.allowed:
             allow_for_now(package)
@@ -110,7 +110,7 @@ class MakeRun:
                 composition = composer_of(self.primary, folders).compose(
                     point.overrides, point.number
                 )
-                told["choices"] = composition.choices
+                status["choices"] = composition.choices
                 composition.config["out"] = str(run.path.resolve())
                 with (
                     contextlib.redirect_stdout(said),
@@ -120,23 +120,23 @@ class MakeRun:
                 ):
                     outcome = self.task(composition)
         except KeyboardInterrupt:
-            return told | {"state": "interrupted"}
+            return status | {"state": "interrupted"}
         except Exception as error:
             if _is_full(error):
-                return told | {
+                return status | {
                     "state": "interrupted",
                     "error": {"problem": f"{DISK_FULL}: {error}", "where": "", "remedy": ""},
                 }
-            return told | {"state": "failed", "error": _described(error)} | _notes(errors)
+            return status | {"state": "failed", "error": _described(error)} | _notes(errors)
         outcome = outcome if isinstance(outcome, Outcome) else Outcome(outcome)
         state: State = "done" if outcome.exit_code == EXIT_OK else "failed"
-        told |= {"state": state, "exit_code": outcome.exit_code, "objective": outcome.objective}
-        told["figures"] = _figures(run.path)
+        status |= {"state": state, "exit_code": outcome.exit_code, "objective": outcome.objective}
+        status["figures"] = _figures(run.path)
         lines = [line.strip() for line in said.getvalue().splitlines() if line.strip()]
         room = _LONGEST_LINE + len(" ".join(point.overrides))
         last = lines[-1] if lines else ""
-        told["told"] = last if len(last) <= room else f"{last[: room - 1]}…"
-        return told | _notes(errors)
+        status["told"] = last if len(last) <= room else f"{last[: room - 1]}…"
+        return status | _notes(errors)
 
 
 @contextlib.contextmanager

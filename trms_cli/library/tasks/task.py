@@ -133,6 +133,6 @@ def as_job(composition: Composition, task: Callable[..., Done], **how: Any) -> O
     from trms_cli.reporting.screen import show_job
 
     assert composition.job is not None
-    done = task(composition, Listener(""), **how)
-    show_job(done.findings, composition.job, composition.overrides or [done.findings.title])
-    return Outcome(done.exit_code, done.objective, done.folder)
+    result = task(composition, Listener(""), **how)
+    show_job(result.findings, composition.job, composition.overrides or [result.findings.title])
+    return Outcome(result.exit_code, result.objective, result.folder)

@@ -15,7 +15,8 @@ from trms_cli.core import wording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build, construct
 from trms_cli.core.versions import versions
-from trms_cli.identification.admission import Admission, admit, merge_admissions
+from trms_cli.identification.admission.admit import admit
+from trms_cli.identification.admission.issues import Admission, merge_admissions
 from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.validation.validate import ValidationOptions
@@ -47,7 +48,9 @@ class ValidationRequest:
     admission: Admission  #: What was found in the recordings, by all models together
 
 
-def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> ValidationRequest:
+def validation_of(
+    compositions: Sequence[Composition], model_names: Sequence[str]
+) -> ValidationRequest:
     """Build everything that was asked for.
 
     Raises TrmsError for the first key or recording that is wrong.
@@ -62,8 +65,8 @@ def validation_of(compositions: Sequence[Composition], given: Sequence[str]) -> 
     models: dict[str, Model] = {}
     recordings: dict[str, Sequence[Dataset]] = {}
     admissions: dict[str, Admission] = {}
-    shown = shown_names(given or [model_of_choice(compositions[0])])
-    for name, composition in zip(shown, compositions, strict=True):
+    names = shown_names(model_names or [model_of_choice(compositions[0])])
+    for name, composition in zip(names, compositions, strict=True):
         model = model_of(composition.config)
         simulated = driven_model(model, driven)
         loaded = load_datasets(real, model, data)
@@ -109,12 +112,12 @@ def calibrate_validations(
         return list(validations), []
     from trms_cli.identification.validation.validate import calibrate_tests as simulated_p_values
 
-    done, notes = [], []
-    wanted = request.options.tests.simulations
+    results, notes = [], []
+    total = request.options.tests.simulations
     for validation in validations:
 
         def tell(count: int, name: str = validation.name) -> None:
-            progress(f"{name}: simulation {count} of {wanted}")
+            progress(f"{name}: simulation {count} of {total}")
 
         tests = simulated_p_values(validation, request.data.quantum, tell)
         if tests is None:
@@ -122,8 +125,8 @@ def calibrate_validations(
                 f"{validation.name}: left alone over the recording it leaves the range of what was "
                 "measured, so its p-values are not from simulations"
             )
-        done.append(validation if tests is None else replace(validation, tests=tests))
-    return done, notes
+        results.append(validation if tests is None else replace(validation, tests=tests))
+    return results, notes
 
 
 def notes_on(request: ValidationRequest) -> list[str]:
@@ -167,11 +170,12 @@ DOCUMENT_NAME, PAGE_NAME = "validation.json", "validation.html"
 
 
 def perform(
-    compositions: Sequence[Composition], listener: Listener, given: Sequence[str] = ()
+    compositions: Sequence[Composition], listener: Listener, model_names: Sequence[str] = ()
 ) -> Done:
     """Validate the model of each configuration; they differ in their model only.
 
-    `given`: what each model was called when it was asked for; empty for one from a configuration.
+    `model_names`: what each model was called when it was asked for; empty for one from a
+    configuration.
     """
     from trms_cli.identification.validation import findings
     from trms_cli.identification.validation.document import document_of
@@ -179,7 +183,7 @@ def perform(
     from trms_cli.runs.run_folder import write_document
 
     begin = perf_counter()
-    request = validation_of(compositions, given)
+    request = validation_of(compositions, model_names)
     listener.begin(", ".join(request.models), dict(_facts(request)))
     with listener.progress() as line:
         validations = validate_all(request.models, request.datasets, request.options, line.tell)
@@ -199,13 +203,13 @@ def perform(
             whole = findings.findings(document, validations)
             page = write_page(whole, folder / PAGE_NAME, pictures=False, interactive=False)
             files |= {"page": page} if page else {}
-    told = findings.findings(document)
+    result = findings.findings(document)
     facts = {f"note{' ' * i}": note for i, note in enumerate(notes)}
     facts["time"] = wording.seconds(perf_counter() - begin)
-    told = replace(told, facts=facts, files=files, measures=(), warnings=())
+    result = replace(result, facts=facts, files=files, measures=(), warnings=())
     if compositions[0].job is not None:
-        told = replace(told, lead=[findings.in_short(document)])
-    return Done(folder, told, objective=objective(document))
+        result = replace(result, lead=[findings.in_short(document)])
+    return Done(folder, result, objective=objective(document))
 
 
 def _facts(request: ValidationRequest) -> Iterator[tuple[str, str]]:

@@ -15,10 +15,10 @@ def model_list(argv: Sequence[str]) -> tuple[str, ...] | None:
     Raises ConfigurationError for an empty list, a bracket that is missing, a model that stands
     twice, or a sweep.
     """
-    chosen = [word for word in argv if word.lstrip("+").startswith(_KEY)]
-    if not chosen:
+    model_words = [word for word in argv if word.lstrip("+").startswith(_KEY)]
+    if not model_words:
         return None
-    value = chosen[-1].partition("=")[2].strip().strip("'\"")
+    value = model_words[-1].partition("=")[2].strip().strip("'\"")
     if not value.startswith("["):
         return None
     if not value.endswith("]") or "[" in value[1:]:
@@ -60,14 +60,17 @@ def named_sets(argv: Sequence[str]) -> list[str]:
     return with_parameter_sets(argv, read_groups(take_config_dirs(argv)[0]))
 
 
-def shown_names(given: Sequence[str]) -> list[str]:
+def shown_names(model_names: Sequence[str]) -> list[str]:
     """What models are called in tables: a file's stem, or, where stems repeat, its path.
 
     Every fit is called ``model.yaml``; it goes by the name of its folder.
     """
-    stems = [_stem(Path(name)) if name.endswith((".yaml", ".yml")) else name for name in given]
+    stems = [
+        _stem(Path(name)) if name.endswith((".yaml", ".yml")) else name for name in model_names
+    ]
     return [
-        stem if stems.count(stem) == 1 else name for stem, name in zip(stems, given, strict=True)
+        stem if stems.count(stem) == 1 else name
+        for stem, name in zip(stems, model_names, strict=True)
     ]
 
 

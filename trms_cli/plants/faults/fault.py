@@ -84,6 +84,6 @@ class Fault(Protocol):
         """The fault at the beginning of a run."""
 
 
-def _position(name: str, known: Sequence[str], words: str, where: str) -> int:
-    require_known(name, known, f"{words} {name!r}", where)
-    return list(known).index(name)
+def _position(name: str, valid_names: Sequence[str], words: str, where: str) -> int:
+    require_known(name, valid_names, f"{words} {name!r}", where)
+    return list(valid_names).index(name)

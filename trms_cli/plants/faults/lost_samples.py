@@ -20,13 +20,13 @@ class LostSamples:
 
     def init(self, setup: FaultSetup) -> FaultRun:
         column = setup.output(self.channel)
-        lost = np.random.default_rng(setup.seed).random(setup.samples) < self.probability
+        is_lost = np.random.default_rng(setup.seed).random(setup.samples) < self.probability
         share = "" if self.probability == 1.0 else f"{100 * self.probability:g} % of "
         return _Run(
             setup.window(self.start, self.duration),
             f"{share}{self.channel} is not read",
             column,
-            lost,
+            is_lost,
         )
 
 

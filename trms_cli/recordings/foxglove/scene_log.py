@@ -71,14 +71,14 @@ def find_sources(
         yaw, pitch = place(topic, _YAW), place(topic, _PITCH)
         return None if yaw is None and pitch is None else (topic, yaw, pitch)
 
-    rig = next((found for found in map(attitude, _RIG) if found is not None), None)
+    rig = next((source for source in map(attitude, _RIG) if source is not None), None)
     if rig is None:
         return None
     attitudes = {"": rig}
     for ghost, topic in _GHOSTS.items():
-        found = attitude(topic)
-        if found is not None and topic != rig[0]:
-            attitudes[f"{ghost}_"] = found
+        source = attitude(topic)
+        if source is not None and topic != rig[0]:
+            attitudes[f"{ghost}_"] = source
     commands = tuple((place(_COMMANDS, name), limits.get(name) or 1.0) for name in arrows)
     return Sources(attitudes, commands)
 
@@ -92,12 +92,12 @@ class PoseMemory:
 
     def take(self, rows: Mapping[str, Row]) -> tuple[Attitudes, list[float]]:
         """Attitudes by prefix, and each command over its limit, from the topics' present rows."""
-        known = self._known
+        poses = self._known
         for prefix, (topic, yaw, pitch) in self._sources.attitudes.items():
             row = rows.get(topic)
             if row is None:
                 continue
-            before = known.get(prefix)
+            before = poses.get(prefix)
             turned = 0.0 if yaw is None else row[yaw]
             raised = 0.0 if pitch is None else row[pitch]
             if not (turned - turned == 0.0 and raised - raised == 0.0):  # not finite
@@ -105,13 +105,13 @@ class PoseMemory:
                     before = (0.0, 0.0)
                 turned = turned if math.isfinite(turned) else before[0]
                 raised = raised if math.isfinite(raised) else before[1]
-            known[prefix] = (turned, raised)
+            poses[prefix] = (turned, raised)
         row = rows.get(_COMMANDS)
         shares = [
             math.nan if row is None or place is None else row[place] / limit
             for place, limit in self._sources.commands
         ]
-        return known, shares
+        return poses, shares
 
 
 class SceneLog:
@@ -208,13 +208,15 @@ def scene_messages(
     for k, time_ns in enumerate(times.tolist()):
         if k == 0:
             yield foxglove.BODIES, time_ns, encoder.bodies(time_ns)
-        attitudes, shares = memory.take({topic: held[k] for topic, held in rows.items()})
+        attitudes, shares = memory.take(
+            {topic: topic_rows[k] for topic, topic_rows in rows.items()}
+        )
         yield foxglove.TRANSFORMS, time_ns, encoder.transforms(time_ns, attitudes)
         yield foxglove.ARROWS, time_ns, encoder.commands(time_ns, shares)
     events = log.tables.get("/event")
     if events is not None:
-        told = (events.columns[name] for name in ("kind", "source", "message"))
-        for time_ns, *words in zip(events.time_ns.tolist(), *told, strict=True):
+        fields = (events.columns[name] for name in ("kind", "source", "message"))
+        for time_ns, *words in zip(events.time_ns.tolist(), *fields, strict=True):
             yield foxglove.LOG_LINES, time_ns, log_line(time_ns, *(word or "" for word in words))
 
 

@@ -44,20 +44,20 @@ class Pair:
 
 def pair(one: ComparisonRun, other: ComparisonRun) -> Pair:
     """Put two runs side by side."""
-    chosen = [
+    options = [
         (key, one.coordinates.get(key, "–"), other.coordinates.get(key, "–"))
         for key in dict.fromkeys([*one.coordinates, *other.coordinates])
         if one.coordinates.get(key) != other.coordinates.get(key)
     ]
     # keys below an option that differs follow from the option
-    below = tuple(f"{key}." for key, _, _ in chosen if "." not in key)
-    named = {key for key, _, _ in chosen}
+    below = tuple(f"{key}." for key, _, _ in options if "." not in key)
+    named = {key for key, _, _ in options}
     settings = [
         row
         for row in differences(one.config, other.config)
         if row[0] not in named and not row[0].startswith(below)
     ]
-    return Pair(one=one, other=other, settings=(*chosen, *settings), rows=tuple(_rows(one, other)))
+    return Pair(one=one, other=other, settings=(*options, *settings), rows=tuple(_rows(one, other)))
 
 
 def _rows(one: ComparisonRun, other: ComparisonRun) -> Iterator[PairRow]:
@@ -80,27 +80,27 @@ SCHEMA, PAIR_SCHEMA = "trms.compare/1", "trms.compare_pair/1"
 def rule(ranking: ranked.Ranking) -> str:
     """How the rank comes about, in two sentences."""
     name = ranking.metric.upper() if ranking.metric != "max_abs_error" else "largest error"
-    given = ", ".join(_gathered(ranking.contest.given_by)) or "condition"
+    conditions = ", ".join(_gathered(ranking.contest.given_by)) or "condition"
     return (
         f"Ranked by tracking: the {name} of all channels added, over the best entrant's on the "
-        f"same {given}; geometric mean over the runs. A failed run counts as the worst of its "
+        f"same {conditions}; geometric mean over the runs. A failed run counts as the worst of its "
         f"condition, and at least as {ranked.FAILED_RATIO:g} times the best."
     )
 
 
 def _gathered(keys: Sequence[str]) -> list[str]:
     """Coordinates as prose names them: many parameters of the rig, as draws have, are one."""
-    drawn = [key for key in keys if key.startswith(ranked.RIG_PARAMETERS)]
-    if len(drawn) < ranked.FEWEST_GATHERED:
+    rig_keys = [key for key in keys if key.startswith(ranked.RIG_PARAMETERS)]
+    if len(rig_keys) < ranked.FEWEST_GATHERED:
         return list(keys)
     return [
-        *(key for key in keys if key not in drawn),
-        f"the rig's parameters ({len(drawn)} of {ranked.RIG_PARAMETERS.rstrip('.')})",
+        *(key for key in keys if key not in rig_keys),
+        f"the rig's parameters ({len(rig_keys)} of {ranked.RIG_PARAMETERS.rstrip('.')})",
     ]
 
 
 def document(
-    ranking: ranked.Ranking, gathered: RunCollection, shown: Sequence[ranked.Standing]
+    ranking: ranked.Ranking, gathered: RunCollection, standings: Sequence[ranked.Standing]
 ) -> dict[str, Any]:
     """``trms.compare/1``, the entrants in the order in which they are shown."""
     runs = gathered.runs
@@ -114,7 +114,7 @@ def document(
             "runs": len(runs),
             "conditions_left_out": ranking.left_out,
             "rigs_differ_by_model": ranking.contest.rigs_differ,
-            "conditions": [dict(told) for told in ranking.contest.conditions],
+            "conditions": [dict(condition) for condition in ranking.contest.conditions],
             "interval": {
                 "of": "percentile bootstrap over rigs, paired",
                 "level": ranked.LEVEL,
@@ -123,7 +123,7 @@ def document(
                 "rigs": ranking.clusters,
                 "fewest_rigs": ranked.FEWEST_CLUSTERS,
             },
-            "entrants": [_entrant(standing, ranking) for standing in shown],
+            "entrants": [_entrant(standing, ranking) for standing in standings],
             "failed": [_run_data(run) for run in runs if run.state is State.FAILED],
             "incomplete": [_run_data(run) for run in runs if run.state is State.INCOMPLETE],
             "left_out": [{"path": path, "problem": why} for path, why in gathered.left_out],
@@ -149,12 +149,14 @@ def pair_document(pair: Pair) -> dict[str, Any]:
 
 
 def _entrant(standing: ranked.Standing, ranking: ranked.Ranking) -> dict[str, Any]:
-    told = asdict(ranked.figures_of(standing, ranking.metric))
-    done = [run for run in standing.runs if run.state is State.DONE]
+    figures = asdict(ranked.figures_of(standing, ranking.metric))
+    completed_runs = [run for run in standing.runs if run.state is State.DONE]
     others = {
-        m: ranked.mean(run.error(m) for run in done) for m in metrics() if m != ranking.metric
+        m: ranked.mean(run.error(m) for run in completed_runs)
+        for m in metrics()
+        if m != ranking.metric
     }
-    errors = {name: told.pop(f"error_{name}") for name in ("mean", "p95", "worst")}
+    errors = {name: figures.pop(f"error_{name}") for name in ("mean", "p95", "worst")}
     return {
         "name": standing.name,
         "rank": standing.rank,
@@ -166,13 +168,13 @@ def _entrant(standing: ranked.Standing, ranking: ranked.Ranking) -> dict[str, An
             "against_first_interval": _pair(standing.against_interval),
             "different_from_first": standing.different,
             "shared_with_first": standing.shared,
-            "ratio_p95": told.pop("ratio_p95"),
-            "ratio_worst": told.pop("ratio_worst"),
+            "ratio_p95": figures.pop("ratio_p95"),
+            "ratio_worst": figures.pop("ratio_worst"),
             "worst_condition": ranked.worst_condition(standing, ranking.contest.condition_name),
             "error": errors,
             "other_metrics_mean": others,
         },
-        **told,
+        **figures,
         "by_condition": [
             {
                 "condition": int(condition),
@@ -205,7 +207,7 @@ _LEAST_CHANGE = 0.01
 
 
 def ranking_findings(
-    ranking: ranked.Ranking, gathered: RunCollection, shown: Sequence[ranked.Standing]
+    ranking: ranked.Ranking, gathered: RunCollection, standings: Sequence[ranked.Standing]
 ) -> Findings:
     """Who won, what that took, and what went wrong; the entrants in the order given."""
     contest = ranking.contest
@@ -216,22 +218,22 @@ def ranking_findings(
     ]
     parts = [f"{many} by {', '.join(_gathered(by))}" if by else many for many, by in counted]
     title = f"{runs}: {', '.join(parts)}"
-    tables = ranking_tables(ranking, shown)
+    tables = ranking_tables(ranking, standings)
     lead, troubles = [*_answer(ranking)], [*trouble(gathered)]
-    if not any("failed runs" in told.columns for told in tables):
+    if not any("failed runs" in ranking_table.columns for ranking_table in tables):
         lead.append("No run failed: no fall-back, no missed deadline, never degraded.")
     return Findings(
         title,
         lead,
         [Section("Ranking", blocks=[*tables, *(each for _, each in troubles)])],
-        document(ranking, gathered, shown),
+        document(ranking, gathered, standings),
         [words for words, _ in troubles],
     )
 
 
-def ranking_tables(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) -> list[Table]:
+def ranking_tables(ranking: ranked.Ranking, standings: Sequence[ranked.Standing]) -> list[Table]:
     """Tracking and robustness, effort and time, and failures where there was one."""
-    told = [(standing, ranked.figures_of(standing, ranking.metric)) for standing in shown]
+    rows = [(standing, ranked.figures_of(standing, ranking.metric)) for standing in standings]
     unit = metrics()[ranking.metric].replace("{}", "rad")
     error = {"max_abs_error": "largest error"}.get(ranking.metric, ranking.metric.upper())
     heads = [Column("rank", lambda each: each[0].rank), Column("who", lambda each: each[0].name)]
@@ -261,16 +263,16 @@ def ranking_tables(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) ->
         Column("degraded [s]", lambda each: each[1].degraded_s),
         Column("in runs", lambda each: each[1].degraded_runs),
     ]
-    unwell = [each for each in told if _failed(each[1])]
-    caption = " ".join(notes(ranking, shown))
+    unwell = [each for each in rows if _failed(each[1])]
+    caption = " ".join(notes(ranking, standings))
     tables = [
-        table(told, [*heads, *tracking], caption, heads=2),
-        table(told, [*heads, *cost], heads=2),
+        table(rows, [*heads, *tracking], caption, heads=2),
+        table(rows, [*heads, *cost], heads=2),
     ]
     return tables + ([table(unwell, [*heads, *failures], heads=2)] if unwell else [])
 
 
-def notes(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) -> Iterator[str]:
+def notes(ranking: ranked.Ranking, standings: Sequence[ranked.Standing]) -> Iterator[str]:
     """How the tables are to be read."""
     yield rule(ranking)
     if ranking.contest.rigs_differ:
@@ -288,7 +290,7 @@ def notes(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) -> Iterator
             f"No intervals: {wording.count(ranking.clusters, 'rig')}, and they take "
             f"{ranked.FEWEST_CLUSTERS} (sweep plant.prior_seed or seed)."
         )
-    if ranking.first is not None and len(shown) > 1:
+    if ranking.first is not None and len(standings) > 1:
         for standing in ranking.ranked[:2]:
             where = ranked.worst_condition(standing, ranking.contest.brief_condition_name)
             ratio = float(standing.ratios.max())
@@ -300,11 +302,11 @@ def notes(ranking: ranked.Ranking, shown: Sequence[ranked.Standing]) -> Iterator
     ):
         yield "Rows ran in different conditions: their errors tell as much of those as of who ran."
     outside = dict.fromkeys(
-        f"{standing.name}: {standing.outside}" for standing in shown if standing.outside
+        f"{standing.name}: {standing.outside}" for standing in standings if standing.outside
     )
     if outside:
         yield f"Outside of the ranking: {'; '.join(outside)}."
-    partial = [s.name for s in shown if s.rank is None and not s.outside]
+    partial = [s.name for s in standings if s.rank is None and not s.outside]
     if partial:
         yield f"Not ranked, since in too few of the conditions: {', '.join(partial)}."
     if ranking.left_out:
@@ -337,7 +339,7 @@ def pair_findings(pair: Pair) -> Findings:
         for letter, run in (("A", pair.one), ("B", pair.other))
         if run.state is not State.DONE
     ]
-    given = _at_most(["given differently", "A", "B"], pair.settings)
+    settings_table = _at_most(["given differently", "A", "B"], pair.settings)
     compared = table(
         pair.rows,
         [
@@ -352,7 +354,10 @@ def pair_findings(pair: Pair) -> Findings:
     return Findings(
         "two runs",
         [f"A  {pair.one.path}", f"B  {pair.other.path}", *same],
-        [Section("Given differently", blocks=[given]), Section("Figures", blocks=[compared])],
+        [
+            Section("Given differently", blocks=[settings_table]),
+            Section("Figures", blocks=[compared]),
+        ],
         pair_document(pair),
         warnings,
     )
@@ -387,8 +392,10 @@ def _alarm(amount: int | None) -> Cell:
     return Datum(amount, "bad" if amount else "")
 
 
-def _failed(told: ranked.Figures) -> bool:
-    return any((told.failed, told.non_finite, told.fallbacks, told.missed, told.degraded_s))
+def _failed(figures: ranked.Figures) -> bool:
+    return any(
+        (figures.failed, figures.non_finite, figures.fallbacks, figures.missed, figures.degraded_s)
+    )
 
 
 def _between(interval: ranked.RatioInterval | None) -> str:

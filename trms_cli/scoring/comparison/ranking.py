@@ -64,7 +64,7 @@ class ComparisonGroup:
                 model = plant.get("model") if isinstance(plant, Mapping) else None
                 if model is not None:
                     rigs.setdefault(condition, set()).add(str(model))
-        return any(len(found) > 1 for found in rigs.values())
+        return any(len(models) > 1 for models in rigs.values())
 
     def condition_name(self, condition: int) -> str:
         """In what it differs from the others."""
@@ -79,22 +79,28 @@ class ComparisonGroup:
         return ", ".join([*others, f"rig {self.clusters()[condition] + 1}"])
 
     def _named(self, condition: int, keys: Sequence[str]) -> str:
-        told = self.conditions[condition]
+        coordinates = self.conditions[condition]
         parts = []
         for key in keys:
-            if told[key] not in ("", "–", "none"):
+            if coordinates[key] not in ("", "–", "none"):
                 name = key.rpartition(".")[2]
-                parts.append(f"{name} {told[key]}" if "." in key or name == "seed" else told[key])
+                parts.append(
+                    f"{name} {coordinates[key]}"
+                    if "." in key or name == "seed"
+                    else coordinates[key]
+                )
         return ", ".join(parts) or "the same for all"
 
     def clusters(self) -> IntArray:
         """Which rig each condition is of: all but the reference."""
         rigs: dict[tuple[tuple[str, str], ...], int] = {}
-        found = []
-        for told in self.conditions:
-            key = tuple((name, told[name]) for name in self.given_by if not _of_reference(name))
-            found.append(rigs.setdefault(key, len(rigs)))
-        return np.array(found, dtype=np.int64)
+        indices = []
+        for condition in self.conditions:
+            key = tuple(
+                (name, condition[name]) for name in self.given_by if not _of_reference(name)
+            )
+            indices.append(rigs.setdefault(key, len(rigs)))
+        return np.array(indices, dtype=np.int64)
 
 
 def group(runs: Sequence[ComparisonRun], by: Sequence[str] = ()) -> ComparisonGroup:
@@ -108,35 +114,39 @@ def group(runs: Sequence[ComparisonRun], by: Sequence[str] = ()) -> ComparisonGr
     differ = differing_coordinates(counted)
     for key in by:
         _require_coordinate(key, counted, "--by")
-    known = {key for run in counted for key in run.coordinates}
-    chosen = tuple(by) or tuple(key for key in usual_entrants(differ) if key in known)
-    given = tuple(key for key in differ if key not in chosen)
+    coordinate_names = {key for run in counted for key in run.coordinates}
+    entrant_keys = tuple(by) or tuple(
+        key for key in usual_entrants(differ) if key in coordinate_names
+    )
+    condition_keys = tuple(key for key in differ if key not in entrant_keys)
     entrants: dict[str, int] = {}
     outside: list[str] = []
     conditions: dict[tuple[str, ...], int] = {}
     cells: dict[tuple[int, int], list[ComparisonRun]] = {}
     for run in counted:
-        name = controller_name(run.coordinates, chosen, given)
+        name = controller_name(run.coordinates, entrant_keys, condition_keys)
         if name not in entrants:
             entrants[name] = len(entrants)
             outside.append(run.outside)
-        told = tuple(run.coordinates.get(key, "") for key in given)
-        place = entrants[name], conditions.setdefault(told, len(conditions))
+        condition = tuple(run.coordinates.get(key, "") for key in condition_keys)
+        place = entrants[name], conditions.setdefault(condition, len(conditions))
         cells.setdefault(place, []).append(run)
     return ComparisonGroup(
-        by=chosen,
-        given_by=given,
+        by=entrant_keys,
+        given_by=condition_keys,
         entrants=tuple(entrants),
         outside=tuple(outside),
-        conditions=tuple(dict(zip(given, told, strict=True)) for told in conditions),
+        conditions=tuple(
+            dict(zip(condition_keys, condition, strict=True)) for condition in conditions
+        ),
         cells={place: tuple(members) for place, members in cells.items()},
     )
 
 
 def _require_coordinate(key: str, runs: Sequence[ComparisonRun], where: str) -> None:
-    known = dict.fromkeys(key for run in runs for key in run.coordinates)
-    if key not in known:
-        there = f"there are: {', '.join(known)}"
+    coordinate_names = dict.fromkeys(key for run in runs for key in run.coordinates)
+    if key not in coordinate_names:
+        there = f"there are: {', '.join(coordinate_names)}"
         raise ConfigurationError(f"the runs have no {key!r}", where=where, remedy=there)
 
 
@@ -148,14 +158,14 @@ def usual_entrants(differ: Sequence[str]) -> tuple[str, ...]:
 
 
 def controller_name(
-    coordinates: Mapping[str, str], by: Sequence[str], given: Sequence[str] = ()
+    coordinates: Mapping[str, str], by: Sequence[str], condition_keys: Sequence[str] = ()
 ) -> str:
     """``newton_mpc + ukf``, and the settings in which it differs: ``max_iterations=1``."""
     parts = []
     for key in by:
         value = coordinates.get(key, "")
         if "." not in key:
-            parts.append(value if key in OF_ENTRANTS or not given else f"{key} {value}")
+            parts.append(value if key in OF_ENTRANTS or not condition_keys else f"{key} {value}")
         elif value not in ("", "–"):
             parts.append(f"{key.partition('.')[2]}={value}")
     return " + ".join(parts) or "all runs"
@@ -168,22 +178,22 @@ def matching_runs(
 
     Raises ConfigurationError if a coordinate is unknown, or nothing is left.
     """
-    left = list(runs)
+    matches = list(runs)
     for key, patterns in where.items():
-        values = dict.fromkeys(run.coordinates.get(key, "") for run in left)
-        _require_coordinate(key, left, "--where")
-        left = [
+        values = dict.fromkeys(run.coordinates.get(key, "") for run in matches)
+        _require_coordinate(key, matches, "--where")
+        matches = [
             run
-            for run in left
+            for run in matches
             if any(fnmatchcase(run.coordinates.get(key, ""), pattern) for pattern in patterns)
         ]
-        if not left:
+        if not matches:
             raise ConfigurationError(
                 f"no run has {key} {', '.join(patterns)}",
                 where="--where",
                 remedy=f"there are: {', '.join(values)}",
             )
-    return left
+    return matches
 
 
 def _stem(key: str) -> str:
@@ -231,8 +241,8 @@ class Standing:
     @property
     def different(self) -> bool | None:
         """Whether it is told from the first; None where that cannot be said."""
-        found = self.against_interval
-        return None if found is None else found.low > 1.0 or found.high < 1.0
+        interval = self.against_interval
+        return None if interval is None else interval.low > 1.0 or interval.high < 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

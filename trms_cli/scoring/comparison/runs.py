@@ -88,8 +88,8 @@ class ComparisonRun:
 
     def of_run(self, key: str) -> float:
         """A figure of the run as a whole: ``degraded`` (s), ``violations``; NaN without one."""
-        found = next((e for e in entries(self.score or {}, "run") if e.key == key), None)
-        return _number(None if found is None else found.value)
+        entry = next((e for e in entries(self.score or {}, "run") if e.key == key), None)
+        return _number(None if entry is None else entry.value)
 
 
 def _number(value: Any) -> float:
@@ -109,26 +109,26 @@ _NONE = "–"
 def choices_of(config: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """The options of a log that does not name them: from what was typed, else by their classes."""
     typed = of_overrides(overrides)
-    found: dict[str, Any] = {}
+    choices: dict[str, Any] = {}
     for group in _GROUPS:
         content = config.get(group)
         if group in typed:
-            found[group] = typed[group]
+            choices[group] = typed[group]
         elif group in ("effect", "fault") and isinstance(content, Mapping):
-            found[group] = list(content)
+            choices[group] = list(content)
         elif isinstance(content, Mapping):
-            found[group] = _class_name(content if group != "ref" else _first_signal(content))
-    return found | {key: value for key, value in typed.items() if "@" in key}
+            choices[group] = _class_name(content if group != "ref" else _first_signal(content))
+    return choices | {key: value for key, value in typed.items() if "@" in key}
 
 
 def of_overrides(overrides: Sequence[str]) -> dict[str, str]:
     """Coordinates as typed: ``controller=pid`` and ``plant.prior_seed=3`` alike."""
-    found = {}
+    coordinates = {}
     for word in overrides:
         key, equals, value = word.lstrip("+").partition("=")
         if equals and key not in _NO_COORDINATES and not key.startswith("hydra"):
-            found[key] = value.strip("'\"").strip("[]").replace(",", "+")
-    return found
+            coordinates[key] = value.strip("'\"").strip("[]").replace(",", "+")
+    return coordinates
 
 
 def complete_coordinates(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
@@ -157,7 +157,7 @@ def _is_implied(key: str, runs: Sequence[ComparisonRun]) -> bool:
     for run in runs:
         if key in run.coordinates:
             values.setdefault(run.coordinates.get(group, ""), set()).add(run.coordinates[key])
-    return all(len(found) == 1 for found in values.values())
+    return all(len(options) == 1 for options in values.values())
 
 
 def differing_coordinates(runs: Sequence[ComparisonRun]) -> list[str]:
@@ -169,24 +169,24 @@ def differing_coordinates(runs: Sequence[ComparisonRun]) -> list[str]:
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Keys in which two configurations differ, with both values."""
     left, right = flat(one), flat(other)
-    found = []
+    rows = []
     for key in dict.fromkeys([*left, *right]):
         if key.startswith(_COPIES) or key in _NO_COORDINATES or left.get(key) == right.get(key):
             continue
-        found.append((key, left.get(key, _NONE), right.get(key, _NONE)))
-    return found
+        rows.append((key, left.get(key, _NONE), right.get(key, _NONE)))
+    return rows
 
 
 def flat(config: Mapping[str, Any], stem: str = "") -> dict[str, str]:
     """A nested mapping as dotted keys."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for key, value in config.items():
         place = f"{stem}{key}"
         if isinstance(value, Mapping) and value:
-            found |= flat(value, f"{place}.")
+            values |= flat(value, f"{place}.")
         else:
-            found[place] = "none" if value in (None, {}, []) else str(value)
-    return found
+            values[place] = "none" if value in (None, {}, []) else str(value)
+    return values
 
 
 def _with_settings(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
@@ -212,19 +212,19 @@ def differing_settings(
     whether other keys of a run are not known, so that it is not said to have none.
     """
     groups: dict[tuple[str, str], list[int]] = {}
-    for i, chosen in enumerate(choices):
+    for i, options in enumerate(choices):
         for group in dict.fromkeys(key.partition(".")[0] for key in flats[i]):
-            groups.setdefault((group, str(chosen.get(group, ""))), []).append(i)
+            groups.setdefault((group, str(options.get(group, ""))), []).append(i)
     settings: list[dict[str, str]] = [{} for _ in choices]
     for (group, _), members in groups.items():
         keys = dict.fromkeys(
             key for i in members for key in flats[i] if key.startswith(f"{group}.")
         )
         for key in keys:
-            known = [i for i in members if key in flats[i] or not partial[i]]
-            values = {flats[i].get(key, _NONE) for i in known}
+            indices = [i for i in members if key in flats[i] or not partial[i]]
+            values = {flats[i].get(key, _NONE) for i in indices}
             if len(values) > 1 and key not in _NO_COORDINATES and not key.startswith(_COPIES):
-                for i in known:
+                for i in indices:
                     settings[i][key] = flats[i].get(key, _NONE)
     return settings
 
@@ -235,14 +235,14 @@ def _as_flat(typed: Mapping[str, str]) -> dict[str, str]:
 
     from trms_cli.core.yaml_data import load_yaml
 
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for key, text in typed.items():
         try:
             value = load_yaml(text)
         except yaml.YAMLError:
             value = text
-        found |= flat(value, f"{key}.") if isinstance(value, Mapping) else flat({key: value})
-    return found
+        values |= flat(value, f"{key}.") if isinstance(value, Mapping) else flat({key: value})
+    return values
 
 
 def _class_name(content: Mapping[str, Any]) -> str:
@@ -284,16 +284,16 @@ def gather(paths: Sequence[Path]) -> RunCollection:
     """
     runs: list[ComparisonRun] = []
     left_out: list[tuple[str, str]] = []
-    seen: set[Path] = set()
+    places: set[Path] = set()
     for path in paths:
         if not path.exists():
             raise absent(path, "file or folder")
         with not_as_written(str(path)):
-            found = [_of_file(path)] if path.is_file() else _of_folder(path, left_out)
-        for run in found:
+            path_runs = [_of_file(path)] if path.is_file() else _of_folder(path, left_out)
+        for run in path_runs:
             place = Path(run.path).resolve()
-            if place not in seen:
-                seen.add(place)
+            if place not in places:
+                places.add(place)
                 runs.append(run)
     if not runs:
         words = f"; {left_out[0][0]}: {left_out[0][1]}" if left_out else ""
@@ -307,7 +307,7 @@ def gather(paths: Sequence[Path]) -> RunCollection:
 
 
 def _of_folder(root: Path, left_out: list[tuple[str, str]]) -> list[ComparisonRun]:
-    found = []
+    runs = []
     for folder, folders, files in os.walk(root):
         folders.sort()
         try:
@@ -317,15 +317,15 @@ def _of_folder(root: Path, left_out: list[tuple[str, str]]) -> list[ComparisonRu
             left_out.append((error.where or folder, error.problem))
             continue
         if run is not None:
-            found.append(run)
+            runs.append(run)
         for name in sorted(files):  # logs by other names, as a user files them
             if name.endswith(".mcap") and name != LOG:
                 try:
                     with not_as_written(str(Path(folder, name))):
-                        found.append(_of_log(Path(folder, name)))
+                        runs.append(_of_log(Path(folder, name)))
                 except RecordingError as error:
                     left_out.append((str(Path(folder, name)), error.problem))
-    return found
+    return runs
 
 
 def _of_run_folder(folder: Path, files: set[str]) -> ComparisonRun | None:
@@ -376,8 +376,8 @@ def _of_log(path: Path) -> ComparisonRun:
 
     config = load_yaml(log.config) or {}
     overrides = json.loads(log.run.get(OVERRIDES_KEY, "[]"))
-    chosen = json.loads(log.run.get(CHOICES_KEY, "{}")) or choices_of(config, overrides)
-    choices = named_files(chosen, config)
+    options = json.loads(log.run.get(CHOICES_KEY, "{}")) or choices_of(config, overrides)
+    choices = named_files(options, config)
     state = State.DONE if log.complete else State.INCOMPLETE
     state = _ENDINGS.get(log.outcome, state)
     score: Mapping[str, Any] | None = log.score or None
@@ -412,7 +412,7 @@ def _of_score(score: Mapping[str, Any], path: Path) -> ComparisonRun:
 
 def _of_status(status: Mapping[str, Any], folder: Path) -> ComparisonRun:
     """A job of a sweep, or a run of a tournament, that left no log and no score."""
-    given = status.get("coordinates")
+    own_coordinates = status.get("coordinates")
     overrides = [str(word) for word in status.get("overrides", ())]
     typed = of_overrides(overrides)
     named = {key: value for key, value in typed.items() if "." not in key or "@" in key}
@@ -421,11 +421,11 @@ def _of_status(status: Mapping[str, Any], folder: Path) -> ComparisonRun:
     state = State.FAILED if status.get("state") in ("failed", "done") else State.INCOMPLETE
     return ComparisonRun(
         path=str(folder),
-        coordinates=_as_text(given or {**choices, **named, **models}),
+        coordinates=_as_text(own_coordinates or {**choices, **named, **models}),
         state=state,
         message=_reason(status),
         outside=str(status.get("outside", "")),
-        typed={} if given else {k: v for k, v in typed.items() if k not in named},
+        typed={} if own_coordinates else {k: v for k, v in typed.items() if k not in named},
     )
 
 

@@ -156,9 +156,9 @@ def optimise_ellipsoid(
                     # A side that the ellipsoid does not touch is drawn in: it costs nothing.
                     radii = best.extents
                     radii[group] *= change
-                    found = search.at(radii) if search.solved < most else None
-                    if found and found.log_volume > best.log_volume + _LARGER:
-                        best, improved = found, True
+                    candidate = search.at(radii) if search.solved < most else None
+                    if candidate and candidate.log_volume > best.log_volume + _LARGER:
+                        best, improved = candidate, True
                         break
     if best is None:
         return None
@@ -210,8 +210,8 @@ class _Search:
         middle = 0.5 * (bounds.lower + bounds.upper)
         masks = self._active[-_REMEMBERED:]
         for _ in range(_ATTEMPTS):
-            chosen = [np.where(mask, bounds.upper, bounds.lower) for mask in masks]
-            Q = self._solution([middle, *chosen])
+            vertices = [np.where(mask, bounds.upper, bounds.lower) for mask in masks]
+            Q = self._solution([middle, *vertices])
             if Q is None:
                 return None
             growth = self._growth(matrices, Q)
@@ -221,25 +221,27 @@ class _Search:
                 P = 0.5 * (inverse + inverse.T) / np.outer(radii, radii)
                 return Ellipsoid(P, 1.0)
             fresh = [matrices[k] > middle for k in worst]
-            if chosen:
-                kept = np.argsort(self._growth(np.array(chosen), Q))[::-1]
-                masks = [masks[k] for k in kept[: _SLOTS - 1 - len(fresh)]]
-            known = [m for m in masks if not any(np.array_equal(m, other) for other in fresh)]
-            masks = [*known, *fresh]
+            if vertices:
+                ranking = np.argsort(self._growth(np.array(vertices), Q))[::-1]
+                masks = [masks[k] for k in ranking[: _SLOTS - 1 - len(fresh)]]
+            earlier_masks = [
+                m for m in masks if not any(np.array_equal(m, other) for other in fresh)
+            ]
+            masks = [*earlier_masks, *fresh]
             self._active = masks
         return None
 
     def bound(self, radii: FloatArray) -> bool:
         """Whether the box holds an ellipsoid, and bounds it: a larger one would be of use."""
-        found, sides = self.at(radii), list(self._system.curved) or list(range(len(radii)))
-        return found is not None and bool(np.any(found.extents[sides] > 0.9 * radii[sides]))
+        ellipsoid, sides = self.at(radii), list(self._system.curved) or list(range(len(radii)))
+        return ellipsoid is not None and bool(np.any(ellipsoid.extents[sides] > 0.9 * radii[sides]))
 
     def _growth(self, matrices: FloatArray, Q: FloatArray) -> FloatArray:
         """Twice the rate at which V may grow at each corner: positive where Q will not do."""
         value, vectors = np.linalg.eigh(Q)
         root, inverse = vectors * np.sqrt(value), (vectors / np.sqrt(value)).T
-        moved = inverse @ matrices @ root  # A in coordinates in which the ellipsoid is a ball
-        return np.asarray(np.linalg.eigvalsh(moved + moved.transpose(0, 2, 1))[:, -1])
+        transformed = inverse @ matrices @ root  # A in coordinates in which the ellipsoid is a ball
+        return np.asarray(np.linalg.eigvalsh(transformed + transformed.transpose(0, 2, 1))[:, -1])
 
     def _solution(self, matrices: list[FloatArray]) -> FloatArray | None:
         import cvxpy as cp
@@ -340,13 +342,13 @@ class RegionEstimate:
     def drawn(self, count: int, seed: int) -> FloatArray:
         """Deviations in it, uniformly, (m, n); fewer than ``count`` if it is hard to hit."""
         n = self.candidate.system.n
-        random, found = np.random.default_rng(seed), np.zeros((0, n))
+        random, samples = np.random.default_rng(seed), np.zeros((0, n))
         for _ in range(40):
             y = random.uniform(-1.0, 1.0, (4 * count, n)) @ self.frame.T
-            found = np.vstack([found, y[self.contains(y)]])
-            if len(found) >= count:
+            samples = np.vstack([samples, y[self.contains(y)]])
+            if len(samples) >= count:
                 break
-        return found[:count]
+        return samples[:count]
 
     @cached_property
     def log_volume(self) -> float:
@@ -410,22 +412,22 @@ def estimates(
     if set(methods) - {"lyapunov"}:
         tell("linear matrix inequalities over a box")
         best = optimise_ellipsoid(simple, walls, first=first)
-    found: list[RegionEstimate] = []
+    results: list[RegionEstimate] = []
     ellipsoids: dict[Method, Ellipsoid | None] = {"lyapunov": first, "inclusion": best}
     for method, shape in ellipsoids.items():
         if method in methods and shape is not None:
-            found.append(_ellipsoid(method, system, shape.P / shape.level))
-    wanted: list[Method] = [m for m in ("level_set", "integrals", "quartic") if m in methods]
+            results.append(_ellipsoid(method, system, shape.P / shape.level))
+    level_methods: list[Method] = [m for m in ("level_set", "integrals", "quartic") if m in methods]
     shapes = [shape for shape in (Ellipsoid(P, 1.0), best) if shape is not None]
     starts = []
-    for P in (shape.P / shape.level for shape in shapes if wanted):
+    for P in (shape.P / shape.level for shape in shapes if level_methods):
         rays, candidate = Rays.drawn(P, limits, _RAYS, 0), quadratic(system, P)
         level = sampled_level(candidate, rays)
         if level is not None:
             starts.append(_Start(candidate, level, rays))
-    for method in wanted:
-        found += _by_level_set(method, system, starts, most, tell)
-    return found
+    for method in level_methods:
+        results += _by_level_set(method, system, starts, most, tell)
+    return results
 
 
 @dataclass(frozen=True)
@@ -464,13 +466,13 @@ def _by_level_set(
         by = level.level, level.samples, proof.boxes
         return RegionEstimate(method, candidate, height, proved, means, proof.frame, *by)
 
-    found = []
+    results = []
     if proof.level > _TRIFLE * level.level:
-        found.append(estimate(proof.level, True, "V̇ < 0 by interval branch and bound"))
+        results.append(estimate(proof.level, True, "V̇ < 0 by interval branch and bound"))
     if not proof.complete:
         means = f"V̇ < 0 at {level.samples} samples only"
-        found.append(estimate(_SHARE * level.level, False, means))
-    return found
+        results.append(estimate(_SHARE * level.level, False, means))
+    return results
 
 
 def _ellipsoid(method: Method, system: ReducedSystem, P: FloatArray) -> RegionEstimate:

@@ -154,20 +154,20 @@ def basis_of(system: ReducedSystem, degree: int = 2, *, integrals: bool = False)
     Integrals are those of rates that are curved along an axis, and smooth.
     """
     y = ca.SX.sym("y", system.n)
-    found: list[ca.SX] = []
+    terms: list[ca.SX] = []
     labels: list[str] = []
     for size in range(2, degree + 1):
         for group in itertools.combinations_with_replacement(range(system.n), size):
             term = ca.SX(1)
             for i in group:
                 term *= y[i]
-            found.append(term)
+            terms.append(term)
             labels.append(_power(system.names, group))
     if integrals:
         for i, j in _curved_pairs(system):
-            found.append(_integral(system, y, i, j))
+            terms.append(_integral(system, y, i, j))
             labels.append(f"∫{system.names[i]}' d{system.names[j]}")
-    return Basis(system, tuple(labels), ca.Function("basis", [y], [ca.vertcat(*found)]))
+    return Basis(system, tuple(labels), ca.Function("basis", [y], [ca.vertcat(*terms)]))
 
 
 def _power(names: Sequence[str], group: tuple[int, ...]) -> str:
@@ -182,13 +182,13 @@ def _curved_pairs(system: ReducedSystem) -> list[tuple[int, int]]:
     """(i, j) where ∂f_i/∂y_j depends on y_j, smoothly: along which axis a rate is curved."""
     y, e = system.symbols()
     slopes = system.slopes(y, e)
-    found = []
+    pairs = []
     for i, j in itertools.product(range(system.n), repeat=2):
         slope = ca.Function("slope", [y, e], [slopes[i, j]])
         # A rate with a kink would give V, summed at nodes, slopes that jump.
         if ca.jacobian_sparsity(slopes[i, j], y[j]).nnz() and not operations(slope) & _SWITCHES:
-            found.append((i, j))
-    return found
+            pairs.append((i, j))
+    return pairs
 
 
 def _integral(system: ReducedSystem, y: ca.SX, i: int, j: int) -> ca.SX:
@@ -267,9 +267,9 @@ def sampled_level(candidate: LyapunovCandidate, rays: Rays) -> SampledLevel | No
     order = np.argsort(allowed)
     places = rays.ends * share[:, None]
     for k in order[:_REFINED]:
-        found = _refined(candidate, rays, places[k], bool(at_end[k]))
-        if found is not None and found[0] < _ELSEWHERE * allowed[k]:
-            allowed[k], places[k] = found
+        local_minimum = _refined(candidate, rays, places[k], bool(at_end[k]))
+        if local_minimum is not None and local_minimum[0] < _ELSEWHERE * allowed[k]:
+            allowed[k], places[k] = local_minimum
     best = int(np.argmin(allowed))
     level, place = float(allowed[best]), places[best]
     inside = value < level
@@ -309,7 +309,7 @@ def _refined(
     z0 = np.linalg.solve(rays.root, start)
     v0 = abs(float(at(z0)[0])) or 1.0
     scale = v0 * float(np.abs(candidate.system.eigenvalues).max())
-    found = minimize(
+    solution = minimize(
         lambda p: float(at(p)[0]) / v0,
         z0,
         jac=lambda p: np.array(at(p)[2]).ravel() / v0,
@@ -323,10 +323,10 @@ def _refined(
         method="SLSQP",
         options={"maxiter": 80, "ftol": 1e-10},
     )
-    level, slope = (float(v) for v in at(found.x)[:2])
-    y = rays.root @ found.x
+    level, slope = (float(v) for v in at(solution.x)[:2])
+    y = rays.root @ solution.x
     limits = np.abs(rays.ends).max(axis=0)
-    away = np.linalg.norm(found.x) > 1e-2 * np.linalg.norm(z0)
+    away = np.linalg.norm(solution.x) > 1e-2 * np.linalg.norm(z0)
     usable = away and level > 0.0 and slope > -1e-5 * scale and bool(np.all(np.abs(y) <= limits))
     return (level, y) if usable and np.isfinite(level) else None
 
@@ -353,19 +353,19 @@ def expand_level_set(
     random = np.random.default_rng(0)
     weights = np.zeros(len(basis.names))
     weights[: len(first.weights)] = first.weights
-    best, found = LyapunovCandidate(basis, weights), level
+    best, best_level = LyapunovCandidate(basis, weights), level
     growth = _GROWTH
     for _ in range(_ROUNDS):
-        y, near = _points(best, found, growth, random)
+        y, near = _points(best, best_level, growth, random)
         trial = _fitted(basis, y, near, first)
         reached = None if trial is None else sampled_level(trial, rays)
-        if trial is None or reached is None or reached.log_volume < found.log_volume + 0.01:
+        if trial is None or reached is None or reached.log_volume < best_level.log_volume + 0.01:
             growth *= 0.5
             if growth < _LEAST_GROWTH:
                 break
             continue
-        best, found = trial, reached
-    return best, found
+        best, best_level = trial, reached
+    return best, best_level
 
 
 def _points(
@@ -410,10 +410,10 @@ def _fitted(
     mean = np.append(b.mean(axis=0), 0.0)[None]
     # Large weights that cancel would be undone by no bound: intervals do not cancel.
     bounds = [(-_HEAVIEST, _HEAVIEST)] * b.shape[1] + [(None, None)]
-    found = linprog(cost, rows, right, mean, [1.0], bounds, method="highs")
-    if found.status != 0 or found.x[-1] <= 0.0:
+    solution = linprog(cost, rows, right, mean, [1.0], bounds, method="highs")
+    if solution.status != 0 or solution.x[-1] <= 0.0:
         return None
-    return LyapunovCandidate(basis, found.x[:-1] / size)
+    return LyapunovCandidate(basis, solution.x[:-1] / size)
 
 
 #: Boxes that are halved at once.
@@ -468,8 +468,8 @@ def proved_level(
         open_ &= ~narrow
         spent = len(value)
         if tell and (count + spent) // (32 * _BATCH) != count // (32 * _BATCH):
-            done = max(0.0, min(target, float(keys.min()))) / target
-            tell(f"{count + spent} boxes, proved to {done:.0%} of the level")
+            fraction = max(0.0, min(target, float(keys.min()))) / target
+            tell(f"{count + spent} boxes, proved to {fraction:.0%} of the level")
         count += spent
         return halves[open_], value[open_], spent
 
@@ -512,10 +512,10 @@ class _Search:
         """Lower bounds of V, and whether V̇ < 0 is proved, in each box."""
         rough = self._both(box, self._error)[0]
         value, falls = rough.lower[:, 0].copy(), rough.upper[:, 1] < 0.0
-        left = np.flatnonzero(~falls)
-        if len(left):
-            fine = self._both.mean_value(box[left], self._error)
-            value[left], falls[left] = fine.lower[:, 0], fine.upper[:, 1] < 0.0
+        doubtful_rows = np.flatnonzero(~falls)
+        if len(doubtful_rows):
+            fine = self._both.mean_value(box[doubtful_rows], self._error)
+            value[doubtful_rows], falls[doubtful_rows] = fine.lower[:, 0], fine.upper[:, 1] < 0.0
         return np.where(np.isnan(value), -np.inf, value), falls
 
     def inner(self) -> float:

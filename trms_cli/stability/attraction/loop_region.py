@@ -104,17 +104,17 @@ class LinearLawLoop(Model):
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         n, point = self._base.n_x, self._law.point
         away = ca.vertcat(x[:n] - ca.DM(point.x), x[n:])
-        wanted = u - ca.mtimes(ca.DM(self.gain), away)
-        given = wanted
+        command = u - ca.mtimes(ca.DM(self.gain), away)
+        applied_command = command
         if self._saturated:
             lower, upper = self._base.input_bounds()
-            given = ca.fmin(ca.fmax(wanted, ca.DM(lower)), ca.DM(upper))
+            applied_command = ca.fmin(ca.fmax(command, ca.DM(lower)), ca.DM(upper))
         rows = [self._base.state_index(name) for name in self.controlled]
         drift = ca.vertcat(*(away[row] for row in rows))
         if self._saturated:
             back = self._law.regulator.unwind / self._law.period
-            drift += ca.mtimes(ca.DM(back), wanted - given)
-        return ca.vertcat(self._base.dynamics(x[:n], given, p, w), drift)
+            drift += ca.mtimes(ca.DM(back), command - applied_command)
+        return ca.vertcat(self._base.dynamics(x[:n], applied_command, p, w), drift)
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         return self._base.measurement(x[: self._base.n_x], u, p)
@@ -172,13 +172,15 @@ def loop_region(
     Raises TrmsError if the loop is unstable around the point, or a name is no state.
     """
     model, loop = subject.model, subject.require_loop("study=region_of_attraction")
-    chosen = () if request.states in (None, "all") else tuple(request.states or ())
-    known = chosen or _deviating(model)
+    requested_states = () if request.states in (None, "all") else tuple(request.states or ())
+    deviating_states = requested_states or _deviating(model)
     require_states(
-        [n for n in known if n not in model.state_names], model.state_names, "study.states"
+        [n for n in deviating_states if n not in model.state_names],
+        model.state_names,
+        "study.states",
     )
-    require_states(request.box, known, "study.box")
-    box = np.array([request.box.get(n, _half_width(model, point, n)) for n in known])
+    require_states(request.box, deviating_states, "study.box")
+    box = np.array([request.box.get(n, _half_width(model, point, n)) for n in deviating_states])
     duration = request.duration or _DURATION
     law = linear_law(model, loop, point)
     region = None
@@ -187,16 +189,16 @@ def loop_region(
         system = around(closed, closed.point)
         require_attractive(system)
         matrix, offset = closed.starts()
-        kept = list(system.kept)
-        columns = [model.state_index(name) for name in known]
-        starts = StartSet(known, matrix[np.ix_(kept, columns)], offset[kept])
+        positions = list(system.kept)
+        columns = [model.state_index(name) for name in deviating_states]
+        starts = StartSet(deviating_states, matrix[np.ix_(positions, columns)], offset[positions])
         # Rows with |row · y| < 1 where no command is at a limit.
         lower, upper = model.input_bounds()
         rows_of_limits = closed.gain / np.minimum(upper - point.u, point.u - lower)[:, None]
-        linear = around(free, free.point), rows_of_limits[:, kept]
-        asked = replace(request, box={}, duration=None)
+        linear = around(free, free.point), rows_of_limits[:, positions]
+        reduced_request = replace(request, box={}, duration=None)
         region = attraction_region(
-            system, asked, tell, starts=starts, linear_inside=linear, box=box
+            system, reduced_request, tell, starts=starts, linear_inside=linear, box=box
         )
     random = np.random.default_rng(3)
     rows = [model.state_index(name) for name in model.controlled]
@@ -205,7 +207,7 @@ def loop_region(
         recovered = np.zeros(len(d), dtype=bool)
         for k, start in enumerate(d):
             tell(f"run {k + 1} of {len(d)}")
-            offset = dict(zip(known, start.tolist(), strict=True))
+            offset = dict(zip(deviating_states, start.tolist(), strict=True))
             run = run_loop(model, loop, point, duration, offset=offset)
             tail = run.x[-max(1, int(_END * len(run.x))) :, rows]
             away = np.abs(tail - point.x[rows])
@@ -213,14 +215,16 @@ def loop_region(
             recovered[k] = not run.ended and bool(np.all(away <= request.tolerance))
         return LoopStarts(d, recovered)
 
-    runs = runs_from(random.uniform(-1.0, 1.0, (request.loop_starts, len(known))) * box)
+    runs = runs_from(random.uniform(-1.0, 1.0, (request.loop_starts, len(deviating_states))) * box)
     best = None if region is None else region.largest
     inside = None
     if region is not None and best is not None:
-        drawn = random.uniform(-1.0, 1.0, (200_000, len(known))) * box
-        proved = drawn[best.estimate.contains(region.starts.of(drawn))][:_INSIDE]
+        samples = random.uniform(-1.0, 1.0, (200_000, len(deviating_states))) * box
+        proved = samples[best.estimate.contains(region.starts.of(samples))][:_INSIDE]
         inside = runs_from(proved) if len(proved) else None
-    return LoopRegion(subject, point, known, box, duration, request.tolerance, runs, region, inside)
+    return LoopRegion(
+        subject, point, deviating_states, box, duration, request.tolerance, runs, region, inside
+    )
 
 
 def _deviating(model: Model) -> tuple[str, ...]:

@@ -82,30 +82,30 @@ def fates(
     :data:`SETTLED` once ``inside`` says of a deviation that it has arrived, :data:`LEFT` beyond
     \\|y_i\\| > far_i, else :data:`UNDECIDED`; and the deviations (m, n) where each was last seen.
     """
-    kept, origin = list(system.kept), system.point.x
-    found = np.zeros(len(starts), dtype=np.int8)
-    found[inside(starts)] = SETTLED
-    waiting = np.flatnonzero(found == UNDECIDED)
+    positions, origin = list(system.kept), system.point.x
+    outcomes = np.zeros(len(starts), dtype=np.int8)
+    outcomes[inside(starts)] = SETTLED
+    waiting = np.flatnonzero(outcomes == UNDECIDED)
     if not len(waiting):
-        return found, starts
+        return outcomes, starts
     mover = _Mover(system)
     states = np.tile(mover.rest, (len(starts), 1))
-    states[:, kept] += starts
+    states[:, positions] += starts
     for _ in range(math.ceil(duration / _CHUNK)):
         if not len(waiting):
             break
         for first in range(0, len(waiting), _BLOCK):
             rows = waiting[first : first + _BLOCK]
             path = mover.moved(states[rows])
-            y = path[:, :, kept] - origin[kept]
+            y = path[:, :, positions] - origin[positions]
             states[rows] = path[-1]
             with np.errstate(invalid="ignore"):
-                gone = np.any(~(np.abs(y) <= far), axis=(0, 2))
+                escapes = np.any(~(np.abs(y) <= far), axis=(0, 2))
             finite = np.where(np.isfinite(y), y, np.inf)
             arrived = inside(finite.reshape(-1, system.n)).reshape(-1, len(rows)).any(axis=0)
-            found[rows] = np.where(gone, LEFT, np.where(arrived, SETTLED, UNDECIDED))
-        waiting = waiting[found[waiting] == UNDECIDED]
-    return found, states[:, kept] - origin[kept]
+            outcomes[rows] = np.where(escapes, LEFT, np.where(arrived, SETTLED, UNDECIDED))
+        waiting = waiting[outcomes[waiting] == UNDECIDED]
+    return outcomes, states[:, positions] - origin[positions]
 
 
 class _Mover:
@@ -153,27 +153,29 @@ def failures(
     """
     P = from_lyapunov_equation(system)
     starts = [_with_edge(estimate, count, seed) for estimate in sets]
-    drawn = [y for y in starts if len(y)]
-    if not drawn:
+    nonempty_starts = [y for y in starts if len(y)]
+    if not nonempty_starts:
         return [(0, 0) for _ in sets]
-    least = min(float(np.einsum("ij,jk,ik->i", y, P, y).max()) for y in drawn)
+    least = min(float(np.einsum("ij,jk,ik->i", y, P, y).max()) for y in nonempty_starts)
 
     def arrived(y: FloatArray) -> BoolArray:
         near = np.where(np.isfinite(y), y, 1e6)
         return np.asarray(np.einsum("ij,jk,ik->i", near, P, near) < 1e-2 * least)
 
-    fate, last = fates(system, np.vstack(drawn), arrived, duration, np.full(system.n, np.inf))
+    fate, last = fates(
+        system, np.vstack(nonempty_starts), arrived, duration, np.full(system.n, np.inf)
+    )
     ends = np.cumsum([len(y) for y in starts])
-    told = []
+    counts = []
     for estimate, y, end in zip(sets, starts, ends, strict=True):
         own, at = fate[end - len(y) : end], last[end - len(y) : end]
-        lost, still = own != SETTLED, np.zeros(len(y), dtype=bool)
+        is_failure, still = own != SETTLED, np.zeros(len(y), dtype=bool)
         waits = np.flatnonzero(own == UNDECIDED)
         if cut and len(waits):
             V = estimate.candidate.values
             still[waits] = estimate.contains(at[waits]) & (V(at[waits]) < V(y[waits]))
-        told.append((int(np.sum(~still)), int(np.sum(lost & ~still))))
-    return told
+        counts.append((int(np.sum(~still)), int(np.sum(is_failure & ~still))))
+    return counts
 
 
 def _with_edge(estimate: RegionEstimate, count: int, seed: int) -> FloatArray:
@@ -182,8 +184,8 @@ def _with_edge(estimate: RegionEstimate, count: int, seed: int) -> FloatArray:
     for _ in range(40):
         further = starts.copy()
         further[::2] *= 1.05
-        kept = estimate.contains(further)
-        starts[kept] = further[kept]
+        is_inside = estimate.contains(further)
+        starts[is_inside] = further[is_inside]
     return starts
 
 
@@ -197,23 +199,26 @@ class OtherRest:
 
 def other_rests(system: ReducedSystem, limits: FloatArray) -> list[OtherRest]:
     """Other equilibria in the box that Newton's method finds from random starts."""
-    field, kept = VectorField(system.model), list(system.kept)
+    field, positions = VectorField(system.model), list(system.kept)
     random = np.random.default_rng(0)
-    found: list[OtherRest] = []
+    rests: list[OtherRest] = []
     for draw in random.uniform(-1.0, 1.0, (60, system.n)) * limits:
         start = system.point.x.copy()
-        start[kept] += draw
+        start[positions] += draw
         x = refine_operating_point(field, start, system.point.u)
         if x is None:
             continue
-        y = x[kept] - system.point.x[kept]
+        y = x[positions] - system.point.x[positions]
         scale = np.maximum(limits, 1e-9)
-        known = [np.zeros(system.n), *(rest.y for rest in found)]
-        if np.any(np.abs(y) > limits) or min(np.abs((y - k) / scale).max() for k in known) < 1e-4:
+        known_rests = [np.zeros(system.n), *(rest.y for rest in rests)]
+        if (
+            np.any(np.abs(y) > limits)
+            or min(np.abs((y - k) / scale).max() for k in known_rests) < 1e-4
+        ):
             continue
-        slope = field.linearised(x, system.point.u)[0][np.ix_(kept, kept)]
-        found.append(OtherRest(y, bool(np.linalg.eigvals(slope).real.max() < 0.0)))
-    return sorted(found, key=lambda rest: float(np.linalg.norm(rest.y / limits)))
+        slope = field.linearised(x, system.point.u)[0][np.ix_(positions, positions)]
+        rests.append(OtherRest(y, bool(np.linalg.eigvals(slope).real.max() < 0.0)))
+    return sorted(rests, key=lambda rest: float(np.linalg.norm(rest.y / limits)))
 
 
 #: Time constants of the slowest mode after which a motion is undecided.
@@ -370,14 +375,14 @@ def attraction_region(
     starts = StartSet.of_all(system) if starts is None else starts
     require_states(request.box, starts.names, "study.box")
     limits = _limits(system, request.box)
-    tried = methods_for(system) if request.methods is None else request.methods
-    found = estimates(system, limits, tried, request.boxes, tell, linear_inside)
-    proved = [e for e in found if e.proved]
+    selected_methods = methods_for(system) if request.methods is None else request.methods
+    results = estimates(system, limits, selected_methods, request.boxes, tell, linear_inside)
+    proved = [e for e in results if e.proved]
     arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(limits)
     rests = other_rests(system, limits)
     if box is None:
-        drawn = [np.abs(e.drawn(4000, 1)).max(axis=0, initial=0.0) for e in found]
-        reach = np.max(drawn, axis=0) if drawn else 0.2 * limits
+        reaches = [np.abs(e.drawn(4000, 1)).max(axis=0, initial=0.0) for e in results]
+        reach = np.max(reaches, axis=0) if reaches else 0.2 * limits
         room = _ROOM
         for rest in [rest for rest in rests if not rest.stable][:1]:
             # The nearest saddle is to be seen, and what lies beyond it.
@@ -386,9 +391,9 @@ def attraction_region(
     box = np.array([request.box.get(n, float(r)) for n, r in zip(starts.names, box, strict=True)])
     samples, grid = request.for_states(system.n)
     slowest = float(-system.eigenvalues.real.max())
-    wanted = request.duration or _TIME_CONSTANTS / slowest
+    settling_time = request.duration or _TIME_CONSTANTS / slowest
     longest = _LONGEST if system.n <= _FEW else _LONGEST_OF_MANY
-    duration = request.duration or min(wanted, longest)
+    duration = request.duration or min(settling_time, longest)
     far = 4.0 * np.maximum(limits, np.abs(starts.matrix) @ box)
     tell(f"{samples} motions from random starts")
 
@@ -398,14 +403,14 @@ def attraction_region(
     random = np.random.default_rng(0)
     fate = fate_of(random.uniform(-1.0, 1.0, (samples, len(box))) * box)
     truth = share_of(int(np.sum(fate == SETTLED)), samples)
-    if duration < wanted:
+    if duration < settling_time:
         # Some of those that time did not suffice for may arrive.
         truth = replace(truth, upper=share_of(int(np.sum(fate != LEFT)), samples).upper)
     tell("motions from starts in the estimates")
-    tests = failures(system, found, _TESTED, duration, 1, duration < wanted)
+    tests = failures(system, results, _TESTED, duration, 1, duration < settling_time)
     verdicts = tuple(
         EstimateTest(e, _covered(e, starts, box, truth), *test)
-        for e, test in zip(found, tests, strict=True)
+        for e, test in zip(results, tests, strict=True)
     )
     tell(f"{grid}² motions in a plane")
     plane = _plane(system, starts, request, box, fate_of)
@@ -419,26 +424,26 @@ def attraction_region(
         samples,
         undecided,
         duration,
-        wanted,
+        settling_time,
         plane,
         tuple(rests),
-        tuple(LABELS[m] for m in tried if m not in {e.method for e in found}),
+        tuple(LABELS[m] for m in selected_methods if m not in {e.method for e in results}),
     )
 
 
 def require_states(
-    given: Mapping[str, float] | Sequence[str], known: Sequence[str], where: str
+    requested_names: Mapping[str, float] | Sequence[str], state_names: Sequence[str], where: str
 ) -> None:
     """Refuse names that are not among the states that starts deviate in.
 
     Raises ConfigurationError.
     """
-    for name in given:
-        if name not in known:
+    for name in requested_names:
+        if name not in state_names:
             raise ConfigurationError(
                 f"starts do not deviate in {name!r}",
-                where=f"{where}.{name}" if isinstance(given, Mapping) else where,
-                remedy=nearest(name, known) + "; others by study.states",
+                where=f"{where}.{name}" if isinstance(requested_names, Mapping) else where,
+                remedy=nearest(name, state_names) + "; others by study.states",
             )
 
 
@@ -452,11 +457,11 @@ def _limits(system: ReducedSystem, box: Mapping[str, float]) -> FloatArray:
     else:
         rest = 1.0 + 2.0 * np.abs(system.point.x[list(system.kept)])
         factor = float(np.max(rest / size))
-    found = factor * size
+    half_widths = factor * size
     # Speeds of rotors are weighed lightly by that: let them go as far as they are from zero twice.
-    found = np.maximum(found, 2.0 * np.abs(system.point.x[list(system.kept)]))
+    half_widths = np.maximum(half_widths, 2.0 * np.abs(system.point.x[list(system.kept)]))
     return np.array(
-        [box.get(signal.name, float(r)) for signal, r in zip(signals, found, strict=True)]
+        [box.get(signal.name, float(r)) for signal, r in zip(signals, half_widths, strict=True)]
     )
 
 
@@ -479,19 +484,19 @@ def _covered(
 
 
 def plane_axes(
-    names: Sequence[str], units: Sequence[str], wanted: Sequence[str]
+    names: Sequence[str], units: Sequence[str], requested_names: Sequence[str]
 ) -> tuple[int, int]:
     """Positions of the two states of the figure.
 
     Raises ConfigurationError for names that starts do not deviate in, or not two of them.
     """
-    if wanted:
-        require_states(wanted, names, "study.plane")
-        if len(set(wanted)) != 2:
+    if requested_names:
+        require_states(requested_names, names, "study.plane")
+        if len(set(requested_names)) != 2:
             raise ConfigurationError(
-                f"{', '.join(wanted)} given", where="study.plane", remedy="name two states"
+                f"{', '.join(requested_names)} given", where="study.plane", remedy="name two states"
             )
-        return names.index(wanted[0]), names.index(wanted[1])
+        return names.index(requested_names[0]), names.index(requested_names[1])
     if len(names) == 1:
         return 0, 0
     angles = [i for i, unit in enumerate(units) if unit == "rad"]
@@ -524,20 +529,20 @@ def _plane(
     lines = np.linspace(-1.0, 1.0, request.for_states(system.n)[1])
     d = plane_starts((i, j), lines * box[i], lines * box[j], len(box))
     fate = fate_of(d)
-    field, kept = VectorField(system.model), list(system.kept)
-    random, chosen = np.random.default_rng(4), []
+    field, positions = VectorField(system.model), list(system.kept)
+    random, selection = np.random.default_rng(4), []
     for settled in (True, False):
         rows = np.flatnonzero((fate == SETTLED) == settled)
         if len(rows):
             # Those farthest out among a few: motions are seen, not dots.
             few = random.choice(rows, size=min(len(rows), 6 * _DRAWN), replace=False)
             size = np.abs(d[few] / box).max(axis=1)
-            chosen += [(k, settled) for k in few[np.argsort(size)[::-1][: _DRAWN // 2]]]
-    begin = np.tile(system.point.x, (len(chosen), 1))
-    begin[:, kept] += starts.of(d[[k for k, _ in chosen]])
+            selection += [(k, settled) for k in few[np.argsort(size)[::-1][: _DRAWN // 2]]]
+    begin = np.tile(system.point.x, (len(selection), 1))
+    begin[:, positions] += starts.of(d[[k for k, _ in selection]])
     path = field.motions(begin, system.point.u, _SHOWN, 0.05, impulses=False)
-    path = path[:, :, kept] - system.point.x[kept]
-    paths = tuple((path[:, m], settled) for m, (_, settled) in enumerate(chosen))
+    path = path[:, :, positions] - system.point.x[positions]
+    paths = tuple((path[:, m], settled) for m, (_, settled) in enumerate(selection))
     return RegionSection(
         (i, j), lines * box[i], lines * box[j], fate.reshape(2 * lines.shape), paths
     )

@@ -89,8 +89,8 @@ class ReducedSystem:
     def eigenvalues(self) -> ComplexArray:
         """Of the linearisation; where a coefficient switches of the mean of both sides."""
         A = Linear(self.model).a(self.point.x, self.point.u)
-        kept = list(self.kept)
-        return np.asarray(np.linalg.eigvals(A[np.ix_(kept, kept)]), dtype=np.complex128)
+        positions = list(self.kept)
+        return np.asarray(np.linalg.eigvals(A[np.ix_(positions, positions)]), dtype=np.complex128)
 
     @cached_property
     def curved(self) -> tuple[int, ...]:
@@ -116,8 +116,8 @@ class ReducedSystem:
             r = size * (1.0 + np.abs(self.point.x[list(everything)]))
             box = Interval(-r, r)
             rest = Interval.point(np.eye(whole.n)) - inverse @ whole.slopes_within(box[None], zero)
-            moved = newton + rest @ box[None, :, None]
-            if bool(np.all(moved[0, :, 0].within(box))):
+            image = newton + rest @ box[None, :, None]
+            if bool(np.all(image[0, :, 0].within(box))):
                 full = np.zeros(n_x)
                 full[list(everything)] = r
                 return Interval(-full, full)
@@ -170,7 +170,7 @@ def around(
     moves = ca.jacobian_sparsity(_rates(model, x, point.u), x)
     pairs = list(zip(*moves.get_triplet(), strict=True))  # (moved, moving)
     neutral = {j for j in range(model.n_x) if all(moving != j for _, moving in pairs)}
-    kept = {model.state_index(n) for n in states} if states else set(range(model.n_x))
+    positions = {model.state_index(n) for n in states} if states else set(range(model.n_x))
     # A coefficient that changes with the sign of the very quantity it multiplies does not jump.
     if operations(ca.Function("f", [x], [_rates(model, x, point.u)])) & JUMPS:
         raise ModelError(
@@ -180,11 +180,11 @@ def around(
             remedy="smooth it, or take the effect that adds it as impulses (*_friction)",
         )
     while True:
-        following = kept | {i for i, j in pairs if j in kept}
-        if following == kept:
+        following = positions | {i for i, j in pairs if j in positions}
+        if following == positions:
             break
-        kept = following
-    return ReducedSystem(model, point, tuple(sorted(kept - neutral)), tuple(sorted(neutral)))
+        positions = following
+    return ReducedSystem(model, point, tuple(sorted(positions - neutral)), tuple(sorted(neutral)))
 
 
 def require_attractive(system: ReducedSystem) -> None:
@@ -197,19 +197,22 @@ def require_attractive(system: ReducedSystem) -> None:
     worst = float(values.real.max(initial=-np.inf))
     if worst < -_MARGINAL * scale:
         return
-    told = ", ".join(complex_text(value) for value in sorted(values, key=lambda v: -v.real)[:4])
+    eigenvalue_text = ", ".join(
+        complex_text(value) for value in sorted(values, key=lambda v: -v.real)[:4]
+    )
     place = system.point.words(system.model)
     if worst > _MARGINAL * scale:
         raise ModelError(
-            f"the equilibrium at {place} is unstable (eigenvalues {told} 1/s): it attracts only "
-            "the motions on a surface without volume, and has no region of attraction",
+            f"the equilibrium at {place} is unstable (eigenvalues {eigenvalue_text} 1/s): it "
+            "attracts only the motions on a surface without volume, and has no region of "
+            "attraction",
             where="study.at",
             remedy="choose a stable one (study=equilibria marks them), or close the loop: "
             "controller=lqr",
         )
     raise ModelError(
-        f"the equilibrium at {place} is marginal (eigenvalues {told} 1/s): its linearisation does "
-        "not decide, and no quadratic function proves a region",
+        f"the equilibrium at {place} is marginal (eigenvalues {eigenvalue_text} 1/s): its "
+        "linearisation does not decide, and no quadratic function proves a region",
         where="study.at",
         remedy="choose a point where all modes decay, or give the axis some damping or stiffness "
         "(model.parameters)",

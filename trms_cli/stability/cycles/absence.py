@@ -118,7 +118,7 @@ def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray)
     blocks: list[StateBlock] = []
     not_constant: set[int] = set()
     # Half-widths within which the constants of the blocks before are known.
-    known = widths.copy()
+    half_widths = widths.copy()
     pattern = ca.DM(slope.sparsity(), 1.0).full() > 0
     for members in _cascade(slope.sparsity()):
         named = tuple(model.state_names[i] for i in members)
@@ -132,11 +132,11 @@ def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray)
             own = ca.Function("own", [x], [ca.densify(slope[members, members])])
             if _falls(own, box):
                 # Its equilibrium is the only one in the box.
-                known[members] = _ROUNDING * (1.0 + np.abs(x_rest[members]))
+                half_widths[members] = _ROUNDING * (1.0 + np.abs(x_rest[members]))
             continue
         if len(members) > 2:
             own = ca.Function("own", [x], [ca.densify(slope[members, members])])
-            share = share_without_orbits(own, members, x_rest, known)
+            share = share_without_orbits(own, members, x_rest, half_widths)
             blocks.append(StateBlock(named, None, False, False, share=share))
             continue
         divergence = ca.densify(ca.simplify(ca.trace(slope[members, members])))
@@ -268,17 +268,17 @@ def share_without_orbits(
 def _coordinates(J: FloatArray) -> list[FloatArray]:
     """Real modal coordinates, the first mode scaled against the others."""
     values, vectors = np.linalg.eig(J)
-    columns, done = list[FloatArray](), set[int]()
+    columns, visited = list[FloatArray](), set[int]()
     groups: list[list[int]] = []
     for i in np.argsort(values.real):
-        if int(i) in done:
+        if int(i) in visited:
             continue
-        done.add(int(i))
+        visited.add(int(i))
         if abs(values[i].imag) < 1e-12:
             groups.append([len(columns)])
             columns.append(vectors[:, i].real)
             continue
-        done.add(int(np.argmin(np.abs(values - values[i].conj()))))
+        visited.add(int(np.argmin(np.abs(values - values[i].conj()))))
         groups.append([len(columns), len(columns) + 1])
         columns += [vectors[:, i].real, vectors[:, i].imag]
     T = np.column_stack(columns)

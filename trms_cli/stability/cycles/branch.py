@@ -81,12 +81,12 @@ def _one_way(
     ) -> tuple[tuple[float, FloatArray, FloatArray] | None, float]:
         at, here, slope = place
         goal = float(np.clip(at + direction * ahead, low, high))
-        moved = abs(goal - at)
-        following = refine_operating_point(field, here + slope * moved, _with(u, channel, goal))
-        bound = 0.2 + 20.0 * moved * (1.0 + float(np.abs(here).max()))
+        increment = abs(goal - at)
+        following = refine_operating_point(field, here + slope * increment, _with(u, channel, goal))
+        bound = 0.2 + 20.0 * increment * (1.0 + float(np.abs(here).max()))
         if following is None or np.abs(following - here).max() > bound:
             return None, ahead / 2.0
-        slope = (following - here) / moved if moved else slope
+        slope = (following - here) / increment if increment else slope
         return (goal, following, slope), min(2.0 * ahead, _STEP)
 
     for at, here, _ in follow((float(u[channel]), x, np.zeros_like(x)), attempt, _STEP, 1e-4):
@@ -139,8 +139,8 @@ def _pulled(values: ComplexArray) -> BoolArray:
 
 def _growth(linear: Linear, x: FloatArray, u: FloatArray) -> float:
     values = np.linalg.eigvals(linear.a(x, u)).astype(complex)
-    kept = values[_pulled(values)]
-    return float(kept.real.max()) if kept.size else 0.0
+    nonzero_values = values[_pulled(values)]
+    return float(nonzero_values.real.max()) if nonzero_values.size else 0.0
 
 
 Kind = Literal["fold", "period doubling", "torus"]
@@ -320,8 +320,12 @@ def follow_branch(
         if turned and step > _TURNING_STEP:
             # A fold lies here: come up to it in small steps.
             return None, max(step / 3.0, _TURNING_STEP)
-        moved = None if trial is None else np.abs(trial.swing - last.swing).max()
-        if trial is None or trial.swing.max() < 1e-4 or moved > 0.3 + 4.0 * step * last.swing.max():
+        swing_change = None if trial is None else np.abs(trial.swing - last.swing).max()
+        if (
+            trial is None
+            or trial.swing.max() < 1e-4
+            or swing_change > 0.3 + 4.0 * step * last.swing.max()
+        ):
             # None, the equilibrium, or an orbit of another branch.
             return None, step / 2.0
         at = pack_unknowns(trial.nodes, trial.period, trial.u, channel)
@@ -434,13 +438,13 @@ def at_the_point(
 def _within_stops(
     model: Model, curve: EquilibriumBranch, point: OperatingPoint
 ) -> EquilibriumBranch:
-    kept = np.ones(len(curve.commands), dtype=bool)
+    is_within = np.ones(len(curve.commands), dtype=bool)
     for name, stop in model.stops.items():
         if name in model.state_names:
-            kept &= np.abs(curve.x[:, model.state_index(name)]) <= stop
-    if not kept.any():
+            is_within &= np.abs(curve.x[:, model.state_index(name)]) <= stop
+    if not is_within.any():
         return curve
-    return EquilibriumBranch(curve.commands[kept], curve.x[kept], curve.growth[kept])
+    return EquilibriumBranch(curve.commands[is_within], curve.x[is_within], curve.growth[is_within])
 
 
 def _on(branch: Branch, orbit: Orbit, channel: int) -> bool:

@@ -182,14 +182,14 @@ class Shooting:
             change = np.linalg.lstsq(slope, residual, rcond=1e-13)[0]
             for halving in range(_HALVINGS):
                 trial = z - change / 2.0**halving
-                tried = self._equations(trial, u, anchor, direction, row)
-                if tried is not None and np.abs(tried[0]).max() < misfit:
+                evaluation = self._equations(trial, u, anchor, direction, row)
+                if evaluation is not None and np.abs(evaluation[0]).max() < misfit:
                     break
             else:
                 # At the limit of rounding a step may not lessen what is small already.
                 small = misfit < 1e3 * _CLOSED
                 return self._orbit(z, u, row, misfit, linearised[2]) if small else None
-            z, linearised = trial, tried
+            z, linearised = trial, evaluation
             now = z[: nodes.size].reshape(nodes.shape)
             if not _SHORTEST < z[nodes.size] / period < 1.0 / _SHORTEST or (
                 row is None and np.ptp(now, axis=0).max() < _COLLAPSED * widest
@@ -366,7 +366,7 @@ def starts_in(centre: FloatArray, box: FloatArray, count: int) -> FloatArray:
     return starts
 
 
-def half_widths(model: Model, x: FloatArray, given: Mapping[str, float]) -> FloatArray:
+def half_widths(model: Model, x: FloatArray, overrides: Mapping[str, float]) -> FloatArray:
     """Half-widths of the box of starts by state: what is given, else by the state's kind.
 
     Controlled angles: half of the way to the stops (0.5 rad without). Other states: 1 (a rate), or
@@ -378,7 +378,7 @@ def half_widths(model: Model, x: FloatArray, given: Mapping[str, float]) -> Floa
         if model.states[i].unit == "rad":
             stop = model.stops.get(name, 1.0)
             widths[i] = 0.5 * stop if np.isfinite(stop) else 0.5
-    for name, width in given.items():
+    for name, width in overrides.items():
         widths[model.state_index(name)] = width
     return widths
 
@@ -402,8 +402,8 @@ def search_orbits(
         fate = _fate(path[:, rows])
         row = rows[int(np.argmax(np.ptp(path[-len(path) // 4 :, rows], axis=0)))]
         if shooting is not None and fate != "leaves":
-            tried = _TRIED if fate == "moves on" else 1
-            orbits += _closed(shooting, path, row, u, tried)
+            attempts = _TRIED if fate == "moves on" else 1
+            orbits += _closed(shooting, path, row, u, attempts)
         if fate == "moves on" and _repeats(path, row):
             fate = "cycle"
         motions.append(SearchMotion(path, fate))
@@ -449,7 +449,7 @@ def _repeats(path: FloatArray, row: int) -> bool:
 
 
 def _closed(
-    shooting: Shooting, path: FloatArray, row: int, u: FloatArray, tried: int
+    shooting: Shooting, path: FloatArray, row: int, u: FloatArray, attempts: int
 ) -> list[Orbit]:
     """Orbits from a motion's best returns."""
     at = crossings(path[:, row])
@@ -463,7 +463,7 @@ def _closed(
             miss = float(np.abs(path[last] - path[first]).max()) / swing
             candidates.append((miss * turns, int(first), int(last)))
     orbits = []
-    for _, first, last in sorted(candidates)[:tried]:
+    for _, first, last in sorted(candidates)[:attempts]:
         stretch = path[first : last + 1]
         picked = np.linspace(0, last - first, shooting.pieces + 1)[:-1].round().astype(int)
         orbit = shooting.closed(stretch[picked], (last - first) * STEP, u)
@@ -474,11 +474,11 @@ def _closed(
 
 def different(orbits: Sequence[Orbit]) -> list[Orbit]:
     """Each orbit once, gone around once, by rising period."""
-    kept: list[Orbit] = []
+    distinct_orbits: list[Orbit] = []
     for orbit in sorted(orbits, key=lambda one: one.period):
-        if not any(_same(orbit, other) for other in kept):
-            kept.append(orbit)
-    return kept
+        if not any(_same(orbit, other) for other in distinct_orbits):
+            distinct_orbits.append(orbit)
+    return distinct_orbits
 
 
 def _same(orbit: Orbit, other: Orbit) -> bool:

@@ -407,11 +407,11 @@ class StickSlip:
 
     def half(self, z: FloatArray) -> Slip | None:
         """The stick that begins at a state and the slip after it; None if either does not end."""
-        held = self.stick(z)
-        slipped = None if held is None else self.slip(held[0])
-        if held is None or slipped is None:
+        breakaway = self.stick(z)
+        slipped = None if breakaway is None else self.slip(breakaway[0])
+        if breakaway is None or slipped is None:
             return None
-        (broken, stick), (end, slip, direction) = held, slipped
+        (broken, stick), (end, slip, direction) = breakaway, slipped
         return Slip(z, broken, end, stick, slip, direction)
 
     def ramp(self, error: float) -> FloatArray:
@@ -422,9 +422,9 @@ class StickSlip:
         loop, stuck = self.loop, self.loop.stuck
         size = 1.0 / np.maximum(np.abs(stuck @ stuck).max(axis=1), 1e-12)
         rows = np.vstack([size[:, None] * (stuck @ stuck), loop.rate, loop.angle, loop.holding])
-        wanted = np.zeros(len(rows))
-        wanted[-2:] = error, np.sign(error) * self.law.breakaway
-        return np.asarray(np.linalg.lstsq(rows, wanted, rcond=1e-13)[0])
+        targets = np.zeros(len(rows))
+        targets[-2:] = error, np.sign(error) * self.law.breakaway
+        return np.asarray(np.linalg.lstsq(rows, targets, rcond=1e-13)[0])
 
     def next_error(self, error: float) -> float | None:
         """The deviation where the next stick begins, after a long one at ``error``, rad."""
@@ -459,9 +459,9 @@ class StickSlip:
             change = np.linalg.lstsq(slope - np.eye(len(z)), -miss, rcond=1e-12)[0]
             for halving in range(5):
                 trial = best + change / 2.0**halving
-                tried = self._mirrored(trial)
-                if tried is not None and (
-                    np.abs((tried - trial) / scale).max() < np.abs(miss / scale).max()
+                trial_image = self._mirrored(trial)
+                if trial_image is not None and (
+                    np.abs((trial_image - trial) / scale).max() < np.abs(miss / scale).max()
                 ):
                     break
             else:
@@ -736,8 +736,8 @@ class HarmonicBalance:
             if not _SLOWEST < omega < 100.0:
                 continue
             if abs(self.misfit(moment, omega)) < _BALANCED:
-                shown = self.answer(moment, omega)
-                return Balance(moment, omega, shown.swing, shown.stuck)
+                response = self.answer(moment, omega)
+                return Balance(moment, omega, response.swing, response.stuck)
         return None
 
 
@@ -761,6 +761,6 @@ def sliding_cycle(
         return complex(loop.response(np.array([w]))[0])
 
     w = float(brentq(lambda w: at(w).imag, omega[k], omega[k + 1]))
-    wanted = -1.0 / at(w).real
-    amplitude = brentq(lambda a: float(law.describing(a)) - wanted, 1e-9, 1e6)
+    target = -1.0 / at(w).real
+    amplitude = brentq(lambda a: float(law.describing(a)) - target, 1e-9, 1e6)
     return float(amplitude), w

@@ -54,32 +54,32 @@ _MOST_BOXES_IN_RANGES = 96
 class BlockEquations:
     """``g_b`` of a block over boxes.
 
-    Given are all unknowns z (those of blocks before are read) and v, side by side, as intervals:
-    what is proved holds for each of their values.
+    Its knowns are all unknowns z (those of blocks before are read) and v, side by side, as
+    intervals: what is proved holds for each of their values.
     """
 
     def __init__(self, system: RestSystem, block: EquationBlock) -> None:
         self.n = len(block.unknowns)
         n_z, n_v = system.n, len(system.given)
-        own, given = ca.SX.sym("own", self.n), ca.SX.sym("given", n_z + n_v)
+        own, knowns = ca.SX.sym("own", self.n), ca.SX.sym("knowns", n_z + n_v)
         p = ca.SX.sym("p", len(system.model.parameters))
-        z = given[:n_z]
+        z = knowns[:n_z]
         for k, j in enumerate(block.unknowns):
             z[j] = own[k]
-        g = system.residual(z, given[n_z:], p)[list(block.rows)]
+        g = system.residual(z, knowns[n_z:], p)[list(block.rows)]
         slopes = ca.densify(ca.jacobian(g, own))
         (g, slopes), constants, self._constants = _constants_apart([g, slopes], p, system)
-        arguments = [own, given, constants]
+        arguments = [own, knowns, constants]
         self._values = Enclosure(ca.Function("values", arguments, [g]))
         self._both = Enclosure(ca.Function("both", arguments, [g, slopes]))
 
-    def values(self, own: Interval, given: Interval) -> Interval:
+    def values(self, own: Interval, knowns: Interval) -> Interval:
         """g over boxes, (m, n)."""
-        return self._values(own, given, self._constants)[0]
+        return self._values(own, knowns, self._constants)[0]
 
-    def with_slopes(self, own: Interval, given: Interval) -> tuple[Interval, Interval]:
+    def with_slopes(self, own: Interval, knowns: Interval) -> tuple[Interval, Interval]:
         """g over boxes, (m, n), and its slopes in the block's unknowns, (m, n, n)."""
-        g, slopes = self._both.matrices(own, given, self._constants)
+        g, slopes = self._both.matrices(own, knowns, self._constants)
         return g[:, :, 0], slopes
 
 
@@ -88,11 +88,11 @@ def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
 
     ``box``: (n,); infinite where there is no bound. ``v``: (n_v,).
     """
-    z, given = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
+    z, inputs = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
     p = ca.SX.sym("p", len(system.model.parameters))
-    (w,), constants, bounds = _constants_apart([system.nonzero(z, given, p)], p, system)
+    (w,), constants, bounds = _constants_apart([system.nonzero(z, inputs, p)], p, system)
     read = [j for j in range(system.n) if ca.depends_on(w, z[j])] if w.numel() else []
-    enclosure = Enclosure(ca.Function("nonzero", [z, given, constants], [w]))
+    enclosure = Enclosure(ca.Function("nonzero", [z, inputs, constants], [w]))
     boxes = box[None, :]
     for _ in range(_REGULARITY_CUTS):
         bounds_there = enclosure(boxes, v, bounds)[0]
@@ -141,41 +141,43 @@ class Roots:
 def isolate(
     equations: BlockEquations,
     box: Interval,
-    given: Interval,
+    knowns: Interval,
     tolerance: FloatArray,
     groups: IntArray | None = None,
 ) -> Roots:
     """All roots in a box (n,), infinite where there is no bound, for each of many problems.
 
-    A problem is a row of ``given``, (m, n_given); a box is no longer cut below the tolerance, (n,).
-    Problems of one number in ``groups``, (m,), are left together as soon as there is a doubt in one
-    of them; what was found of them until then is not all there is.
+    A problem is a row of ``knowns``, (m, n_knowns); a box is no longer cut below the tolerance,
+    (n,). Problems of one number in ``groups``, (m,), are left together as soon as there is a doubt
+    in one of them; what was found of them until then is not all there is.
     """
-    count = len(given.lower)
+    count = len(knowns.lower)
     starts, tails = _starts(box)
     open_ended = False
     if len(tails.lower):
         problem = np.repeat(np.arange(count), len(tails.lower))
         many = Interval(np.tile(tails.lower, (count, 1)), np.tile(tails.upper, (count, 1)))
         with np.errstate(invalid="ignore", over="ignore"):
-            values = equations.values(many, given[problem])
+            values = equations.values(many, knowns[problem])
         open_ended = not np.all(np.any(~values.contains_zero(), axis=1))
     owner = np.repeat(np.arange(count), len(starts.lower))
     queue = Interval(np.tile(starts.lower, (count, 1)), np.tile(starts.upper, (count, 1)))
     most = _MOST_BOXES.get(equations.n, _MOST_BOXES_OF_MORE)
-    search = _Search(equations, given, tolerance, most if groups is None else _MOST_BOXES_IN_RANGES)
-    left: set[int] = set()
+    search = _Search(
+        equations, knowns, tolerance, most if groups is None else _MOST_BOXES_IN_RANGES
+    )
+    doubtful_groups: set[int] = set()
     for _ in range(_ROUNDS):
         if not len(owner):
             break
         queue, owner = search.round(queue, owner)
         if groups is not None:
-            left.update(g for own, _ in search.undecided for g in groups[own].tolist())
-            sure = ~np.isin(groups[owner], list(left))
+            doubtful_groups.update(g for own, _ in search.undecided for g in groups[own].tolist())
+            sure = ~np.isin(groups[owner], list(doubtful_groups))
             queue, owner = queue[sure], owner[sure]
     if len(owner):
         search.undecided.append((owner, queue))
-    return Roots(*search.roots(box), open_ended, np.array(sorted(left), dtype=np.int64))
+    return Roots(*search.roots(box), open_ended, np.array(sorted(doubtful_groups), dtype=np.int64))
 
 
 def _starts(box: Interval) -> tuple[Interval, Interval]:
@@ -212,12 +214,12 @@ class _Search:
         alive = step.possible & np.all(step.image.meets(queue), axis=1)
         proved = alive & step.unique
         self.proved.append((owner[proved], tested[proved]))
-        left = alive & ~proved
+        is_open = alive & ~proved
         if proved.any():
-            left &= ~_inside(queue, owner, tested[proved], owner[proved])
-        contracted = queue.intersection(step.image)[left]
-        before, owner = queue[left], owner[left]
-        slopes = step.slopes[left]
+            is_open &= ~_inside(queue, owner, tested[proved], owner[proved])
+        contracted = queue.intersection(step.image)[is_open]
+        before, owner = queue[is_open], owner[is_open]
+        slopes = step.slopes[is_open]
         small = np.all(contracted.width <= self.tolerance, axis=1)
         # What cannot be cut at its middle any more.
         stuck = (contracted.middle <= contracted.lower) | (contracted.middle >= contracted.upper)
@@ -306,8 +308,13 @@ def _distinct(
         else:
             keep[i] = not touching
         keep.update(dict.fromkeys(touching, False))
-    kept = list(keep)
-    return owner[kept], domain[kept], tight[kept], np.array(list(keep.values()), dtype=bool)
+    indices = list(keep)
+    return (
+        owner[indices],
+        domain[indices],
+        tight[indices],
+        np.array(list(keep.values()), dtype=bool),
+    )
 
 
 def _clusters(owner: IntArray, boxes: Interval, tolerance: FloatArray) -> tuple[IntArray, Interval]:
@@ -342,17 +349,17 @@ class IntervalNewtonStep:
     slopes: Interval  #: bounds of g' over it
 
 
-def newton(equations: BlockEquations, box: Interval, given: Interval) -> IntervalNewtonStep:
-    """One step on boxes (m, n), for what is given (m, n_given)."""
-    g, slopes = equations.with_slopes(box, given)
+def newton(equations: BlockEquations, box: Interval, knowns: Interval) -> IntervalNewtonStep:
+    """One step on boxes (m, n), for the knowns (m, n_knowns)."""
+    g, slopes = equations.with_slopes(box, knowns)
     centre = centre_of(box)
-    at_centre = equations.values(Interval.point(centre), given)
+    at_centre = equations.values(Interval.point(centre), knowns)
     away = box - Interval.point(centre)
     possible = np.all(g.contains_zero(), axis=1)
     possible &= np.all((at_centre + _times(slopes, away)).contains_zero(), axis=1)
     if equations.n == 1:
         monotonic = ~slopes.contains_zero()[:, 0, 0]
-        ends = _end_signs(equations, box, given)
+        ends = _end_signs(equations, box, knowns)
         possible &= ~(monotonic & (ends > 0))
         image = box.intersection(_newton_image(centre, at_centre, slopes))
         return IntervalNewtonStep(possible, monotonic & (ends < 0), image, slopes)
@@ -382,11 +389,11 @@ def _signs(values: Interval) -> FloatArray:
     return np.where(values.lower[:, 0] > 0, 1.0, np.where(values.upper[:, 0] < 0, -1.0, 0.0))
 
 
-def _end_signs(equations: BlockEquations, box: Interval, given: Interval) -> FloatArray:
+def _end_signs(equations: BlockEquations, box: Interval, knowns: Interval) -> FloatArray:
     """The product of the signs at both ends; −1: at least one root. 0 of several equations."""
     if equations.n > 1:
         return np.zeros(len(box.lower))
-    low, high = (equations.values(Interval.point(at), given) for at in (box.lower, box.upper))
+    low, high = (equations.values(Interval.point(at), knowns) for at in (box.lower, box.upper))
     return _signs(low) * _signs(high)
 
 
@@ -413,18 +420,18 @@ def _deviation(inverse: FloatArray, slopes: Interval) -> Interval:
     return total
 
 
-def refine_boxes(equations: BlockEquations, box: Interval, given: Interval) -> Interval:
+def refine_boxes(equations: BlockEquations, box: Interval, knowns: Interval) -> Interval:
     """Boxes (m, n) with one proved root each, made as tight as they get."""
     active = np.arange(len(box.lower))
     lower, upper = box.lower.copy(), box.upper.copy()
     rises = np.zeros(len(active))
     if equations.n == 1 and len(active):
-        rises = _signs(equations.values(Interval.point(upper), given))
+        rises = _signs(equations.values(Interval.point(upper), knowns))
     for _ in range(_REFINEMENTS):
         if not len(active):
             break
         now = Interval(lower[active], upper[active])
-        image = now.intersection(_smaller(equations, now, given[active], rises[active]))
+        image = now.intersection(_smaller(equations, now, knowns[active], rises[active]))
         sound = np.all(image.lower <= image.upper, axis=1)
         lower[active[sound]], upper[active[sound]] = image.lower[sound], image.upper[sound]
         shrunk = np.any(image.width < 0.8 * now.width, axis=1)
@@ -433,14 +440,14 @@ def refine_boxes(equations: BlockEquations, box: Interval, given: Interval) -> I
 
 
 def _smaller(
-    equations: BlockEquations, box: Interval, given: Interval, rises: FloatArray
+    equations: BlockEquations, box: Interval, knowns: Interval, rises: FloatArray
 ) -> Interval:
     """The image of a box with one root; of one unknown also the side of its centre."""
     if equations.n > 1:
-        return newton(equations, box, given).image
-    _, slopes = equations.with_slopes(box, given)
+        return newton(equations, box, knowns).image
+    _, slopes = equations.with_slopes(box, knowns)
     centre = centre_of(box)
-    at_centre = equations.values(Interval.point(centre), given)
+    at_centre = equations.values(Interval.point(centre), knowns)
     image = _newton_image(centre, at_centre, slopes)
     side = (_signs(at_centre) * rises)[:, None]
     return Interval(
@@ -512,21 +519,21 @@ class Prover:
 
     def at(self, v: npt.ArrayLike) -> list[Proof]:
         """Proofs for inputs and torques, (m, n_v)."""
-        given = Interval.point(np.atleast_2d(v))
-        roots, x, u = self._solve(given, _SHARE_AT_POINTS, whole=True), given, given
+        inputs = Interval.point(np.atleast_2d(v))
+        roots, x, u = self._solve(inputs, _SHARE_AT_POINTS, whole=True), inputs, inputs
         if len(roots.owner):
-            x, u = self._point(roots.box, given[roots.owner], self._constants)
-        proofs: list[list[EnclosedEquilibrium]] = [[] for _ in given.lower]
+            x, u = self._point(roots.box, inputs[roots.owner], self._constants)
+        proofs: list[list[EnclosedEquilibrium]] = [[] for _ in inputs.lower]
         for k, one in enumerate(roots.owner):
-            known = bool(roots.unique[k]), bool(roots.exists[k])
-            proofs[one].append(EnclosedEquilibrium(roots.box[k], x[k], u[k], *known))
-        return [Proof(given[k], tuple(own), roots.open_ended) for k, own in enumerate(proofs)]
+            flags = bool(roots.unique[k]), bool(roots.exists[k])
+            proofs[one].append(EnclosedEquilibrium(roots.box[k], x[k], u[k], *flags))
+        return [Proof(inputs[k], tuple(own), roots.open_ended) for k, own in enumerate(proofs)]
 
     def counts(self, lower: npt.ArrayLike, upper: npt.ArrayLike) -> list[int | None]:
         """How many equilibria each input between bounds, (m, n_v), has; None: it was not told."""
-        given = Interval.of(lower, upper)
-        roots = self._solve(given, _SHARE_OVER_RANGES, whole=False)
-        numbers = np.bincount(roots.owner, minlength=len(given.lower)).tolist()
+        inputs = Interval.of(lower, upper)
+        roots = self._solve(inputs, _SHARE_OVER_RANGES, whole=False)
+        numbers = np.bincount(roots.owner, minlength=len(inputs.lower)).tolist()
         return [None if k in roots.left else number for k, number in enumerate(numbers)]
 
     def _solve(self, v: Interval, share: float, whole: bool) -> Roots:
@@ -538,13 +545,13 @@ class Prover:
         doubtful: set[int] = set()
         for block, equations in zip(self.system.blocks, self._blocks, strict=True):
             columns = list(block.unknowns)
-            given = Interval(
+            knowns = Interval(
                 np.concatenate([z.lower, v.lower[owner]], axis=1),
                 np.concatenate([z.upper, v.upper[owner]], axis=1),
             )
             tolerance = share * self.scale[columns]
             groups = None if whole else owner
-            roots = isolate(equations, self.box[columns], given, tolerance, groups)
+            roots = isolate(equations, self.box[columns], knowns, tolerance, groups)
             before = roots.owner
             lower, upper = z.lower[before], z.upper[before]
             lower[:, columns], upper[:, columns] = roots.box.lower, roots.box.upper
@@ -556,8 +563,8 @@ class Prover:
                 doubtful |= {*owner[~unique].tolist(), *roots.left.tolist()}
                 sure = ~np.isin(owner, list(doubtful))
                 z, owner, unique, exists = z[sure], owner[sure], unique[sure], exists[sure]
-        left = np.array(sorted(doubtful), dtype=np.int64)
-        return Roots(owner, z, unique, exists, open_ended, left)
+        doubtful_groups = np.array(sorted(doubtful), dtype=np.int64)
+        return Roots(owner, z, unique, exists, open_ended, doubtful_groups)
 
 
 @dataclass(frozen=True)
@@ -579,7 +586,7 @@ def over_range(
     edges = np.linspace(*bounds, 33)
     waiting = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
     pieces: list[RangePiece] = []
-    tried = 0
+    range_count = 0
     largest = max((len(block.rows) for block in prover.system.blocks), default=1)
     most = _MOST_RANGES.get(largest, _MOST_RANGES_OF_MORE)
     while waiting:
@@ -591,8 +598,8 @@ def over_range(
                 following += [(a, 0.5 * (a + b)), (0.5 * (a + b), b)]
             else:
                 pieces.append(RangePiece(a, b, count))
-        tried += len(waiting)
-        if tried > most:
+        range_count += len(waiting)
+        if range_count > most:
             pieces += [RangePiece(a, b, None) for a, b in following]
             break
         waiting = following

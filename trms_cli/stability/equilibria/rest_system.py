@@ -77,23 +77,23 @@ class RestSystem:
 def rest_system(
     model: Model,
     varied: Collection[str] = (),
-    held: Mapping[str, float] | None = None,
+    held_angles: Mapping[str, float] | None = None,
     torques_too: bool = False,
 ) -> RestSystem:
     """The equations of rest of a model, its input path with them, but no impulses and sensors.
 
-    ``varied``: inputs that are to stay given. ``held``: angles that are given (rad), each in
+    ``varied``: inputs that are to stay given. ``held_angles``: angles that are given (rad), each in
     exchange for an input. ``torques_too``: whether constant torques act; without them equations
     fall apart into smaller blocks. Raises ModelError if no inputs are left to be released for what
     has to be held.
     """
-    held = dict(held or {})
+    held_angles = dict(held_angles or {})
     s, u, p, w = model.symbols()
     equations = rest_equations(model)
     s = ca.SX.sym("s", len(equations.unknowns))
     own = [model.states[i] for i in equations.unknowns]
     residual = equations.residual(s, static_motor_command(model, u, p), p, w)
-    for name, value in held.items():
+    for name, value in held_angles.items():
         residual = ca.substitute(residual, s[names(own).index(name)], ca.SX(value))
     # What an effect remembers (a cable's z) stays too: it is free, not the angle that it acts on.
     angles = {axis.angle for axis in model.axes.values()} | set(model.controlled)
@@ -102,7 +102,7 @@ def rest_system(
     resting = model.rest()[list(equations.unknowns)]
 
     rows = ca.vertcat(*reduced.rows) if reduced.rows else ca.SX.zeros(0)
-    columns = [i for i in reduced.kept if own[i].name not in held]
+    columns = [i for i in reduced.kept if own[i].name not in held_angles]
     symbols = ca.vertcat(*(s[i] for i in columns), u)
     candidates = [own[i] for i in columns] + list(model.inputs)
     pattern = _pattern(rows, symbols)
@@ -110,30 +110,30 @@ def rest_system(
     matched = _matched(pattern, worth)
     missing = rows.numel() - len(matched)
     if missing:
-        fixed = ", ".join([*varied, *held])
+        fixed = ", ".join([*varied, *held_angles])
         raise ModelError(
             f"rest of model {model.name!r} asks for {missing} more "
             f"{'input' if missing == 1 else 'inputs'} than may follow from the others"
             + (f" with {fixed} given" if fixed else ""),
-            where="study.at" if held else "model",
-            remedy="hold fewer angles" if held else "vary fewer inputs",
+            where="study.at" if held_angles else "model",
+            remedy="hold fewer angles" if held_angles else "vary fewer inputs",
         )
-    chosen = [matched[row] for row in range(rows.numel())]
-    z = ca.SX.sym("z", len(chosen))
+    unknown_columns = [matched[row] for row in range(rows.numel())]
+    z = ca.SX.sym("z", len(unknown_columns))
     v = ca.SX.sym("v", model.n_u + model.n_w)
-    free = [i for k, i in enumerate(columns) if k not in chosen]
+    free = [i for k, i in enumerate(columns) if k not in unknown_columns]
 
     # What is unknown becomes z, the inputs that stay given v, what is free rests where it rests.
-    inputs, unknowns = names(model.inputs), tuple(candidates[column] for column in chosen)
+    inputs, unknowns = names(model.inputs), tuple(candidates[column] for column in unknown_columns)
     released = tuple(signal.name for signal in unknowns if signal.name in inputs)
     placed = [(s[i], float(resting[i])) for i in free]
-    placed += [(s[names(own).index(name)], float(value)) for name, value in held.items()]
-    placed += [(symbols[column], z[k]) for k, column in enumerate(chosen)]
+    placed += [(s[names(own).index(name)], float(value)) for name, value in held_angles.items()]
+    placed += [(symbols[column], z[k]) for k, column in enumerate(unknown_columns)]
     placed += [(u[i], v[i]) for i, name in enumerate(inputs) if name not in released]
     placed += [(w[i], v[model.n_u + i]) for i in range(model.n_w)]
     old, new = (ca.vertcat(*side) for side in zip(*placed, strict=True))
     everything = ca.cse(ca.substitute(ca.vertcat(rows, reduced.state, u, *nonzero), old, new))
-    ends = np.cumsum([0, len(chosen), len(own), model.n_u, len(nonzero)]).tolist()
+    ends = np.cumsum([0, len(unknown_columns), len(own), model.n_u, len(nonzero)]).tolist()
     g, state, commands, factors = ca.vertsplit(everything, ends)
     reached = static_motor_command(model, commands, p)
     whole = equations.state(state, reached)
@@ -149,7 +149,7 @@ def rest_system(
             for i, name in enumerate(inputs)
             if name not in released and not ca.depends_on(ca.vertcat(g, state), v[i])
         ),
-        held=held,
+        held=held_angles,
         residual=ca.Function("rest", [z, v, p], [g]),
         point=ca.Function("point", [z, v, p], [whole, commands, reached]),
         nonzero=ca.Function("nonzero", [z, v, p], [factors]),
@@ -227,13 +227,13 @@ def _blocks(pattern: BoolArray) -> tuple[EquationBlock, ...]:
         return ()
     count, label = connected_components(csr_array(pattern), directed=True, connection="strong")
     members = [tuple(np.flatnonzero(label == k).tolist()) for k in range(count)]
-    done: set[int] = set()
+    ordered_labels: set[int] = set()
     ordered: list[EquationBlock] = []
     while len(ordered) < count:
         for k, own in enumerate(members):
-            needed = {int(label[j]) for i in own for j in np.flatnonzero(pattern[i])} - {k}
-            if k not in done and needed <= done:
-                done.add(k)
+            prerequisites = {int(label[j]) for i in own for j in np.flatnonzero(pattern[i])} - {k}
+            if k not in ordered_labels and prerequisites <= ordered_labels:
+                ordered_labels.add(k)
                 ordered.append(EquationBlock(own, own))
                 break
     return tuple(ordered)
@@ -257,10 +257,10 @@ def reduce(
     ``keep`` stay unknowns.
     """
     rows = ca.vertsplit(ca.cse(f))
-    state, left = x, [j for j in range(x.numel()) if j not in keep]
+    state, candidates = x, [j for j in range(x.numel()) if j not in keep]
     variables = ca.vertcat(x, others)
     while True:
-        linear = _linear(rows, x, variables, p, values, left)
+        linear = _linear(rows, x, variables, p, values, candidates)
         if linear is None:
             break
         i, j, factor = linear
@@ -270,26 +270,26 @@ def reduce(
         rows = [row for k, row in enumerate(rows) if k != i]
         whole = ca.cse(ca.substitute(ca.vertcat(state, *rows), x[j], value))
         state, rows = whole[: x.numel()], ca.vertsplit(whole[x.numel() :]) if rows else []
-        left.remove(j)
-    kept = [j for j in range(x.numel()) if j in keep or j in left]
+        candidates.remove(j)
+    unknowns = [j for j in range(x.numel()) if j in keep or j in candidates]
     # A row that has become identically zero asks for nothing.
     rows = [row for row in rows if not (row.is_constant() and float(row) == 0.0)]
-    return ReducedEquations(rows, kept, state)
+    return ReducedEquations(rows, unknowns, state)
 
 
 def _linear(
-    rows: list[ca.SX], x: ca.SX, variables: ca.SX, p: ca.SX, values: ca.DM, left: list[int]
+    rows: list[ca.SX], x: ca.SX, variables: ca.SX, p: ca.SX, values: ca.DM, candidates: list[int]
 ) -> tuple[int, int, ca.SX] | None:
     """Row, symbol and factor of a linear occurrence, in a row of as few symbols as there is.
 
     A factor of one comes first: ``S`` by the rate, and not a rotor's speed by ``S``.
     """
-    if not rows or not left:
+    if not rows or not candidates:
         return None
     slopes = ca.cse(ca.jacobian(ca.vertcat(*rows), x))
     filled = np.array(ca.DM(slopes.sparsity(), 1).full(), dtype=bool)
     for i in np.argsort(filled.sum(axis=1), kind="stable"):
-        factors = {j: slopes[int(i), j] for j in left if filled[i, j]}
+        factors = {j: slopes[int(i), j] for j in candidates if filled[i, j]}
         others = {j: not (f.is_one() or f.is_minus_one()) for j, f in factors.items()}
         for j in sorted(factors, key=others.__getitem__):
             factor = factors[j]
@@ -328,10 +328,10 @@ def _balance(rows: list[ca.SX], square: ca.SX, symbols: ca.SX) -> list[ca.SX] | 
     count = len(rows)
     whole = ca.cse(ca.vertcat(*rows, ca.vec(square)))
     program = ca.Function("program", [symbols], [whole])
-    made = _makers(program)
-    if any(count + k not in made for k in range(4)):
+    makers = _makers(program)
+    if any(count + k not in makers for k in range(4)):
         return None
-    places = [made[count + k] for k in range(4)]
+    places = [makers[count + k] for k in range(4)]
     entries = {place: ca.SX.sym(f"mobility_{place}") for place, _ in places}
     replaced = _run(program, symbols, entries)[:count]
     own = ca.vertcat(*entries.values())
@@ -359,19 +359,19 @@ def _vanishes(expression: ca.SX) -> bool:
 def _makers(program: ca.Function) -> dict[int, tuple[int, int]]:
     """Which instruction makes each output, up to a sign."""
     writer: dict[int, tuple[int, int]] = {}
-    made: dict[int, tuple[int, int]] = {}
+    makers: dict[int, tuple[int, int]] = {}
     rows = program.sparsity_out(0).row()
     for k in range(program.n_instructions()):
         operation = program.instruction_id(k)
-        into, given = program.instruction_output(k), program.instruction_input(k)
+        into, operands = program.instruction_output(k), program.instruction_input(k)
         if operation == ca.OP_OUTPUT:
-            made[rows[into[1]]] = writer[given[0]]
+            makers[rows[into[1]]] = writer[operands[0]]
         elif operation == ca.OP_NEG:
-            place, sign = writer[given[0]]
+            place, sign = writer[operands[0]]
             writer[into[0]] = place, -sign
         else:
             writer[into[0]] = k, 1
-    return made
+    return makers
 
 
 def _run(program: ca.Function, symbols: ca.SX, instead: dict[int, ca.SX]) -> list[ca.SX]:
@@ -381,37 +381,37 @@ def _run(program: ca.Function, symbols: ca.SX, instead: dict[int, ca.SX]) -> lis
     rows = program.sparsity_out(0).row()
     for k in range(program.n_instructions()):
         operation = program.instruction_id(k)
-        into, given = program.instruction_output(k), program.instruction_input(k)
+        into, operands = program.instruction_output(k), program.instruction_input(k)
         if operation == ca.OP_OUTPUT:
-            outputs[rows[into[1]]] = work[given[0]]
+            outputs[rows[into[1]]] = work[operands[0]]
         elif k in instead:
             work[into[0]] = instead[k]
         elif operation == ca.OP_CONST:
             work[into[0]] = ca.SX(program.instruction_constant(k))
         elif operation == ca.OP_INPUT:
-            work[into[0]] = symbols[given[1]]
-        elif len(given) == 1:
-            work[into[0]] = ca.SX.unary(operation, work[given[0]])
+            work[into[0]] = symbols[operands[1]]
+        elif len(operands) == 1:
+            work[into[0]] = ca.SX.unary(operation, work[operands[0]])
         else:
-            work[into[0]] = ca.SX.binary(operation, work[given[0]], work[given[1]])
+            work[into[0]] = ca.SX.binary(operation, work[operands[0]], work[operands[1]])
     return outputs
 
 
 def without_factors(row: ca.SX, variables: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
     """A row without cosines, factors of parameters alone and its divisor; and what they were."""
-    taken: list[ca.SX] = []
+    factors: list[ca.SX] = []
     while True:
         if row.is_op(ca.OP_NEG):
             row = row.dep(0)
         elif row.is_op(ca.OP_DIV):
-            taken.append(row.dep(1))
+            factors.append(row.dep(1))
             row = row.dep(0)
         elif row.is_op(ca.OP_MUL):
             both = row.dep(0), row.dep(1)
             own = [f.is_op(ca.OP_COS) or not ca.depends_on(f, variables) for f in both]
             if not any(own):
-                return row, taken
-            taken.append(both[own.index(True)])
+                return row, factors
+            factors.append(both[own.index(True)])
             row = both[1 - own.index(True)]
         else:
-            return row, taken
+            return row, factors

@@ -74,18 +74,18 @@ class CurveEquations(ImplicitCurve):
     ) -> None:
         self.system, self.varied = system, varied
         y = ca.SX.sym("y", system.n + 1)
-        given = ca.SX(ca.DM(v))
-        given[varied] = y[system.n]
+        inputs = ca.SX(ca.DM(v))
+        inputs[varied] = y[system.n]
         p = ca.DM(system.model.parameters.values)
         super().__init__(
-            system.residual(y[: system.n], given, p),
+            system.residual(y[: system.n], inputs, p),
             y,
             system.unknowns,
             np.append(box.lower, bounds[0]),
             np.append(box.upper, bounds[1]),
             np.append(scale, 0.5 * (bounds[1] - bounds[0])),
         )
-        self._point = ca.Function("point", [y], list(system.point(y[: system.n], given, p)))
+        self._point = ca.Function("point", [y], list(system.point(y[: system.n], inputs, p)))
 
     def point(self, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """x, u and what reaches the motors."""
@@ -398,9 +398,9 @@ def survey(
 
     tell(f"proofs over {setting.over}")
     prover = Prover(system, bounds, scale)
-    given = np.tile(v, (len(proof_inputs), 1))
-    given[:, index] = proof_inputs
-    proofs = prover.at(given)
+    input_rows = np.tile(v, (len(proof_inputs), 1))
+    input_rows[:, index] = proof_inputs
+    proofs = prover.at(input_rows)
     curves, late = complete_curves(equations, curves, proofs)
     checks = tuple(
         _check(equations, curves, float(value), proof)
@@ -426,8 +426,8 @@ def complete_curves(
     for proof in proofs:
         value = float(proof.given.lower[equations.varied])
         for one in proof.proved:
-            known = [y for curve in curves for y in equations.crossings_of(curve, value)]
-            if any(_within(equations, y, one.z) for y in known):
+            crossings = [y for curve in curves for y in equations.crossings_of(curve, value)]
+            if any(_within(equations, y, one.z) for y in crossings):
                 continue
             y = equations.pinned(np.append(one.z.middle, value), equations.n, value)
             if y is not None and equations.inside(y):
@@ -444,15 +444,15 @@ def _within(equations: CurveEquations, y: FloatArray, z: Interval) -> bool:
 def _check(
     equations: CurveEquations, curves: Sequence[SolutionCurve], value: float, proof: Proof
 ) -> ProofCheck:
-    known = [y for curve in curves for y in equations.crossings_of(curve, value)]
+    crossings = [y for curve in curves for y in equations.crossings_of(curve, value)]
     ordered: list[FloatArray] = []
     agree = True
     for one in proof.enclosed:
-        inside = [y for y in known if _within(equations, y, one.z)]
+        inside = [y for y in crossings if _within(equations, y, one.z)]
         agree &= len(inside) == 1 if one.unique else True
         ordered += inside
-    agree &= all(any(_within(equations, y, one.z) for one in proof.enclosed) for y in known)
-    points = tuple(equations.stability(y) for y in (ordered if agree else known))
+    agree &= all(any(_within(equations, y, one.z) for one in proof.enclosed) for y in crossings)
+    points = tuple(equations.stability(y) for y in (ordered if agree else crossings))
     return ProofCheck(value, proof, points, agree)
 
 
@@ -467,7 +467,7 @@ def setting_of(
     """
     own = {axis: model.rotors.get(rotor) for axis, rotor in (("pitch", "main"), ("yaw", "tail"))}
     holder = {model.axes[axis].angle: own[axis] for axis in own if axis in model.axes}
-    held = {
+    held_angles = {
         name: value
         for name, value in at.items()
         if name in holder and holder[name] not in (None, over)
@@ -475,12 +475,12 @@ def setting_of(
     if not at and "pitch" in model.axes and own["pitch"] is not None and over == own["yaw"]:
         angle = model.axes["pitch"].angle
         if not rest_system(model, {over}).free:
-            held = {angle: 0.0}
-    released = {holder[name] for name in held}
+            held_angles = {angle: 0.0}
+    released = {holder[name] for name in held_angles}
     others = [name for name in names(model.inputs) if name not in (over, *released)]
-    free = rest_system(model, {over}, held)
+    free = rest_system(model, {over}, held_angles)
     inputs = {n: float(at.get(n, 0.0)) for n in others if n not in free.released}
-    return SurveySetting(over, bounds, inputs, held)
+    return SurveySetting(over, bounds, inputs, held_angles)
 
 
 #: rad, just within ±π/2: with the beam upright the yaw of some models answers to nothing at all.
@@ -490,7 +490,7 @@ _TRIED = 4
 
 
 def bounds_of(
-    system: RestSystem, asked: Mapping[str, Sequence[float]]
+    system: RestSystem, requested_bounds: Mapping[str, Sequence[float]]
 ) -> tuple[Interval, FloatArray]:
     """Bounds of the unknowns, (n,) each, and the size of each that counts.
 
@@ -501,7 +501,7 @@ def bounds_of(
     with the beam upright, within the bounds, an equation holds for whatever else.
     """
     model = system.model
-    for name, bounds in asked.items():
+    for name, bounds in requested_bounds.items():
         unknown = f"{name!r} is no state of model {model.name!r}"
         require_known(name, model.state_names, unknown, f"study.box.{name}")
         if len(bounds) != 2 or not bounds[0] < bounds[1]:
@@ -512,7 +512,11 @@ def bounds_of(
             )
     lower, upper = [], []
     for signal in system.unknowns:
-        low, high = asked[signal.name] if signal.name in asked else usual_bounds(model, signal.name)
+        low, high = (
+            requested_bounds[signal.name]
+            if signal.name in requested_bounds
+            else usual_bounds(model, signal.name)
+        )
         lower.append(float(low))
         upper.append(float(high))
     box = Interval.of(lower, upper)
@@ -587,8 +591,10 @@ def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap 
     angles = np.full((len(rows), _MAP_POINTS, _MAP_POINTS), np.nan)
     box, scale = bounds_of(system, {})
     for column, value in enumerate(first):
-        known = [y for one in along.curves for y in along.equations.crossings_of(one.curve, value)]
-        stable = [p for p in (along.equations.stability(y) for y in known) if not p.unstable]
+        crossings = [
+            y for one in along.curves for y in along.equations.crossings_of(one.curve, value)
+        ]
+        stable = [p for p in (along.equations.stability(y) for y in crossings) if not p.unstable]
         if not stable:
             continue
         v = np.zeros(len(system.given))
@@ -726,11 +732,11 @@ def _taken(model: Model, x: FloatArray, u: FloatArray, axis: str, moment: float)
         return float(np.array(field.function(state, u, p, w))[row, 0])
 
     pushed = x + moment * np.array(field.function(x, u, p, push))[:, 0]
-    held = np.array(impulse(pushed, u, p, push))[:, 0]
+    after_impulse = np.array(impulse(pushed, u, p, push))[:, 0]
     without, rest = rate(pushed), rate(x)
     if without == rest:
         return 0.0
-    return _PUSH * (1.0 - (rate(held) - rest) / (without - rest))
+    return _PUSH * (1.0 - (rate(after_impulse) - rest) / (without - rest))
 
 
 def friction_bands(

@@ -120,10 +120,10 @@ def prove_negative(
                 failure.append((float(values[worst]), middles[worst]))
         narrow = (boxes.width <= _NARROWEST * size).all(axis=1)
         halves = halve_boxes(boxes[~narrow], (boxes.width / size)[~narrow].argmax(axis=1))
-        left = join_boxes(halves, boxes[narrow])
+        remaining = join_boxes(halves, boxes[narrow])
         # The widest come first; what is too narrow to be halved comes last, and ends the search.
         width = (halves.width / size).max(axis=1, initial=0.0)
-        return left, np.concatenate([-width, np.zeros(int(narrow.sum()))]), count
+        return remaining, np.concatenate([-width, np.zeros(int(narrow.sum()))]), count
 
     first = BoxSearch(Interval(low[None].copy(), high[None].copy()), np.array([-1.0]), 0)
     search = branch_and_bound(

@@ -51,9 +51,9 @@ class Enclosure:
             )
             for k in range(function.n_instructions())
         ]
-        known = {*_UNARY, *_BINARY, *_SPECIAL}
+        supported_operations = {*_UNARY, *_BINARY, *_SPECIAL}
         for operation, *_ in self._program:
-            if operation not in known:
+            if operation not in supported_operations:
                 named = [n for n in dir(ca) if n[:3] == "OP_" and getattr(ca, n) == operation]
                 name = named[0] if named else str(operation)
                 raise ModelError(
@@ -95,8 +95,8 @@ class Enclosure:
             if operation == ca.OP_CONST:
                 value = Interval.point(np.array([constant]))  # shared by all boxes, as p may be
             elif operation == ca.OP_INPUT:
-                given = arguments[inputs[0]][..., inputs[1]]
-                value = Interval(np.atleast_1d(given.lower), np.atleast_1d(given.upper))
+                argument = arguments[inputs[0]][..., inputs[1]]
+                value = Interval(np.atleast_1d(argument.lower), np.atleast_1d(argument.upper))
             elif operation in _COMPARISONS:
                 value = _COMPARISONS[operation](work[inputs[0]], work[inputs[1]])
                 condition = (number, True)
@@ -194,8 +194,8 @@ def _to_the_power(a: Interval, b: Interval) -> Interval:
     exponent = b.lower.flat[0] if b.lower.size else 0.0
     constant = bool(np.all(b.lower == exponent) and np.all(b.upper == exponent))
     if constant and exponent == round(exponent) and abs(exponent) <= 64:
-        found = a.power(int(abs(exponent)))
-        return found if exponent >= 0 else found.reciprocal()
+        integer_power = a.power(int(abs(exponent)))
+        return integer_power if exponent >= 0 else integer_power.reciprocal()
     # a^b = exp(b log a), for a > 0
     return (b * a.rising(np.log)).rising(np.exp)
 

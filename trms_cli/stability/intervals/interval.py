@@ -133,10 +133,11 @@ class Interval:
     def reciprocal(self) -> Interval:
         """1/x; everything where x may be zero."""
         with np.errstate(divide="ignore", over="ignore"):
-            found = _outwards(1.0 / self.upper, 1.0 / self.lower)
+            quotient = _outwards(1.0 / self.upper, 1.0 / self.lower)
         unbounded = self.contains_zero()
         return Interval(
-            np.where(unbounded, -np.inf, found.lower), np.where(unbounded, np.inf, found.upper)
+            np.where(unbounded, -np.inf, quotient.lower),
+            np.where(unbounded, np.inf, quotient.upper),
         )
 
     def absolute(self) -> Interval:
@@ -147,14 +148,14 @@ class Interval:
     def square(self) -> Interval:
         size = self.absolute()
         with np.errstate(over="ignore"):
-            found = _outwards(size.lower**2, size.upper**2)
-        return Interval(np.maximum(found.lower, 0.0), found.upper)
+            result = _outwards(size.lower**2, size.upper**2)
+        return Interval(np.maximum(result.lower, 0.0), result.upper)
 
     def square_root(self) -> Interval:
         """Of the part that is not negative."""
         low = np.sqrt(np.maximum(self.lower, 0.0))
-        found = _outwards(low, np.sqrt(np.maximum(self.upper, 0.0)))
-        return Interval(np.maximum(found.lower, 0.0), found.upper)
+        root = _outwards(low, np.sqrt(np.maximum(self.upper, 0.0)))
+        return Interval(np.maximum(root.lower, 0.0), root.upper)
 
     def power(self, exponent: int) -> Interval:
         """To a whole power from 0 on."""
@@ -184,11 +185,11 @@ class Interval:
         """
         with np.errstate(invalid="ignore"):
             ends = function(self.lower), function(self.upper)
-        found = _outwards(np.minimum(*ends), np.maximum(*ends), _LIBRARY_ERROR)
+        hull = _outwards(np.minimum(*ends), np.maximum(*ends), _LIBRARY_ERROR)
         high, low = self._has(crest), self._has(crest + math.pi)
         return Interval(
-            np.where(low, -1.0, np.maximum(found.lower, -1.0)),
-            np.where(high, 1.0, np.minimum(found.upper, 1.0)),
+            np.where(low, -1.0, np.maximum(hull.lower, -1.0)),
+            np.where(high, 1.0, np.minimum(hull.upper, 1.0)),
         )
 
     def _has(self, place: float) -> BoolArray:
@@ -254,7 +255,7 @@ def positive_definite(matrix: Interval) -> BoolArray:
     with np.errstate(invalid="ignore"):
         norm = radius.sum(axis=2).max(axis=1) * (1.0 + 1e-12)
     shift = norm + 4.0 * (n + 2) * np.finfo(float).eps * trace
-    found = np.zeros(len(middle), dtype=bool)
+    is_definite = np.zeros(len(middle), dtype=bool)
     candidates = finite & np.isfinite(shift)
     least = np.full(len(middle), -np.inf)
     shift = np.where(candidates, shift, 0.0)
@@ -265,8 +266,8 @@ def positive_definite(matrix: Interval) -> BoolArray:
             np.linalg.cholesky(middle[k] - shift[k] * np.eye(n))
         except np.linalg.LinAlgError:
             continue
-        found[k] = True
-    return found
+        is_definite[k] = True
+    return is_definite
 
 
 def definite(matrix: Interval) -> tuple[BoolArray, BoolArray]:
@@ -301,12 +302,12 @@ def corners(bounds: Interval) -> Interval:
     size = np.maximum(np.abs(bounds.lower), np.abs(bounds.upper))
     certain = width <= 1e-9 * size.max(initial=1e-300)
     order = np.argsort(np.where(certain, 0.0, width), axis=None)[::-1]
-    chosen = [k for k in order[:MOST_ENTRIES] if not certain.flat[k]]
-    count = 2 ** len(chosen)
+    uncertain_entries = [k for k in order[:MOST_ENTRIES] if not certain.flat[k]]
+    count = 2 ** len(uncertain_entries)
     lower = np.broadcast_to(bounds.lower.ravel(), (count, bounds.lower.size)).copy()
     upper = np.broadcast_to(bounds.upper.ravel(), (count, bounds.upper.size)).copy()
-    ends = np.array(list(itertools.product((False, True), repeat=len(chosen))))
-    for column, k in enumerate(chosen):
+    ends = np.array(list(itertools.product((False, True), repeat=len(uncertain_entries))))
+    for column, k in enumerate(uncertain_entries):
         value = np.where(ends[:, column], bounds.upper.flat[k], bounds.lower.flat[k])
         lower[:, k] = upper[:, k] = value
     shape = (count, *bounds.lower.shape)

@@ -70,11 +70,11 @@ def scales_of(model: Model, matrices: Matrices, angle_noise: float, other_noise:
     limit = np.array([model.input_limits[signal.name] for signal in model.inputs])
     limit = np.where(np.isfinite(limit), limit, 1.0)
     a = matrices.a if matrices.sample_time is None else matrices.a - np.eye(len(matrices.a))
-    moved = np.abs(np.linalg.pinv(a, rcond=1e-9) @ matrices.b) @ limit
+    deflection = np.abs(np.linalg.pinv(a, rcond=1e-9) @ matrices.b) @ limit
     x = np.empty(model.n_x)
     for i, part in enumerate(parts_of(model)):
         motion = part.name in model.axes or model.states[i].unit == "rad"
-        x[i] = MOTION if motion else (_SHARE * moved[i] if moved[i] > 1e-9 else 1.0)
+        x[i] = MOTION if motion else (_SHARE * deflection[i] if deflection[i] > 1e-9 else 1.0)
     y = np.array([angle_noise if s.unit == "rad" else other_noise for s in model.outputs])
     return Scales(x, limit, y)
 
@@ -154,11 +154,11 @@ def _steps(flow: FloatArray, first: FloatArray, count: int) -> FloatArray:
     """Σ over ``count`` steps, by doubling."""
     total = np.zeros_like(first)
     gramian, power = first, flow
-    done = np.eye(len(flow))
+    transition = np.eye(len(flow))
     while count:
         if count & 1:
-            total = total + done @ gramian @ done.T
-            done = done @ power
+            total = total + transition @ gramian @ transition.T
+            transition = transition @ power
         gramian = gramian + power @ gramian @ power.T
         power = power @ power
         count >>= 1
@@ -255,11 +255,11 @@ class Access:
         """How well some inputs move a mode."""
         b = self.scaled.b[:, inputs]
         # w in scaled states, its own motion of size one.
-        left, _ = self._eigenvectors(mode)
+        left_vector, _ = self._eigenvectors(mode)
         # ∫₀ᵀ e^{Re λ t} dt: what a command in step with the mode adds up to; per sample of a step.
         rate, step = mode.eigenvalue.real, self.matrices.sample_time
         total = duration if abs(rate) * duration < 1e-9 else float(np.expm1(rate * duration) / rate)
-        pumped = float(np.abs(left @ b).sum()) * (total if step is None else total / step)
+        pumped = float(np.abs(left_vector @ b).sum()) * (total if step is None else total / step)
         return _graded(mode, self.scaled.a, b, step, pumped, WEAK_REACH)
 
     def by_sensors(self, mode: EigenMode, outputs: list[int]) -> PbhResult:
@@ -284,14 +284,14 @@ class Access:
         self, sets: tuple[tuple[str, ...], ...], duration: float
     ) -> tuple[ModeAccess, ...]:
         """The PBH test of each mode, by each input and each set of sensors."""
-        n_u, known = self.model.n_u, names(self.model.outputs)
+        n_u, output_names = self.model.n_u, names(self.model.outputs)
         inputs = [*([j] for j in range(n_u)), *([list(range(n_u))] if n_u > 1 else [])]
-        outputs = [[known.index(name) for name in one] for one in sets]
+        outputs = [[output_names.index(name) for name in one] for one in sets]
         return tuple(
             ModeAccess(
                 mode,
-                tuple(self.by_inputs(mode, chosen, duration) for chosen in inputs),
-                tuple(self.by_sensors(mode, chosen) for chosen in outputs),
+                tuple(self.by_inputs(mode, channels, duration) for channels in inputs),
+                tuple(self.by_sensors(mode, channels) for channels in outputs),
             )
             for mode in self.modes
         )
@@ -309,10 +309,10 @@ class Access:
     def gramians(self, duration: float) -> Gramians:
         """The scaled Gramians of all inputs and all sensors."""
         a, b, c, step = self.scaled.a, self.scaled.b, self.scaled.c, self.matrices.sample_time
-        forever, seen = stationary_gramian(a, b, step), stationary_gramian(a.T, c.T, step)
+        forever, observability = stationary_gramian(a, b, step), stationary_gramian(a.T, c.T, step)
         hankel, residual = None, None
-        if forever is not None and seen is not None:
-            hankel, drive = hankel_values(forever, seen), b @ b.T
+        if forever is not None and observability is not None:
+            hankel, drive = hankel_values(forever, observability), b @ b.T
             balance = (
                 a @ forever + forever @ a.T + drive
                 if step is None
@@ -321,7 +321,7 @@ class Access:
             residual = float(np.abs(balance).max() / np.abs(drive).max())
         reach = controllability_gramian(a, b, duration, step)
         sight = observability_gramian(a, c, duration, step)
-        return Gramians(reach, sight, forever, seen, hankel, residual)
+        return Gramians(reach, sight, forever, observability, hankel, residual)
 
     def torques(
         self, sensors: Sequence[str], durations: Sequence[float], reading_time: float
@@ -331,9 +331,9 @@ class Access:
         Errors are after each of the durations (s) of readings ``reading_time`` (s) apart; a model
         that steps is read at each step.
         """
-        known = names(self.model.outputs)
+        output_names = names(self.model.outputs)
         a, e, step = self.scaled.a, self.scaled.e, self.matrices.sample_time
-        c = self.scaled.c[[known.index(name) for name in sensors]]
+        c = self.scaled.c[[output_names.index(name) for name in sensors]]
         steady = a if step is None else a - np.eye(len(a))
         basis = _seen_basis(steady, c)
         own_a, own_c, own_e = basis.T @ steady @ basis, c @ basis, basis.T @ e
@@ -353,18 +353,20 @@ class Access:
             information[np.arange(n), np.arange(n)] += _PRIOR**-2
             # The information that is left of the torque when the state is estimated with it.
             cross = information[:n, n]
-            left = float(information[n, n] - cross @ np.linalg.solve(information[:n, :n], cross))
-            if left <= 1e-12 * information[n, n]:
+            remaining_information = float(
+                information[n, n] - cross @ np.linalg.solve(information[:n, :n], cross)
+            )
+            if remaining_information <= 1e-12 * information[n, n]:
                 return None
-            return float(1.0 / (np.sqrt(left) * size))
+            return float(1.0 / (np.sqrt(remaining_information) * size))
 
         alone = {}
         for j, name in enumerate(names(self.model.disturbances)):
-            seen = bool(acts[j]) and _rank(own_a, own_e[:, [j]], own_c) == len(own_a) + 1
+            is_observable = bool(acts[j]) and _rank(own_a, own_e[:, [j]], own_c) == len(own_a) + 1
             error, *others = (
-                error_of(e[:, [j]], duration) if seen else None for duration in durations
+                error_of(e[:, [j]], duration) if is_observable else None for duration in durations
             )
-            alone[name] = TorqueEstimate(seen, error, tuple(others))
+            alone[name] = TorqueEstimate(is_observable, error, tuple(others))
         together = _rank(own_a, own_e[:, acts], own_c) - len(own_a) if acts.any() else 0
         return TorqueEstimates(together, alone)
 
@@ -408,33 +410,40 @@ def input_gains(
     return InputGains(per_volt, margin)
 
 
-def sensor_sets(model: Model, given: Sequence[Sequence[str]] | None) -> tuple[tuple[str, ...], ...]:
+def sensor_sets(
+    model: Model, requested_sets: Sequence[Sequence[str]] | None
+) -> tuple[tuple[str, ...], ...]:
     """The sets asked for; else all, the angles with each tachometer, the angles, and each alone.
 
     Raises ConfigurationError for a name that the model does not measure, and for an empty set.
     """
-    known = names(model.outputs)
-    if given is not None:
-        for one in given:
+    output_names = names(model.outputs)
+    if requested_sets is not None:
+        for one in requested_sets:
             for name in one:
-                require_known(name, known, f"{name!r} is not measured", "study.sensors")
+                require_known(name, output_names, f"{name!r} is not measured", "study.sensors")
             if not one:
                 raise ConfigurationError(
                     "an empty set of sensors given",
                     where="study.sensors",
                     remedy="give names, as 'study.sensors=[[alpha_v,alpha_h],[alpha_v]]'",
                 )
-        return tuple(tuple(dict.fromkeys(one)) for one in given)
+        return tuple(tuple(dict.fromkeys(one)) for one in requested_sets)
     angles = tuple(signal.name for signal in model.outputs if signal.unit == "rad")
-    others = [name for name in known if name not in angles]
-    sets = [known, *((*angles, name) for name in others), angles, *((name,) for name in known)]
+    others = [name for name in output_names if name not in angles]
+    sets = [
+        output_names,
+        *((*angles, name) for name in others),
+        angles,
+        *((name,) for name in output_names),
+    ]
     return tuple(dict.fromkeys(one for one in sets if one))
 
 
 def set_words(model: Model, sensors: Sequence[str]) -> str:
     """``all``, ``angles``, ``angles, omega_v``, ``alpha_v``."""
-    known = names(model.outputs)
-    if len(sensors) == len(known) and len(known) > 1:
+    output_names = names(model.outputs)
+    if len(sensors) == len(output_names) and len(output_names) > 1:
         return "all"
     angles = tuple(signal.name for signal in model.outputs if signal.unit == "rad")
     if len(angles) > 1 and set(angles) <= set(sensors):
@@ -484,10 +493,10 @@ def _seen_basis(a: FloatArray, c: FloatArray) -> FloatArray:
             rest = column / size
             for _ in range(2):  # twice is enough: Gram–Schmidt loses digits once
                 rest = rest - basis @ (basis.T @ rest)
-            left = float(np.linalg.norm(rest))
-            if left > _RANK:
-                added.append(rest / left)
-                basis = np.hstack([basis, (rest / left)[:, None]])
+            residual_norm = float(np.linalg.norm(rest))
+            if residual_norm > _RANK:
+                added.append(rest / residual_norm)
+                basis = np.hstack([basis, (rest / residual_norm)[:, None]])
         if not added:
             break
         fresh = resolvent @ np.array(added).T

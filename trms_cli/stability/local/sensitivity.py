@@ -90,11 +90,11 @@ class Sensitivity:
 def sensitivity(path: OperatingPath, place: LocusPoint, track: int) -> Sensitivity:
     """dλ/dp and its shares for one eigenvalue of a place."""
     direction = path.direction()
-    moved = path.balance.tangent(place.held, place.point, direction)
-    along = np.concatenate([moved, direction.p])
-    alone = np.concatenate([np.zeros(path.model.n_x), moved[path.model.n_x :], direction.p])
+    displacement = path.balance.tangent(place.held, place.point, direction)
+    along = np.concatenate([displacement, direction.p])
+    alone = np.concatenate([np.zeros(path.model.n_x), displacement[path.model.n_x :], direction.p])
     if path.kind == "parameter":
-        alone[: len(moved)] = 0.0
+        alone[: len(displacement)] = 0.0
     where = (place.point.x, place.point.u)
     change = path.linear.change(*where, along, path.side, place.held.p)
     still = path.linear.change(*where, alone, path.side, place.held.p)
@@ -131,16 +131,18 @@ def loops_through(a: FloatArray, row: int, column: int, s: complex) -> tuple[Sig
     return tuple(sorted(loops, key=lambda loop: -abs(loop.gain)))
 
 
-def _ways(a: FloatArray, begin: int, end: int, met: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+def _ways(
+    a: FloatArray, begin: int, end: int, visited_states: tuple[int, ...]
+) -> Iterator[tuple[int, ...]]:
     """Ways from a state back to another, without a state twice."""
     if a[end, begin] != 0.0:
         yield (begin,)
-    if len(met) + 1 >= _LONGEST:
+    if len(visited_states) + 1 >= _LONGEST:
         return
     for following in np.flatnonzero(a[:, begin]):
         k = int(following)
-        if k not in (*met, begin, end):
-            for rest in _ways(a, k, end, (*met, begin)):
+        if k not in (*visited_states, begin, end):
+            for rest in _ways(a, k, end, (*visited_states, begin)):
                 yield (begin, *rest)
 
 
@@ -331,10 +333,10 @@ def share_chart(
         parts = [
             sum(s.part.real for s in one.shares if (s.row, s.column) == key) for one in derivatives
         ]
-        shown = np.where(hidden, np.nan, parts)
-        marks.append(Curve(sweep.values, shown, entry_words(path.model, *key), colour))
-    shown = np.where(hidden, np.nan, totals)
-    marks.append(Curve(sweep.values, shown, "together", "ink", "dashed", 2.0))
+        series = np.where(hidden, np.nan, parts)
+        marks.append(Curve(sweep.values, series, entry_words(path.model, *key), colour))
+    series = np.where(hidden, np.nan, totals)
+    marks.append(Curve(sweep.values, series, "together", "ink", "dashed", 2.0))
     unit = f"1/s per {path.unit}" if path.unit else "1/s per unit"
     panel = Panel(Axis(path.over, path.unit), Axis(f"d Re λ / d {path.over}", unit), marks)
     caption = (

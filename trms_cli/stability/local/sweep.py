@@ -58,8 +58,8 @@ def match_spectra(
     cost = (1.0 - same) + _MOVE * apart
     rows, columns = linear_sum_assignment(cost)
     order = columns[np.argsort(rows)]
-    chosen = cost[np.arange(len(order)), order]
-    return after.ordered(order), float(1.0 - chosen.max(initial=0.0))
+    match_costs = cost[np.arange(len(order)), order]
+    return after.ordered(order), float(1.0 - match_costs.max(initial=0.0))
 
 
 def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str) -> str:
@@ -85,16 +85,16 @@ def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str)
     return over
 
 
-def in_order(given: tuple[float, float], where: str) -> tuple[float, float]:
+def in_order(bounds: tuple[float, float], where: str) -> tuple[float, float]:
     """A range as given; ConfigurationError for one that is empty or reversed."""
-    low, high = given
+    low, high = bounds
     if low == high:
         raise ConfigurationError(
-            f"{list(given)} given", where=where, remedy="give two different numbers"
+            f"{list(bounds)} given", where=where, remedy="give two different numbers"
         )
     if not low < high:
         raise ConfigurationError(
-            f"{list(given)} given: the upper end comes first",
+            f"{list(bounds)} given: the upper end comes first",
             where=where,
             remedy=f"give the lower end first: '{where}=[{high:g},{low:g}]'",
         )
@@ -249,9 +249,9 @@ class OperatingPath:
 
     def place(self, value: float, point: OperatingPoint) -> LocusPoint:
         """A place at a known operating point."""
-        held = self.held(value)
-        a = self.linear.a(point.x, point.u, self.side, held.p)
-        return LocusPoint(value, held, point, linear.spectrum_of(a))
+        condition = self.held(value)
+        a = self.linear.a(point.x, point.u, self.side, condition.p)
+        return LocusPoint(value, condition, point, linear.spectrum_of(a))
 
     def following(
         self, last: LocusPoint, value: float, shortest: float = 1e-3
@@ -264,8 +264,8 @@ class OperatingPath:
         self, last: LocusPoint, value: float, shortest: float
     ) -> tuple[LocusPoint, float] | None:
         """The same, and how sure the match is; ``shortest`` as of :meth:`TrimSolver.advance`."""
-        held = self.held(value)
-        point = self.balance.advance(last.held, held, last.point, shortest)
+        condition = self.held(value)
+        point = self.balance.advance(last.held, condition, last.point, shortest)
         if point is None or not self._within(point):
             return None
         place = self.place(value, point)
@@ -273,20 +273,20 @@ class OperatingPath:
         return replace(place, spectrum=spectrum), sure
 
     def range(
-        self, given: tuple[float, float] | None, where: str = "study.range"
+        self, bounds: tuple[float, float] | None, where: str = "study.range"
     ) -> tuple[float, float]:
         """The range asked for, or the usual one.
 
         Raises ConfigurationError for one that is empty, reversed or outside the parameter's bounds.
         """
-        if given is None:
+        if bounds is None:
             return self._usual()
-        low, high = in_order(given, where)
+        low, high = in_order(bounds, where)
         if self.kind == "parameter":
             p = self.model.parameters[self.over]
             if not p.lower <= low <= high <= p.upper:
                 raise ConfigurationError(
-                    f"{list(given)} given, and {self.over} lies between {p.lower:g} and "
+                    f"{list(bounds)} given, and {self.over} lies between {p.lower:g} and "
                     f"{p.upper:g} {p.unit}",
                     where=where,
                     remedy="give a range within",
@@ -422,9 +422,9 @@ def usual_line(model: Model, last: bool = False) -> str:
 
 
 def _kind(model: Model, over: str) -> Kind:
-    known = (*model.controlled, *names(model.inputs), *model.parameters.names)
+    choices = (*model.controlled, *names(model.inputs), *model.parameters.names)
     unknown = f"{over!r} is no controlled state, input or parameter of model {model.name!r}"
-    require_known(over, known, unknown, "study.over")
+    require_known(over, choices, unknown, "study.over")
     if over in model.controlled:
         return "angle"
     return "command" if over in names(model.inputs) else "parameter"
@@ -449,8 +449,8 @@ class Track:
     def slowest(self) -> ComplexArray:
         """The member with the largest real part and a frequency of at least zero, (n,)."""
         best = np.argmax(self.rates.real + 1e-12 * (self.rates.imag > 0), axis=1)
-        chosen = self.rates[np.arange(len(best)), best]
-        return np.asarray(chosen.real + 1j * np.abs(chosen.imag))
+        slowest_rates = self.rates[np.arange(len(best)), best]
+        return np.asarray(slowest_rates.real + 1j * np.abs(slowest_rates.imag))
 
     @property
     def pace(self) -> float:
@@ -537,15 +537,19 @@ def _number(value: float, digits: int) -> str:
 
 def _partners(rates: ComplexArray) -> list[list[int]]:
     """Columns, each with the one that it is conjugate to where it swings."""
-    left = list(range(rates.shape[1]))
+    remaining_columns = list(range(rates.shape[1]))
     groups = []
-    while left:
-        i = left.pop(0)
+    while remaining_columns:
+        i = remaining_columns.pop(0)
         swings = np.flatnonzero(np.abs(rates[:, i].imag) > linear.STILL)
         partner = None
         if swings.size:
             votes = [
-                min(left, key=lambda j: abs(rates[k, j] - rates[k, i].conjugate()), default=None)
+                min(
+                    remaining_columns,
+                    key=lambda j: abs(rates[k, j] - rates[k, i].conjugate()),
+                    default=None,
+                )
                 for k in swings
             ]
             counted = [j for j in votes if j is not None]
@@ -555,7 +559,7 @@ def _partners(rates: ComplexArray) -> list[list[int]]:
             ) <= 1e-6 * (1.0 + np.median(np.abs(rates[swings, i]))):
                 partner = best
         if partner is not None:
-            left.remove(partner)
+            remaining_columns.remove(partner)
         groups.append([i] if partner is None else [i, partner])
     return groups
 

@@ -96,8 +96,8 @@ def range_table(locus: Locus) -> Table:
     """λ of each mode at some points of the range."""
     path, sweep = locus.path, locus.sweep
     count = len(sweep.places)
-    wanted = np.linspace(sweep.values[0], sweep.values[-1], min(_ROWS, count))
-    chosen = sorted({int(np.argmin(np.abs(sweep.values - value))) for value in wanted})
+    targets = np.linspace(sweep.values[0], sweep.values[-1], min(_ROWS, count))
+    indices = sorted({int(np.argmin(np.abs(sweep.values - value))) for value in targets})
     slow, hidden = locus.slow, [track for track in locus.tracks if track.fast]
     commands = () if path.kind == "command" else path.model.inputs
 
@@ -119,7 +119,7 @@ def range_table(locus: Locus) -> Table:
                 *(_sig(u) for u in sweep.places[k].point.u if commands),
                 *(judged(track.rates[k]) for track in slow),
             )
-            for k in chosen
+            for k in indices
         ],
         f"Not shown, as too fast to matter here: {note}." if hidden else "",
     )
@@ -251,24 +251,26 @@ _DAMPING = (0.1, 0.3, 0.6)
 
 def colours_of(tracks: Sequence[Track]) -> dict[str, Colour]:
     """A colour for each mode by its part; what has none of its own takes the next one free."""
-    found: dict[str, Colour] = {}
+    colours: dict[str, Colour] = {}
     used: set[Colour] = set()
     free = iter([*_OTHERS] * (len(tracks) + 1))
     for track in tracks:
-        wanted = _OF_PART.get(track.part)
-        found[track.name] = wanted if wanted is not None and wanted not in used else next(free)
-        used.add(found[track.name])
-    return found
+        part_colour = _OF_PART.get(track.part)
+        colours[track.name] = (
+            part_colour if part_colour is not None and part_colour not in used else next(free)
+        )
+        used.add(colours[track.name])
+    return colours
 
 
 def styles_of(colours: Mapping[str, Colour]) -> dict[str, Style]:
     """A style for each mode, so that two of one colour differ."""
-    met: dict[Colour, int] = {}
-    found: dict[str, Style] = {}
+    uses: dict[Colour, int] = {}
+    styles: dict[str, Style] = {}
     for name, colour in colours.items():
-        found[name] = _STYLES[met.get(colour, 0) % len(_STYLES)]
-        met[colour] = met.get(colour, 0) + 1
-    return found
+        styles[name] = _STYLES[uses.get(colour, 0) % len(_STYLES)]
+        uses[colour] = uses.get(colour, 0) + 1
+    return styles
 
 
 def locus_section(
@@ -383,9 +385,9 @@ def _range(name: str, locus: Locus, at: float, caption: str) -> Chart:
         look = track.name, colours[track.name], styles[track.name]
         for k, column in enumerate(track.rates.T):
             size = np.abs(column)
-            shown = np.where((size > linear.STILL) & np.isfinite(size), size, np.nan)
+            pace_values = np.where((size > linear.STILL) & np.isfinite(size), size, np.nan)
             if k == 0 or np.any(np.abs(size - np.abs(track.rates[:, 0])) > 1e-9):
-                pace.append(Curve(values, shown, *look))
+                pace.append(Curve(values, pace_values, *look))
             if track.fast:
                 continue
             swings = np.abs(column.imag) > linear.STILL
@@ -410,10 +412,10 @@ def points_alone(name: str, modes: linear.Modes, caption: str = "") -> Chart:
     finite = [m for m in modes.modes if np.isfinite(m.eigenvalue.real)]
     slowest = sorted(finite, key=lambda m: m.natural_frequency)
     limit = 8.0 * max(slowest[0].natural_frequency, 5.0) if slowest else 0.0
-    shown = [m for m in slowest if m.natural_frequency <= limit]
+    visible_modes = [m for m in slowest if m.natural_frequency <= limit]
     marks: list[Mark] = [Line(x=0.0, colour="ink", style="solid")]
     used: dict[Colour, int] = {}
-    for mode in shown:
+    for mode in visible_modes:
         value = mode.eigenvalue
         both = [value, value.conjugate()] if mode.oscillates else [value]
         own = next((c for part, c in _OF_PART.items() if mode.name.startswith(part)), None)
@@ -428,8 +430,8 @@ def points_alone(name: str, modes: linear.Modes, caption: str = "") -> Chart:
                 [v.real for v in both], [v.imag for v in both], mode.name, marker, colour, size=9.0
             )
         )
-    top = max([abs(m.eigenvalue.imag) for m in shown], default=0.0)
-    reals = [m.eigenvalue.real for m in shown]
+    top = max([abs(m.eigenvalue.imag) for m in visible_modes], default=0.0)
+    reals = [m.eigenvalue.real for m in visible_modes]
     width = max(0.0, *reals) - min(0.0, *reals) or 1.0
     x = Axis("Re λ", "1/s", (min(0.0, *reals) - 0.08 * width, max(0.0, *reals) + 0.08 * width))
     y = Axis("Im λ", "rad/s", (-1.15 * top, 1.15 * top) if top > linear.STILL else (-1.0, 1.0))

@@ -130,18 +130,18 @@ def multisine(step: float, lowest: float, ratio: float, seed: int = 0) -> Excita
     while lines[-1] < half:
         lines.append(max(lines[-1] + 1, round(lines[-1] * ratio)))
     # half the rate is a line too: the loop is real there, and may cross −1
-    chosen = np.unique(np.minimum(lines, half))
-    n = chosen.size
+    harmonics = np.unique(np.minimum(lines, half))
+    n = harmonics.size
     if seed:
         phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, n)
     else:
         order = np.arange(n)
         phases = -math.pi * order * (order + 1) / n
     spectrum = np.zeros(half + 1, dtype=complex)
-    spectrum[chosen] = np.exp(1j * phases)
+    spectrum[harmonics] = np.exp(1j * phases)
     spectrum[half] = 1.0
     values = np.fft.irfft(spectrum, 2 * half)
-    return ExcitationPeriod(step, chosen, values / np.sqrt(np.mean(values**2)))
+    return ExcitationPeriod(step, harmonics, values / np.sqrt(np.mean(values**2)))
 
 
 #: Part of the response by which it may still differ from one period to the next: settled.
@@ -286,8 +286,8 @@ class _Adder:
     def __call__(self, k: int, u: FloatArray) -> FloatArray:
         length = len(self._added)
         if k % self.ratio == 0:
-            done = len(self.commands)
-            if done % length == 0 and done >= 2 * length and self.drift < SETTLED:
+            count = len(self.commands)
+            if count % length == 0 and count >= 2 * length and self.drift < SETTLED:
                 raise Enough
             self.commands.append(u.copy())
         return np.asarray(u + self._added[(k // self.ratio) % length])
@@ -304,8 +304,8 @@ class _Adder:
         last, before = self.period(), self.period(1)
         if not len(before):
             return np.inf
-        moved = float(np.linalg.norm(last - last.mean(axis=0)))
-        return float(np.linalg.norm(last - before)) / moved if moved > 0 else 0.0
+        amplitude = float(np.linalg.norm(last - last.mean(axis=0)))
+        return float(np.linalg.norm(last - before)) / amplitude if amplitude > 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -340,22 +340,22 @@ def _experiment(
     away = float(np.abs(last).max()) if last.size else 0.0
     grows = bool(np.linalg.norm(last) > _GROWS * np.linalg.norm(first))
     leaves = bool(run.ended) or grows or away > _FAR
-    gone = ""
+    departure = ""
     if run.ended or adder.drift > NOT_PERIODIC:
         name = model.controlled[int(np.argmax(np.abs(last).max(axis=0)))]
         after = f"after {run.time[-1] if run.time.size else 0.0:.0f} s"
-        gone = f"{name} is up to {away:.2g} rad away {after}"
+        departure = f"{name} is up to {away:.2g} rad away {after}"
         if run.ended:
-            gone += f", where the run ends: {run.ended}"
+            departure += f", where the run ends: {run.ended}"
         elif not leaves:
-            gone = (
+            departure = (
                 f"{name} stays within {away:.2g} rad, but {after} the answer to the test signal "
                 f"still changes by {100 * adder.drift:.0f} % from period to period"
             )
     turned = tuple(
         name for name in _speeds(model) if np.ptp(np.sign(run.x[:, model.state_index(name)])) > 0
     )
-    return _Answer(run, commands, adder.drift, rest, limited, turned, gone, leaves)
+    return _Answer(run, commands, adder.drift, rest, limited, turned, departure, leaves)
 
 
 def _speeds(model: Model) -> list[str]:
@@ -379,11 +379,11 @@ def held_by_friction(model: Model, point: OperatingPoint) -> tuple[str, ...]:
     commands = np.vstack([point.u, point.u + _STEP * (upper - lower) / 2])
     starts = np.vstack([point.x, point.x])
     field = VectorField(model)
-    moved = []
+    displacements = []
     for impulses in (True, False):
         ends = field.motions(starts, commands, _WAIT, _WAIT / 10, impulses=impulses)
-        moved.append(np.abs(ends[:, 1] - ends[:, 0]).max(axis=0))
-    with_friction, free = moved
+        displacements.append(np.abs(ends[:, 1] - ends[:, 0]).max(axis=0))
+    with_friction, free = displacements
     rows = {name: model.state_index(name) for name in (*model.controlled, *_speeds(model))}
     return tuple(name for name, i in rows.items() if with_friction[i] < _HELD * free[i])
 
@@ -407,8 +407,8 @@ def point_of(subject: Subject, at: Mapping[str, float]) -> OperatingPoint:
             f"by its angles, not by {name!r}"
         )
         require_known(name, model.controlled, unknown, f"at.{name}")
-    wanted = np.array([at.get(name, 0.0) for name in model.controlled])
-    target = SteadyState(model).solve(wanted)
+    angles = np.array([at.get(name, 0.0) for name in model.controlled])
+    target = SteadyState(model).solve(angles)
     if not target.exact:
         reached = ", ".join(
             f"{name}={value:.4g}"
@@ -431,9 +431,9 @@ def measure_response(
     or leaves no band above the lowest line.
     """
     _require_band(analyser.lowest, subject, loop, point)
-    held = held_by_friction(subject.model, point)
-    rig = without_impulses(subject.model) if held else subject.model
-    return replace(analyser.measure(rig, loop, point, tell), held=held)
+    held_states = held_by_friction(subject.model, point)
+    rig = without_impulses(subject.model) if held_states else subject.model
+    return replace(analyser.measure(rig, loop, point, tell), held=held_states)
 
 
 def _require_band(lowest: float, subject: Subject, loop: LoopParts, point: OperatingPoint) -> None:
@@ -681,18 +681,18 @@ class MarginResult:
         An upper bound of what is missed between the lines: they are twice as dense.
         """
         omega, S = self.response.omega, self.response.S
-        kept = np.union1d(np.arange(0, omega.size, 2), [omega.size - 1])
-        guess = interpolate_response(omega[kept], S[kept], omega)
+        knots = np.union1d(np.arange(0, omega.size, 2), [omega.size - 1])
+        guess = interpolate_response(omega[knots], S[knots], omega)
         return float(largest_singular_value(guess - S).max())
 
 
 def interpolate_response(
-    omega: FloatArray, values: ComplexArray, wanted: FloatArray
+    omega: FloatArray, values: ComplexArray, frequencies: FloatArray
 ) -> ComplexArray:
     """Cubic splines over the logarithm of the frequency, along the first axis."""
     from scipy.interpolate import CubicSpline
 
-    return np.asarray(CubicSpline(np.log(omega), values, axis=0)(np.log(wanted)))
+    return np.asarray(CubicSpline(np.log(omega), values, axis=0)(np.log(frequencies)))
 
 
 def continuous(loci: ComplexArray) -> ComplexArray:

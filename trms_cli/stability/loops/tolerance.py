@@ -210,8 +210,8 @@ class Bounds:
             creeps = np.all(means[1:] < _STILL * means[:-1], axis=0)
             resting = beside & (spent | ~creeps)
             kind: Kind = "rests beside" if resting.any() else "still creeping"
-            shown = resting if resting.any() else beside
-            return RunVerdict(kind, rest, swing, int(np.argmax(np.where(shown, away, -1.0))))
+            is_relevant = resting if resting.any() else beside
+            return RunVerdict(kind, rest, swing, int(np.argmax(np.where(is_relevant, away, -1.0))))
         settled = bool(np.all((away <= self.rest) & (swing <= self.swing)))
         return RunVerdict("settles" if settled else "dies out", rest, swing, worst)
 
@@ -268,22 +268,22 @@ def find_failure(
     of ``precision`` between two sizes.
     """
     scanned = [attempt(size) for size in sizes]
-    tried = [nothing, *scanned]
-    first = next((i for i, t in enumerate(tried) if fails(t)), None)
+    trials = [nothing, *scanned]
+    first = next((i for i, t in enumerate(trials) if fails(t)), None)
     if first is None:
-        return FailureBracket(tuple(tried), tried[-1], None, ())
-    below, above = tried[first - 1], tried[first]
-    again = tuple(t.size for t in tried[first:] if not fails(t))
+        return FailureBracket(tuple(trials), trials[-1], None, ())
+    below, above = trials[first - 1], trials[first]
+    again = tuple(t.size for t in trials[first:] if not fails(t))
     for _ in range(_HALVINGS):
         if below.size > 0 and above.size <= precision * below.size:
             break
         middle = attempt(_between(below.size, above.size))
-        tried.append(middle)
+        trials.append(middle)
         if fails(middle):
             above = middle
         else:
             below = middle
-    return FailureBracket(tuple(sorted(tried, key=lambda t: t.size)), below, above, again)
+    return FailureBracket(tuple(sorted(trials, key=lambda t: t.size)), below, above, again)
 
 
 def _between(low: float, high: float) -> float:
@@ -359,8 +359,8 @@ def limits_of(
     def search(fails: Callable[[TrialRun], bool]) -> FailureBracket:
         return find_failure(sizes, runs[impairment.none], attempt, precision, fails)
 
-    calm = search(lambda tried: not tried.verdict.calm)
-    back = search(lambda tried: not tried.verdict.back)
+    calm = search(lambda run: not run.verdict.calm)
+    back = search(lambda run: not run.verdict.back)
     return ImpairmentLimits(impairment, back, calm, *_predicted(impairment, margins))
 
 
@@ -391,8 +391,8 @@ def explanation(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
     impairment, limit, predicted = limits.impairment, limits.calm.limit, limits.predicted
     if not limits.foretold:
         return ""
-    if held := _range_ends(limits, trial):
-        return held
+    if range_text := _range_ends(limits, trial):
+        return range_text
     most = limits.calm.tried[-1].size
     if limit is None and (predicted is None or predicted > most):
         return "none within the scan, as foretold"

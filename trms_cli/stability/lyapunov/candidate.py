@@ -65,26 +65,26 @@ def enclose_rest(energy: Energy, x: FloatArray) -> Interval:
     Raises ModelError if no change of sign is found.
     """
     y = np.array(energy.to_motion(x)).ravel()
-    found = {name: Interval.point(0.0) for name in energy.names()}
+    bounds = {name: Interval.point(0.0) for name in energy.names()}
     thrust: dict[str, Interval] = {}
     for axis in energy.axes:
         speed = ca.SX.sym("speed")
         settling = ca.Function("s", [speed], [energy.settling(axis, speed)])
         guess = float(y[energy.index("omega", axis)])
         omega = _zero(settling, guess, f"speed of the rotor of axis {axis}")
-        found[f"omega_{axis}"] = omega
+        bounds[f"omega_{axis}"] = omega
         thrust[axis] = _at(ca.Function("F", [speed], [energy.thrust(axis, speed)]), omega)
     for axis in reversed(energy.axes):
         angle, push, lever = ca.SX.sym("angle"), ca.SX.sym("push"), ca.SX.sym("lever")
-        pitch = found.get("alpha_v", Interval.point(0.0))
+        pitch = bounds.get("alpha_v", Interval.point(0.0))
         arm = Interval.point(energy.c["l_m" if axis == "v" else "l_t"])
         lifted = arm if axis == "v" else arm * pitch.cosine()
         balance = ca.Function(
             "balance", [angle, push, lever], [energy.restoring(axis, angle) - lever * push]
         )
         guess = float(y[energy.index("alpha", axis)])
-        found[f"alpha_{axis}"] = _zero(balance, guess, f"alpha_{axis}", thrust[axis], lifted)
-    return stack([found[name] for name in energy.names()])
+        bounds[f"alpha_{axis}"] = _zero(balance, guess, f"alpha_{axis}", thrust[axis], lifted)
+    return stack([bounds[name] for name in energy.names()])
 
 
 def _at(function: ca.Function, *values: Interval) -> Interval:
@@ -92,15 +92,15 @@ def _at(function: ca.Function, *values: Interval) -> Interval:
     return Enclosure(function)(*columns)[0][0, 0]
 
 
-def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> Interval:
+def _zero(function: ca.Function, guess: float, what: str, *arguments: Interval) -> Interval:
     """Bounds of a zero near a guess."""
-    exact = _at(function, Interval.point(0.0), *given)
+    exact = _at(function, Interval.point(0.0), *arguments)
     if abs(guess) < 1e-9 and abs(exact.lower) < 1e-300 and abs(exact.upper) < 1e-300:
         return Interval.point(0.0)  # nothing drives it: exactly zero
-    guess = _polished(function, guess, *(v.middle for v in given))
+    guess = _polished(function, guess, *(v.middle for v in arguments))
     for width in _WIDTHS:
         reach = width * (1.0 + abs(guess))
-        low, high = (_at(function, Interval.point(guess + d), *given) for d in (-reach, reach))
+        low, high = (_at(function, Interval.point(guess + d), *arguments) for d in (-reach, reach))
         if low.upper < 0.0 < high.lower:
             return Interval.of(guess - reach, guess + reach)
         if high.upper < 0.0 < low.lower:
@@ -117,19 +117,19 @@ def _zero(function: ca.Function, guess: float, what: str, *given: Interval) -> I
     )
 
 
-def _polished(function: ca.Function, guess: float, *given: FloatArray) -> float:
+def _polished(function: ca.Function, guess: float, *arguments: FloatArray) -> float:
     """The zero near a guess to the last digits; the guess where Newton's steps lead away."""
     symbols = [ca.SX.sym(f"a{i}") for i in range(function.n_in())]
     value = function(*symbols)
     slope = ca.Function("slope", symbols, [value, ca.jacobian(value, symbols[0])])
     at, best, least = guess, guess, float("inf")
     for _ in range(_STEPS):
-        left, rate = (float(part) for part in slope(at, *(float(g) for g in given)))
-        if abs(left) < least:
-            best, least = at, abs(left)
-        if left == 0.0 or rate == 0.0:
+        residual, rate = (float(part) for part in slope(at, *(float(g) for g in arguments)))
+        if abs(residual) < least:
+            best, least = at, abs(residual)
+        if residual == 0.0 or rate == 0.0:
             break
-        at -= left / rate
+        at -= residual / rate
         if abs(at - guess) > _AWAY * (1.0 + abs(guess)):
             break
     return best
@@ -161,19 +161,19 @@ class Slopes:
         """Bounds (m, 6) over boxes (m, 3k)."""
         count = len(boxes.lower)
         zero = Interval.point(np.zeros(count))
-        found = dict.fromkeys(SLOPES, zero)
+        bounds = dict.fromkeys(SLOPES, zero)
         for a in self.energy.axes:
             i, j = self.energy.index("omega", a), self.energy.index("alpha", a)
-            found[f"psi_{a}"] = over(self._ratio[a], boxes[:, i].hull(self.rest[i]))
-            found[f"lambda_{a}"] = self._well(a, boxes[:, j], self.rest[j])
+            bounds[f"psi_{a}"] = over(self._ratio[a], boxes[:, i].hull(self.rest[i]))
+            bounds[f"lambda_{a}"] = self._well(a, boxes[:, j], self.rest[j])
         if self.energy.k == 2:
             pitch, yaw = self.energy.index("alpha", "v"), self.energy.index("omega", "h")
             between = boxes[:, pitch].hull(self.rest[pitch])
-            found["sigma"] = between.sine()
+            bounds["sigma"] = between.sine()
             speed = self.rest[yaw]
             still = self._thrust(speed[None, None])[0]
-            found["thrust_h"] = still[np.zeros(count, dtype=int), 0]
-        return stack([found[name] for name in SLOPES])
+            bounds["thrust_h"] = still[np.zeros(count, dtype=int), 0]
+        return stack([bounds[name] for name in SLOPES])
 
     def _well(self, axis: str, angle: Interval, rest: Interval) -> Interval:
         """λ: between the derivatives on the way, and the quotient itself away from the rest."""
@@ -295,9 +295,9 @@ class EnergyCandidate:
 
         They are not for the plain energy, unless the tail rotor's thrust turns with the pitch.
         """
-        found = self._decay(boxes, self.slopes(boxes), Interval.point(self.weights.array()))[0]
+        bounds = self._decay(boxes, self.slopes(boxes), Interval.point(self.weights.array()))[0]
         size = (3 if self.has_angles else 2) * self.energy.k
-        return found[:, :size, :size]
+        return bounds[:, :size, :size]
 
     @property
     def has_angles(self) -> bool:
@@ -470,12 +470,12 @@ def _rises(
     near = min(_NEAR, 0.25 * (upper - rest), 0.25 * (rest - lower))
     # The equilibrium is known between bounds: the worse end of them for each side.
     high, low = candidate.rest.upper[j], candidate.rest.lower[j]
-    found = [prove_negative(curved, [rest - near], [rest + near])]
+    proofs = [prove_negative(curved, [rest - near], [rest + near])]
     if upper - _BEFORE > rest + near:
-        found.append(prove_negative(above, [rest + near], [upper], given=[high]))
+        proofs.append(prove_negative(above, [rest + near], [upper], given=[high]))
     if lower + _BEFORE < rest - near:
-        found.append(prove_negative(below, [lower], [rest - near], given=[low]))
-    return found
+        proofs.append(prove_negative(below, [lower], [rest - near], given=[low]))
+    return proofs
 
 
 def stop_level(candidate: EnergyCandidate, ends: Interval | None = None) -> tuple[float, str]:
@@ -537,8 +537,8 @@ def decay_level(
 
     def visit(boxes: Interval, _: FloatArray) -> tuple[Interval, FloatArray, int]:
         nonlocal fails, point
-        done, middles = definite(matrices(boxes))
-        bad = ~middles & ~done
+        is_proved, middles = definite(matrices(boxes))
+        bad = ~middles & ~is_proved
         if bad.any():
             # The middle matrix of the bounds sorts out where to look; the point itself decides.
             places = Interval.point(boxes.middle[bad])
@@ -547,14 +547,14 @@ def decay_level(
             if levels.min() < fails:
                 best = int(np.argmin(levels))
                 fails, point = float(levels[best]), places.lower[best]
-        open_ = boxes[~done]
+        open_ = boxes[~is_proved]
         if not len(open_.lower) or (not patient and fails < most):
-            return open_[:0], np.zeros(0), len(done)
+            return open_[:0], np.zeros(0), len(is_proved)
         halves = halve_boxes(open_, _directions(matrices, open_, size))
         deep = values(halves).lower
         # Boxes above the lowest failure say nothing more about c*.
         keep = deep < min(fails, most)
-        return halves[keep], deep[keep], len(done)
+        return halves[keep], deep[keep], len(is_proved)
 
     def enough(lowest: float) -> bool:
         return (not patient and fails < most) or lowest >= (1.0 - _CLOSE) * min(fails, most)
@@ -643,15 +643,15 @@ def search_levels(energy: Energy, x: FloatArray, strict: bool, budget: int) -> L
             break
     if best_volume == -math.inf:
         return LevelSearchResult(best, wells, DecayLevel(0.0, 0.0, best.centre, 0), ceiling)
-    asked = ceiling if best_level >= ceiling else _SHARE * best_level
+    target_level = ceiling if best_level >= ceiling else _SHARE * best_level
     for patient in (False, False, True):
-        box = best.extent(asked, wells.ends)
-        found = decay_level(best.matrices, best.values, box, asked, budget, patient=patient)
-        if found.fails >= asked:
+        box = best.extent(target_level, wells.ends)
+        decay = decay_level(best.matrices, best.values, box, target_level, budget, patient=patient)
+        if decay.fails >= target_level:
             break
         if not patient:
-            asked = _SHARE * found.fails
-    return LevelSearchResult(best, wells, found, asked)
+            target_level = _SHARE * decay.fails
+    return LevelSearchResult(best, wells, decay, target_level)
 
 
 def rotor_weights(energy: Energy, margin: float, yaw: float = 1.0) -> EnergyWeights:
@@ -661,7 +661,7 @@ def rotor_weights(energy: Energy, margin: float, yaw: float = 1.0) -> EnergyWeig
     speeds, since ψ never exceeds ψ_max = max k_f J/k_t.
     """
     gamma = {"h": yaw, "v": 1.0}
-    found = {}
+    weights = {}
     for a in energy.axes:
         rotor, c = energy.rotors[a], energy.c
         bound = rotor.bound
@@ -671,8 +671,8 @@ def rotor_weights(energy: Energy, margin: float, yaw: float = 1.0) -> EnergyWeig
         lever, other = ("l_t", "v") if a == "h" else ("l_m", "h")
         direct = gamma[a] * (c[lever] * bound) ** 2 / (4 * c[f"k_o{a}"])
         reaction = gamma[other] * c["k_t" if a == "h" else "k_m"] ** 2 / (4 * c[f"k_o{other}"])
-        found[f"rotor_{a}"] = margin * (direct + (reaction if energy.k == 2 else 0.0))
-    return EnergyWeights(**found, yaw=yaw)
+        weights[f"rotor_{a}"] = margin * (direct + (reaction if energy.k == 2 else 0.0))
+    return EnergyWeights(**weights, yaw=yaw)
 
 
 def _choices(

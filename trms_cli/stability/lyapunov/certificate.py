@@ -158,10 +158,10 @@ def lowest_rising(candidate: EnergyCandidate, wells: Wells, ceiling: float) -> R
         if not rises.any():
             break
         at = int(np.argmin(np.where(rises, values, np.inf)))
-        found = _confirmed(candidate, states[at], places[at])
-        if found is None:
+        state = _confirmed(candidate, states[at], places[at])
+        if state is None:
             break
-        lowest, best = found.value, found
+        lowest, best = state.value, state
         # Again around it, ever closer.
         along = (places[at] - y) / math.sqrt(2.0 * lowest)
         spread = np.random.default_rng(turn).normal(size=(_RAYS, 3 * k)) * 0.5 / (1 + turn)
@@ -185,9 +185,9 @@ def fastest_rising(candidate: EnergyCandidate, wells: Wells, ceiling: float) -> 
         at = int(np.argmax(quality))
         if not quality[at] > 0.0:
             break
-        found = _confirmed(candidate, states[at], places[at])
-        if found is not None and (best is None or found.speed > best.speed):
-            best = found
+        state = _confirmed(candidate, states[at], places[at])
+        if state is not None and (best is None or state.speed > best.speed):
+            best = state
         spread = np.random.default_rng(turn).normal(size=(_RAYS, 3 * k)) * 0.5 / (1 + turn)
         directions = np.concatenate([directions[at] * (1.0 + spread), directions[at : at + 1]])
     return best
@@ -199,19 +199,19 @@ def _weak(candidate: EnergyCandidate, step: float) -> FloatArray:
     Scaled so that V is about ½ at a step of one.
     """
     size = 3 * candidate.energy.k
-    found = [np.eye(size)[i] * sign for i in range(size) for sign in (-1.0, 1.0)]
+    directions = [np.eye(size)[i] * sign for i in range(size) for sign in (-1.0, 1.0)]
     at_rest = _least(candidate, candidate.centre)
-    found += [at_rest, -at_rest]
-    found = [_scaled(candidate, direction) for direction in found]
-    for start in tuple(found):
+    directions += [at_rest, -at_rest]
+    directions = [_scaled(candidate, direction) for direction in directions]
+    for start in tuple(directions):
         direction = start
         for _ in range(2):
             place = candidate.centre + step * direction
             least = _least(candidate, place)
             least = least if float(least @ direction) >= 0.0 else -least
             direction = _scaled(candidate, least)
-            found.append(direction)
-    return np.array(found)
+            directions.append(direction)
+    return np.array(directions)
 
 
 def _least(candidate: EnergyCandidate, y: FloatArray) -> FloatArray:
@@ -283,16 +283,16 @@ def identity_residual(candidate: EnergyCandidate, seed: int, states: int = _STAT
     return worst
 
 
-def positive_claim(found: LevelSearchResult) -> StabilityClaim:
+def positive_claim(result: LevelSearchResult) -> StabilityClaim:
     """V > 0 in the well but at the equilibrium."""
-    candidate, boxes = found.candidate, sum(p.examined for p in found.wells.proofs)
-    heavy = bool(definite(candidate.inertias(_pitches(candidate, found)))[0].all())
-    held = _hold_is_positive(candidate, found)
+    candidate, boxes = result.candidate, sum(p.examined for p in result.wells.proofs)
+    heavy = bool(definite(candidate.inertias(_pitches(candidate, result)))[0].all())
+    has_positive_hold = _hold_is_positive(candidate, result)
     parts = [f"wells rise up to the saddles ({boxes} boxes)" if boxes else "wells rise (springs)"]
     parts.append("M ≻ 0, s' > 0")
     if candidate.weights.strict:
         parts.append("K − ME ≻ 0")
-    good = found.wells.rise and heavy and held
+    good = result.wells.rise and heavy and has_positive_hold
     return StabilityClaim(
         "positive",
         "V > 0 in the well, but for the equilibrium",
@@ -303,24 +303,24 @@ def positive_claim(found: LevelSearchResult) -> StabilityClaim:
     )
 
 
-def _pitches(candidate: EnergyCandidate, found: LevelSearchResult) -> Interval:
+def _pitches(candidate: EnergyCandidate, result: LevelSearchResult) -> Interval:
     """Ranges of the pitch that cover the well, (n, 3k) boxes with all else zero."""
     energy = candidate.energy
     boxes = np.zeros((_PITCHES, 3 * energy.k))
     lower, upper = boxes, boxes.copy()
     if "v" in energy.axes:
         i, j = energy.axes.index("v"), energy.index("alpha", "v")
-        edges = np.linspace(found.wells.ends.lower[i], found.wells.ends.upper[i], _PITCHES + 1)
+        edges = np.linspace(result.wells.ends.lower[i], result.wells.ends.upper[i], _PITCHES + 1)
         lower[:, j], upper[:, j] = edges[:-1], edges[1:]
     return Interval(lower, upper)
 
 
-def _hold_is_positive(candidate: EnergyCandidate, found: LevelSearchResult) -> bool:
+def _hold_is_positive(candidate: EnergyCandidate, result: LevelSearchResult) -> bool:
     """K/ε − M ≻ 0, so that ½ α̃ᵀE(K − ME)α̃ >= 0."""
     if not candidate.weights.strict:
         return True
     energy, w = candidate.energy, candidate.weights
-    inertia = candidate.inertias(_pitches(candidate, found))
+    inertia = candidate.inertias(_pitches(candidate, result))
     cross = {"h": w.cross_h, "v": w.cross_v}
     hold = np.diag([energy.c[f"k_o{a}"] / cross[a] for a in energy.axes])
     matrix = Interval.point(np.broadcast_to(hold, inertia.lower.shape)) - inertia
@@ -338,38 +338,38 @@ def global_falling_claim(candidate: EnergyCandidate) -> StabilityClaim | None:
         return None
     c = energy.c
     spent = (c["l_t" if a == "h" else "l_m"] * bound) ** 2
-    held = 4.0 * c[f"k_o{a}"] * (w.rotor_h if a == "h" else w.rotor_v)
+    damping = 4.0 * c[f"k_o{a}"] * (w.rotor_h if a == "h" else w.rotor_v)
     return StabilityClaim(
         "falls_everywhere",
         "V̇ <= 0 at all states: the square is complete, (l ψ_max)² < 4 k_o c",
-        "form" if spent < held else "failed",
-        f"{spent:.4g} < {held:.4g}, with ψ < ψ_max = max k_f J/k_t = {bound:.4g} N s²/rad",
+        "form" if spent < damping else "failed",
+        f"{spent:.4g} < {damping:.4g}, with ψ < ψ_max = max k_f J/k_t = {bound:.4g} N s²/rad",
     )
 
 
 def falling_claim(
-    found: LevelSearchResult, level: float, rising: RisingState | None
+    result: LevelSearchResult, level: float, rising: RisingState | None
 ) -> StabilityClaim:
     """V̇ < 0 on the set, but where z = 0."""
     if level > 0.0:
-        where = "the equilibrium" if found.candidate.weights.strict else "z = 0"
+        where = "the equilibrium" if result.candidate.weights.strict else "z = 0"
         statement = f"V̇ < 0 on {{V < {level:.4g} J}} in the well, but at {where}"
-        detail = f"Q ≻ 0, boxes that cover it: {found.decay_level.examined}"
+        detail = f"Q ≻ 0, boxes that cover it: {result.decay_level.examined}"
         return StabilityClaim("falls", statement, "intervals", detail)
     statement = "V̇ <= 0 about the equilibrium"
     if rising is not None:
         detail = f"V̇ = {rising.derivative:.3g} W at a state with V = {rising.value:.3g} J"
         return StabilityClaim("falls", statement, "failed", detail)
     detail = "Q is not definite at rest"
-    if found.wells.depth <= 0.0:
+    if result.wells.depth <= 0.0:
         statement = "V̇ < 0 on a level set in the well"
         detail = "the barrier is lower than its bounds are wide: no level below it is known"
     return StabilityClaim("falls", statement, "open", detail)
 
 
-def invariance_claim(found: LevelSearchResult, inner: float, bounded_by: str) -> StabilityClaim:
+def invariance_claim(result: LevelSearchResult, inner: float, bounded_by: str) -> StabilityClaim:
     """That N′ is compact and kept."""
-    box = found.candidate.extent(inner, found.wells.ends)
+    box = result.candidate.extent(inner, result.wells.ends)
     finite = bool(np.all(np.isfinite(box.lower) & np.isfinite(box.upper)))
     return StabilityClaim(
         "kept",
@@ -379,7 +379,7 @@ def invariance_claim(found: LevelSearchResult, inner: float, bounded_by: str) ->
     )
 
 
-def attraction_claim(found: LevelSearchResult, dry: tuple[str, ...]) -> StabilityClaim:
+def attraction_claim(result: LevelSearchResult, dry: tuple[str, ...]) -> StabilityClaim:
     """What the invariance principle concludes."""
     if dry:
         return StabilityClaim(
@@ -389,7 +389,7 @@ def attraction_claim(found: LevelSearchResult, dry: tuple[str, ...]) -> Stabilit
             "V̇ = 0 only at Ω = 0, ω = ω̄; there an axis stays while |U'(α)| <= F_c: rests are a "
             "set about the equilibrium",
         )
-    strict = found.candidate.weights.strict
+    strict = result.candidate.weights.strict
     if strict:
         detail = "V̇ < 0 on N′ but at the equilibrium: Lyapunov's theorem, without LaSalle"
     else:
@@ -400,7 +400,7 @@ def attraction_claim(found: LevelSearchResult, dry: tuple[str, ...]) -> Stabilit
     return StabilityClaim(
         "attracts",
         "Every motion from N′ goes to the equilibrium",
-        "intervals" if found.wells.rise else "open",
+        "intervals" if result.wells.rise else "open",
         detail,
     )
 
@@ -452,21 +452,21 @@ def certify(
             "or leave the effect out",
         )
     tell("weights of V")
-    found = search_levels(energy, point.x, strict, budget)
-    everywhere = global_falling_claim(found.candidate)
-    whole = everywhere is not None and everywhere.holds and found.wells.saddles is None
-    outer = found.level if not whole else math.inf
-    inner, bounded_by = _inner(found, outer)
+    result = search_levels(energy, point.x, strict, budget)
+    everywhere = global_falling_claim(result.candidate)
+    whole = everywhere is not None and everywhere.holds and result.wells.saddles is None
+    outer = result.level if not whole else math.inf
+    inner, bounded_by = _inner(result, outer)
     tell("where V rises")
     rising = None
-    ceiling = min(found.wells.depth, _DEEPEST)
-    if found.level < ceiling and (everywhere is None or not everywhere.holds):
-        seek = lowest_rising if found.level > 0.0 else fastest_rising
-        rising = seek(found.candidate, found.wells, ceiling)
+    ceiling = min(result.wells.depth, _DEEPEST)
+    if result.level < ceiling and (everywhere is None or not everywhere.holds):
+        seek = lowest_rising if result.level > 0.0 else fastest_rising
+        rising = seek(result.candidate, result.wells, ceiling)
     tell("claims")
-    width = float(found.candidate.rest.width.max())
-    residual = identity_residual(found.candidate, seed)
-    made = [
+    width = float(result.candidate.rest.width.max())
+    residual = identity_residual(result.candidate, seed)
+    claims = [
         StabilityClaim(
             "equilibrium",
             "There is an equilibrium within the bounds, and V and V̇ are zero there",
@@ -479,26 +479,26 @@ def certify(
             "identity" if residual <= _TOLERANCE else "failed",
             f"largest difference at {_STATES} random states: {residual:.1g} of the largest term",
         ),
-        positive_claim(found),
+        positive_claim(result),
         *([everywhere] if everywhere is not None else []),
     ]
-    proved = min(outer, found.level)
-    made.append(falling_claim(found, proved, rising))
+    proved = min(outer, result.level)
+    claims.append(falling_claim(result, proved, rising))
     if proved > 0.0 and inner > 0.0:
-        made.append(invariance_claim(found, inner, bounded_by))
-        made.append(attraction_claim(found, rig.dry))
-    return LyapunovCertificate(found, whole, outer, inner, bounded_by, rising, tuple(made))
+        claims.append(invariance_claim(result, inner, bounded_by))
+        claims.append(attraction_claim(result, rig.dry))
+    return LyapunovCertificate(result, whole, outer, inner, bounded_by, rising, tuple(claims))
 
 
-def _inner(found: LevelSearchResult, outer: float) -> tuple[float, str]:
+def _inner(result: LevelSearchResult, outer: float) -> tuple[float, str]:
     """The level of N′, and what ends it."""
-    stop, name = stop_level(found.candidate, found.wells.ends)
-    proved = min(outer, found.level)
+    stop, name = stop_level(result.candidate, result.wells.ends)
+    proved = min(outer, result.level)
     if stop <= 0.0 or proved <= 0.0:
         return 0.0, f"the stop {name}" if stop <= 0.0 else "the decay of V"
     if stop <= proved * (1.0 + 1e-9):
         return _INSIDE * stop, f"the stop {name}"
-    if proved >= found.wells.depth * (1.0 - 1e-9):
+    if proved >= result.wells.depth * (1.0 - 1e-9):
         return _INSIDE * proved, "the saddle"
     return _INSIDE * proved, "the decay of V"
 
@@ -556,18 +556,18 @@ def on_level(
         middle = 0.5 * (low + high)
         under = below(middle)
         low, high = np.where(under, middle, low), np.where(under, high, middle)
-    found = y + low[:, None] * directions
-    return np.asarray(found[np.abs(candidate.value(found) - level) < 1e-6 * level])
+    states = y + low[:, None] * directions
+    return np.asarray(states[np.abs(candidate.value(states) - level) < 1e-6 * level])
 
 
 def plane_directions(candidate: EnergyCandidate, axis: str, count: int) -> FloatArray:
     """Directions in the plane of one angle and its rate, the rotors settled: (count, 3k)."""
     energy = candidate.energy
     turn = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) + 0.3
-    found = np.zeros((count, 3 * energy.k))
-    found[:, energy.index("alpha", axis)] = 0.5 * np.cos(turn)
-    found[:, energy.index("Omega", axis)] = np.sin(turn)
-    return found
+    directions = np.zeros((count, 3 * energy.k))
+    directions[:, energy.index("alpha", axis)] = 0.5 * np.cos(turn)
+    directions[:, energy.index("Omega", axis)] = np.sin(turn)
+    return directions
 
 
 def motions(
@@ -585,13 +585,13 @@ def motions(
     return LevelMotions(np.linspace(0.0, _STEP * (count - 1), count), y, value, level)
 
 
-def motions_claim(seen: LevelMotions, duration: float) -> StabilityClaim:
+def motions_claim(paths: LevelMotions, duration: float) -> StabilityClaim:
     """Whether V fell along all of them."""
-    good = bool(np.isfinite(seen.value).all()) and seen.rise <= _ERROR
+    good = bool(np.isfinite(paths.value).all()) and paths.rise <= _ERROR
     return StabilityClaim(
         "seen",
-        f"Along {seen.value.shape[1]} motions from the edge of N′ V falls and none leaves N′",
+        f"Along {paths.value.shape[1]} motions from the edge of N′ V falls and none leaves N′",
         "simulated" if good else "failed",
-        f"largest rise {seen.rise:.1g} of the level; at most {100 * seen.left:.2g} % of V is left "
-        f"after {duration:g} s",
+        f"largest rise {paths.rise:.1g} of the level; at most {100 * paths.left:.2g} % of V "
+        f"is left after {duration:g} s",
     )

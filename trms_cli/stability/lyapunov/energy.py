@@ -373,13 +373,13 @@ class Energy:
         swung = rates + cross @ away
         # Squares of single terms are never below zero in interval arithmetic either.
         kinetic = _quadratic(gamma @ mass, swung)
-        held = 0.5 * sum(
+        cross_term = 0.5 * sum(
             gamma[i, i] * cross[i, i] * (friction[i, i] - mass[i, i] * cross[i, i]) * away[i] ** 2
             for i in range(self.k)
         )
         if self.k == 2:
-            held -= gamma[0, 0] * mass[0, 1] * cross[0, 0] * cross[1, 1] * away[0] * away[1]
-        rows = ca.vertcat(kinetic, held)
+            cross_term -= gamma[0, 0] * mass[0, 1] * cross[0, 0] * cross[1, 1] * away[0] * away[1]
+        rows = ca.vertcat(kinetic, cross_term)
         return ca.Function("moving", [self.y, self.rest, self.weights], [rows])
 
     def alone(self, expression: ca.SX, what: str, axis: str) -> ca.Function:

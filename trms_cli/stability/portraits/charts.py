@@ -111,12 +111,12 @@ def portrait(
     )
 
 
-def is_hidden(result: PortraitResult, held: StickingSet) -> bool:
+def is_hidden(result: PortraitResult, sticking_set: StickingSet) -> bool:
     """Whether a sticking set is shorter than the marker of a rest point that lies on it."""
     width = np.ptp(result.window, axis=1)
-    low, high = held.reach
-    return (high - low) / width[held.along] < _MARKER and any(
-        held.holds(rest.c, 0.5 * _MARKER * width) for rest in result.rests
+    low, high = sticking_set.reach
+    return (high - low) / width[sticking_set.along] < _MARKER and any(
+        sticking_set.holds(rest.c, 0.5 * _MARKER * width) for rest in result.rests
     )
 
 
@@ -195,20 +195,20 @@ def _trajectories(
 
 def _colours(result: PortraitResult, ends: Sequence[TrajectoryEnd]) -> list[Colour]:
     """One for the trajectories of each end, none of them that of something else in the figure."""
-    taken: set[Colour] = set()
+    used_colours: set[Colour] = set()
     if result.loop:
-        taken.add("orange")  # a command at its bound
+        used_colours.add("orange")  # a command at its bound
     elif len(result.section.coordinates) == 2:
-        taken.update(_NULLCLINES)
+        used_colours.update(_NULLCLINES)
     if any(path.surface for path in result.separatrices):
-        taken.add("orange")
-    found: list[Colour] = []
+        used_colours.add("orange")
+    colours: list[Colour] = []
     for end in ends:
         usual = _USUAL[end.what]
-        free = [colour for colour in (usual, *_OTHERWISE) if colour not in taken]
-        found.append(free[0] if free else usual)
-        taken.add(found[-1])
-    return found
+        free = [colour for colour in (usual, *_OTHERWISE) if colour not in used_colours]
+        colours.append(free[0] if free else usual)
+        used_colours.add(colours[-1])
+    return colours
 
 
 def _manifolds(result: PortraitResult) -> list[Mark]:
@@ -243,13 +243,13 @@ def _rest_points(result: PortraitResult) -> list[Mark]:
         if rest.stable:
             marker = "stable"
         label = rest.kind if rest.in_section else f"{rest.kind}, beside the section"
-        shown = _points(rest.c[None], label, marker, "ink" if rest.in_section else "grey", 7.0)
+        points = _points(rest.c[None], label, marker, "ink" if rest.in_section else "grey", 7.0)
         if len(result.rests) <= _MOST_NAMES:
             room = (result.window[0, 1] - rest.c[0]) / np.ptp(result.window[0])
             name = _name(section, rest, short=room < _LITTLE_ROOM)
             if room >= _NO_ROOM or rest.c.size == 3:
-                shown = replace(shown, names=(name,))
-        marks.append(shown)
+                points = replace(points, names=(name,))
+        marks.append(points)
     return marks
 
 

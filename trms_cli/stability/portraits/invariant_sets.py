@@ -128,10 +128,10 @@ def search(section: StateSection, window: FloatArray) -> tuple[RestPoint, ...]:
     starts = section.place(grid(window, _STARTS[len(coordinates)]).reshape(-1, len(coordinates)))
     width = np.maximum(window[:, 1] - window[:, 0], 1e-12)
     unseen = [i for i in coordinates.others if coordinates.model.states[i].unit == "rad"]
-    found: list[FloatArray] = []
+    equilibria: list[FloatArray] = []
     for start in (point.x, *starts[np.isfinite(starts).all(axis=1)]):
         x = refine_operating_point(coordinates.field, start, point.u)
-        if x is None or len(found) >= _MOST:
+        if x is None or len(equilibria) >= _MOST:
             continue
         c = coordinates.values(x, point.u)
         if np.any(c < window[:, 0] - _SAME * width) or np.any(c > window[:, 1] + _SAME * width):
@@ -139,10 +139,10 @@ def search(section: StateSection, window: FloatArray) -> tuple[RestPoint, ...]:
         if np.any(np.abs(x - point.x)[unseen] > _HALF_A_TURN):
             continue
         scale = np.maximum(1.0, np.abs(x))
-        if all(np.abs((x - other) / scale).max() > _SAME for other in found):
-            found.append(x)
+        if all(np.abs((x - other) / scale).max() > _SAME for other in equilibria):
+            equilibria.append(x)
     points: list[RestPoint] = []
-    for rest in (rest_point(section, x) for x in found):
+    for rest in (rest_point(section, x) for x in equilibria):
         # Of a continuum that the portrait shows as one point, one is enough.
         again = any(np.all(np.abs(rest.c - other.c) <= 1e-4 * width) for other in points)
         if rest.isolated or not again:
@@ -160,15 +160,18 @@ def rest_point(section: StateSection, x: FloatArray) -> RestPoint:
     a = coordinates.linear.a(x, point.u)
     switches = tuple(switch.state for switch in coordinates.linear.switches(x, point.u))
     # Of a real matrix: real eigenvalues then have no imaginary part, not even rounding.
-    eigenvalues, vectors = (found.astype(complex) for found in np.linalg.eig(a))
+    eigenvalues, vectors = (part.astype(complex) for part in np.linalg.eig(a))
     order = np.lexsort((eigenvalues.imag, np.abs(eigenvalues.real).round(9)))
     eigenvalues, vectors = eigenvalues[order], vectors[:, order]
     c = coordinates.values(x, point.u)
     placed = section.place(c)[0]
     near = 1e-5 * np.maximum(1.0, np.abs(x))
     on = bool(np.isfinite(placed).all() and np.all(np.abs(placed - x) <= near))
-    shown, line = _shown(vectors, coordinates.own), _on_a_line(section, x, eigenvalues, vectors)
-    return RestPoint(x, c, eigenvalues, kind_of(eigenvalues), on, shown, line, switches)
+    visible_modes, line = (
+        _shown(vectors, coordinates.own),
+        _on_a_line(section, x, eigenvalues, vectors),
+    )
+    return RestPoint(x, c, eigenvalues, kind_of(eigenvalues), on, visible_modes, line, switches)
 
 
 def _shown(vectors: ComplexArray, own: tuple[int, ...]) -> BoolArray:
@@ -177,12 +180,12 @@ def _shown(vectors: ComplexArray, own: tuple[int, ...]) -> BoolArray:
     Where the eigenvectors do not span the space, all are.
     """
     try:
-        left = np.linalg.inv(vectors)
+        left_vectors = np.linalg.inv(vectors)
     except np.linalg.LinAlgError:
         return np.ones(len(vectors), dtype=bool)
-    shares = np.abs(vectors * left.T)
-    found: BoolArray = shares[list(own)].sum(axis=0) >= _SHOWN * shares.sum(axis=0)
-    return found
+    shares = np.abs(vectors * left_vectors.T)
+    is_visible: BoolArray = shares[list(own)].sum(axis=0) >= _SHOWN * shares.sum(axis=0)
+    return is_visible
 
 
 def _on_a_line(
@@ -193,8 +196,8 @@ def _on_a_line(
     coordinates, u = section.coordinates, section.point.u
     for vector in vectors[:, none].real.T:
         away = 1e-4 * vector
-        moved = coordinates.values(x + away, u) - coordinates.values(x, u)
-        if np.abs(moved).max() > 1e-3 * np.abs(away).max():
+        displacement = coordinates.values(x + away, u) - coordinates.values(x, u)
+        if np.abs(displacement).max() > 1e-3 * np.abs(away).max():
             return True
     return False
 
@@ -255,7 +258,7 @@ def sticking_sets(
     coordinates = section.coordinates
     if len(coordinates) != 2 or not has_impulses(coordinates.model):
         return ()
-    found: list[StickingSet] = []
+    sets: list[StickingSet] = []
     model = coordinates.model
     # What friction can hold: rates of angles, speeds of rotors.
     speeds = [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
@@ -263,9 +266,9 @@ def sticking_sets(
         for along in (0, 1):
             line = _line(section, coordinates.names[along], name)
             if line is not None:
-                found += _held_on(section, line, window, rests, along)
+                sets += _held_on(section, line, window, rests, along)
                 break
-    return tuple(found)
+    return tuple(sets)
 
 
 def _line(section: StateSection, along: str, rate: str) -> StateSection | None:
@@ -318,8 +321,8 @@ def _held_on(
 def _held(line: StateSection, values: FloatArray) -> BoolArray:
     """Whether friction holds the rate of the line at zero, at each of its points (n,)."""
     x = _placed(line, values)
-    known = np.isfinite(x).all(axis=1)
-    x[~known] = line.point.x
+    is_finite = np.isfinite(x).all(axis=1)
+    x[~is_finite] = line.point.x
     slopes, _ = line.coordinates.field.linearised(line.point.x, line.point.u)
     step = min(_STEP, _SHARE / float(np.abs(np.linalg.eigvals(slopes)).max()))
     after = []
@@ -329,13 +332,13 @@ def _held(line: StateSection, values: FloatArray) -> BoolArray:
             # Always as many at once: the number is part of the compiled function.
             part = x[first : first + _POINTS]
             full = np.vstack([part, np.tile(line.point.x, (_POINTS - len(part), 1))])
-            moved = line.coordinates.field.motions(
+            ends = line.coordinates.field.motions(
                 full, line.point.u, step, step, impulses=impulses
             )[-1, : len(part)]
-            rates.append(np.abs(line.coordinates.values(moved, line.point.u)[:, 1]))
+            rates.append(np.abs(line.coordinates.values(ends, line.point.u)[:, 1]))
         after.append(np.concatenate(rates))
-    held, free = after
-    return known & (held <= _HELD * free + 1e-12) & (held < free)
+    with_friction, free = after
+    return is_finite & (with_friction <= _HELD * free + 1e-12) & (with_friction < free)
 
 
 def _placed(line: StateSection, values: FloatArray) -> FloatArray:
@@ -380,11 +383,11 @@ def separatrices(
     if rest.kind != "saddle":
         return ()
     of = _of_plane if invariant and rest.in_section else _of_whole
-    found = []
+    manifolds = []
     for path, into, surface in of(section, window, rest, duration):
         whole = np.vstack([rest.c, path])
-        found.append(Separatrix(whole[::-1] if into else whole, into, surface))
-    return tuple(found)
+        manifolds.append(Separatrix(whole[::-1] if into else whole, into, surface))
+    return tuple(manifolds)
 
 
 def _of_plane(
@@ -397,10 +400,10 @@ def _of_plane(
 
     width = np.ptp(window, axis=1)
     values, vectors = np.linalg.eig(section.slopes(rest.c) * width / width[:, None])
-    for into, chosen in _sides(values):
+    for into, selection in _sides(values):
         basis = np.linalg.svd(
-            np.hstack([vectors[:, chosen].real, vectors[:, chosen].imag]), full_matrices=False
-        )[0][:, : int(chosen.sum())]
+            np.hstack([vectors[:, selection].real, vectors[:, selection].imag]), full_matrices=False
+        )[0][:, : int(selection.sum())]
         surface = basis.shape[1] == 2
         directions = [sign * basis[:, 0] for sign in (-1.0, 1.0)] if basis.shape[1] == 1 else []
         if surface:
@@ -423,10 +426,10 @@ def _of_whole(
     coordinates, u = section.coordinates, section.point.u
     values, vectors = np.linalg.eig(coordinates.linear.a(rest.x, u))
     width = np.ptp(window, axis=1)
-    for into, chosen in _sides(values):
-        if chosen.sum() != 1:
+    for into, selection in _sides(values):
+        if selection.sum() != 1:
             continue
-        vector = vectors[:, chosen][:, 0].real
+        vector = vectors[:, selection][:, 0].real
         ahead = coordinates.values(rest.x + 1e-6 * vector, u) - rest.c
         size = float(np.abs(ahead / width).max()) / 1e-6
         if size < 1e-6:
@@ -437,8 +440,8 @@ def _of_whole(
             values_at = partial(coordinates.values, u=u)
             paths = [_followed(field, values_at, at, into, window, duration) for at in beside]
         else:
-            moved = coordinates.field.motions(beside, u, duration, _MOTION_STEP, impulses=False)
-            paths = [_cut(path, window) for path in coordinates.values(moved, u).swapaxes(0, 1)]
+            states = coordinates.field.motions(beside, u, duration, _MOTION_STEP, impulses=False)
+            paths = [_cut(path, window) for path in coordinates.values(states, u).swapaxes(0, 1)]
         for path in paths:
             yield path, into, False
 

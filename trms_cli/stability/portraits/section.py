@@ -135,13 +135,13 @@ class PortraitCoordinates:
     def _evaluated(self, x: npt.ArrayLike, u: npt.ArrayLike, which: int) -> FloatArray:
         x = np.asarray(x, dtype=float)
         u = np.broadcast_to(np.asarray(u, dtype=float), (*x.shape[:-1], self.model.n_u))
-        found = self.function(
+        results = self.function(
             x.reshape(-1, self.model.n_x).T,
             u.reshape(-1, self.model.n_u).T,
             self.field.parameters,
             np.zeros(self.model.n_w),
         )
-        return np.array(found[which]).T.reshape(*x.shape[:-1], len(self))
+        return np.array(results[which]).T.reshape(*x.shape[:-1], len(self))
 
     @staticmethod
     def _value(item: Coordinate, x: ca.SX, f: ca.SX) -> ca.SX:
@@ -150,24 +150,24 @@ class PortraitCoordinates:
     def _partners(self, point: OperatingPoint) -> dict[int, int]:
         """The state through which each rate is set, by the rate's place among the coordinates."""
         slopes, _ = self.field.linearised(point.x, point.u)
-        taken = {item.state for item in self.items if not item.is_rate}
-        found: dict[int, int] = {}
+        used_states = {item.state for item in self.items if not item.is_rate}
+        partners: dict[int, int] = {}
         for place, item in enumerate(self.items):
             if not item.is_rate:
                 continue
             slope = np.abs(slopes[item.state])
-            free = [i for i in range(len(slope)) if i not in taken]
+            free = [i for i in range(len(slope)) if i not in used_states]
             best = max(free, key=lambda i: slope[i], default=-1)
             if best < 0 or slope[best] < _LEAST_SLOPE:
-                given = ", ".join(name for name in self.names if name != item.name)
+                other_names = ", ".join(name for name in self.names if name != item.name)
                 raise ConfigurationError(
-                    f"{item.name} follows from {given}",
+                    f"{item.name} follows from {other_names}",
                     where="states",
                     remedy="name another state beside it, as the angle itself",
                 )
-            taken.add(best)
-            found[place] = best
-        return found
+            used_states.add(best)
+            partners[place] = best
+        return partners
 
 
 def _coordinate(model: Model, name: str, place: int) -> Coordinate:
@@ -286,11 +286,11 @@ class StateSection:
     def is_invariant(self, c: npt.ArrayLike) -> bool:
         """Whether no motion leaves the section, judged at the points c (m, n_c)."""
         x = self.place(c)
-        known = np.isfinite(x).all(axis=1)
-        if not known.any():
+        is_finite = np.isfinite(x).all(axis=1)
+        if not is_finite.any():
             return False
-        c = np.atleast_2d(np.asarray(c, dtype=float))[known]
-        scale = np.abs(self.coordinates.field.rates(x[known], self.point.u)).max()
+        c = np.atleast_2d(np.asarray(c, dtype=float))[is_finite]
+        scale = np.abs(self.coordinates.field.rates(x[is_finite], self.point.u)).max()
         return bool(np.abs(self.leaving(c)).max() <= _INVARIANT * max(1.0, scale))
 
     @property
@@ -340,10 +340,10 @@ def _solved(slope: FloatArray, right: FloatArray) -> FloatArray:
     """``slope⁻¹ right`` of each; by the pseudo-inverse where one of them is singular."""
     columns = right[..., None] if right.ndim == 2 else right
     try:
-        found: FloatArray = np.asarray(np.linalg.solve(slope, columns), dtype=np.float64)
+        solution: FloatArray = np.asarray(np.linalg.solve(slope, columns), dtype=np.float64)
     except np.linalg.LinAlgError:
-        found = np.linalg.pinv(np.nan_to_num(slope), rcond=1e-12) @ columns
-    return found[..., 0] if right.ndim == 2 else found
+        solution = np.linalg.pinv(np.nan_to_num(slope), rcond=1e-12) @ columns
+    return solution[..., 0] if right.ndim == 2 else solution
 
 
 def section_of(
@@ -364,10 +364,10 @@ def section_of(
     coordinates = PortraitCoordinates(VectorField(model), states, point)
     section = StateSection(coordinates, point, settled_states(coordinates, others))
     if section.settled and not section.is_determined():
-        shown = ", ".join(model.state_names[i] for i in section.settled)
+        settled_names = ", ".join(model.state_names[i] for i in section.settled)
         raise ConfigurationError(
-            f"{shown}: what settles has no value of its own there, as its rate does not depend "
-            "on it",
+            f"{settled_names}: what settles has no value of its own there, as its rate does not "
+            "depend on it",
             where="others",
             remedy="hold the others (held), or name those that settle, as [i_v]",
         )

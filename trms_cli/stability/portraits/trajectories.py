@@ -43,15 +43,15 @@ LOOP_REACH = 0.5
 
 
 def checked_window(
-    coordinates: PortraitCoordinates, given: Mapping[str, tuple[float, float]]
+    coordinates: PortraitCoordinates, limits: Mapping[str, tuple[float, float]]
 ) -> dict[int, tuple[float, float]]:
     """The limits that were given, by place.
 
     Raises ConfigurationError for a name that is no coordinate of the portrait, and limits in
     reverse.
     """
-    found = {}
-    for name, (low, high) in given.items():
+    window = {}
+    for name, (low, high) in limits.items():
         unknown = f"{name!r} is no coordinate of this portrait"
         require_known(name, coordinates.names, unknown, f"window.{name}")
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
@@ -63,12 +63,12 @@ def checked_window(
                 if low != high
                 else "two different limits",
             )
-        found[coordinates.names.index(name)] = (float(low), float(high))
-    return found
+        window[coordinates.names.index(name)] = (float(low), float(high))
+    return window
 
 
 def default_window(
-    section: StateSection, given: Mapping[int, tuple[float, float]], *, around: bool = False
+    section: StateSection, fixed_limits: Mapping[int, tuple[float, float]], *, around: bool = False
 ) -> FloatArray:
     """Limits of each coordinate, (n_c, 2); what is given stays.
 
@@ -77,7 +77,7 @@ def default_window(
     coordinates, point = section.coordinates, section.point
     centre = coordinates.values(point.x, point.u)
     window = np.full((len(coordinates), 2), np.nan)
-    for place, limits in given.items():
+    for place, limits in fixed_limits.items():
         window[place] = limits
     angles = [
         place
@@ -85,7 +85,7 @@ def default_window(
         if not item.is_rate and item.unit == "rad"
     ]
     for place in angles:
-        if place not in given:
+        if place not in fixed_limits:
             reach = _angle_reach(section, place, around)
             window[place] = centre[place] - reach, centre[place] + reach
     for place in range(len(coordinates)):
@@ -115,13 +115,13 @@ def _typical(
     """What a coordinate that is no angle does."""
     freely, pushed = _extents(section, window, angles)
     free, push = freely[place], pushed[place]
-    moved = free[1] - free[0] > _UNMOVED * (push[1] - push[0])
-    low, high = free if moved else push
+    is_moving = free[1] - free[0] > _UNMOVED * (push[1] - push[0])
+    low, high = free if is_moving else push
     centre = float(section.coordinates.values(section.point.x, section.point.u)[place])
-    if around and not moved:
+    if around and not is_moving:
         # A loop is started near its goal, not at full speed.
         low, high = centre + 0.3 * (low - centre), centre + 0.3 * (high - centre)
-    middle = centre if moved else (low + high) / 2
+    middle = centre if is_moving else (low + high) / 2
     half = max(high - middle, middle - low, 1e-3) * _MARGIN
     return middle - half, middle + half
 
@@ -187,9 +187,9 @@ def given_starts(section: StateSection, starts: Sequence[Mapping[str, float]]) -
     for number, start in enumerate(starts):
         c, states = centre.copy(), {}
         for name, value in start.items():
-            known = {*coordinates.names, *model.state_names}
+            known_names = {*coordinates.names, *model.state_names}
             unknown = f"{name!r} is neither a coordinate of this portrait nor a state"
-            require_known(name, known, unknown, f"starts[{number}].{name}")
+            require_known(name, known_names, unknown, f"starts[{number}].{name}")
             if name in coordinates.names:
                 c[coordinates.names.index(name)] = value
             else:
@@ -309,20 +309,20 @@ def trajectories(
     if fine:
         early = np.arange(_FINE_STEPS + 1) * fine
         time = np.concatenate([early, early[-1] + time[1:]])
-    found: list[PortraitTrajectory] = []
+    paths: list[PortraitTrajectory] = []
     for first in range(0, len(starts), _MOST_AT_ONCE):
         part = starts[first : first + _MOST_AT_ONCE]
         if fine:
-            begun = coordinates.field.motions(part, u, _FINE_STEPS * fine, fine)
-            rest = coordinates.field.motions(begun[-1], u, duration, step)
-            x = np.concatenate([begun, rest[1:]])
+            initial_motion = coordinates.field.motions(part, u, _FINE_STEPS * fine, fine)
+            rest = coordinates.field.motions(initial_motion[-1], u, duration, step)
+            x = np.concatenate([initial_motion, rest[1:]])
         else:
             x = coordinates.field.motions(part, u, duration, step)
         never = np.zeros(len(time), dtype=bool)
         for i in range(len(part)):
             c = coordinates.values(x[:, i], u)
-            found.append(PortraitTrajectory(time, x[:, i], c, never))
-    return tuple(found)
+            paths.append(PortraitTrajectory(time, x[:, i], c, never))
+    return tuple(paths)
 
 
 def drawn_points(
@@ -338,16 +338,16 @@ def drawn_points(
     length = np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps, nan=np.inf))])
     finite = np.isfinite(length)
     end = min(float(length[finite][-1]), longest)
-    kept = np.unique(np.searchsorted(length[finite], np.arange(0.0, end + apart / 2, apart)))
-    kept = kept[kept < finite.sum()]
-    points = c[kept].copy()
+    indices = np.unique(np.searchsorted(length[finite], np.arange(0.0, end + apart / 2, apart)))
+    indices = indices[indices < finite.sum()]
+    points = c[indices].copy()
     inside = np.all((points >= window[:, 0]) & (points <= window[:, 1]), axis=1)
     # One point beyond each way out, so that lines reach the edge.
     near = inside.copy()
     near[1:] |= inside[:-1]
     near[:-1] |= inside[1:]
     points[~near] = np.nan
-    return points, trajectory.saturated[kept]
+    return points, trajectory.saturated[indices]
 
 
 #: A command within this share of its bound is at it.
@@ -361,7 +361,7 @@ def loop_trajectories(
     coordinates, point = section.coordinates, section.point
     model = coordinates.model
     bound = model.input_bounds()[1] * (1.0 - _AT_BOUND)
-    found, runs = [], []
+    paths, runs = [], []
     for number, start in enumerate(starts, 1):
         tell(f"run {number} of {len(starts)}")
         offset = dict(zip(model.state_names, (start - point.x).tolist(), strict=True))
@@ -369,9 +369,9 @@ def loop_trajectories(
         # What is held back is the command as given: a loop's path to the motors bounds it too.
         saturated = np.any(np.abs(run.applied) >= bound, axis=1)
         c = coordinates.values(run.x, run.applied)
-        found.append(PortraitTrajectory(run.time, run.x, c, saturated))
+        paths.append(PortraitTrajectory(run.time, run.x, c, saturated))
         runs.append(run)
-    return found, runs
+    return paths, runs
 
 
 What = Literal["rest", "rest outside", "line", "held", "stuck", "moving", "turning", "gone"]
@@ -403,7 +403,7 @@ def ends_of(
     section: StateSection,
     window: FloatArray,
     rests: Sequence[RestPoint],
-    found: Sequence[PortraitTrajectory],
+    paths: Sequence[PortraitTrajectory],
     sticking: Sequence[StickingSet] = (),
     *,
     dry_friction: bool = False,
@@ -414,7 +414,7 @@ def ends_of(
     With dry friction something may stand still where there is no equilibrium of f; equilibria
     outside the window are looked for on request, where motions seem to rest.
     """
-    known, near = list(rests), NEAR * np.ptp(window, axis=1)
+    known_rests, near = list(rests), NEAR * np.ptp(window, axis=1)
 
     def end_of(path: PortraitTrajectory) -> tuple[What, int, float]:
         """What, the place of its rest point or sticking set, and when."""
@@ -423,18 +423,18 @@ def ends_of(
             return "gone", -1, np.inf
         tail = c[-max(2, round(_TAIL * len(c))) :]
         still = bool(np.all(np.ptp(tail, axis=0) <= near))
-        for place, held in enumerate(sticking):
-            if still and held.holds(c[-1], near):
+        for place, sticking_set in enumerate(sticking):
+            if still and sticking_set.holds(c[-1], near):
                 return "held", place, _arrival(path, c[-1], near)
-        for place, rest in enumerate(known):
+        for place, rest in enumerate(known_rests):
             if np.all(np.abs(tail - rest.c) <= near):
                 return "rest", place, _arrival(path, rest.c, near)
         if still and search_beyond:
             x = refine_operating_point(section.coordinates.field, path.x[-1], section.point.u)
             beyond = None if x is None else rest_point(section, x)
             if beyond is not None and np.all(np.abs(tail - beyond.c) <= near):
-                known.append(beyond)
-                return "rest", len(known) - 1, _arrival(path, beyond.c, near)
+                known_rests.append(beyond)
+                return "rest", len(known_rests) - 1, _arrival(path, beyond.c, near)
         if still and dry_friction:
             return "stuck", -1, _arrival(path, c[-1], near)
         past = np.maximum(window[:, 0] - c[-1], c[-1] - window[:, 1])
@@ -445,21 +445,23 @@ def ends_of(
         return "moving" if inside else "gone", -1, np.inf
 
     groups: dict[tuple[What, int], list[tuple[int, float]]] = {}
-    for number, trajectory in enumerate(found):
+    for number, trajectory in enumerate(paths):
         what, place, time = end_of(trajectory)
-        if what == "rest" and known[place].line:
+        if what == "rest" and known_rests[place].line:
             what, place = "line", -1
         elif what == "rest" and place >= len(rests):
-            c = known[place].c
+            c = known_rests[place].c
             inside = np.all((c >= window[:, 0]) & (c <= window[:, 1]))
             what = "rest" if inside else "rest outside"
         groups.setdefault((what, place), []).append((number, time))
     ends = []
     for (what, place), members in groups.items():
         times = tuple(time for _, time in members if np.isfinite(time))
-        rest = known[place] if what in ("rest", "rest outside") else None
-        held = sticking[place] if what == "held" else None
-        ends.append(TrajectoryEnd(what, tuple(number for number, _ in members), times, rest, held))
+        rest = known_rests[place] if what in ("rest", "rest outside") else None
+        sticking_set = sticking[place] if what == "held" else None
+        ends.append(
+            TrajectoryEnd(what, tuple(number for number, _ in members), times, rest, sticking_set)
+        )
     return tuple(sorted(ends, key=lambda end: -len(end.members)))
 
 

@@ -260,11 +260,11 @@ def _data(result: ControllabilityResult) -> dict[str, Any]:
 
 def _lead(result: ControllabilityResult) -> list[str]:
     model = result.path.model
-    lost = [a.mode.name for a in result.access if a.by_input[-1].grade == "none"]
+    unmoved_modes = [a.mode.name for a in result.access if a.by_input[-1].grade == "none"]
     words = result.point.words(model)
     sentences = [
-        f"At {words} no input moves: {', '.join(lost)}."
-        if lost
+        f"At {words} no input moves: {', '.join(unmoved_modes)}."
+        if unmoved_modes
         else f"At {words} the inputs together move every mode."
     ]
     for i, name in enumerate(model.controlled):
@@ -297,8 +297,8 @@ def _lead(result: ControllabilityResult) -> list[str]:
 
 def _lost(gain: FloatArray) -> npt.NDArray[np.intp]:
     """Places at which an input does not move a state; none where there are more than a few."""
-    lost = np.flatnonzero(gain <= 1e-6 * float(gain.max(initial=0.0)))
-    return lost if len(lost) <= 3 else lost[:0]
+    indices = np.flatnonzero(gain <= 1e-6 * float(gain.max(initial=0.0)))
+    return indices if len(indices) <= 3 else indices[:0]
 
 
 def _loss_words(result: ControllabilityResult, i: int) -> list[str]:
@@ -451,14 +451,21 @@ def _loss_chart(result: ControllabilityResult) -> Chart:
             for j, (signal, colour) in enumerate(zip(model.inputs, _COLOURS, strict=False))
         ]
         for gain in reach.per_volt[:, i].T:
-            lost = _lost(gain)
-            if len(lost) and gain.max() > 0:
+            loss_indices = _lost(gain)
+            if len(loss_indices) and gain.max() > 0:
                 marks.append(
-                    Points(sweep.values[lost], gain[lost], "lost", "unstable", "alarm", size=7.0)
+                    Points(
+                        sweep.values[loss_indices],
+                        gain[loss_indices],
+                        "lost",
+                        "unstable",
+                        "alarm",
+                        size=7.0,
+                    )
                 )
         top = 1.08 * float(reach.per_volt[:, i].max()) or 1.0
-        moved = _moved_axis(result, name, model.inputs[0], (-0.03 * top, top))
-        panels.append(Panel(Axis(path.over, path.unit), moved, marks, f"what moves {name}"))
+        reach_axis = _moved_axis(result, name, model.inputs[0], (-0.03 * top, top))
+        panels.append(Panel(Axis(path.over, path.unit), reach_axis, marks, f"what moves {name}"))
     for j, speed in _rotors(path, sweep):
         name, signal = model.controlled[j], model.inputs[j]
         omega = sweep.states[:, model.state_index(speed)]

@@ -114,7 +114,7 @@ class Equilibria:
     def _named(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
         """The named points; rest and hover only within the box, and why one is missing."""
         points, missing = named_points(model, self.special)
-        kept = []
+        selection = []
         for point in points:
             outside = ", ".join(
                 f"{symbol(name)} = {point.value(model, name):.4g}"
@@ -122,38 +122,44 @@ class Equilibria:
                 if not low <= point.value(model, name) <= high
             )
             if not outside or point.name in self.special:
-                kept.append(point)
+                selection.append(point)
                 continue
             missing.append(f"{point.name} lies outside the box ({outside}) and is left out")
-        return kept, missing
+        return selection, missing
 
     def _inputs(self, model: Model) -> tuple[str, ...]:
-        known = names(model.inputs)
-        for key, given in (("over", self.over or ()), ("range", self.range), ("at", self.at)):
-            allowed = (*known, *model.controlled) if key == "at" else known
+        input_names = names(model.inputs)
+        for key, requested_names in (
+            ("over", self.over or ()),
+            ("range", self.range),
+            ("at", self.at),
+        ):
+            allowed = (*input_names, *model.controlled) if key == "at" else input_names
             kind = "neither an input nor a controlled angle" if key == "at" else "no input"
-            for name in given:
+            for name in requested_names:
                 unknown = f"{name!r} is {kind} of model {model.name!r}"
                 require_known(name, allowed, unknown, f"study.{key}")
         if self.over is not None:
             if not self.over:
                 raise ConfigurationError(
-                    "nothing is varied", where="study.over", remedy=f"one of {', '.join(known)}"
+                    "nothing is varied",
+                    where="study.over",
+                    remedy=f"one of {', '.join(input_names)}",
                 )
             return tuple(self.over)
-        idle = rest_system(model, known[:1]).idle
-        chosen = tuple(
+        idle = rest_system(model, input_names[:1]).idle
+        selection = tuple(
             name
-            for name in known
+            for name in input_names
             if name not in idle and (name in self.range or math.isfinite(model.input_limits[name]))
         )
-        if not chosen:
+        if not selection:
             raise ModelError(
                 f"the inputs that rest of model {model.name!r} depends on have no limits",
                 where="study.range",
-                remedy=f"give a range, as study.range.{known[-1]}=[0,200]",
+                remedy=f"give a range, as study.range.{input_names[-1]}=[0,200]",
             )
-        return chosen
+        return selection
 
     def _setting(self, model: Model, over: str) -> SurveySetting:
         limit = model.input_limits[over]
@@ -318,13 +324,15 @@ def _written(model: Model, name: str, value: float, digits: int = 4) -> str:
     return f"{symbol(name)} = {_with_unit(value, unit_of(model, name), digits)}"
 
 
-def _value_columns(model: Model, shown: Sequence[str]) -> list[Column]:
+def _value_columns(model: Model, signal_names: Sequence[str]) -> list[Column]:
     """Columns of states and commands, of operating points."""
 
     def cell(name: str) -> Callable[[OperatingPoint], Value]:
         return lambda point: _rounded(point.value(model, name))
 
-    return [Column(with_unit(symbol(name), unit_of(model, name)), cell(name)) for name in shown]
+    return [
+        Column(with_unit(symbol(name), unit_of(model, name)), cell(name)) for name in signal_names
+    ]
 
 
 def _outcomes(model: Model) -> list[str]:
@@ -416,14 +424,14 @@ def _piece_words(pieces: Sequence[RangePiece], unit: str) -> list[str]:
 
 def band_words(model: Model, band: FrictionBand) -> str:
     """What friction holds."""
-    held = f"dry friction of {_number(band.torque)} N m holds {symbol(band.angle)} anywhere"
+    text = f"dry friction of {_number(band.torque)} N m holds {symbol(band.angle)} anywhere"
     if band.lower is not None and band.upper is not None:
-        return f"{held} from {_number(band.lower)} to {_number(band.upper)} rad"
+        return f"{text} from {_number(band.lower)} to {_number(band.upper)} rad"
     if band.command is not None:
         name, low, high = band.command
         top = _with_unit(high, unit_of(model, name))
-        return f"{held}, for {symbol(name)} from {_number(low)} to {top}"
-    return held
+        return f"{text}, for {symbol(name)} from {_number(low)} to {top}"
+    return text
 
 
 def _section(one: Survey, named: Sequence[NamedPoint]) -> Section:
@@ -443,8 +451,8 @@ def _section(one: Survey, named: Sequence[NamedPoint]) -> Section:
         free = f"{_symbols(one.system.free)} is determined by nothing"
         structure.append(_sentence(f"{free}: any value rests; zero is taken"))
     if one.system.released and not one.setting.held:
-        asked = f"Rest asks for one value of {_symbols(one.system.released)} at each {over}"
-        structure.append(f"{asked}: it is solved for.")
+        requirement = f"Rest asks for one value of {_symbols(one.system.released)} at each {over}"
+        structure.append(f"{requirement}: it is solved for.")
     text = [
         f"The box: {', '.join(bounds)}; all other states follow from these. An angle beyond its "
         "stop is reached by no rig.",
@@ -454,15 +462,15 @@ def _section(one: Survey, named: Sequence[NamedPoint]) -> Section:
             for a, b in dict.fromkeys(c.curve.ends for c in one.curves)
         ),
     ]
-    shown = _shown_signals(one)
-    charts = [_curves_chart(one, shown, named)] if one.curves and shown else []
-    return Section(f"Over {over}", text, [*charts, _point_table(one, shown)])
+    signal_names = _shown_signals(one)
+    charts = [_curves_chart(one, signal_names, named)] if one.curves and signal_names else []
+    return Section(f"Over {over}", text, [*charts, _point_table(one, signal_names)])
 
 
-def _point_table(survey: Survey, shown: Sequence[str]) -> Table:
+def _point_table(survey: Survey, signal_names: Sequence[str]) -> Table:
     """Equilibria at the inputs of the proofs."""
     model, over = survey.model, survey.setting.over
-    columns = _value_columns(model, shown)
+    columns = _value_columns(model, signal_names)
     rows: list[list[Value | Datum]] = []
     for check in survey.checks:
         complete = check.proof.complete
@@ -472,7 +480,7 @@ def _point_table(survey: Survey, shown: Sequence[str]) -> Table:
         at = _rounded(check.input)
         values = table(check.points, columns).rows
         if not check.points:
-            rows.append([at, *[None] * len(shown), "none in the box", None, proof])
+            rows.append([at, *[None] * len(signal_names), "none in the box", None, proof])
         for point, cells in zip(check.points, values, strict=True):
             rightmost = _rounded(float(point.eigenvalues[0].real))
             rows.append([at, *cells, _stability(point), rightmost, proof])
@@ -531,17 +539,17 @@ def _landmark_table(result: EquilibriaResult) -> Table | None:
 def _quantity_table(result: EquilibriaResult) -> Table | None:
     model, points = result.model, result.named
     locked = [part for part, whole in _PARTS.items() if whole not in (*model.axes, *model.rotors)]
-    known = [
+    quantity_names = [
         name
         for name in _QUANTITIES
         if any(name in point.quantities for point in points)
         and not any(part in name for part in locked)
     ]
-    if not known:
+    if not quantity_names:
         return None
     rows: list[list[Value]] = [
         [_QUANTITIES[name], *(_rounded(point.quantities.get(name, math.nan)) for point in points)]
-        for name in known
+        for name in quantity_names
     ]
     return Table(["", *(point.name for point in points)], rows, "Physical quantities there.")
 
@@ -638,24 +646,26 @@ def _along(survey: Survey, name: str) -> FloatArray:
 
 def _shown_signals(survey: Survey) -> list[str]:
     """What is drawn over an input: angles that change with it, speeds, released inputs."""
-    wanted = dict.fromkeys([*_outcomes(survey.model), *survey.system.released])
-    return [name for name in wanted if np.ptp(_along(survey, name)) > _VARIES]
+    candidates = dict.fromkeys([*_outcomes(survey.model), *survey.system.released])
+    return [name for name in candidates if np.ptp(_along(survey, name)) > _VARIES]
 
 
 def _axis(model: Model, name: str, limits: tuple[float, float] | None = None) -> draw.Axis:
     return draw.Axis(symbol(name), written_unit(unit_of(model, name)), limits)
 
 
-def _curves_chart(survey: Survey, shown: Sequence[str], named: Sequence[NamedPoint]) -> draw.Chart:
+def _curves_chart(
+    survey: Survey, signal_names: Sequence[str], named: Sequence[NamedPoint]
+) -> draw.Chart:
     model, over = survey.model, survey.setting.over
-    given = [f"{symbol(name)} = {value:g}" for name, value in survey.setting.given.items()]
+    conditions = [f"{symbol(name)} = {value:g}" for name, value in survey.setting.given.items()]
     if survey.system.released:
-        given.append(f"{_symbols(survey.system.released)} as rest asks for")
-    condition = f" ({', '.join(given)})" if given else ""
+        conditions.append(f"{_symbols(survey.system.released)} as rest asks for")
+    condition = f" ({', '.join(conditions)})" if conditions else ""
     across = _axis(model, over, survey.setting.bounds)
     panels = [
         draw.Panel(across, _axis(model, name), _marks(survey, name, named, legend=k == 0))
-        for k, name in enumerate(shown)
+        for k, name in enumerate(signal_names)
     ]
     caption = (
         f"All equilibria of {model.name} over {symbol(over)}{condition}: "
@@ -708,11 +718,11 @@ def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool)
             marks.append(
                 draw.Points(at, where, label if legend else "", marker, colour, labels, 7.0)
             )
-    given = survey.setting.given.items()
+    conditions = survey.setting.given.items()
     here = [
         point
         for point in named
-        if all(abs(point.value(model, other) - value) < 1e-6 for other, value in given)
+        if all(abs(point.value(model, other) - value) < 1e-6 for other, value in conditions)
     ]
     if here:
         at = [point.value(model, over) for point in here]

@@ -139,18 +139,18 @@ class Hunting:
         if run.at_limit:
             warnings.append("a command reaches its limit: the prediction knows none")
         own = HuntingLevel(1.0, expected, run)
-        shown = [
+        level_sweeps = [
             replace(s, levels=sorted([*s.levels, own], key=lambda level: level.factor))
             for s in sweeps
             if s.levels
         ]
-        result = HuntingResult(case, run, elsewhere, coulomb, prediction, one, events, shown)
+        result = HuntingResult(case, run, elsewhere, coulomb, prediction, one, events, level_sweeps)
         sections = [_run_section(result)]
         if prediction is not None:
             sections.append(_prediction_section(result, prediction))
         if one is not None:
             sections.append(_harmonic_section(result, one))
-        if shown:
+        if level_sweeps:
             sections.append(_sweep_section(result))
         data = json_data(_results(result))
         return Findings("Hunting", _lead(result), sections, data, tuple(warnings))
@@ -562,9 +562,9 @@ _PERIODS, _SHOWN = 3.0, 60.0
 
 def history(run: AxisRun, label: str, input_label: str) -> Chart:
     """The angle's error and the command over time, sticks shaded."""
-    shown = _SHOWN if run.period is None else _PERIODS * run.period
-    n = max(2, int(np.searchsorted(run.time, run.time[-1] - shown, side="left")))
-    part = slice(n, None) if run.hunts else slice(0, int(np.searchsorted(run.time, shown)) + 1)
+    span = _SHOWN if run.period is None else _PERIODS * run.period
+    n = max(2, int(np.searchsorted(run.time, run.time[-1] - span, side="left")))
+    part = slice(n, None) if run.hunts else slice(0, int(np.searchsorted(run.time, span)) + 1)
     time = run.time[part] - run.time[part][0]
     panels = []
     for values, name, unit_of in ((run.angle, label, "rad"), (run.command, input_label, "V")):
@@ -592,7 +592,7 @@ def planes(
     """One cycle in the plane of angle and rate, and of angle and command."""
     period = run.period or _SHOWN
     n = int(np.searchsorted(run.time, run.time[-1] - 1.02 * period, side="left"))
-    angle, rate, given = run.angle[n:], run.rate[n:], run.command[n:]
+    angle, rate, input_values = run.angle[n:], run.rate[n:], run.command[n:]
     marks: list[Mark] = [Curve(angle, rate, "simulated", "blue", width=1.8)]
     if prediction is not None and prediction.cycle is not None and events is not None:
         _, path, speed = events.trace(prediction.cycle.half)
@@ -600,10 +600,10 @@ def planes(
             marks.append(Curve(sign * path, sign * speed, "predicted", "vermilion", "dashed", 1.6))
     at_rest = run.stuck[n:]
     marks.append(Points(angle[at_rest], rate[at_rest], "sticks", "square", "orange", size=6.0))
-    held = np.where(at_rest, given, np.nan)
+    stick_values = np.where(at_rest, input_values, np.nan)
     other: list[Mark] = [
-        Curve(angle, given, "simulated", "blue", width=1.6, arrow=True),
-        Curve(np.where(at_rest, angle, np.nan), held, "sticks", "orange", width=3.5),
+        Curve(angle, input_values, "simulated", "blue", width=1.6, arrow=True),
+        Curve(np.where(at_rest, angle, np.nan), stick_values, "sticks", "orange", width=3.5),
     ]
     x, speed_of = Axis(label, "rad"), Axis(f"rate of {label}", "rad/s")
     left = Panel(x, speed_of, marks, "Angle and rate")
@@ -679,7 +679,7 @@ def nyquist(one: Harmonics) -> Chart:
 def over_levels(axis_label: str, sweeps: Sequence[LevelSweep]) -> Chart:
     """Swing over levels of friction and of integral action, predicted and simulated."""
     colours = ("blue", "green", "purple")
-    shown = []
+    panels = []
     for sweep in sweeps:
         marks: list[Mark] = [
             Curve(_CURVE, values, words, colours[i % 3])  # type: ignore[arg-type]
@@ -695,9 +695,9 @@ def over_levels(axis_label: str, sweeps: Sequence[LevelSweep]) -> Chart:
                 y = [level.run.swing if hunts else 0.0 for level in levels]
                 marks.append(Points(factors, y, words, shape, "vermilion", size=8.0))  # type: ignore[arg-type]
         factor = Axis(f"{sweep.label}, times", "", log=True)
-        shown.append(Panel(factor, Axis(f"swing of {axis_label}", "rad"), marks))
+        panels.append(Panel(factor, Axis(f"swing of {axis_label}", "rad"), marks))
     return Chart(
         "hunting_over_friction",
-        shown,
+        panels,
         "How far the loop hunts, peak to peak: predicted lines end where hunting vanishes.",
     )

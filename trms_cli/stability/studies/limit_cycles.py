@@ -523,19 +523,19 @@ def _plane(result: LimitCycleResult, words: str) -> Chart:
     signal = result.model.states[state]
     label = symbol(signal.name)
     marks: list[Mark] = []
-    shown = round(_SHOWN / STEP)
-    drawn = [*search.orbits, *search.continuum]
-    grey: Colour = "pale" if drawn else "grey"
+    sample_count = round(_SHOWN / STEP)
+    all_orbits = [*search.orbits, *search.continuum]
+    grey: Colour = "pale" if all_orbits else "grey"
     moving = [motion for motion in search.motions if motion.fate != "leaves"]
     for i, motion in enumerate(moving[:_DRAWN]):
-        path = motion.path[:shown, state]
+        path = motion.path[:sample_count, state]
         rate = np.gradient(path, STEP)
         marks.append(Curve(path, rate, "motions" if i == 0 else "", grey, width=0.6))
     over_time: list[Mark] = []
     many = sorted(search.continuum, key=lambda orbit: float(orbit.swing[state]))
-    chosen = np.linspace(0, len(many) - 1, min(len(many), _OF_MANY)).round().astype(int)
+    indices = np.linspace(0, len(many) - 1, min(len(many), _OF_MANY)).round().astype(int)
     several: list[tuple[Orbit, tuple[Colour, Style, str]]] = [
-        (many[i], ("purple", "solid", "orbits of a continuum")) for i in chosen
+        (many[i], ("purple", "solid", "orbits of a continuum")) for i in indices
     ]
     for orbit, look in [*((one, _look(one)) for one in search.orbits), *several]:
         colour, style, words_of = look
@@ -545,9 +545,9 @@ def _plane(result: LimitCycleResult, words: str) -> Chart:
         over_time.append(Curve(orbit.time, path, words_of, colour, style, width=1.8))
     marks.append(Points([result.point.x[state]], [0.0], "equilibrium", "dot", "ink"))
     stop = result.model.stops.get(signal.name)
-    if stop is not None and drawn:
-        low = min(float(orbit.path[:, state].min()) for orbit in drawn) - 0.05
-        high = max(float(orbit.path[:, state].max()) for orbit in drawn) + 0.05
+    if stop is not None and all_orbits:
+        low = min(float(orbit.path[:, state].min()) for orbit in all_orbits) - 0.05
+        high = max(float(orbit.path[:, state].max()) for orbit in all_orbits) + 0.05
         for at in (-stop, stop):
             if low < at < high:
                 marks.append(Line(x=at, label="mechanical stop", colour="alarm"))
@@ -613,13 +613,13 @@ def _diagram(result: LimitCycleResult, over: OverCommand) -> Chart:
             stable, unstable = (
                 np.insert(side, k, end) for side, end in zip((stable, unstable), ends, strict=True)
             )
-        for chosen, (colour, style, words) in ((stable, _STABLE), (unstable, _UNSTABLE)):
-            if not chosen.any():
+        for selection, (colour, style, words) in ((stable, _STABLE), (unstable, _UNSTABLE)):
+            if not selection.any():
                 continue
             for edge in (high, low):
-                part = np.where(chosen, edge, np.nan)
+                part = np.where(selection, edge, np.nan)
                 marks.append(Curve(commands, part, words, colour, style, 1.8))
-            part = np.where(chosen, lengths, np.nan)
+            part = np.where(selection, lengths, np.nan)
             periods.append(Curve(commands, part, "", colour, style, 1.8))
         for change in changes:
             shape = _MARKERS[change.kind]

@@ -61,7 +61,7 @@ class Local:
         value = point.value(model, over) if path.kind != "parameter" else path.began
         sweep = sweep_eigenvalues(path, *path.range(self.range), self.points, (value,))
         result = LocalResult(locus_of(path, sweep), point, sides, switches)
-        held = ", ".join(
+        condition_text = ", ".join(
             amount_words(model, name, v) for name, v in path.at.items() if name != over
         )
         ranged = tables.locus_section(
@@ -71,7 +71,7 @@ class Local:
             result.locus,
             ("local_plane", "local_range"),
             value,
-            f" ({held})" if held else "",
+            f" ({condition_text})" if condition_text else "",
             note="; dotted: the operating point",
         )
         sections = _point_section(result), ranged

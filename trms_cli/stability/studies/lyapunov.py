@@ -78,23 +78,25 @@ class Lyapunov:
         rig = rig_of(subject)
         point = operating_point(rig.model, self.at, "study.at")
         certificate = certify(rig, point, self.function, self.budget, self.seed, tell)
-        found = certificate.search
-        candidate, wells = found.candidate, found.wells
-        shown = certificate.inner or _SHOWN * (min(wells.depth, 1.0) if wells.depth > 0.0 else 1e-9)
+        result = certificate.search
+        candidate, wells = result.candidate, result.wells
+        display_level = certificate.inner or _SHOWN * (
+            min(wells.depth, 1.0) if wells.depth > 0.0 else 1e-9
+        )
         tell("motions")
-        starts = on_level(candidate, wells, shown, rays(candidate, self.starts, self.seed))
-        seen = motions(candidate, subject.model, starts, shown, self.duration)
-        further = (motions_claim(seen, self.duration),) if certificate.inner > 0.0 else ()
+        starts = on_level(candidate, wells, display_level, rays(candidate, self.starts, self.seed))
+        sample_motions = motions(candidate, subject.model, starts, display_level, self.duration)
+        further = (motions_claim(sample_motions, self.duration),) if certificate.inner > 0.0 else ()
         paths = {}
         for a in candidate.energy.axes:
-            count, drawn = _IN_PLANE[a]
-            begin = on_level(candidate, wells, shown, plane_directions(candidate, a, count))
-            paths[a] = motions(candidate, subject.model, begin, shown, drawn)
+            count, plane_duration = _IN_PLANE[a]
+            begin = on_level(candidate, wells, display_level, plane_directions(candidate, a, count))
+            paths[a] = motions(candidate, subject.model, begin, display_level, plane_duration)
         poles = _eigenvalues(rig, point)
         return Findings(
             "Lyapunov function",
             lead(certificate, rig, point, float(poles.real.max()), further),
-            _sections(certificate, further, seen, paths, shown),
+            _sections(certificate, further, sample_motions, paths, display_level),
             data(certificate, point, poles, further),
             _warnings(certificate, rig),
         )
@@ -102,25 +104,25 @@ class Lyapunov:
 
 def _eigenvalues(rig: EnergyRig, point: OperatingPoint) -> ComplexArray:
     """Of the linearisation; on that side of the cable's switch where they lie further right."""
-    field_, found = VectorField(rig.model), []
+    field_, spectra = VectorField(rig.model), []
     for side in (-1.0, 1.0):
         x = point.x.copy()
         if "alpha_h" in rig.model.state_names:
             x[rig.model.state_index("alpha_h")] += side * _BESIDE
         A, _ = field_.linearised(x, point.u)
-        found.append(np.asarray(np.linalg.eigvals(A), dtype=complex))
-    return max(found, key=lambda poles: float(poles.real.max()))
+        spectra.append(np.asarray(np.linalg.eigvals(A), dtype=complex))
+    return max(spectra, key=lambda poles: float(poles.real.max()))
 
 
 def _sections(
     certificate: LyapunovCertificate,
     further: tuple[StabilityClaim, ...],
-    seen: LevelMotions,
+    sample_motions: LevelMotions,
     paths: dict[str, LevelMotions],
-    shown: float,
+    display_level: float,
 ) -> list[Section]:
     outer = certificate.outer if np.isfinite(certificate.outer) else 0.0
-    display = max(shown, min(outer, certificate.search.wells.depth))
+    display = max(display_level, min(outer, certificate.search.wells.depth))
     claims: list[Table | Chart] = [claims_table(certificate, further)]
     if certificate.rising is not None:
         claims.append(rising_table(certificate, certificate.rising))
@@ -129,7 +131,7 @@ def _sections(
         sets.append(extent_table(certificate))
     sets += [
         plane_chart(certificate, paths, display),
-        decay_chart(seen, bool(further) and all(claim.holds for claim in further)),
+        decay_chart(sample_motions, bool(further) and all(claim.holds for claim in further)),
     ]
     return [
         Section(
@@ -169,19 +171,19 @@ def _about_sets(certificate: LyapunovCertificate) -> tuple[str, ...]:
 
 
 def _warnings(certificate: LyapunovCertificate, rig: EnergyRig) -> tuple[str, ...]:
-    said = []
+    warnings = []
     if rig.resisting:
-        said.append(
+        warnings.append(
             f"{', '.join(rig.resisting)}: the power of friction, −F|Ω|, only adds to the decay; "
             "the proofs are of the equations without it."
         )
-    found = certificate.search
-    if 0.0 < certificate.outer < 0.999 * found.wells.depth and not certificate.everywhere:
-        said.append(
+    result = certificate.search
+    if 0.0 < certificate.outer < 0.999 * result.wells.depth and not certificate.everywhere:
+        warnings.append(
             "N is what is proved with this function and this budget of boxes, not the region of "
             "attraction, which is larger."
         )
-    return tuple(said)
+    return tuple(warnings)
 
 
 _JUDGED: dict[str, Judgement] = {"failed": "bad", "open": "doubtful", "simulated": ""}
@@ -247,11 +249,11 @@ def lead(
     further: tuple[StabilityClaim, ...] = (),
 ) -> tuple[str, ...]:
     """The answer; what is not shown comes first, and nothing is said that rests on it."""
-    found, words = certificate.search, point.words(rig.model)
-    kind = "strict function" if found.candidate.weights.strict else "energy"
+    result, words = certificate.search, point.words(rig.model)
+    kind = "strict function" if result.candidate.weights.strict else "energy"
     if certificate.outer <= 0.0:
-        rising, shown = certificate.rising, f"the {kind} is a Lyapunov function on any set"
-        failure = [f"At {words} it is not proved that {shown}."]
+        rising, conclusion = certificate.rising, f"the {kind} is a Lyapunov function on any set"
+        failure = [f"At {words} it is not proved that {conclusion}."]
         if rising is not None:
             failure = [
                 f"At {words} the {kind} is no Lyapunov function: about the equilibrium V rises.",
@@ -308,12 +310,12 @@ def _level(certificate: LyapunovCertificate) -> str:
 
 
 def _end_of_outer(certificate: LyapunovCertificate) -> str:
-    found = certificate.search
-    if certificate.outer >= found.wells.depth * (1.0 - 1e-6):
-        assert found.wells.saddles is not None
-        ends = found.wells.ends[-1]  # pitch is the last axis where it moves
-        low, high = (found.candidate.well_at("v", float(end)) for end in (ends.lower, ends.upper))
-        which = found.wells.saddles[0 if low < high else 1]
+    result = certificate.search
+    if certificate.outer >= result.wells.depth * (1.0 - 1e-6):
+        assert result.wells.saddles is not None
+        ends = result.wells.ends[-1]  # pitch is the last axis where it moves
+        low, high = (result.candidate.well_at("v", float(end)) for end in (ends.lower, ends.upper))
+        which = result.wells.saddles[0 if low < high else 1]
         return f"the saddle at alpha_v = {which:.4g} rad"
     return "the decay of V, proved up to there"
 
@@ -375,23 +377,23 @@ def data(
     further: tuple[StabilityClaim, ...],
 ) -> dict[str, Any]:
     """The figures as JSON data."""
-    found, rising = certificate.search, certificate.rising
-    names, depth = found.candidate.energy.names(), found.wells.depth
+    result, rising = certificate.search, certificate.rising
+    names, depth = result.candidate.energy.names(), result.wells.depth
     return json_data(
         {
-            "function": "strict" if found.candidate.weights.strict else "energy",
+            "function": "strict" if result.candidate.weights.strict else "energy",
             "holds": certificate.holds and all(claim.holds for claim in further),
             "operating_point": {"x": point.x, "u": point.u},
-            "weights": found.candidate.weights,
-            "formula": formula(found.candidate),
+            "weights": result.candidate.weights,
+            "formula": formula(result.candidate),
             "N": {"everywhere": certificate.everywhere, "level": certificate.outer},
             "N_prime": {
                 "level": certificate.inner if certificate.inner > 0.0 else None,
                 "bounded_by": certificate.bounded_by if certificate.outer > 0.0 else None,
                 "extent": extent(certificate) if certificate.inner > 0.0 else None,
             },
-            "well": {"depth": depth if depth > 0.0 else None, "saddles": found.wells.saddles},
-            "boxes": found.decay_level.examined,
+            "well": {"depth": depth if depth > 0.0 else None, "saddles": result.wells.saddles},
+            "boxes": result.decay_level.examined,
             "counterexample": None
             if rising is None
             else {
@@ -516,7 +518,7 @@ def _grid(
 
 
 def _plane(
-    certificate: LyapunovCertificate, axis: str, seen: LevelMotions | None, display: float
+    certificate: LyapunovCertificate, axis: str, plane_motions: LevelMotions | None, display: float
 ) -> Panel:
     candidate, wells = certificate.search.candidate, certificate.search.wells
     energy = candidate.energy
@@ -526,8 +528,8 @@ def _plane(
     marks: list[Mark] = _sets(certificate, x, y, value, between)
     levels = [display * share for share in (0.05, 0.2, 0.45, 0.7, 1.0)]
     marks.append(Contour(x, y, value, levels, "level sets of V", "grey", width=0.8))
-    if seen is not None:
-        angles, rates = (seen.y[:, :, energy.index(w, axis)].T for w in ("alpha", "Omega"))
+    if plane_motions is not None:
+        angles, rates = (plane_motions.y[:, :, energy.index(w, axis)].T for w in ("alpha", "Omega"))
         for m, (angle, rate) in enumerate(zip(angles, rates, strict=True)):
             label = "motions" if m == 0 else ""
             marks.append(Curve(angle, rate, label, "blue", width=0.9, arrow=True))
@@ -618,19 +620,21 @@ def _name(which: tuple[str, str]) -> str:
     return f"{_SPOKEN[which[0]]}_{which[1]}"
 
 
-def decay_chart(seen: LevelMotions, proved: bool) -> Chart:
+def decay_chart(sample_motions: LevelMotions, proved: bool) -> Chart:
     """V over time."""
-    share = np.maximum(seen.value / seen.level, 1e-12)
+    share = np.maximum(sample_motions.value / sample_motions.level, 1e-12)
     marks: list[Mark] = [
-        Curve(seen.time, share[:, m], "motions" if m == 0 else "", "blue", width=0.9)
+        Curve(sample_motions.time, share[:, m], "motions" if m == 0 else "", "blue", width=0.9)
         for m in range(share.shape[1])
     ]
     marks.append(Line(y=1.0, label="start", colour="green", style="dashed"))
     if not proved:
-        marks.append(Note(float(seen.time[-1]) * 0.05, float(share.max()), "V rises", "vermilion"))
+        marks.append(
+            Note(float(sample_motions.time[-1]) * 0.05, float(share.max()), "V rises", "vermilion")
+        )
     low = max(1e-9, 0.5 * float(share.min()))
-    left = Axis("V / V at the start", "", (low, 2.0 * max(1.0, float(share.max()))), log=True)
-    panel = Panel(Axis("time", "s"), left, marks, "V along motions")
+    y_axis = Axis("V / V at the start", "", (low, 2.0 * max(1.0, float(share.max()))), log=True)
+    panel = Panel(Axis("time", "s"), y_axis, marks, "V along motions")
     caption = "V along motions of the model from random states on one level set"
     caption += (
         " (the edge of N′): it only falls." if proved else ": it is no Lyapunov function here."

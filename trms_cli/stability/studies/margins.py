@@ -164,12 +164,12 @@ def _lead(margins: MarginResult, where: str) -> list[str]:
                 "nothing."
             )
             continue
-        lost = (
+        phase_text = (
             f"{math.degrees(c.phase.value):.0f}° may be lost" if c.phase else "no phase leads to −1"
         )
         sentences.append(
             f"{loop.name}: the gain may grow {_factor(c.up)} and shrink {_factor(c.down)}, "
-            f"{lost}, {_delay(c.delay)}; the sensitivity peaks at "
+            f"{phase_text}, {_delay(c.delay)}; the sensitivity peaks at "
             f"{loop.sensitivity.value:.2f} ({loop.sensitivity.omega:.2g} rad/s)."
         )
     m = margins.response
@@ -198,11 +198,11 @@ def _lead(margins: MarginResult, where: str) -> list[str]:
     return lead
 
 
-def gliding_words(held: Sequence[str]) -> list[str]:
+def gliding_words(state_names: Sequence[str]) -> list[str]:
     """A sentence where dry friction was left out."""
-    if not held:
+    if not state_names:
         return []
-    names = " and ".join(held)
+    names = " and ".join(state_names)
     return [
         f"Dry friction holds {names} at this point: the small signal of a linear measurement moves "
         "nothing. The loop was measured with the rig gliding, without its dry friction; what "
@@ -331,8 +331,10 @@ def warning_of_statuses(
     }
     if not poor:
         return ""
-    told = "; ".join(f"{count} {status.label} ({status.meaning})" for status, count in poor.items())
-    return f"of {total} control samples, {told}: {consequence}"
+    status_text = "; ".join(
+        f"{count} {status.label} ({status.meaning})" for status, count in poor.items()
+    )
+    return f"of {total} control samples, {status_text}: {consequence}"
 
 
 def _warning_of_reversed(speeds: Sequence[str]) -> str:
@@ -461,13 +463,13 @@ def _bode(margins: MarginResult, condition: str) -> Chart:
         size.append(Points(lines, np.abs(at_lines[:, i]), "lines measured", "dot", "ink", size=1.6))
         degrees = _degrees(curve)
         phase.append(Curve(margins.omega, degrees, label, colour))
-        up, lost = loop.margins.up, loop.margins.phase
+        up, phase_limit = loop.margins.up, loop.margins.phase
         if up is not None:
             at = float(np.interp(up.omega, margins.omega, np.abs(curve)))
             size.append(Points([up.omega], [at], "limit of the gain", "triangle", colour))
-        if lost is not None:
-            at = float(np.interp(lost.omega, margins.omega, degrees))
-            phase.append(Points([lost.omega], [at], "limit of the phase", "square", colour))
+        if phase_limit is not None:
+            at = float(np.interp(phase_limit.omega, margins.omega, degrees))
+            phase.append(Points([phase_limit.omega], [at], "limit of the phase", "square", colour))
     gain = Panel(_OMEGA, Axis("|L|", log=True), size, "Gain")
     turn = Panel(_OMEGA, Axis("arg L", "°", _DEGREES), phase, "Phase")
     caption = f"Each loop opened at its command, the others closed: {condition}."
@@ -492,10 +494,10 @@ def _nyquist(margins: MarginResult, condition: str) -> Chart:
         # The curve inside the window, broken (NaN) where it is outside.
         inside = (curve.real >= real[0]) & (curve.real <= real[1])
         inside &= (curve.imag >= imaginary[0]) & (curve.imag <= imaginary[1])
-        shown = np.where(inside, curve, complex(np.nan, np.nan))
-        gaps = np.flatnonzero(np.isnan(shown.real))
+        visible_curve = np.where(inside, curve, complex(np.nan, np.nan))
+        gaps = np.flatnonzero(np.isnan(visible_curve.real))
         cut = int(gaps[-1]) + 1 if gaps.size else 0
-        low, high = shown[:cut], shown[cut:]
+        low, high = visible_curve[:cut], visible_curve[cut:]
         turn = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
         marks: list[Mark] = [
             Line(x=0.0),
@@ -533,8 +535,8 @@ def _nyquist(margins: MarginResult, condition: str) -> Chart:
 def _window(loop: LoopMargins) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of the real and the imaginary axis: the unit circle, and what the disk reaches."""
     disk = loop.disk
-    left = -disk.gain_up if disk.alpha < 2 else _MOST_LEFT
-    real = (max(_MOST_LEFT, min(_LEAST_LEFT, 1.1 * left)), _REACH)
+    left_edge = -disk.gain_up if disk.alpha < 2 else _MOST_LEFT
+    real = (max(_MOST_LEFT, min(_LEAST_LEFT, 1.1 * left_edge)), _REACH)
     half = (real[1] - real[0]) / 2
     return real, (-half, half)
 

@@ -90,18 +90,18 @@ class PhasePortrait:
         model = subject.require_equations("study=phase_portrait")
         tell("operating point")
         section = section_of(model, self.states, self.at, self.others)
-        given = checked_window(section.coordinates, self.window)
+        limits = checked_window(section.coordinates, self.window)
         if subject.loop is None:
-            return self._of_model(section, given, tell)
-        return self._of_loop(section, given, subject.loop, tell)
+            return self._of_model(section, limits, tell)
+        return self._of_loop(section, limits, subject.loop, tell)
 
     def _of_model(
-        self, section: StateSection, given: Mapping[int, tuple[float, float]], tell: Tell
+        self, section: StateSection, limits: Mapping[int, tuple[float, float]], tell: Tell
     ) -> Findings:
         """The model alone, its command held."""
         n = len(section.coordinates)
         tell("window and equilibria")
-        window = default_window(section, given)
+        window = default_window(section, limits)
         rests = search(section, window)
         invariant = section.is_invariant(grid(window, _INVARIANCE_GRID[n]).reshape(-1, n))
         duration = self.duration or _settling(rest_point(section, section.point.x))
@@ -159,13 +159,13 @@ class PhasePortrait:
     def _of_loop(
         self,
         section: StateSection,
-        given: Mapping[int, tuple[float, float]],
+        limits: Mapping[int, tuple[float, float]],
         loop: LoopParts,
         tell: Tell,
     ) -> Findings:
         """The loop around the model, its references at the operating point."""
         tell("window")
-        window = default_window(section, given, around=True)
+        window = default_window(section, limits, around=True)
         duration = self.duration or _LOOP_DURATION
         if isinstance(self.starts, tuple):
             starts = given_starts(section, self.starts)
@@ -174,7 +174,7 @@ class PhasePortrait:
         paths, runs = loop_trajectories(section, loop, starts, duration, tell)
         name, failures = loop.names["controller"], sum(run.failures for run in runs)
         ended = [run.ended for run in runs if run.ended]
-        window = _around(window, np.concatenate([run.c for run in paths]), given)
+        window = _around(window, np.concatenate([run.c for run in paths]), limits)
         goal = rest_point(section, section.point.x)
         ends = ends_of(section, window, [goal], paths, search_beyond=False)
         beside = trajectories(section, starts, duration, self.step) if self.open_loop_too else ()
@@ -211,23 +211,23 @@ def _settling(rest: RestPoint) -> float:
 
 
 def _around(
-    window: FloatArray, visited: FloatArray, given: Mapping[int, tuple[float, float]]
+    window: FloatArray, visited: FloatArray, limits: Mapping[int, tuple[float, float]]
 ) -> FloatArray:
     """A window widened to what was visited; what was given stays."""
     rows = visited[np.isfinite(visited).all(axis=1)]
-    found = window.copy()
+    wide_window = window.copy()
     for place in range(len(window)):
-        if place not in given and len(rows):
+        if place not in limits and len(rows):
             low = min(window[place, 0], rows[:, place].min())
             high = max(window[place, 1], rows[:, place].max())
             # What runs away does not set the scale.
             most = _MOST_WIDENED * (window[place, 1] - window[place, 0])
             margin = 0.04 * (high - low)
-            found[place] = (
+            wide_window[place] = (
                 max(low - margin, window[place, 0] - most),
                 min(high + margin, window[place, 1] + most),
             )
-    return found
+    return wide_window
 
 
 #: A mode this much faster than the slowest one is told apart in words.
@@ -254,12 +254,12 @@ def commands(section: StateSection) -> str:
 
 def place(section: StateSection, rest: RestPoint) -> str:
     """``α_v = 1.903 rad``: by the first coordinate that is no rate, the others where not zero."""
-    shown = [
+    parts = [
         f"{item.label} = {short(float(value))}{_unit(item.unit)}"
         for item, value in zip(section.coordinates.items, rest.c, strict=True)
         if not (item.is_rate or (abs(value) < 1e-6 and item.unit != "rad"))
     ]
-    return ", ".join(shown) or "the origin"
+    return ", ".join(parts) or "the origin"
 
 
 def label(section: StateSection, end: TrajectoryEnd) -> str:
@@ -280,11 +280,11 @@ def label(section: StateSection, end: TrajectoryEnd) -> str:
     }[end.what]
 
 
-def held_words(section: StateSection, held: StickingSet) -> str:
+def held_words(section: StateSection, sticking_set: StickingSet) -> str:
     """``α_v, α_v from −0.648 to −0.591 rad``."""
-    item = section.coordinates.items[held.along]
-    low, high = (short(value) for value in held.reach)
-    what = "" if held.what == item.label else f"{held.what} at "
+    item = section.coordinates.items[sticking_set.along]
+    low, high = (short(value) for value in sticking_set.reach)
+    what = "" if sticking_set.what == item.label else f"{sticking_set.what} at "
     return f"{what}{item.label} = {low} to {high} {item.unit}"
 
 
@@ -328,17 +328,21 @@ def lead_of_model(result: PortraitResult) -> list[str]:
     lead += _beyond_stops(section, saddles)
     # Those along the angle that is held consist of rest points.
     items = section.coordinates.items
-    lines = [held for held in result.sticking if held.what == items[held.along].label]
+    lines = [
+        sticking_set
+        for sticking_set in result.sticking
+        if sticking_set.what == items[sticking_set.along].label
+    ]
     if lines:
-        sets = " and ".join(held_words(section, held) for held in lines)
+        sets = " and ".join(held_words(section, sticking_set) for sticking_set in lines)
         lead.append(
             f"Dry friction holds {sets}: trajectories end anywhere on such a line, not at a point."
         )
     lead += [
-        f"Dry friction holds {held_words(section, held)}: a trajectory that gets there goes on "
-        "along that line, if at all."
-        for held in result.sticking
-        if held not in lines
+        f"Dry friction holds {held_words(section, sticking_set)}: a trajectory that gets there "
+        "goes on along that line, if at all."
+        for sticking_set in result.sticking
+        if sticking_set not in lines
     ]
     return lead
 
@@ -389,10 +393,10 @@ def _equilibria(section: StateSection, rests: Sequence[RestPoint]) -> str:
 def _angles(section: StateSection, rest: RestPoint) -> str:
     """``α_v = 1.903 rad``: by the controlled states."""
     model = section.coordinates.model
-    shown = [(name, model.state_index(name)) for name in model.controlled]
+    angles = [(name, model.state_index(name)) for name in model.controlled]
     return ", ".join(
         f"{symbol(name)} = {short(float(rest.x[i]))}{_unit(model.states[i].unit)}"
-        for name, i in shown
+        for name, i in angles
     )
 
 
@@ -420,8 +424,8 @@ def _ends(result: PortraitResult) -> str:
 
 
 def _tempo(rest: RestPoint) -> str:
-    shown = rest.eigenvalues[rest.shown] if rest.shown.any() else rest.eigenvalues
-    moving = [complex(v) for v in shown if v.real < -1e-9]
+    visible_modes = rest.eigenvalues[rest.shown] if rest.shown.any() else rest.eigenvalues
+    moving = [complex(v) for v in visible_modes if v.real < -1e-9]
     if not moving:
         return f"Nothing that the portrait shows decays at the {rest.kind}."
     slow = min(moving, key=lambda v: abs(v.real))
@@ -471,8 +475,8 @@ def seconds(value: float) -> str:
 
 def caption(result: PortraitResult) -> str:
     """A sentence or two under the figure."""
-    hidden = [held for held in result.sticking if is_hidden(result, held)]
-    sets = " and ".join(held_words(result.section, held) for held in hidden)
+    hidden = [sticking_set for sticking_set in result.sticking if is_hidden(result, sticking_set)]
+    sets = " and ".join(held_words(result.section, sticking_set) for sticking_set in hidden)
     end = f" Too short to be seen at its marker: dry friction holds {sets}." if hidden else ""
     return f"{_of_the_plane(result)}{end}"
 
@@ -569,24 +573,24 @@ def of_loop(result: PortraitResult, observer: str) -> list[str]:
 
 
 def _warnings(result: PortraitResult) -> list[str]:
-    found = []
+    warnings = []
     coordinates = result.section.coordinates
     if not result.loop and not result.invariant:
-        found.append(
+        warnings.append(
             f"a projection: {_others(result)} at the start of each trajectory, and moving then"
         )
     if not result.loop and not result.rests:
-        found.append("no equilibrium was found in the window; the search is no proof of none")
-    found += _switches(result)
+        warnings.append("no equilibrium was found in the window; the search is no proof of none")
+    warnings += _switches(result)
     for name, stop in coordinates.model.stops.items():
         index = coordinates.model.state_index(name)
         visited = max(float(np.nanmax(np.abs(run.x[:, index]))) for run in result.trajectories)
         if visited > stop:
-            found.append(
+            warnings.append(
                 f"trajectories pass the mechanical stop of {symbol(name)} at {short(stop)} rad: "
                 "the equations have none"
             )
-    return found
+    return warnings
 
 
 def _switches(result: PortraitResult) -> list[str]:
@@ -612,14 +616,14 @@ def _others(result: PortraitResult) -> str:
     model = section.coordinates.model
     words = []
     if section.held:
-        shown = [
+        texts = [
             f"{symbol(model.state_names[i])} = {short(float(section.point.x[i]))}"
             for i in section.held
         ]
-        words.append(f"{', '.join(shown)} held")
+        words.append(f"{', '.join(texts)} held")
     if section.settled:
-        shown = [symbol(model.state_names[i]) for i in section.settled]
-        words.append(f"{', '.join(shown)} settled")
+        texts = [symbol(model.state_names[i]) for i in section.settled]
+        words.append(f"{', '.join(texts)} settled")
     return " and ".join(words)
 
 
@@ -678,7 +682,7 @@ def ends_section(result: PortraitResult) -> Section:
         at = end.what == "rest outside" and end.rest is not None
         return label(section, end) + (f", at {place(section, end.rest)}" if at else "")  # type: ignore[arg-type]
 
-    shown = table(
+    end_table = table(
         ends,
         [
             Column("the trajectory", words),
@@ -692,7 +696,7 @@ def ends_section(result: PortraitResult) -> Section:
         ],
         f"Times until a trajectory stays within {100 * NEAR:g} % of the window's width of its end.",
     )
-    return Section("Where the trajectories end", (), [shown])
+    return Section("Where the trajectories end", (), [end_table])
 
 
 def _results(result: PortraitResult) -> dict[str, Any]:

@@ -115,8 +115,8 @@ def percent(share: ConfidenceShare) -> str:
         or (high < 100.0 and float(f"{high:.{digits}f}") == 100.0)
     ):
         digits += 1
-    told = [f"{v:.{digits}f}" if v < 100.0 else "100" for v in (value, low, high)]
-    return f"{told[0]} % ({told[1]}–{told[2]} %)"
+    numbers = [f"{v:.{digits}f}" if v < 100.0 else "100" for v in (value, low, high)]
+    return f"{numbers[0]} % ({numbers[1]}–{numbers[2]} %)"
 
 
 def from_to(estimate: RegionEstimate, k: int) -> str:
@@ -182,14 +182,14 @@ _PROVED = {True: Datum("proved", "good"), False: Datum("sampled only", "doubtful
 def estimate_table(region: AttractionRegion) -> Table:
     """A row for each estimate."""
     labels = region.system.names
-    shown = max((k for k, name in enumerate(labels) if name.startswith("alpha")), default=0)
-    unit = region.system.model.states[region.system.kept[shown]].unit
+    index = max((k for k, name in enumerate(labels) if name.startswith("alpha")), default=0)
+    unit = region.system.model.states[region.system.kept[index]].unit
     return table(
         region.verdicts,
         [
             Column("V", lambda v: v.estimate.label),
             Column("is", lambda v: _PROVED[v.estimate.proved]),
-            Column(f"{labels[shown]} from, to [{unit}]", lambda v: from_to(v.estimate, shown)),
+            Column(f"{labels[index]} from, to [{unit}]", lambda v: from_to(v.estimate, index)),
             Column("volume", lambda v: round_significant(math.exp(v.estimate.log_volume), 3)),
             Column(
                 "of the true region",
@@ -372,10 +372,10 @@ def _panel(region: AttractionRegion, box: FloatArray, title: str) -> draw.Panel:
             out = np.any(np.abs(path[:, [i, j]]) > 1.02 * box[[i, j]], axis=1)
             if np.all(out):
                 continue
-            shown = np.where(out[:, None], np.nan, path)
+            visible_path = np.where(out[:, None], np.nan, path)
             colour: draw.Colour = "grey" if settled else "orange"
             label = "motions that do" if settled else "motions that do not"
-            x, y = origin[i] + shown[:, i], origin[j] + shown[:, j]
+            x, y = origin[i] + visible_path[:, i], origin[j] + visible_path[:, j]
             marks.append(draw.Curve(x, y, label, colour, width=0.7, arrow=True))
     marks += [mark for v in region.verdicts if (mark := _contour(v.estimate, region, box))]
     marks.append(draw.Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
@@ -420,9 +420,9 @@ def _contour(
     states = region.starts.of(plane_starts((i, j), x, y, len(box)))
     near = np.all(np.abs(np.linalg.solve(estimate.frame, states.T)) <= 1.2, axis=0)
     values = np.where(near, estimate.candidate.values(states) / estimate.level, np.nan)
-    seen = values.reshape(_FINE, _FINE)[np.ix_(np.abs(y) <= box[j], np.abs(x) <= box[i])]
+    visible_values = values.reshape(_FINE, _FINE)[np.ix_(np.abs(y) <= box[j], np.abs(x) <= box[i])]
     # A line that does not cross the window would still be in its legend.
-    if not (np.any(seen < 1.0) and np.any(seen >= 1.0)):
+    if not (np.any(visible_values < 1.0) and np.any(visible_values >= 1.0)):
         return None
     label = estimate.label if estimate.proved else f"{estimate.label} (sampled)"
     colour, style = _COLOURS[estimate.method], "solid" if estimate.proved else "dashed"
@@ -457,10 +457,10 @@ def _loop_findings(result: LoopRegion, plane: Sequence[str]) -> Findings:
     if region is not None:
         lead += _lead(region)
         if result.inside is not None:
-            lost = int((~result.inside.recovered).sum())
+            failures = int((~result.inside.recovered).sum())
             lead.append(
                 f"Of {len(result.inside.recovered)} runs of the loop itself from starts in the "
-                f"proved set {lost or 'none'} failed to recover."
+                f"proved set {failures or 'none'} failed to recover."
             )
         limits += [
             "Proofs are about the LQR law in continuous time, with its integral and saturation and "
@@ -496,14 +496,14 @@ def _run_table(result: LoopRegion) -> Table:
 
 
 def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[draw.Chart]:
-    model, point, known, box = result.subject.model, result.point, result.states, result.box
-    signals = [model.states[model.state_index(name)] for name in known]
-    i, j = plane_axes(known, [s.unit for s in signals], plane)
-    if not plane and len(known) == 2:
+    model, point, state_names, box = result.subject.model, result.point, result.states, result.box
+    signals = [model.states[model.state_index(name)] for name in state_names]
+    i, j = plane_axes(state_names, [s.unit for s in signals], plane)
+    if not plane and len(state_names) == 2:
         i, j = 0, 1
     if i == j:
         return []
-    origin = np.array([point.x[model.state_index(n)] for n in known])
+    origin = np.array([point.x[model.state_index(n)] for n in state_names])
     marks: list[draw.Mark] = []
     good, bad = (
         origin + result.runs.d[of] for of in (result.runs.recovered, ~result.runs.recovered)
@@ -513,7 +513,7 @@ def _run_charts(result: LoopRegion, plane: Sequence[str]) -> list[draw.Chart]:
     if len(bad):
         marks.append(draw.Points(bad[:, i], bad[:, j], "does not", "cross", "alarm"))
     marks.append(draw.Points([origin[i]], [origin[j]], "equilibrium", "stable", "ink"))
-    x, y = box_axes(model, known, origin, 1.05 * box, (i, j))
+    x, y = box_axes(model, state_names, origin, 1.05 * box, (i, j))
     caption = (
         f"Starts from which the loop of {result.controller} comes back to {point.words(model)}."
     )

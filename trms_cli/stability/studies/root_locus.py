@@ -77,7 +77,7 @@ def stability_map(
     growth = np.full((len(levels), len(over)), np.nan)
     boundary: list[tuple[float, float]] = []
     begin: OperatingPoint | None = None
-    held = None
+    condition = None
     for i, level in enumerate(levels):
         if i % 8 == 0:
             tell(f"map, {100 * i // len(levels)} %")
@@ -85,9 +85,11 @@ def stability_map(
         following = row.held(float(over[0]))
         if begin is None:
             begin = _anywhere(row, float(over[0]))
-        elif held is not None:
-            begin = row.balance.advance(held, following, begin) or _anywhere(row, float(over[0]))
-        held = following
+        elif condition is not None:
+            begin = row.balance.advance(condition, following, begin) or _anywhere(
+                row, float(over[0])
+            )
+        condition = following
         if begin is not None:
             growth[i], zeros = _row(row, over, begin)
             boundary += [(zero, float(level)) for zero in zeros]
@@ -109,9 +111,9 @@ def _row(
     point: OperatingPoint | None = begin
     last = path.held(float(over[0]))
     for k, value in enumerate(over):
-        held = path.held(float(value))
+        condition = path.held(float(value))
         before = point
-        point = path.balance.advance(last, held, before) if before is not None else None
+        point = path.balance.advance(last, condition, before) if before is not None else None
         if point is None:
             break
         if path.balance.within_limits(point):
@@ -128,7 +130,7 @@ def _row(
                 root = brentq(rate, over[k - 1], value, xtol=_EXACT * abs(cell))
                 if abs(rate(root)) < 1e-6:
                     zeros.append(float(root))
-        last = held
+        last = condition
     return row, zeros
 
 
@@ -200,8 +202,8 @@ def map_section(path: OperatingPath, mapped: StabilityMap) -> Section:
     if inside[0] + rim < path.began < inside[1] - rim:  # on the frame it could not be told from it
         own = f"the model's {path.over}"
         marks.append(Line(x=path.began, label=own, colour="ink", style="dashed"))
-    held = {name: v for name, v in path.at.items() if name not in (path.over, against)}
-    where = "".join(f", {amount_words(path.model, name, v)}" for name, v in held.items() if v)
+    conditions = {name: v for name, v in path.at.items() if name not in (path.over, against)}
+    where = "".join(f", {amount_words(path.model, name, v)}" for name, v in conditions.items() if v)
     caption = f"Largest growth rate over {path.over} and {against}{where}."
     panel = Panel(Axis(path.over, path.unit, inside), Axis(against, unit_2, rows), marks)
     chart = Chart("root_locus_map", [panel], caption, 1, 7.2, 5.0)
@@ -276,9 +278,9 @@ class RootLocus:
         mapped = None
         if against is not None:
             usual = self.over is None and self.against in (None, _USUAL_AGAINST)
-            asked = self.against_range or (_USUAL_AGAINST_RANGE if usual else None)
+            requested_range = self.against_range or (_USUAL_AGAINST_RANGE if usual else None)
             line = OperatingPath(model, at, against, self.side)
-            span_2 = line.range(asked, "study.against_range")
+            span_2 = line.range(requested_range, "study.against_range")
             size = (self.map_points, 2 * self.map_points + 1)
             mapped = stability_map(path, against, (low, high), span_2, size, tell)
             ends = (float(locus.sweep.values[0]), float(locus.sweep.values[-1]))
@@ -402,19 +404,19 @@ def _lead(
     path, values = locus.path, locus.sweep.values
     unit = f" {path.unit}" if path.unit else ""
     words = _held_words(path)
-    held = words[0].upper() + words[1:]
+    opening = words[0].upper() + words[1:]
     sentences = []
     for c in locus.crossings:
         jump = " by a jump, at a switch" if c.jumps else ""
         pace = f", {c.frequency:.3g} rad/s ({c.frequency / (2 * math.pi):.3g} Hz)"
         sentences.append(
-            f"{held} the {locus.name(c)} crosses the imaginary axis{jump} at "
+            f"{opening} the {locus.name(c)} crosses the imaginary axis{jump} at "
             f"{path.over} = {c.value:.5g}{unit}{pace if c.frequency else ', at zero frequency'}: "
             f"unstable {c.side}."
         )
     if not locus.crossings:
         span = f"{path.over} from {values[0]:.4g} to {values[-1]:.4g}{unit}"
-        sentences.append(f"{held}, {span}: no mode crosses the imaginary axis.")
+        sentences.append(f"{opening}, {span}: no mode crosses the imaginary axis.")
     for side, crossed in sides.items():
         if crossed:
             listed = ", ".join(f"{v:.4g}" for v in crossed)
@@ -447,8 +449,8 @@ def _held_words(path: OperatingPath) -> str:
     at, nothing = path.at, "at rest without command"
     if path.kind == "angle" and not at.keys() - {path.over}:
         at, nothing = dict.fromkeys(model.controlled, 0.0), "held by its command"
-    held = [amount_words(model, name, v) for name, v in at.items() if name != path.over]
-    return f"at {', '.join(held)}" if held else nothing
+    conditions = [amount_words(model, name, v) for name, v in at.items() if name != path.over]
+    return f"at {', '.join(conditions)}" if conditions else nothing
 
 
 def _still_words(path: OperatingPath) -> str:

@@ -78,8 +78,8 @@ class Tolerance:
         start, bounds = self._start(subject), Bounds(self.rest, self.swing, self.chatter)
         trial = ToleranceTrial(subject, loop, point, start, self.duration, bounds, self.lost)
         scans = {"delay": self.delays, "gain": self.gains, "friction": self.frictions}
-        wanted = [one for one in impairments_of(model) if scans[one.kind]]
-        if not wanted:
+        impairments = [one for one in impairments_of(model) if scans[one.kind]]
+        if not impairments:
             raise ConfigurationError(
                 "no sizes to try are given",
                 where="delays",
@@ -89,11 +89,11 @@ class Tolerance:
         if isinstance(response, NoResponse):
             return no_response_findings(response, subject, loop, point)
         tell("nothing wrong")
-        nothing = trial.at(wanted[0], wanted[0].none)
+        nothing = trial.at(impairments[0], impairments[0].none)
         self._require_back(nothing, condition_of(subject, loop, point))
         margins = MarginResult(response)
         limits = []
-        for impairment in wanted:
+        for impairment in impairments:
             tell(impairment.words)
             sizes = sorted(scans[impairment.kind])
             limits.append(limits_of(trial, impairment, sizes, self.precision, nothing, margins))
@@ -102,9 +102,9 @@ class Tolerance:
 
     def _start(self, subject: Subject) -> dict[str, float]:
         model = subject.model
-        known = {"alpha_v", "alpha_h", *model.state_names}
+        known_names = {"alpha_v", "alpha_h", *model.state_names}
         for name in self.offset:
-            if name not in known:
+            if name not in known_names:
                 raise ConfigurationError(
                     f"{name!r} is no state of model {subject.name!r}",
                     where=f"offset.{name}",
@@ -327,10 +327,10 @@ def _responses(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, condit
         axis = above.verdict.axis
         name = trial.subject.model.controlled[axis]
         marks: list[Mark] = [Line(y=0.0)]
-        for tried, colour in ((above, "vermilion"), (first.below, "blue")):
-            word = "just too much" if tried is above else "still stood"
+        for trial_run, colour in ((above, "vermilion"), (first.below, "blue")):
+            word = "just too much" if trial_run is above else "still stood"
             marks.append(
-                Curve(tried.run.time, trial.errors(tried.run.x)[:, axis], word, colour)  # type: ignore[arg-type]
+                Curve(trial_run.run.time, trial.errors(trial_run.run.x)[:, axis], word, colour)  # type: ignore[arg-type]
             )
         title = f"{result.impairment.words}: {result.impairment.amount(above.size)}"
         panels.append(Panel(Axis("time", "s"), Axis(f"error of {name}", "rad"), marks, title))
@@ -346,12 +346,12 @@ def _overview(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, conditi
     panels = []
     for kind, axis in _AXES.items():
         marks: list[Mark] = [Line(y=trial.bounds.rest + trial.bounds.swing)]
-        chosen = [result for result in limits if result.impairment.kind == kind]
-        for i, result in enumerate(chosen):
+        results = [result for result in limits if result.impairment.kind == kind]
+        for i, result in enumerate(results):
             marks += _row(result, trial, _COLOURS[i % len(_COLOURS)])
-        if chosen:
-            left = Axis("error + swing", "rad", log=True)
-            panels.append(Panel(axis, left, marks, kind.capitalize()))
+        if results:
+            y_axis = Axis("error + swing", "rad", log=True)
+            panels.append(Panel(axis, y_axis, marks, kind.capitalize()))
     caption = (
         f"Mean error plus swing in the last third of each run over what was made worse (stars, on "
         f"the dotted line of both bounds: where the linear loop becomes unstable): {condition}."
@@ -364,10 +364,10 @@ def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> lis
     every = {
         t.size: t for t in (*result.back.tried, *result.calm.tried) if t.size != impairment.none
     }
-    tried = [every[size] for size in sorted(every)]
-    sizes = np.array([impairment.shown(t.size) for t in tried])
-    left = np.array([_left(t, trial) for t in tried])
-    marks: list[Mark] = [Curve(sizes, left, impairment.words, colour, width=1.0)]
+    runs = [every[size] for size in sorted(every)]
+    sizes = np.array([impairment.shown(t.size) for t in runs])
+    residuals = np.array([_left(t, trial) for t in runs])
+    marks: list[Mark] = [Curve(sizes, residuals, impairment.words, colour, width=1.0)]
     looks: tuple[tuple[Marker, str, tuple[Kind, ...]], ...] = (
         ("stable", "comes back", ("settles",)),
         ("triangle", "on its way back", ("dies out",)),
@@ -375,9 +375,11 @@ def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> lis
         ("cross", "swings on, or is lost", ("chatters", "swings", "is lost")),
     )
     for marker, label, kinds in looks:
-        chosen = np.array([t.verdict.kind in kinds for t in tried], dtype=bool)
-        if chosen.any():
-            marks.append(Points(sizes[chosen], left[chosen], label, marker, colour, size=5))
+        selection = np.array([t.verdict.kind in kinds for t in runs], dtype=bool)
+        if selection.any():
+            marks.append(
+                Points(sizes[selection], residuals[selection], label, marker, colour, size=5)
+            )
     if result.predicted is not None and len(sizes):
         at, bound = impairment.shown(result.predicted), trial.bounds.rest + trial.bounds.swing
         if min(sizes) / 2 < at < 2 * max(sizes):
@@ -385,9 +387,9 @@ def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> lis
     return marks
 
 
-def _left(tried: TrialRun, trial: ToleranceTrial) -> float:
+def _left(trial_run: TrialRun, trial: ToleranceTrial) -> float:
     """Mean error plus swing of the last third, rad, of the worse angle; of a lost run the bound."""
-    if tried.run.ended:
+    if trial_run.run.ended:
         return trial.lost
-    verdict = tried.verdict
+    verdict = trial_run.verdict
     return max(_LEAST, float((np.abs(verdict.rest) + verdict.swing).max()))

@@ -179,16 +179,16 @@ class DaskWorkers:
             raise self._gone(error) from error
         for key, future, attempt in zip(keys, futures, attempts, strict=True):
             self._given[key] = (future, attempt)
-            future.add_done_callback(lambda done: self._came.put(done.key))
+            future.add_done_callback(lambda ended_future: self._came.put(ended_future.key))
 
     def ended(self, timeout_s: float) -> list[EndedAttempt]:
         """Those that have ended since the last call."""
-        found = [
+        attempts = [
             each for key in collect_arrivals(self._came, timeout_s) for each in self._taken(key)
         ]
-        if not found and self._client.status not in ("running", "newly-created"):
+        if not attempts and self._client.status not in ("running", "newly-created"):
             raise self._gone(None)
-        return found
+        return attempts
 
     def end(self) -> None:
         """Take back what has not ended."""

@@ -107,7 +107,9 @@ class _LokyCrew:
                 self._replace(worker)
                 future = worker.pool.submit(self._work, attempt)
             worker.given[future] = attempt
-            future.add_done_callback(lambda done, worker=worker: self._came.put((worker, done)))
+            future.add_done_callback(
+                lambda ended_future, worker=worker: self._came.put((worker, ended_future))
+            )
 
     def ended(self, timeout_s: float) -> list[EndedAttempt]:
         return [
@@ -177,9 +179,9 @@ def _end_with_parent(parent: int) -> None:
 
 def collect_arrivals(came: queue.SimpleQueue[_T], timeout_s: float) -> list[_T]:
     """What a queue holds, after waiting up to a time for the first."""
-    found: list[_T] = []
+    arrivals: list[_T] = []
     with contextlib.suppress(queue.Empty):
-        found.append(came.get(timeout=timeout_s))
+        arrivals.append(came.get(timeout=timeout_s))
         while True:
-            found.append(came.get_nowait())
-    return found
+            arrivals.append(came.get_nowait())
+    return arrivals

@@ -107,7 +107,7 @@ class SlurmLauncher:
                 where="launcher.cluster",
                 remedy="start the sweep where `sbatch` is, or try it with launcher.cluster=local",
             ) from error
-        given: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "name": "trms-sweep",
             "timeout_min": self.timeout_min,
             "cpus_per_task": self.cpus,
@@ -117,7 +117,7 @@ class SlurmLauncher:
         }
         try:
             executor.update_parameters(
-                **{key: value for key, value in given.items() if value is not None},
+                **{key: value for key, value in settings.items() if value is not None},
                 **self.parameters,
             )
         except (NameError, TypeError, ValueError, AssertionError) as error:
@@ -231,17 +231,17 @@ class _SlurmCrew(DaskWorkers):
         self._jobs = jobs
 
     def ended(self, timeout_s: float) -> list[EndedAttempt]:
-        found = super().ended(timeout_s)
-        if any(each.result is not None for each in found):
+        attempts = super().ended(timeout_s)
+        if any(each.result is not None for each in attempts):
             self._jobs.in_vain = 0
         self._jobs.replace()
-        return found
+        return attempts
 
 
 @contextmanager
-def _deaf_to_interrupts(wanted: bool) -> Iterator[None]:
+def _deaf_to_interrupts(is_enabled: bool) -> Iterator[None]:
     """Processes that are started inside do not hear Ctrl-C."""
-    if not wanted or threading.current_thread() is not threading.main_thread():
+    if not is_enabled or threading.current_thread() is not threading.main_thread():
         yield
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -254,8 +254,8 @@ def _deaf_to_interrupts(wanted: bool) -> Iterator[None]:
 def _said_by_slurm(error: Exception) -> str:
     """What a program of SLURM printed, without the command line that submitit quotes."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [line for line in lines if line.startswith(("sbatch: error:", "srun: error:"))]
-    return told[-1] if told else lines[0] if lines else type(error).__name__
+    error_lines = [line for line in lines if line.startswith(("sbatch: error:", "srun: error:"))]
+    return error_lines[-1] if error_lines else lines[0] if lines else type(error).__name__
 
 
 def serve(address: str) -> None:
@@ -273,7 +273,7 @@ async def _served(address: str) -> None:
         address, nthreads=1, memory_limit=0, dashboard=False, death_timeout=60, heartbeat_interval=2
     )
     await worker
-    gone = asyncio.Event()
+    departure = asyncio.Event()
 
     async def leave() -> None:
         leaving.set()  # the run notices
@@ -282,7 +282,7 @@ async def _served(address: str) -> None:
             await asyncio.sleep(0.1)
         await asyncio.sleep(0.5)  # for the message to get out
         await worker.close(reason="the job was told to go")
-        gone.set()
+        departure.set()
 
     loop = asyncio.get_running_loop()
     leaves: list[asyncio.Task[None]] = []
@@ -290,7 +290,7 @@ async def _served(address: str) -> None:
         loop.add_signal_handler(number, lambda: leaves.append(asyncio.ensure_future(leave())))
     await worker.finished()
     if leaves:
-        await gone.wait()
+        await departure.wait()
 
 
 def _own_address() -> str:

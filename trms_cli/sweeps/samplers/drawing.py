@@ -51,19 +51,19 @@ class Robustness:
         names = [n for n in self.figures if any(_has(results[p.number], n) for p in ended)]
         if not names and any(_has(results[p.number], MERIT) for p in ended):
             names = [MERIT]
-        shown = [c.key for c in space.choices if c.key != _REPEATS and len(c.values) > 1]
+        keys = [c.key for c in space.choices if c.key != _REPEATS and len(c.values) > 1]
         groups: dict[tuple[str, ...], list[SweepPoint]] = {}
         for point in ended:
-            groups.setdefault(tuple(str(point.values[key]) for key in shown), []).append(point)
-        told = [
-            {"choices": dict(zip(shown, values, strict=True))}
+            groups.setdefault(tuple(str(point.values[key]) for key in keys), []).append(point)
+        statistics = [
+            {"choices": dict(zip(keys, values, strict=True))}
             | self._of_group(space, members, results, names)
             for values, members in groups.items()
         ]
-        if len(told) > 1:
+        if len(statistics) > 1:
             for name in names:
                 shares = _best_shares(space, list(groups.values()), results, name)
-                for group, share in zip(told, shares, strict=True):
+                for group, share in zip(statistics, shares, strict=True):
                     if name in group["figures"]:
                         group["figures"][name]["best_share"] = share
         return {
@@ -72,7 +72,7 @@ class Robustness:
             "varied": [varied.key for varied in space.continuous],
             "figures": {name: {"unit": unit_of(name)} for name in names},
             "limits": dict(self.limits),
-            "groups": told,
+            "groups": statistics,
         }
 
     def _of_group(
@@ -82,19 +82,19 @@ class Robustness:
         results: Mapping[int, RunResult],
         names: Sequence[str],
     ) -> dict[str, Any]:
-        lost = sum(results[p.number].state == "lost" for p in points)
+        lost_runs = sum(results[p.number].state == "lost" for p in points)
         draws: dict[tuple[Any, ...], list[RunResult]] = {}
         for point in points:
             if results[point.number].state != "lost":
-                drawn = tuple(point.values[varied.key] for varied in space.continuous)
-                draws.setdefault(drawn, []).append(results[point.number])
+                draw = tuple(point.values[varied.key] for varied in space.continuous)
+                draws.setdefault(draw, []).append(results[point.number])
         # Runs of one draw are not independent: what is counted are draws.
-        failed = {drawn for drawn, own in draws.items() if any(r.state != "done" for r in own)}
+        failed = {draw for draw, own in draws.items() if any(r.state != "done" for r in own)}
         beyond = {
             name: {
-                drawn
-                for drawn, own in draws.items()
-                if drawn not in failed and any(_beyond(figure_of(r, name), bound) for r in own)
+                draw
+                for draw, own in draws.items()
+                if draw not in failed and any(_beyond(figure_of(r, name), bound) for r in own)
             }
             for name, bound in self.limits.items()
         }
@@ -108,12 +108,12 @@ class Robustness:
         figures = {name: _of_draws(draws, name) for name in names}
         return {
             "runs": sum(map(len, draws.values())),
-            "lost": lost,
+            "lost": lost_runs,
             "failures": failures | _share(count, len(draws)),
             "figures": {
-                name: _distribution(np.array(list(found.values())))
-                for name, found in figures.items()
-                if found
+                name: _distribution(np.array(list(sample.values())))
+                for name, sample in figures.items()
+                if sample
             },
             "sensitivity": _sensitivity(space, figures),
         }
@@ -123,12 +123,12 @@ def _of_draws(
     draws: Mapping[tuple[Any, ...], Sequence[RunResult]], name: str
 ) -> dict[tuple[Any, ...], float]:
     """A figure of each draw, the mean over its runs; without those of which none has it."""
-    found = {}
-    for drawn, own in draws.items():
+    figures = {}
+    for draw, own in draws.items():
         values = [value for r in own if (value := figure_of(r, name)) is not None]
         if values:
-            found[drawn] = float(np.mean(values))
-    return found
+            figures[draw] = float(np.mean(values))
+    return figures
 
 
 def _has(result: RunResult, name: str) -> bool:
@@ -172,20 +172,22 @@ def _sensitivity(
     """
     from scipy.stats import false_discovery_control, spearmanr
 
-    found: list[dict[str, Any]] = []
-    for name, told in figures.items():
-        if len(told) < _FEWEST or np.ptp(list(told.values())) == 0:
+    correlations: list[dict[str, Any]] = []
+    for name, sample in figures.items():
+        if len(sample) < _FEWEST or np.ptp(list(sample.values())) == 0:
             continue
-        drawn = np.array(list(told), dtype=float)
+        draws = np.array(list(sample), dtype=float)
         for column, varied in enumerate(space.continuous):
-            if np.ptp(drawn[:, column]) > 0:
-                rho, p = spearmanr(drawn[:, column], list(told.values()))
-                found.append({"key": varied.key, "figure": name, "rho": float(rho), "p": float(p)})
-    if found:
-        adjusted = false_discovery_control([each["p"] for each in found])
-        for each, p in zip(found, adjusted, strict=True):
+            if np.ptp(draws[:, column]) > 0:
+                rho, p = spearmanr(draws[:, column], list(sample.values()))
+                correlations.append(
+                    {"key": varied.key, "figure": name, "rho": float(rho), "p": float(p)}
+                )
+    if correlations:
+        adjusted = false_discovery_control([each["p"] for each in correlations])
+        for each, p in zip(correlations, adjusted, strict=True):
             each["p"] = float(p)
-    return sorted(found, key=lambda each: -abs(each["rho"]))
+    return sorted(correlations, key=lambda each: -abs(each["rho"]))
 
 
 def _best_shares(
@@ -342,9 +344,9 @@ class PlannedPoints:
         )
         return SweepPoint(number, part.overrides, part.values or {})
 
-    def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
+    def more(self, results: Sequence[RunResult], count: int) -> list[SweepPoint]:
         """The next points; results change nothing."""
-        upto = min(self.given + max(wanted, 0), self.total)
+        upto = min(self.given + max(count, 0), self.total)
         points = [self.point(number) for number in range(self.given, upto)]
         self.given = upto
         return points
@@ -357,10 +359,11 @@ class PlannedPoints:
         return self.robustness.told(self.space, points, results)
 
 
-def another_point(known: SweepPoint, keys: str) -> ConfigurationError:
+def another_point(earlier_point: SweepPoint, keys: str) -> ConfigurationError:
     """The sweep was begun with another configuration."""
     return ConfigurationError(
-        f"point {known.number} was another when the sweep began: {' '.join(known.overrides)}",
+        f"point {earlier_point.number} was another when the sweep began: "
+        f"{' '.join(earlier_point.overrides)}",
         where="sampler",
         remedy=f"resume with {keys} that it began with, or begin a new sweep",
     )
@@ -369,7 +372,7 @@ def another_point(known: SweepPoint, keys: str) -> ConfigurationError:
 def plan_points(
     space: Space,
     shares: FloatArray,
-    known: Sequence[SweepPoint],
+    earlier_points: Sequence[SweepPoint],
     robustness: Robustness | None = None,
 ) -> PlannedPoints:
     """Points of samples at given shares of the distributions, those that are known left out.
@@ -382,10 +385,10 @@ def plan_points(
     for column, varied in enumerate(space.continuous):
         samples[:, column] = quantiles(varied, shares[:, column])
     proposals = PlannedPoints(space, samples, robustness=robustness)
-    for point in known:
+    for point in earlier_points:
         if point.number >= proposals.total or proposals.point(point.number) != point:
             raise another_point(point, "the samples and the seed")
-    proposals.given = len(known)
+    proposals.given = len(earlier_points)
     return proposals
 
 
@@ -403,7 +406,7 @@ class DrawingSampler:
         """The samples as points of the unit cube, (samples, columns)."""
         raise NotImplementedError
 
-    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> PlannedPoints:
+    def start(self, space: Space, earlier_points: Sequence[SweepPoint] = ()) -> PlannedPoints:
         """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`.
 
         Raises ConfigurationError for a space in which there is nothing to draw, and for a figure
@@ -417,8 +420,8 @@ class DrawingSampler:
                 remedy=f"give {self.NAME} something: plant.parameters=prior or "
                 "KEY=interval(LOW,HIGH); choices alone are tried one by one by sampler=grid",
             )
-        told = Robustness(
+        robustness = Robustness(
             canonical_all(self.figures, "sampler.figures"),
             canonical_limits(self.limits, "sampler.limits"),
         )
-        return plan_points(space, self.shares(len(space.continuous)), known, told)
+        return plan_points(space, self.shares(len(space.continuous)), earlier_points, robustness)

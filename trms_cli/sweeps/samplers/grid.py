@@ -14,7 +14,7 @@ from trms_cli.sweeps.space import PriorOfKey, Space, SweepPoint
 class Grid:
     """Nested loops over the choices, the last typed running fastest."""
 
-    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> PlannedPoints:
+    def start(self, space: Space, earlier_points: Sequence[SweepPoint] = ()) -> PlannedPoints:
         """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`."""
         if space.continuous:
             first = space.continuous[0]
@@ -26,4 +26,4 @@ class Grid:
                 remedy="draw from it: add sampler=latin_hypercube sampler.samples=100; search in "
                 f"it: sampler=optimise; or list values: {listed}",
             )
-        return plan_points(space, np.zeros((1, 0)), known)
+        return plan_points(space, np.zeros((1, 0)), earlier_points)

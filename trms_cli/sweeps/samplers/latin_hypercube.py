@@ -44,24 +44,24 @@ def hypercube(
     from scipy.stats import qmc
 
     sampler = qmc.LatinHypercube(columns, seed=np.random.default_rng(seed))
-    drawn = np.asarray(sampler.random(samples))
+    points = np.asarray(sampler.random(samples))
     if not decorrelated or columns < 2 or samples <= columns + 1:
-        return drawn
+        return points
     while True:
         try:
-            return _decorrelated(drawn)
+            return _decorrelated(points)
         except np.linalg.LinAlgError:  # few samples, and the order of one column is another's
-            drawn = np.asarray(sampler.random(samples))
+            points = np.asarray(sampler.random(samples))
 
 
-def _decorrelated(drawn: FloatArray) -> FloatArray:
+def _decorrelated(points: FloatArray) -> FloatArray:
     """The same values in each column, in the order that normal scores without correlation have."""
     from scipy.linalg import cholesky, solve_triangular
     from scipy.stats import norm, rankdata
 
-    ranks = np.column_stack([rankdata(column, method="ordinal") for column in drawn.T])
-    scores = norm.ppf(ranks / (len(drawn) + 1))
+    ranks = np.column_stack([rankdata(column, method="ordinal") for column in points.T])
+    scores = norm.ppf(ranks / (len(points) + 1))
     root = cholesky(np.corrcoef(scores.T), lower=True)
     uncorrelated = solve_triangular(root, scores.T, lower=True).T
     order = np.column_stack([rankdata(column, method="ordinal") for column in uncorrelated.T])
-    return np.take_along_axis(np.sort(drawn, axis=0), order.astype(int) - 1, axis=0)
+    return np.take_along_axis(np.sort(points, axis=0), order.astype(int) - 1, axis=0)

@@ -65,21 +65,21 @@ class Aims:
                 figures[_limited(name)] = max(present)
         return TrialOutcome(figures)
 
-    def losses(self, tried: TrialOutcome) -> list[float]:
+    def losses(self, outcome: TrialOutcome) -> list[float]:
         """Objectives of a trial that did not fail, as what is to be small."""
         signs = (-1.0 if name in self.maximised else 1.0 for name in self.objectives)
-        return [sign * tried.figures[n] for sign, n in zip(signs, self.objectives, strict=True)]
+        return [sign * outcome.figures[n] for sign, n in zip(signs, self.objectives, strict=True)]
 
-    def excess(self, tried: TrialOutcome) -> list[float]:
+    def excess(self, outcome: TrialOutcome) -> list[float]:
         """By how much limits are exceeded, relative to them; not positive where they are held."""
         return [
-            (tried.figures[_limited(name)] - bound) / (abs(bound) or 1.0)
+            (outcome.figures[_limited(name)] - bound) / (abs(bound) or 1.0)
             for name, bound in self.limits.items()
         ]
 
-    def allowed(self, tried: TrialOutcome) -> bool:
+    def allowed(self, outcome: TrialOutcome) -> bool:
         """Whether a trial did not fail and holds all limits."""
-        return not tried.failed and all(excess <= 0 for excess in self.excess(tried))
+        return not outcome.failed and all(excess <= 0 for excess in self.excess(outcome))
 
     def check_figures(self, results: Iterable[RunResult], of: str, remedy: str = "") -> None:
         """Refuse objectives and limited figures that none of the runs that are done has.
@@ -88,16 +88,21 @@ class Aims:
         ConfigurationError: it tells the figure as it was typed, and those of the runs that are
         near.
         """
-        done = [result for result in results if result.state == "done"]
+        complete_results = [result for result in results if result.state == "done"]
         for name in (*self.objectives, *self.limits):
-            if done and all(figure_of(result, name) is None for result in done):
+            if complete_results and all(
+                figure_of(result, name) is None for result in complete_results
+            ):
                 said = objective_name(name, self.typed)
-                known = with_aliases({n for result in done for n in result.figures})
+                figure_names = with_aliases(
+                    {n for result in complete_results for n in result.figures}
+                )
                 reason = _UNSETTLED if name.startswith("settling_time") else ""
                 raise ConfigurationError(
-                    f"none of the {len(done)} runs of {of} has a figure {said!r}{reason}",
+                    f"none of the {len(complete_results)} runs of {of} has a figure "
+                    f"{said!r}{reason}",
                     where="sampler.objectives" if name in self.objectives else "sampler.limits",
-                    remedy="; ".join(filter(None, (near_figures(said, known), remedy))),
+                    remedy="; ".join(filter(None, (near_figures(said, figure_names), remedy))),
                 )
 
 
@@ -111,12 +116,12 @@ def front(losses: FloatArray) -> npt.NDArray[np.intp]:
 
     ``losses``: (n, k) array. Returns (m,) array; their positions; of equal rows all.
     """
-    kept = np.ones(len(losses), dtype=bool)
+    is_on_front = np.ones(len(losses), dtype=bool)
     for i in np.lexsort(losses.T[::-1]):
-        if kept[i]:
+        if is_on_front[i]:
             beaten = (losses[i] <= losses).all(axis=1) & (losses[i] < losses).any(axis=1)
-            kept &= ~beaten
-    return np.flatnonzero(kept)
+            is_on_front &= ~beaten
+    return np.flatnonzero(is_on_front)
 
 
 def hypervolumes(losses: FloatArray) -> list[float] | None:

@@ -59,7 +59,7 @@ class Optimise:
     #: best of many is better than it will be again
     confirm: Annotated[int, Meta(ge=0)] = 0
 
-    def start(self, space: Space, known: Sequence[SweepPoint] = ()) -> Trials:
+    def start(self, space: Space, earlier_points: Sequence[SweepPoint] = ()) -> Trials:
         """Begin, or go on; see :class:`trms_cli.sweeps.plugins.Sampler`."""
         if not any(isinstance(varied, Range) for varied in space.continuous):
             raise ConfigurationError(
@@ -72,7 +72,7 @@ class Optimise:
             raise ConfigurationError(
                 f"{self.batch} given", where="sampler.batch", remedy="a population has two or more"
             )
-        return Trials(self, space, self._aims(), known)
+        return Trials(self, space, self._aims(), earlier_points)
 
     def batches(self) -> list[int]:
         """Trials of each batch in turn."""
@@ -158,7 +158,7 @@ class Trials:
             return len(self._points)
         return self._config.trials * len(self.conditions)
 
-    def more(self, results: Sequence[RunResult], wanted: int) -> list[SweepPoint]:
+    def more(self, results: Sequence[RunResult], count: int) -> list[SweepPoint]:
         """The next points: the rest of a batch at once, nothing while one is at work."""
         self._results |= {r.number: r for r in results if r.state != "interrupted"}
         self._check_figures()
@@ -175,11 +175,14 @@ class Trials:
 
     def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
         """What the search found, JSON data; see :func:`outcome`."""
-        tried = self._tried(results)
-        told = outcome(self.aims, self.parts, tried, len(self.conditions), self._space.fixed)
-        told |= {"method": self._config.method, "baseline": 0 if self._config.baseline else None}
-        self._add_confirmed(told, results)
-        return told
+        outcomes = self._tried(results)
+        document = outcome(self.aims, self.parts, outcomes, len(self.conditions), self._space.fixed)
+        document |= {
+            "method": self._config.method,
+            "baseline": 0 if self._config.baseline else None,
+        }
+        self._add_confirmed(document, results)
+        return document
 
     def _batches_proposed(self) -> int:
         ends = np.cumsum([0, *self._sizes])
@@ -187,9 +190,9 @@ class Trials:
 
     def _propose(self, count: int) -> None:
         for number in range(len(self.parts), len(self.parts) + count):
-            part, asked = self._trial(number)
+            part, trial = self._trial(number)
             self.parts.append(part)
-            self._asked.append(asked)
+            self._asked.append(trial)
             for condition in self.conditions:
                 self._add(drawing.Part(self._space.fixed) + condition + part, number)
 
@@ -201,12 +204,14 @@ class Trials:
             inside = all(
                 each.now is not None and each.low <= each.now <= each.high for each in self._ranges
             )
-            given = {each.key: drawing.as_data(each, now[each.key] or 0.0) for each in self._ranges}
-            return drawing.Part((), values), self._search.ask(0, given) if inside else None
+            start_values = {
+                each.key: drawing.as_data(each, now[each.key] or 0.0) for each in self._ranges
+            }
+            return drawing.Part((), values), self._search.ask(0, start_values) if inside else None
         given_values = self._known_values(number) or self._startup.get(number)
-        asked = self._search.ask(number, given_values)
-        row = [asked.params[each.key] for each in self._ranges]
-        return drawing.sample_part(self._ranges, row), asked
+        trial = self._search.ask(number, given_values)
+        row = [trial.params[each.key] for each in self._ranges]
+        return drawing.sample_part(self._ranges, row), trial
 
     def _known_values(self, number: int) -> dict[str, Any] | None:
         """Values that a trial had before the interruption."""
@@ -258,11 +263,11 @@ class Trials:
         self._checked = True
 
     def _tell(self) -> None:
-        tried = self._tried(self._results)
+        outcomes = self._tried(self._results)
         begin = sum(self._sizes[: self._told])
         batch = range(begin, begin + self._sizes[self._told])
-        pairs = [(self._asked[number], tried[number]) for number in batch]
-        self._search.tell([(asked, each) for asked, each in pairs if asked is not None and each])
+        pairs = [(self._asked[number], outcomes[number]) for number in batch]
+        self._search.tell([(trial, each) for trial, each in pairs if trial is not None and each])
         self._told += 1
 
     def _tried(self, results: Mapping[int, RunResult]) -> list[TrialOutcome | None]:
@@ -291,7 +296,7 @@ class Trials:
                 fixed = tuple(t for t in self._space.fixed if not t.startswith(replaced))
                 self._add(drawing.Part(fixed) + condition + self.parts[number], number)
 
-    def _add_confirmed(self, told: dict[str, Any], results: Mapping[int, RunResult]) -> None:
+    def _add_confirmed(self, document: dict[str, Any], results: Mapping[int, RunResult]) -> None:
         """Figures under fresh conditions, beside those that the trials were chosen by."""
         begin = self._config.trials * len(self.conditions)
         runs: dict[int, list[RunResult]] = {}
@@ -299,23 +304,25 @@ class Trials:
             assert point.trial is not None
             if point.number in results:
                 runs.setdefault(point.trial, []).append(results[point.number])
-        for record in told["trials"]:
+        for record in document["trials"]:
             own = runs.get(record["trial"])
             if own:
-                done = [result for result in own if result.state == "done"]
+                complete_runs = [result for result in own if result.state == "done"]
                 record["confirmed"] = {
                     "runs": len(own),
-                    "failed": len(own) - len(done),
-                    "figures": dict(self.aims.tried(done).figures) if done else {},
+                    "failed": len(own) - len(complete_runs),
+                    "figures": dict(self.aims.tried(complete_runs).figures)
+                    if complete_runs
+                    else {},
                 }
 
 
-def best_trials(aims: Aims, tried: Sequence[TrialOutcome | None]) -> list[int]:
+def best_trials(aims: Aims, outcomes: Sequence[TrialOutcome | None]) -> list[int]:
     """Numbers of the trials that no other allowed trial dominates; of one objective the best."""
-    allowed = [i for i, each in enumerate(tried) if each is not None and aims.allowed(each)]
+    allowed = [i for i, each in enumerate(outcomes) if each is not None and aims.allowed(each)]
     if not allowed:
         return []
-    losses = np.array([aims.losses(each) for each in tried if each and aims.allowed(each)])
+    losses = np.array([aims.losses(each) for each in outcomes if each and aims.allowed(each)])
     if losses.shape[1] == 1:
         return [allowed[int(losses.argmin())]]
     order = front(losses)
@@ -325,7 +332,7 @@ def best_trials(aims: Aims, tried: Sequence[TrialOutcome | None]) -> list[int]:
 def outcome(
     aims: Aims,
     parts: Sequence[drawing.Part],
-    tried: Sequence[TrialOutcome | None],
+    outcomes: Sequence[TrialOutcome | None],
     conditions: int,
     fixed: Sequence[str],
 ) -> dict[str, Any]:
@@ -337,8 +344,8 @@ def outcome(
     of the best for one objective. ``history``: after each trial the best so far, or with several
     objectives the hypervolume, None before there is one.
     """
-    ended = [(i, each) for i, each in enumerate(tried) if each is not None]
-    best = best_trials(aims, tried)
+    ended = [(i, each) for i, each in enumerate(outcomes) if each is not None]
+    best = best_trials(aims, outcomes)
     return {
         "kind": "optimisation",
         "objectives": [
@@ -361,25 +368,25 @@ def outcome(
 
 
 def _record(
-    aims: Aims, number: int, part: drawing.Part, tried: TrialOutcome, conditions: int
+    aims: Aims, number: int, part: drawing.Part, trial_outcome: TrialOutcome, conditions: int
 ) -> dict[str, Any]:
     record: dict[str, Any] = {
         "trial": number,
         "points": list(range(number * conditions, (number + 1) * conditions)),
         "values": dict(part.values or {}),
         "overrides": list(part.overrides),
-        "figures": dict(tried.figures),
-        "allowed": aims.allowed(tried),
+        "figures": dict(trial_outcome.figures),
+        "allowed": aims.allowed(trial_outcome),
     }
-    return record | ({"problem": tried.problem} if tried.failed else {})
+    return record | ({"problem": trial_outcome.problem} if trial_outcome.failed else {})
 
 
-def _history(aims: Aims, tried: Sequence[TrialOutcome]) -> list[float | None]:
+def _history(aims: Aims, outcomes: Sequence[TrialOutcome]) -> list[float | None]:
     """After each trial: the best so far, or the hypervolume of the front so far."""
-    allowed = [i for i, each in enumerate(tried) if aims.allowed(each)]
+    allowed = [i for i, each in enumerate(outcomes) if aims.allowed(each)]
     steps: dict[int, float] = {}
     if allowed:
-        losses = np.array([aims.losses(tried[i]) for i in allowed])
+        losses = np.array([aims.losses(outcomes[i]) for i in allowed])
         if len(aims.objectives) == 1:
             sign = -1.0 if aims.maximised else 1.0
             so_far = [float(sign * value) for value in np.minimum.accumulate(losses[:, 0])]
@@ -387,7 +394,7 @@ def _history(aims: Aims, tried: Sequence[TrialOutcome]) -> list[float | None]:
             so_far = hypervolumes(losses) or []
         steps = dict(zip(allowed, so_far, strict=False))
     history: list[float | None] = []
-    for i in range(len(tried)):
+    for i in range(len(outcomes)):
         history.append(steps.get(i, history[-1] if history else None))
     return history
 
@@ -412,7 +419,7 @@ def fresh_conditions(space: Space, count: int, seed: int) -> list[drawing.Part]:
     Seeds that were choices (``seed=1,2``, ``plant.prior_seed=range(5)``) are replaced, all other
     choices kept.
     """
-    kept = tuple(choice for choice in space.choices if choice.key not in _SEEDS)
+    other_choices = tuple(choice for choice in space.choices if choice.key not in _SEEDS)
     seeded = [choice for choice in space.choices if choice.key in _SEEDS]
     if not any(choice.key == "seed" for choice in seeded):
         seeded.append(Choice("seed", ()))
@@ -421,8 +428,11 @@ def fresh_conditions(space: Space, count: int, seed: int) -> list[drawing.Part]:
     parts = []
     for i in range(count):
         values = {choice.key: column[i] for choice, column in zip(seeded, columns, strict=True)}
-        drawn = drawing.Part(tuple(f"{key}={value}" for key, value in values.items()), values)
-        parts += [rigs[i % len(rigs)] + drawn + choice for choice in drawing.choice_parts(kept)]
+        condition = drawing.Part(tuple(f"{key}={value}" for key, value in values.items()), values)
+        parts += [
+            rigs[i % len(rigs)] + condition + choice
+            for choice in drawing.choice_parts(other_choices)
+        ]
     return parts
 
 

@@ -49,14 +49,14 @@ class OptimisationSearch:
         with _quiet():
             self._study = optuna.create_study(directions=["minimize"] * len(aims.objectives))
 
-    def ask(self, number: int, given: Mapping[str, Any] | None = None) -> optuna.Trial:
+    def ask(self, number: int, values: Mapping[str, Any] | None = None) -> optuna.Trial:
         """A trial.
 
-        ``number``: of the trial, from which its random numbers come. ``given``: its values where
+        ``number``: of the trial, from which its random numbers come. ``values``: its values where
         they are not for the method to choose.
         """
         with _quiet():
-            self._study.sampler = _Choosing(self._sampler(number), self._ranges, given or {})
+            self._study.sampler = _Choosing(self._sampler(number), self._ranges, values or {})
             return self._study.ask(self._distributions)
 
     def tell(self, batch: Sequence[tuple[optuna.Trial, TrialOutcome]]) -> None:
@@ -65,12 +65,12 @@ class OptimisationSearch:
         A trial that failed is told as worse in every objective than all that did not; as long as
         none has succeeded, nothing is learnt from it.
         """
-        self._losses += [self._aims.losses(tried) for _, tried in batch if not tried.failed]
+        self._losses += [self._aims.losses(outcome) for _, outcome in batch if not outcome.failed]
         with _quiet():
-            for trial, tried in batch:
-                if not tried.failed:
-                    trial.set_user_attr(_EXCESS, self._aims.excess(tried))
-                    self._study.tell(trial, self._aims.losses(tried))
+            for trial, outcome in batch:
+                if not outcome.failed:
+                    trial.set_user_attr(_EXCESS, self._aims.excess(outcome))
+                    self._study.tell(trial, self._aims.losses(outcome))
                 elif self._losses:
                     trial.set_user_attr(_EXCESS, [_FAILED_EXCESS] * len(self._aims.limits))
                     self._study.tell(trial, self._worse_than_all())

@@ -1,0 +1,1 @@
+"""Whether recordings can tell what is asked of them."""
