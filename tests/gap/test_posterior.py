@@ -27,7 +27,7 @@ from trms_cli.gap.belief import (
     usual_gains,
 )
 from trms_cli.gap.diagnosis import Cause, Onset, SizeEstimate
-from trms_cli.gap.posterior import merged, special_cases
+from trms_cli.gap.posterior import _verdict, merged, special_cases
 from trms_cli.gap.problem import applicable_candidates
 from trms_cli.library.tasks.diagnose import applied_cause, corrected_words
 from trms_cli.models.newtonian import Newtonian
@@ -386,6 +386,13 @@ def test_an_effect_that_every_rig_mimics_is_believed_less(monkeypatch):
     # of each effect of a pair
     together = np.log(after["a", "b"] / after["a",]) - np.log(before["a", "b"] / before["a",])
     assert together == pytest.approx(0.0)
+
+
+def test_a_cause_whose_size_is_open_is_not_decided():
+    """Searches that fit as well and end elsewhere have not found what the recordings say."""
+    probabilities = {("yaw_flexible_mode",): 0.95, ("none_of_these",): 0.05}
+    assert _verdict(probabilities, (), True) == "effect"
+    assert _verdict(probabilities, (), False) == "undecided"
 
 
 def test_a_torque_that_an_error_of_the_sensor_explains_as_well_is_doubted():

@@ -75,6 +75,27 @@ def test_friction_is_told_with_its_size(friction):
     assert friction.entries[0].metric.shares[yaw] < 0.015
 
 
+def test_searches_that_fit_as_well_elsewhere_leave_a_size_open(friction):
+    best = friction.entries[0]
+    name, theta = "yaw_coulomb_friction.torque", best.fit.theta
+    at, sd = best.structure.problem.names.index(name), best.fit.sd
+    assert not best.unresolved
+    assert not replace(best, fit=replace(best.fit, others=theta[None] + sd)).unresolved
+    elsewhere = theta.copy()
+    elsewhere[at] *= 2
+    unresolved = replace(best, fit=replace(best.fit, others=elsewhere[None]))
+    assert unresolved.unresolved == {name: (elsewhere[at],)}
+    # they are kept through a refit, and by a search that ends beside another
+    assert unresolved.refitted(best.metric, iterations=0).unresolved == unresolved.unresolved
+    beside = theta + 1e-3 * sd
+    points = [(theta, best.fit.starts), (beside, best.fit.starts)]
+    search = best.structure.fit(
+        best.metric, points, centres=best.centres, gains=best.fit.gains, iterations=0
+    )
+    ends = {tuple(end) for end in (search.fit.theta, *search.fit.others)}
+    assert ends == {tuple(theta), tuple(beside)}
+
+
 def test_what_is_larger_than_usual_is_seen_until_the_cause_is_in_the_model(friction):
     before, after = judged(friction.refit), judged(friction.entries[0])
     assert "alpha_h" in {test.channel for test in before if test.rejected}

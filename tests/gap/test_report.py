@@ -24,6 +24,7 @@ from trms_cli.gap.diagnosis import (
     Onset,
     RaceEntry,
     Shrink,
+    SizeEstimate,
     document_of,
 )
 from trms_cli.gap.evidence_sections import force_chart, gap_chart, race_chart, run_chart
@@ -461,6 +462,21 @@ def test_without_a_cause_it_is_told_how_far_free_runs_lie_above_the_floor(
     assert (diagnosis().moved[0].words in text) == (verdict == "parameters_only")
     assert words in text and (absent is None or absent not in text)
     assert verdict != "no_gap" or ("Over 2 s" in text) == (absent is None)
+
+
+def test_sizes_that_fit_as_well_are_told_with_a_cause_that_is_not_decided():
+    size = SizeEstimate(value=10.4, sd=0.1, unit="rad/s", others=(4.8, 6.34))
+    cause = Cause(
+        effects=("yaw_flexible_mode",),
+        probability=0.9,
+        parameters={"yaw_flexible_mode.frequency": size},
+    )
+    posterior = SimpleNamespace(verdict="undecided", confusable=())
+    text = sentence(posterior, [cause], [], Shrinkage({}, {}, ()))  # type: ignore[arg-type]
+    assert "several sizes fit equally well: frequency 10.4 ± 0.1 or 4.8 or 6.3 rad/s." in text
+    settled = replace(cause, parameters={"yaw_flexible_mode.frequency": replace(size, others=())})
+    text = sentence(posterior, [settled], [], Shrinkage({}, {}, ()))  # type: ignore[arg-type]
+    assert "equally well" not in text
 
 
 @pytest.mark.parametrize(

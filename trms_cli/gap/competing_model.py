@@ -249,6 +249,8 @@ class CandidateFit:
     starts: FloatArray  #: (m, n_x) array
     gains: FloatArray  #: (k,) array; coefficients of the drives' gains
     evidence: Evidence | None = None  #: Where it was asked for
+    #: (j, n_f) array; where other searches ended that fit as well
+    others: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def score(self) -> float:
@@ -345,6 +347,19 @@ class FittedModel:
         starts = structure.starts(self.fit.theta, self.centres)
         return InnovationObjective(structure.windows, self.metric, starts)
 
+    @cached_property
+    def unresolved(self) -> dict[str, tuple[float, ...]]:
+        """Sizes of effects that other searches, which fit as well, ended far from; by name."""
+        theta, sd = self.fit.theta, self.fit.sd
+        values = {}
+        for i, name in enumerate(self.structure.problem.names):
+            # without a deviation it lies on a bound, and the recordings say nothing beyond
+            reach = max(_FAR * sd[i], _ANOTHER * abs(theta[i])) if sd[i] > 0 else np.inf
+            away = [float(o[i]) for o in self.fit.others if abs(o[i] - theta[i]) > reach]
+            if away and name.partition(".")[0] in self.names:
+                values[name] = tuple(away)
+        return values
+
     @property
     def residuals(self) -> FloatArray:
         """Measured less predicted, the drives' gains as they were fitted, (m, c, n_y)."""
@@ -353,9 +368,10 @@ class FittedModel:
     def refitted(self, metric: Metric, **search: Any) -> FittedModel:
         """From where it is, in another metric; ``search``: as of :meth:`ModelStructure.fit`."""
         point = (self.fit.theta, self.fit.starts)
-        return self.structure.fit(
+        fitted = self.structure.fit(
             metric, [point], centres=self.centres, gains=self.fit.gains, **search
         )
+        return replace(fitted, fit=replace(fitted.fit, others=self.fit.others))
 
     def in_own_metric(self) -> FittedModel:
         """Refitted with the discrepancy that is most likely for itself."""
@@ -390,6 +406,9 @@ def _likely_drift(fitted: FittedModel, shares: FloatArray) -> Metric:
 _TRIAL = 5
 #: Nats behind the best from which a search is not gone on with.
 _OUTRUN = 60.0
+#: Nats behind the best up to which where a search ended fits as well; standard deviations, and
+#: share of a size, from which on it is elsewhere: searches end within a few percent of an optimum.
+_AS_WELL, _FAR, _ANOTHER = 3.0, 4.0, 0.25
 #: Searches whose costs (nats) and parameters (scaled) differ by less have met.
 _SAME_OPTIMUM = (0.3, 0.1)
 
@@ -514,12 +533,15 @@ class ModelStructure:
                 else end
                 for k, end in enumerate(ends)
             ]
-        at, worth = min((end.point for end in ends), key=lambda p: p.cost), None
+        at, *rest = sorted((end.point for end in ends), key=lambda p: p.cost)
+        as_well = [p.theta[:n_f] for p in rest if p.cost < at.cost + _AS_WELL]
+        worth = None
         theta = at.theta[:n_f]
         if with_evidence and np.isfinite(at.cost):
             objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))
             worth = evidence(objective, at.theta, at.starts, bounds)
-        fit = CandidateFit(theta, at.starts, at.theta[n_f:], worth)
+        others = np.reshape(as_well, (-1, n_f))
+        fit = CandidateFit(theta, at.starts, at.theta[n_f:], worth, others)
         return FittedModel(self, fit, metric, centres)
 
     def with_fixed_parameters(self) -> ModelStructure:

@@ -75,6 +75,7 @@ class SizeEstimate:
     value: float  #: in its unit
     sd: float  #: of the posterior
     unit: str  #: SI
+    others: tuple[float, ...] = ()  #: values far from it that fit as well: it is not resolved
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -239,7 +239,12 @@ def _causes(stages: StageResults) -> tuple[Cause, ...]:
 def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
     theta, sd = entry.at_mean_gains, entry.fit.sd
     return {
-        free.name: SizeEstimate(value=float(theta[i]), sd=float(sd[i]), unit=free.unit)
+        free.name: SizeEstimate(
+            value=float(theta[i]),
+            sd=float(sd[i]),
+            unit=free.unit,
+            others=entry.unresolved.get(free.name, ()),
+        )
         for i, free in enumerate(entry.structure.problem.free)
         if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
     }

@@ -292,7 +292,9 @@ def posterior_of(
         together = sum(p for n, p in probabilities.items() if simulated_part(n) == best.names)
         if together > _MENTIONED:
             confusable = _confusable(race, best)
-    verdict = _verdict(probabilities, confusable)
+    # searches that disagree about a size have not found what the recordings say of it
+    is_resolved = not (parts[0] in entries and entries[parts[0]].unresolved)
+    verdict = _verdict(probabilities, confusable, is_resolved)
     corrected = None
     if verdict in ("effect", "undecided"):
         corrected = entries.get(parts[0])
@@ -304,7 +306,9 @@ def posterior_of(
 
 
 def _verdict(
-    probabilities: Mapping[tuple[str, ...], float], confusable: tuple[tuple[str, ...], ...]
+    probabilities: Mapping[tuple[str, ...], float],
+    confusable: tuple[tuple[str, ...], ...],
+    is_resolved: bool,
 ) -> Verdict:
     top = next(iter(probabilities))
     if top[0] in NO_EFFECT:
@@ -313,7 +317,7 @@ def _verdict(
     alike = {name for group in confusable if set(group) & set(top) for name in group} | set(top)
     together = sum(p for names, p in probabilities.items() if set(names) <= alike)
     wider = sum(p for names, p in probabilities.items() if set(names) & set(top))
-    return "effect" if max(together, wider) >= _DECIDED else "undecided"
+    return "effect" if is_resolved and max(together, wider) >= _DECIDED else "undecided"
 
 
 def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:

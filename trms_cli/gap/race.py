@@ -102,7 +102,7 @@ class Checkpoint:
         return part
 
     def point(self, key: str) -> dict[str, FloatArray] | None:
-        """Parameters, starts, gains, sizes of the discrepancy under a key; None: not there yet."""
+        """Where a search ended and what it ended in, under a key; None: not there yet."""
         stored_point = self._points.get(self._prefix + key)
         if stored_point is None:
             return None
@@ -117,6 +117,7 @@ class Checkpoint:
                 "gains": fitted.fit.gains.tolist(),
                 "shares": fitted.metric.shares.tolist(),
                 "drift": fitted.metric.drift_sizes.tolist(),
+                "others": fitted.fit.others.tolist(),
             }
             self._keep(self._points)
 
@@ -448,9 +449,11 @@ class _Search:
             refit.metric, shares=stored_point["shares"], drift_sizes=stored_point["drift"]
         )
         points = [(stored_point["theta"], stored_point["starts"])]
-        return structure.fit(
+        entry = structure.fit(
             metric, points, centres=refit.centres, gains=stored_point["gains"], iterations=0
         )
+        others = np.reshape(stored_point["others"], (-1, len(entry.fit.theta)))
+        return replace(entry, fit=replace(entry.fit, others=others))
 
     def _each(
         self,

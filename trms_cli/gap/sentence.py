@@ -65,7 +65,7 @@ def sentence(
             for c in causes[:3]
             if c.probability > 0.05
         )
-        return f"These recordings do not decide what causes the gap: {causes_text}."
+        return f"These recordings do not decide what causes the gap: {causes_text}." + _open(top)
     sizes_text = sizes(dict(list(top.parameters.items())[:3]))
     causes_it = "causes it" if len(top.effects) == 1 else "cause it"
     text = (
@@ -87,6 +87,14 @@ def sentence(
     if others:
         text += f". These recordings do not tell it from {_effects(others, 'or')}"
     return text + "." + _still_missing(shrinkage)
+
+
+def _open(top: Cause) -> str:
+    """Sizes of the likeliest cause about which searches from several points disagree."""
+    open_sizes = {name: size for name, size in top.parameters.items() if size.others}
+    if not open_sizes:
+        return ""
+    return f" Of {_effects(top.effects)} several sizes fit equally well: {sizes(open_sizes)}."
 
 
 def _remaining_error(shrinkage: Shrinkage) -> str:

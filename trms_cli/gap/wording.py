@@ -48,7 +48,8 @@ def size_text(size: SizeEstimate) -> str:
     """One size: ``4.12 ± 0.18 mN m``."""
     unit, scale = size_unit(size.unit, size.value)
     spread = f" ± {wording.number(scale * size.sd, 2)}" if size.sd > 0 else ""
-    return f"{wording.number(scale * size.value)}{spread} {wording.unit(unit)}".rstrip()
+    others = "".join(f" or {wording.number(scale * other, 2)}" for other in size.others)
+    return f"{wording.number(scale * size.value)}{spread}{others} {wording.unit(unit)}".rstrip()
 
 
 def size_unit(unit: str, value: float) -> tuple[str, float]:
