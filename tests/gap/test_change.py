@@ -11,12 +11,14 @@ from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, judge
+from trms_cli.gap.findings import headline
 from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.onset import diagnose_onset
 from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import ForceSeries, StandingError
 from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
+from trms_cli.gap.wording import cause_name
 from trms_cli.library.tasks.diagnose import applied_cause
 from trms_cli.models.newtonian import Newtonian
 
@@ -370,6 +372,19 @@ def test_of_parameters_that_are_likelier_together_the_likeliest_is_the_answer(re
     assert "yaw_quantisation" in {row.effect for row in change_result(problem, rounded).rejected}
     changed = result.parameters[name].fitted - result.refit[name]
     assert changed == pytest.approx(first[0].value[0]) or first[0].began is not None
+    # an effect that leads a group of effects is the answer where all parameters together are more
+    effects = [j for j in comparison.judged if j.difference.kind == "effect"][:2]
+    group = replace(
+        altered_comparison,
+        judged=(*effects, first[0]),
+        probabilities=np.array([0.3, 0.25, 0.44]),
+        alike=(1,),
+    )
+    result, name = change_result(problem, group), effects[0].difference.name
+    assert result.verdict == "effect" and result.causes[0].effects == ("parameters_only",)
+    assert headline(result).startswith(cause_name([name]))
+    applied = applied_cause(result)
+    assert applied is not None and applied.effects == (name,)
 
 
 def test_nothing_that_is_seen_leaves_evidence_as_it_is(reference_state):

@@ -26,11 +26,12 @@ diagnoses every recording and never opens the key; interrupted and called again,
 its place and its size were found, with 95 % intervals, beside what is to be reached.
 
 sets
-  small         24 rigs, some minutes
-  development   200 rigs to tune on
-  final         300 rigs that lie elsewhere and have effects that development lacks
-  imperfect     120 rigs whose laws are others than the model's, with a cause on top
-  calibration   1000 rigs that probabilities are fitted to
+  small             24 rigs, some minutes
+  development       200 rigs to tune on
+  final             300 rigs that lie elsewhere and have effects that development lacks
+  imperfect         120 rigs whose laws are others than the model's, with a cause on top
+  imperfect_curves  60 rigs whose laws no power describes, with a cause on top
+  calibration       1000 rigs that probabilities are fitted to
 
 examples
   trms blind make set=small seed=7 out=sets/small
@@ -38,7 +39,7 @@ examples
   trms blind run in=sets/small out=sets/quick effort=quick cases=5
   trms blind run in=sets/small out=sets/few 'with=["candidates=[yaw_*,main_*]"]'
   trms blind score in=sets/small diagnoses=sets/found
-  trms blind score in=sets/small 'diagnoses=[full=sets/found,quick=sets/quick]' oracle=full
+  trms blind score in=sets/small 'diagnoses=[full=sets/found,quick=sets/quick]'
 
 options of each of the three
   --cfg job          print its keys with their values and stop

@@ -25,6 +25,7 @@ them. Ctrl-C stops; finished fits are kept, and resume=FOLDER goes on after them
 examples
   trms diagnose real=rig.csv                                   model=newtonian
   trms diagnose 'real=[monday.csv,tuesday.mcap]' out=diagnosis  several recordings of one rig
+  trms diagnose real=today.csv 'against=[monday.csv]'          what changed since
   trms diagnose real=rig.csv model=fit.yaml effort=thorough
   trms diagnose real=rig.csv 'candidates=[yaw_*,main_*]'       some candidates
   trms diagnose real=rig.csv 'candidates=[all,"!ground_effect"]'   all but one

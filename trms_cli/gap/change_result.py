@@ -122,11 +122,12 @@ def _group(comparison: StateComparison) -> list[int]:
 
 def _answer(comparison: StateComparison, verdict: Verdict) -> DifferenceScore:
     """The difference that a verdict is of: the likeliest, or the likeliest parameter."""
-    group = [comparison.judged[k] for k in _group(comparison)]
+    group = [(comparison.probabilities[k], comparison.judged[k]) for k in _group(comparison)]
     if verdict in ("effect", "parameters_only"):
         is_parameter = verdict == "parameters_only"
-        return next(j for j in group if (j.difference.kind == "parameter") == is_parameter)
-    return group[0]
+        group = [row for row in group if (row[1].difference.kind == "parameter") == is_parameter]
+        return max(group, key=lambda row: row[0])[1]
+    return group[0][1]
 
 
 def _baseline_words(problem: GapProblem, ended: bool) -> str:

@@ -314,8 +314,16 @@ def horizon_key(horizon: float | str) -> str:
 
 
 def likeliest(diagnosis: DiagnosisResult) -> Cause | None:
-    """The cause with the largest probability."""
-    return max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
+    """The cause with the largest probability of those that the verdict is of.
+
+    An effect may be likelier than any other, and be told where all parameters together are more.
+    """
+    causes = diagnosis.causes
+    if diagnosis.verdict == "effect":
+        causes = tuple(c for c in causes if c.effects[0] not in NO_EFFECT) or causes
+    elif diagnosis.verdict != "undecided":
+        causes = tuple(c for c in causes if c.effects == (diagnosis.verdict,)) or causes
+    return max(causes, key=lambda cause: cause.probability, default=None)
 
 
 def confusable_with(cause: Cause, diagnosis: DiagnosisResult) -> list[Cause]:

@@ -61,7 +61,10 @@ class Answer:
     @property
     def named_effects(self) -> frozenset[str]:
         """The effects that the verdict stands for; empty unless it is ``effect``."""
-        return self.effects if self.verdict == "effect" else frozenset()
+        if self.verdict != "effect":
+            return frozenset()
+        effects = (set(names) - set(NO_EFFECT) for names, _ in self.causes)
+        return frozenset(next(filter(None, effects), ()))
 
 
 @dataclass(frozen=True, kw_only=True)
