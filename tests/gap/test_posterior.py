@@ -322,6 +322,11 @@ def test_a_torque_from_outside_is_what_nothing_foretells():
         gap, scores=np.array([300.0, 2.0, 0.0]), outside={"yaw": np.array([4e3, 0.0, 4e3, 4e3])}
     )
     assert next(iter(probabilities_of(beside, weights))) == ("a", "yaw_disturbance")
+    # an effect beside it is a further one: it need not overcome that nothing acts at all
+    rows = alternatives(beside)
+    first, joint = rows["a",], rows["a", "yaw_disturbance"]
+    assert (first["effect.constant"], joint["effect.constant"]) == (1.0, 0.0)
+    assert (first["effect.further"], joint["effect.further"]) == (0.0, 1.0)
 
 
 def test_the_least_gain_of_a_long_recording_is_no_gap():

@@ -20,6 +20,8 @@ from trms_cli.gap.shrinkage import LEAST_GAP
 #: Sizes that the rigs' laws and the library's share: the cable's memory follows another law, a
 #: disturbance is drawn.
 _OTHER_SIZES = ("yaw_cable_hysteresis", "pitch_disturbance", "yaw_disturbance")
+#: Competitors of a race that stand for causes without an effect.
+_COMPETITORS = {"parameters_only": (), "none_of_these": ("flexible",)}
 #: s. The horizon that shrinks are compared at, and the key of all channels together.
 HORIZON, ALL = "2.0", "all"
 
@@ -47,11 +49,19 @@ class Answer:
     #: Probability of each effect to be part of the answer; empty where that is not told
     inclusion: Mapping[str, float] = field(default_factory=dict)
     moved: tuple[str, ...] = ()  #: Parameters that may be what differs, the likeliest first
+    #: Nats of each competitor of the race, by its effects (:data:`_COMPETITORS` for none)
+    scores: Mapping[frozenset[str], float] = field(default_factory=dict)
 
     @property
     def first(self) -> tuple[tuple[str, ...], float]:
         """The likeliest cause and its probability."""
         return self.causes[0] if self.causes else ((), 0.0)
+
+    def score(self, cause: Sequence[str]) -> float | None:
+        """Nats that a cause explains, by its effects that are simulated; None: it did not race."""
+        parts = _COMPETITORS.get(cause[0], cause) if cause else ()
+        simulated = (n for n in parts if not n.endswith(("_disturbance", "_quantisation")))
+        return self.scores.get(frozenset(simulated))
 
     @property
     def effects(self) -> frozenset[str]:
@@ -153,6 +163,18 @@ class JudgedCase:
         return frozenset(self.answer.first[0]) in self.truth
 
     @property
+    def lead(self) -> float | None:
+        """Nats by which the rig's effects explain more than the likeliest cause.
+
+        A torque from outside and a coarse sensor are not simulated, so that they add nothing. None
+        where one of the two did not race.
+        """
+        if not self.case.effects:
+            return None
+        own, answered = map(self.answer.score, (sorted(self.case.effects), self.answer.first[0]))
+        return None if own is None or answered is None else own - answered
+
+    @property
     def size_errors(self) -> dict[str, float]:
         """Relative error of the size that makes the severity, of each effect that was found."""
         relative_errors = {}
@@ -238,6 +260,11 @@ def answer_of(document: Mapping[str, Any], seconds: float | None = None) -> Answ
             onset=_onset(document["causes"]),
             inclusion={n: float(p) for n, p in (document.get("inclusion") or {}).items()},
             moved=tuple(entry["parameter"] for entry in document.get("moved") or []),
+            scores={
+                frozenset(entry["effects"]): float(entry["score"])
+                for entry in document.get("race") or []
+                if entry["score"] is not None
+            },
         )
     except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from error

@@ -22,6 +22,8 @@ SCHEMA = "trms.blind.score/1"
 #: A diagnosis lies in its folder or, from other programs, as a file of the recording's name.
 DOCUMENT = "diagnosis.json"
 _TIMING = "blind.json"
+#: Nats from which on the truth clearly explains more than a wrong answer.
+_LEADS = 10.0
 
 
 def judge(key: OpenedKey, folder: Path) -> list[JudgedCase]:
@@ -209,6 +211,7 @@ def _facts(j: JudgedCase) -> dict[str, Any]:
         "in_group": j.in_group,
         "located": j.located,
         "right": j.right,
+        "lead_nats": j.lead,
         "size_errors": j.size_errors,
         "fresh": None if j.fresh is None else asdict(j.fresh),
         "seconds": j.answer.seconds,
@@ -264,12 +267,23 @@ def _share(hits: Sequence[bool]) -> str:
 def _missed(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     """Cases whose likeliest cause is not the truth: what they have, and what was said instead."""
     rows: dict[tuple[str, str], list[str]] = {}
-    for case in sorted(cases, key=lambda c: -c["probability"]):
-        if not case["right"]:
-            likeliest = f"{'+'.join(case['first'])} ({case['probability']:.2f})"
-            rows.setdefault((case["kind"], case["label"]), []).append(likeliest)
-    lines = [_line("kind", "the rig has", "likeliest cause (probability)"), _line(*["---"] * 3)]
-    return lines + [_line(*key, ", ".join(answers)) for key, answers in sorted(rows.items())]
+    missed = [c for c in sorted(cases, key=lambda c: -c["probability"]) if not c["right"]]
+    for case in missed:
+        lead = "" if case["lead_nats"] is None else f", {case['lead_nats']:+.0f}"
+        likeliest = f"{'+'.join(case['first'])} ({case['probability']:.2f}{lead})"
+        rows.setdefault((case["kind"], case["label"]), []).append(likeliest)
+    head = ("kind", "the rig has", "likeliest cause (probability, nats by which the truth leads)")
+    lines = [_line(*head), _line(*["---"] * 3)]
+    lines += [_line(*key, ", ".join(answers)) for key, answers in sorted(rows.items())]
+    leads = [c["lead_nats"] for c in missed if c["lead_nats"] is not None]
+    if leads:
+        beyond = sum(lead >= _LEADS for lead in leads)
+        lines += [
+            "",
+            f"{len(leads)} of the {len(missed)} were fitted with the rig's own effects, too: in "
+            f"{beyond} of these they explain {_LEADS:g} nats more, and more, than what is told.",
+        ]
+    return lines
 
 
 def _bins(bins: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -364,6 +364,29 @@ def test_what_was_missed_is_shown_by_kind() -> None:
     assert sum(row[0] == "| null" for row in rows) == 1
 
 
+def test_what_was_missed_is_told_with_what_the_truth_explains() -> None:
+    scores = {
+        frozenset({FRICTION}): 40.0,
+        frozenset({FRICTION, DELAY}): 60.0,
+        frozenset({"flexible"}): 45.0,
+        frozenset(): 0.0,
+    }
+    lacking = judged(case("pair", FRICTION, DELAY), answer(FRICTION, scores=scores), "a")
+    unnamed = judged(
+        case("single", FRICTION), answer("none_of_these", verdict="none_of_these", scores=scores)
+    )
+    torque = judged(
+        case("pair", FRICTION, "yaw_disturbance"), answer("parameters_only", scores=scores)
+    )
+    assert [j.lead for j in (lacking, unnamed, torque)] == [20.0, -5.0, 40.0]
+    # another effect than those that raced, and a rig without any
+    assert judged(case("single", LAG), answer(FRICTION, scores=scores)).lead is None
+    assert judged(case("null"), answer(FRICTION, scores=scores)).lead is None
+    page = page_of([lacking, unnamed])
+    assert f"{FRICTION} (0.90, +20)" in page and "none_of_these (0.90, -5)" in page
+    assert "2 of the 2 were fitted with the rig's own effects, too: in 1 of these" in page
+
+
 def test_how_errors_differ_between_recordings_is_that_of_what_was_drawn() -> None:
     """Deviations come back, by channel and by how far the two models are apart."""
     random = np.random.default_rng(3)
