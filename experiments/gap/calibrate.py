@@ -1,6 +1,6 @@
 """Fit the weights of the belief to simulated rigs whose truth is known.
 
-    python -m experiments.gap.calibrate [SOURCE …] [--blind KEY DIAGNOSES] [--folds 5] [--write]
+    python -m experiments.gap.calibrate [SOURCE …] [--blind SET.key DIAGNOSES] [--folds 5] [--write]
 
 reads what :mod:`.simulate` kept (folders, or ``features.jsonl.gz``) and diagnoses of blind sets
 with their keys, maximises the probability that the posterior gives to the truth (the logarithmic
@@ -30,6 +30,7 @@ from scipy.optimize import minimize
 
 from experiments.gap.blind.cases import Case as Rig
 from experiments.gap.blind.judgement import right_causes
+from experiments.gap.blind.sealing import KEY
 from experiments.gap.cross_validation import (
     LEAST,
     VERY_SURE,
@@ -206,8 +207,8 @@ def usual_shares(nulls: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def blind_lines(key: Path, diagnoses: Path) -> list[Line]:
-    """Rigs of a blind set that have been diagnosed."""
-    truths = json.loads(key.read_text(encoding="utf-8"))["key"]["cases"]
+    """Rigs of a blind set that have been diagnosed; ``key``: the folder of its key."""
+    truths = json.loads((key / KEY).read_text(encoding="utf-8"))["key"]["cases"]
     lines = []
     for name, truth in sorted(truths.items()):
         file = diagnoses / name / "diagnosis.json"
@@ -319,7 +320,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Fit, tell, and write on request."""
     parser = parser_of("calibrate", __doc__)
     parser.add_argument(
-        "--blind", nargs=2, type=Path, action="append", default=[], metavar=("KEY", "DIAGNOSES")
+        "--blind", nargs=2, type=Path, action="append", default=[], metavar=("SET.key", "DIAGNOSES")
     )
     parser.add_argument(
         "--usual",
