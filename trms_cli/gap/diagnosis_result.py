@@ -132,9 +132,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         effort=problem.effort,
         refit=refit.values_at_mean_gains,
         residual=residual,
-        model_form={}
-        if posterior.verdict == "no_gap"
-        else departures(posterior.corrected or refit),
+        model_form=form,
         evidence={
             **json_data(posterior.features),
             "shares": shares,

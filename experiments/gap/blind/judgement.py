@@ -15,13 +15,17 @@ from experiments.gap.blind.truths import TRUTHS, same_equation
 from trms_cli.effects.model_file import load_model
 from trms_cli.gap.diagnosis import NO_EFFECT, SCHEMA, WORSE
 from trms_cli.gap.free_runs import free_run_errors
+from trms_cli.gap.posterior import simulated_part
 from trms_cli.gap.shrinkage import LEAST_GAP
 
 #: Sizes that the rigs' laws and the library's share: the cable's memory follows another law, a
 #: disturbance is drawn.
 _OTHER_SIZES = ("yaw_cable_hysteresis", "pitch_disturbance", "yaw_disturbance")
 #: Competitors of a race that stand for causes without an effect.
-_COMPETITORS = {"parameters_only": (), "none_of_these": ("flexible",)}
+_COMPETITORS: Mapping[str, tuple[str, ...]] = {
+    "parameters_only": (),
+    "none_of_these": ("flexible",),
+}
 #: s. The horizon that shrinks are compared at, and the key of all channels together.
 HORIZON, ALL = "2.0", "all"
 
@@ -59,9 +63,8 @@ class Answer:
 
     def score(self, cause: Sequence[str]) -> float | None:
         """Nats that a cause explains, by its effects that are simulated; None: it did not race."""
-        parts = _COMPETITORS.get(cause[0], cause) if cause else ()
-        simulated = (n for n in parts if not n.endswith(("_disturbance", "_quantisation")))
-        return self.scores.get(frozenset(simulated))
+        competitor = _COMPETITORS.get(cause[0], tuple(cause)) if cause else ()
+        return self.scores.get(frozenset(simulated_part(competitor)))
 
     @property
     def effects(self) -> frozenset[str]:

@@ -137,9 +137,6 @@ class StartEstimator:
         no_slopes = np.zeros((m, rollout.n_x - rollout.n_free, len(rollout.free)))
         if np.isfinite(states).all():
             return Starts(states, no_slopes)
-        if self._first[0] == 0:
-            states[0] = np.where(np.isnan(states[0]), self._opening, states[0])
-            return Starts(rollout.carried(self._commands, self._first, states, p), no_slopes)
         at, states = np.append(0, self._first), np.vstack([self._opening, states])
         return Starts(rollout.carried(self._commands, at, states, p)[1:], no_slopes)
 
