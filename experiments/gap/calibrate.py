@@ -328,6 +328,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="what counts as usual as well; the rigs have to be diagnosed anew then",
     )
     arguments = parser.parse_args(argv)
+    for key, _ in arguments.blind:
+        if not (key / KEY).is_file():
+            parser.error(f"--blind: there is no {KEY} in {key}; name the folder that holds the key")
     lines = [line for source in arguments.sources for line in FeaturesFile(source).lines()]
     lines += [line for key, diagnoses in arguments.blind for line in blind_lines(key, diagnoses)]
     calibration_lines = calibrating(lines)

@@ -244,10 +244,11 @@ def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
     ]
     if not probable_causes:
         return None
-    sure = diagnosis.verdict != "undecided" and probable_causes[0].probability >= _LIKELY
+    first = likeliest(diagnosis)
+    sure = diagnosis.verdict != "undecided" and first is not None and first.probability >= _LIKELY
 
     def probability(cause: Cause) -> report.Datum:
-        judgement: report.Judgement = "good" if cause is probable_causes[0] and sure else ""
+        judgement: report.Judgement = "good" if cause is first and sure else ""
         return report.Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
 
     rest = sum(cause.probability for cause in diagnosis.causes if cause not in probable_causes)
