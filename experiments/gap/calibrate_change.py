@@ -55,7 +55,10 @@ class ChangeFeatures:
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
-    gains: FloatArray  #: (k,) array; nats above that nothing changed
+    #: ``gains``, ``beliefs``: (k,) arrays; nats above that nothing changed, and what is believed
+    #: besides of each
+    gains: FloatArray
+    beliefs: FloatArray
     unnamed: float  #: nats of a force without a name
     usual: tuple[float, ...]  #: nats between recordings of the known state
 
@@ -69,6 +72,7 @@ class ChangeFeatures:
             names=tuple(gains),
             kinds=tuple(entry["kind"] for entry in evidence["gains"].values()),
             gains=np.array(list(gains.values())),
+            beliefs=np.array([entry.get("belief", 0.0) for entry in evidence["gains"].values()]),
             unnamed=unnamed,
             usual=usual_gains({**gains, UNNAMED: unnamed}, evidence["usual"]),
         )
@@ -77,7 +81,12 @@ class ChangeFeatures:
 def believed(features: ChangeFeatures, constants: Mapping[str, float]) -> Belief:
     """Probabilities of causes."""
     each, unchanged, unnamed = change_probabilities(
-        features.kinds, features.gains, features.unnamed, features.usual, constants
+        features.kinds,
+        features.gains,
+        features.beliefs,
+        features.unnamed,
+        features.usual,
+        constants,
     )
     belief: dict[tuple[str, ...], float] = {
         ("no_change",): unchanged,

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
@@ -265,6 +267,27 @@ def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(referenc
     assert score.difference.labels == ("deviation",)
     gain, law, _ = evidence_gains["law"]
     assert law > gain + 10.0 and law > 30.0
+
+
+@pytest.mark.parametrize("from_the_beginning", [True, False])
+def test_a_law_of_the_rigs_build_is_hardly_believed_to_begin(reference_state, from_the_beginning):
+    """A drag of the tail rotor on the body does not begin while a rig runs: a pull does."""
+    assert RotorReaction.may_begin is False and CoulombFriction.may_begin is True
+    name = "tail_reaction_on_pitch"
+    candidates, _ = applicable_candidates(MODEL, {name: effect(name)})
+    pulled = {name: replace(effect(name), drag=4e-7, inertia=0.0)}
+    at = 0.0 if from_the_beginning else 15.3
+    dataset = begins(pulled, at, values=VALUES, seconds=30.0, seed=15)
+    evidence = ChangeEvidence(NewRecordings.of(reference_state, [dataset]))
+    torque, drag = (
+        judge(evidence, d)
+        for d in differences(evidence.questioned, candidates, only={"pitch_disturbance", name})
+    )
+    assert torque.belief == 0.0
+    if from_the_beginning:
+        assert drag.began is None and drag.belief > -0.1
+    else:
+        assert drag.began is not None and drag.belief == pytest.approx(np.log(0.1), abs=0.01)
 
 
 def test_a_gate_opens_at_its_onset():

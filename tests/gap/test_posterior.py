@@ -237,7 +237,7 @@ def test_nothing_changed_is_held_against_what_recordings_of_one_state_gain():
 
     def unchanged(gain, usual):
         gains = np.array([gain, 0.0, 0.0])
-        each, none, other = change_probabilities(kinds, gains, -5.0, usual, constants)
+        each, none, other = change_probabilities(kinds, gains, np.zeros(3), -5.0, usual, constants)
         assert each.sum() + none + other == pytest.approx(1.0)
         assert each[0] >= each[1]
         return none
@@ -245,7 +245,7 @@ def test_nothing_changed_is_held_against_what_recordings_of_one_state_gain():
     assert unchanged(3.0, (4.0, 2.0)) > 0.5 > unchanged(200.0, (4.0, 2.0))
     # what recordings of one state gain among themselves is no change
     assert unchanged(40.0, (35.0, 50.0)) > unchanged(40.0, (1.0, 2.0))
-    worth = change_worth(kinds, np.zeros(3), constants)
+    worth = change_worth(kinds, np.zeros(3), np.zeros(3), constants)
     # a kind's belief is shared among its members
     assert np.exp(worth[:2]).sum() == pytest.approx(constants["effect"])
 

@@ -100,6 +100,9 @@ class Effect(ABC):
 
     #: Whether it is a cause that a diagnosis may name; a residual is none
     explains: ClassVar[bool] = True
+    #: Whether it may begin while a rig runs, as what is hung on, rubs or slips does: a law of the
+    #: rig's build hardly does
+    may_begin: ClassVar[bool] = True
     #: An effect of the same axis that this one is where one of its sizes is below a value: its
     #: class, the size, and the value
     special_case: ClassVar["tuple[type[Effect], str, float] | None"] = None

@@ -5,7 +5,7 @@
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import casadi as ca
 from msgspec import Meta
@@ -22,6 +22,8 @@ _THINNEST = 1e-2
 @dataclass(frozen=True, kw_only=True)
 class GroundEffect(ThrustEffect):
     """Cushion of air under the main rotor."""
+
+    may_begin: ClassVar[bool] = False
 
     rotor = "main"
 

@@ -13,7 +13,7 @@ tail rotor's axis is the pitch axis: it turns with the yaw only, and couples not
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import casadi as ca
 from msgspec import Meta
@@ -26,6 +26,8 @@ from trms_cli.models.parameters import Parameter
 @dataclass(frozen=True, kw_only=True)
 class GyroscopicCoupling(Effect):
     """Gyroscopic torques of the main rotor."""
+
+    may_begin: ClassVar[bool] = False
 
     #: J, kg m², beyond what the model has; either sign
     inertia: Annotated[float, Meta(ge=-1e-2, le=1e-2)]

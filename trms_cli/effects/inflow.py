@@ -10,7 +10,7 @@ proportion to the speed of the rotor, whichever way it turns.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import casadi as ca
 
@@ -26,6 +26,8 @@ _AT_REST = 1e-6
 @dataclass(frozen=True, kw_only=True)
 class Inflow(ThrustEffect):
     """Loss of thrust by the rotor's own axial speed."""
+
+    may_begin: ClassVar[bool] = False
 
     rotor: Literal["main", "tail"]
     #: k, rad/m: speed of the rotor over the axial speed that would take all its thrust

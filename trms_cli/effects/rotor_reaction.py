@@ -12,7 +12,7 @@ this kind), and may therefore have either sign.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import casadi as ca
 from msgspec import Meta
@@ -30,6 +30,8 @@ _TYPICAL_INERTIA = {"main": (-2e-4, 2e-4), "tail": (-3e-5, 3e-5)}
 @dataclass(frozen=True, kw_only=True)
 class RotorReaction(Effect):
     """Drag and acceleration torque of one rotor on the other axis."""
+
+    may_begin: ClassVar[bool] = False
 
     rotor: Literal["main", "tail"]
     drag: Annotated[float, Meta(ge=-1e-4, le=1e-4)]  #: c, N m s²/rad²

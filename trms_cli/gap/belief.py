@@ -66,7 +66,8 @@ class Features:
     #: (k,) array; logarithm of the factor by which each competitor errs more than the refit, in the
     #: channel that suffers most, on the sealed part; NaN where not measured
     harms: FloatArray = field(default_factory=lambda: np.zeros(0))
-    #: (k,) array; one where a competitor's effects begin within the recordings, else zero
+    #: (k,) array; one where a competitor's effects begin within the recordings, and one more for
+    #: each of them that hardly may; zero where they act throughout
     begins: FloatArray = field(default_factory=lambda: np.zeros(0))
     raw_error: float = np.nan  #: Of free runs of the model as it was
     refit_error: float = np.nan  #: Of free runs of the refit
@@ -395,19 +396,21 @@ def unnamed_gain(by_equation: FloatArray) -> float:
 
 
 def change_worth(
-    kinds: Sequence[str], nats: FloatArray, constants: Mapping[str, float]
+    kinds: Sequence[str], nats: FloatArray, beliefs: FloatArray, constants: Mapping[str, float]
 ) -> FloatArray:
     """Logarithm of how likely each of some differences is, up to a constant, (k,).
 
-    ``nats``, (k,) array: log evidence of each. A kind's belief is shared among its members.
+    ``nats``, (k,) array: log evidence of each. ``beliefs``, (k,) array: logarithm of what is
+    believed of each beforehand, besides that of its kind, which is shared among its members.
     """
     priors = [np.log(constants[kind] / kinds.count(kind)) for kind in kinds]
-    return np.asarray(constants["nat"] * nats + priors)
+    return np.asarray(constants["nat"] * nats + beliefs + priors)
 
 
 def change_probabilities(
     kinds: Sequence[str],
     gains: FloatArray,
+    beliefs: FloatArray,
     unnamed: float,
     usual: Sequence[float],
     constants: Mapping[str, float],
@@ -418,7 +421,8 @@ def change_probabilities(
     as ``believed`` recordings that gained ``usual_gain`` tell; with those of the recordings at hand
     the best gain of a further one is Lomax distributed. Those of a change are log-uniform.
 
-    ``gains``, (k,) array: nats above that nothing changed. ``unnamed``: of a force without a name.
+    ``gains``, (k,) array: nats above that nothing changed. ``beliefs``: as of
+    :func:`change_worth`. ``unnamed``: of a force without a name.
     ``usual``: nats that what is best here gains where each recording of the known state is
     questioned (:func:`usual_gains`).
     ``constants``: beliefs ``unchanged``, ``unnamed`` and of each kind; ``nat``, of how much belief
@@ -432,7 +436,7 @@ def change_probabilities(
     before = np.log(constants["unchanged"] / (1 - constants["unchanged"]))
     unchanged = float(1 / (1 + np.exp(some - none - before)))
     other = constants["nat"] * unnamed + np.log(constants["unnamed"])
-    log = np.append(change_worth(kinds, gains, constants), other)
+    log = np.append(change_worth(kinds, gains, beliefs, constants), other)
     shares = np.exp(log - log.max())
     shares *= (1 - unchanged) / shares.sum()
     return shares[:-1], unchanged, float(shares[-1])

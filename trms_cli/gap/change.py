@@ -147,7 +147,9 @@ def compare_with(
         j.difference.name: gain for j, gain in zip(judged, gains.tolist(), strict=True)
     }
     usual = usual_gains({**gains_by_name, UNNAMED: unnamed}, between)
-    probabilities, unchanged, other = change_probabilities(kinds, gains, unnamed, usual, constants)
+    probabilities, unchanged, other = change_probabilities(
+        kinds, gains, _beliefs(judged), unnamed, usual, constants
+    )
     alike = tuple(
         k
         for k, j in enumerate(judged)
@@ -173,9 +175,14 @@ def _in_order(
 ) -> tuple[list[DifferenceScore], FloatArray]:
     """The likeliest first, and the logarithm of how likely each is, up to a constant."""
     kinds = [j.difference.kind for j in scores]
-    worth = change_worth(kinds, np.array([j.evidence for j in scores]), constants)
+    evidence = np.array([j.evidence for j in scores])
+    worth = change_worth(kinds, evidence, _beliefs(scores), constants)
     order = np.argsort(-worth, kind="stable")
     return [scores[k] for k in order], worth[order]
+
+
+def _beliefs(scores: Sequence[DifferenceScore]) -> FloatArray:
+    return np.array([j.belief for j in scores])
 
 
 def _usual_gains(

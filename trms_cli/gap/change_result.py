@@ -99,7 +99,11 @@ def change_result(problem: GapProblem, comparison: StateComparison) -> Diagnosis
         residual=_residual(correction),
         evidence={
             "gains": {
-                j.difference.name: {"kind": j.difference.kind, "nats": float(gain)}
+                j.difference.name: {
+                    "kind": j.difference.kind,
+                    "nats": float(gain),
+                    "belief": j.belief,
+                }
                 for j, gain in zip(comparison.judged, comparison.gains, strict=True)
             },
             "usual": [dict(gains) for gains in comparison.between],

@@ -74,6 +74,7 @@ class Difference:
     units: tuple[str, ...]
     locations: tuple[str, ...]
     families: tuple[DifferenceFamily, ...]
+    may_begin: bool = True  #: Within recordings; see :class:`~trms_cli.effects.effect.Effect`
 
 
 def differences(
@@ -171,7 +172,7 @@ def _of_effect(
         family = _family(rows, at, equal, forces, questioned.forces)
         families.append(inverse.jumping(family) if inverse else family)
     labels, units = tuple(q.name for q in own), tuple(q.unit for q in own)
-    return Difference(name, kind, labels, units, locations, _normalised(families))
+    return Difference(name, kind, labels, units, locations, _normalised(families), effect.may_begin)
 
 
 def _simulated(

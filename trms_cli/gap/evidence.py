@@ -40,6 +40,16 @@ class DifferenceScore:
         return float(np.logaddexp(self.always, self.begins))
 
     @property
+    def belief(self) -> float:
+        """Logarithm of what is believed beforehand of a law of a rig's build: that it acts always.
+
+        It counts in full, where nats of an imperfect likelihood do not.
+        """
+        if self.difference.may_begin:
+            return 0.0
+        return float(np.log1p((_BUILT_IN - 1) * np.exp(self.begins - self.evidence)))
+
+    @property
     def began(self) -> Onset | None:
         """The onset, where it is all but sure that there is one."""
         return self.onset if self.begins > self.always + _SURE_ONSET else None
@@ -49,6 +59,8 @@ class DifferenceScore:
 _SURE_ONSET = 2.5
 #: Log prior that a difference acts from the beginning of the recordings on, or begins in them.
 _ALWAYS, _BEGINS = float(np.log(0.6)), float(np.log(0.4))
+#: How likely a law of a rig's build is to begin within recordings, by what is hung on, rubs, slips.
+_BUILT_IN = 0.1
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,7 @@ def features_of(
         errors=np.array(errors),
         channel_errors=channels,
         harms=harms,
-        begins=np.array([float(begins_at(e) is not None) for e in race.entries]),
+        begins=np.array([_unlikely_beginnings(e) for e in race.entries]),
         raw_error=error(refit.structure.problem.model, plain),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
@@ -147,6 +147,13 @@ def features_of(
         else error(flexible.fitted.model, flexible.fitted.structure.windows.rollout),
         by_block=blocks,
     )
+
+
+def _unlikely_beginnings(fitted: FittedModel) -> float:
+    """How often a fit's effects do what is seldom: begin, and begin although they are built in."""
+    if begins_at(fitted) is None:
+        return 0.0
+    return 1.0 + sum(not candidate.effect.may_begin for candidate in fitted.structure.effects)
 
 
 def _strain(refit: FittedModel, fitted: FittedModel) -> float:

@@ -237,6 +237,7 @@ def test_beliefs_of_changes_are_fitted_to_rigs_that_changed_or_did_not(capsys):
             names=("a", "b", "p"),
             kinds=("effect", "effect", "parameter"),
             gains=gains,
+            beliefs=np.zeros(3),
             unnamed=-20.0,
             usual=tuple(random.exponential(40.0, 2)),
         )
