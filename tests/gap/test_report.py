@@ -473,10 +473,13 @@ def test_sizes_that_fit_as_well_are_told_with_a_cause_that_is_not_decided():
     )
     posterior = SimpleNamespace(verdict="undecided", confusable=())
     text = sentence(posterior, [cause], [], Shrinkage({}, {}, ()))  # type: ignore[arg-type]
+    assert text.startswith(
+        "These recordings do not decide what causes the gap, or how large it is: "
+    )
     assert "several sizes fit equally well: frequency 10.4 ± 0.1 or 4.8 or 6.3 rad/s." in text
     settled = replace(cause, parameters={"yaw_flexible_mode.frequency": replace(size, others=())})
     text = sentence(posterior, [settled], [], Shrinkage({}, {}, ()))  # type: ignore[arg-type]
-    assert "equally well" not in text
+    assert "equally well" not in text and "what causes the gap: " in text
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,11 @@ class Cause:
     parameters: Mapping[str, SizeEstimate] = field(default_factory=dict)  #: sizes by name
     onset: Onset | None = None  #: None: it acts from the beginning to the end
 
+    @property
+    def open_sizes(self) -> dict[str, SizeEstimate]:
+        """Sizes about which searches from several points disagree, by name."""
+        return {name: size for name, size in self.parameters.items() if size.others}
+
 
 @dataclass(frozen=True, kw_only=True)
 class LawDeparture:

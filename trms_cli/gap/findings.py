@@ -94,12 +94,13 @@ def headline(diagnosis: DiagnosisResult) -> str:
         if first.onset is not None and first.onset.ends:
             lacks = "what ended"
         return f"{cause_name(first.effects)} {verb} {lacks}"
+    undecided = "the cause or its size" if first and first.open_sizes else "the cause"
     return {
         "parameters_only": "other parameters, and no effect, explain the gap",
         "no_gap": "no gap",
         "no_change": "nothing changed since the known state",
         "none_of_these": "something that is not in the library",
-    }.get(diagnosis.verdict, "the cause stays undecided")
+    }.get(diagnosis.verdict, f"{undecided} stays undecided")
 
 
 def _of_the_refit(diagnosis: DiagnosisResult) -> str:

@@ -61,11 +61,13 @@ def sentence(
         )
     if posterior.verdict == "undecided":
         causes_text = ", ".join(
-            f"{_effects(c.effects)} ({c.probability:.2f})"
+            f"{_effects(c.effects)} ({probability_text(c.probability)})"
             for c in causes[:3]
             if c.probability > 0.05
         )
-        return f"These recordings do not decide what causes the gap: {causes_text}." + _open(top)
+        size = ", or how large it is" if top.open_sizes else ""
+        text = f"These recordings do not decide what causes the gap{size}: {causes_text}."
+        return text + _open(top)
     sizes_text = sizes(dict(list(top.parameters.items())[:3]))
     causes_it = "causes it" if len(top.effects) == 1 else "cause it"
     text = (
@@ -91,10 +93,9 @@ def sentence(
 
 def _open(top: Cause) -> str:
     """Sizes of the likeliest cause about which searches from several points disagree."""
-    open_sizes = {name: size for name, size in top.parameters.items() if size.others}
-    if not open_sizes:
+    if not top.open_sizes:
         return ""
-    return f" Of {_effects(top.effects)} several sizes fit equally well: {sizes(open_sizes)}."
+    return f" Of {_effects(top.effects)} several sizes fit equally well: {sizes(top.open_sizes)}."
 
 
 def _remaining_error(shrinkage: Shrinkage) -> str:
