@@ -32,6 +32,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="with the recordings")
     parser.add_argument("--only-against", action="store_true", help="leave the others out")
     parser.add_argument("--only", nargs="*", default=_QUESTIONED, help="recordings in question")
+    parser.add_argument(
+        "--references",
+        nargs="+",
+        choices=_NORMAL_RECORDINGS,
+        default=_NORMAL_RECORDINGS,
+        help="recordings of the normal state to compare with",
+    )
     arguments = parser.parse_args(argv)
     missing = [n for n in _QUESTIONED if not (arguments.folder / f"{n}.csv").is_file()]
     if missing:
@@ -40,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     heads = ("recording", "against", "verdict", "likeliest", "since", "place", "time")
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     for name in arguments.only:
-        for against in ((), tuple(n for n in _NORMAL_RECORDINGS if n != name)):
+        for against in ((), tuple(n for n in arguments.references if n != name)):
             if against or not arguments.only_against:
                 begin = perf_counter()
                 result = diagnosis(arguments.folder, name, against)
