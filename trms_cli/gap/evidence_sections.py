@@ -115,7 +115,9 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
         elif lead > 0:
             text += f" Next is {name}, {lead:.0f} nats below."
         else:
-            text += f" Above it is {name} by {-lead:.0f} nats, which has more to adjust."
+            compared = compared_with_a_state(diagnosis)
+            why = "was less to be expected" if compared else "has more to adjust"
+            text += f" Above it is {name} by {-lead:.0f} nats, which {why}."
     flexible = next((e for e in diagnosis.race if tuple(e.effects) == ("flexible",)), None)
     if flexible is not None:
         if flexible.score > best.score + 2 * (_se(flexible) + _se(best)):
