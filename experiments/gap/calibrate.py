@@ -63,12 +63,10 @@ _PRIOR, _WIDTH = Path(__file__).with_name("prior_weights.json"), 2.0
 #: prior: at zero, and narrow, since there are two dozen rigs of each.
 _OFTEN, _OWN_WIDTH = 10, 1.0
 #: A better score never speaks against a competitor, and a lead of two hundred nats decides; nor
-#: does a worse free run speak for one. Other parameters that gain some hundred nats are likelier
-#: than no gap, and than an effect that gains nothing.
+#: does a worse free run speak for one.
 _AT_LEAST = {
     "score": 0.075,
     "score.bend": 0.0,
-    "parameters.constant": -3.8,
     "parameters.error": -1.5,
 }
 _NEVER_ABOVE = (

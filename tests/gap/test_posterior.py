@@ -72,7 +72,7 @@ def test_a_cause_that_closes_the_gap_is_believed_and_one_that_leaves_most_of_it_
     leaves = features(behind=3000.0, scores=(40.0, 30.0, 41.0), behinds=(2900.0,) * 3)
     for case, first in (
         (features(gained=-3.0), "no_gap"),
-        (features(gained=500.0), "parameters_only"),
+        (features(gained=1000.0), "parameters_only"),
         (closes, "a"),
         (leaves, "none_of_these"),
     ):
@@ -101,7 +101,7 @@ def test_a_cause_that_harms_a_channel_on_the_sealed_part_is_believed_less():
 
 def test_a_cause_that_begins_within_the_recordings_is_believed_less():
     """With a moment to choose, a drive's wander looks like a derating from somewhere on."""
-    throughout = features(gained=5e4, behind=0.1, scores=(33.0, 2.0, 0.0))
+    throughout = features(gained=5e4, behind=0.1, scores=(27.0, 2.0, 0.0))
     begins = replace(throughout, begins=np.array([1.0, 0.0, 0.0]))
     weights = calibration().weights
     before, after = (probabilities_of(f, weights) for f in (throughout, begins))
