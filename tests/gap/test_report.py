@@ -87,7 +87,7 @@ def test_says_what_was_found_in_one_file(tmp_path) -> None:
     assert report.lead[1].startswith(
         "**Sure**: yaw Coulomb friction, 88 %; 96 % together with yaw Stribeck"
     )
-    assert "next is none of these with 3 %" in report.lead[1]
+    assert "next is none of these (3 %)" in report.lead[1]
     # Only the advice says what an experiment tells.
     assert not any("experiment" in sentence for sentence in report.lead)
     (text,) = section(report, "Is there a gap at all?").text
@@ -376,7 +376,7 @@ class TestRace:
 def test_a_rival_that_is_not_confusable_takes_the_certainty() -> None:
     pair = (("main_input_delay", "main_actuator_lag"),)
     words = findings(diagnosis(confusable=pair)).lead[1]
-    assert words.startswith("**Likely**") and "next is yaw Stribeck friction with 8 %" in words
+    assert words.startswith("**Likely**") and "next is yaw Stribeck friction (8 %)" in words
 
 
 def test_a_place_that_is_not_certain() -> None:

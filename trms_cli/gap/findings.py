@@ -154,7 +154,7 @@ def _confidence(diagnosis: DiagnosisResult) -> str:
     rest = [c for c in diagnosis.causes if c is not first and all(c is not a for a in alike)]
     second = max(rest, key=lambda cause: cause.probability, default=None)
     if second is not None and second.probability >= LEAST:
-        text += f"; next is {cause_name(second.effects)} with {wording.percent(second.probability)}"
+        text += f"; next is {cause_name(second.effects)} ({wording.percent(second.probability)})"
     return f"{text}."
 
 

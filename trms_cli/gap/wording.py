@@ -23,7 +23,10 @@ def cause_name(effects: Sequence[str]) -> str:
         ("none_of_these",): "none of these",
         OTHERS: "others, together",
     }
-    return plain.get(tuple(effects)) or " with ".join(wording.readable(name) for name in effects)
+    if tuple(effects) in plain:
+        return plain[tuple(effects)]
+    first, *others = [wording.readable(name) for name in effects]
+    return f"{first} with {wording.listing(others)}" if others else first
 
 
 def probability_text(probability: float) -> str:
