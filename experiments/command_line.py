@@ -5,16 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from time import perf_counter
 from typing import Any, TypeVar
 
 from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, ConfigurationError, TrmsError
+from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, ConfigurationError, TrmsError
 from trms_cli.core.threads import ONE_THREAD
 
 Result = TypeVar("Result")
@@ -110,7 +111,7 @@ def side_by_side(
     one_thread_each()
     waiting = list(tasks.items())[::-1]
     running: dict[Future[Result], str] = {}
-    pools = [_pool(jobs, tasks_of_a_process)]
+    pools = [process_pool(jobs, tasks_of_a_process)]
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
@@ -118,7 +119,7 @@ def side_by_side(
                 try:
                     future = pools[-1].submit(work, *arguments)
                 except BrokenProcessPool:  # a process was killed: what it did is told as failed
-                    pools.append(_pool(jobs, tasks_of_a_process))
+                    pools.append(process_pool(jobs, tasks_of_a_process))
                     future = pools[-1].submit(work, *arguments)
                 running[future] = name
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -128,7 +129,29 @@ def side_by_side(
             pool.shutdown(wait=not running, cancel_futures=True)
 
 
-def _pool(jobs: int, tasks_of_a_process: int) -> ProcessPoolExecutor:
+def process_pool(jobs: int, tasks_of_a_process: int | None = None) -> ProcessPoolExecutor:
+    """Fresh processes, also where forking is usual: CasADi's threads do not survive a fork.
+
+    ``tasks_of_a_process``: after so many tasks a process is replaced; None: never.
+    """
     return ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), max_tasks_per_child=tasks_of_a_process
+        jobs,
+        mp_context=get_context("spawn"),
+        initializer=_end_with_parent,
+        max_tasks_per_child=tasks_of_a_process,
     )
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is gone, however that ended.
+
+    The queue of tasks does not tell: the end that is written to stays open in the other processes.
+    """
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(EXIT_TERMINATED)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -8,12 +8,12 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
 from experiments.chapter5.study import Question, Study
+from experiments.command_line import process_pool
 from experiments.expected_figures import Figure
 from trms_cli.core.errors import ConfigurationError
 
@@ -54,8 +54,7 @@ def answers(
             found[name] = answer(question, kept)
             said(name)
         return found
-    # A fresh process each, also where forking is usual: casadi's threads do not survive a fork.
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with process_pool(jobs) as pool:
         futures = {
             pool.submit(answer, question, kept): name for name, question in study.questions.items()
         }

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any
 
 from experiments.chapter6.cases import ANGLES, Plans, Run, study_cases, study_predictions
@@ -20,6 +19,7 @@ from experiments.chapter6.domain import (
 from experiments.chapter6.iterations import Economy, study_iterations
 from experiments.chapter6.rig import Record
 from experiments.chapter6.study import Study
+from experiments.command_line import process_pool
 from experiments.expected_figures import json_text, rounded
 
 _CASE_FIGURES = ("rmse", "overshoot_percent", "settling_time_s")
@@ -56,8 +56,7 @@ def compute(study: Study, jobs: int, said: Callable[[str], None]) -> Results:
             said(name)
         economy = study_iterations(study.iterations)
     else:
-        # A fresh process each, also where forking is usual: casadi's threads do not survive a fork.
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        with process_pool(jobs) as pool:
             futures: dict[str, Future[Any]] = {
                 name: pool.submit(work, *given) for name, (work, *given) in parts.items()
             }

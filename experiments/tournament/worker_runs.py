@@ -14,18 +14,18 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import multiprocessing
 import os
 import shutil
 import signal
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from experiments.command_line import process_pool
 from experiments.tournament.schedule import Run
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.whole_file import replace_whole
@@ -135,10 +135,8 @@ def _in_a_pool(
     runs: Sequence[Run], out: Path, jobs: int, time_limit: float, logs: bool
 ) -> Iterator[tuple[Run, bool]]:
     """Runs as they end, and those that had begun when a worker died (with False)."""
-    # A fresh process each, also where forking is usual: casadi's threads do not survive a fork.
-    context = multiprocessing.get_context("spawn")
     queue = iter(runs)
-    with ProcessPoolExecutor(max_workers=min(jobs, len(runs)), mp_context=context) as pool:
+    with process_pool(min(jobs, len(runs))) as pool:
         pending: dict[Future[None], Run] = {}
         try:
             while True:

@@ -12,15 +12,14 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
+from experiments.command_line import process_pool
 from experiments.gap.baselines.baseline import diagnosis, places
 from experiments.gap.baselines.fits import (
     is_size,
@@ -374,7 +373,7 @@ def train_classifier(
 def _simulate_features(requests: Sequence[Request], jobs: int) -> list[FloatArray]:
     if jobs == 1:
         return [rigs(request) for request in requests]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with process_pool(jobs) as pool:
         return list(pool.map(rigs, requests))
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from experiments.command_line import process_pool
 from experiments.gap.blind.judgement import FreshResult, JudgedCase, answer_of, on_fresh
 from experiments.gap.blind.measures import VERY_SURE, Row, Table, Target
 from experiments.gap.blind.sealing import OpenedKey
@@ -71,7 +70,7 @@ def with_fresh(
     if jobs == 1:
         fresh_results = [_on_fresh(*task) for task in tasks]
     else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        with process_pool(jobs) as pool:
             fresh_results = list(pool.map(_on_fresh, *zip(*tasks, strict=True)))
     return [
         replace(j, fresh=fresh_result)
