@@ -47,10 +47,10 @@ def main(argv: list[str] | None = None) -> int:
     for name in arguments.subjects or SUBJECTS:
         subject = importlib.import_module(f"benchmarks.subjects.{name}")
         begin = time.perf_counter()
-        found = subject.run(options)
-        for table in found:
+        subject_tables = subject.run(options)
+        for table in subject_tables:
             print_table(table)
-        tables += found
+        tables += subject_tables
         print(f"  ({name}: {time.perf_counter() - begin:.0f} s)")
     command = shlex.join(["python", "-m", "benchmarks", *(sys.argv[1:] if argv is None else argv)])
     path = options.out / "bench.json"
@@ -61,8 +61,8 @@ def main(argv: list[str] | None = None) -> int:
         publish(tables, machine, options.out)
         print(f"published: {PAGE}")
     missed = sum(len(table.misses) for table in tables)
-    judged = sum("met" in row for table in tables for row in table.rows)
-    print(f"\n{judged - missed} of {judged} limits met; all figures: {path}")
+    limit_count = sum("met" in row for table in tables for row in table.rows)
+    print(f"\n{limit_count - missed} of {limit_count} limits met; all figures: {path}")
     return 0
 
 

@@ -40,8 +40,8 @@ class Table:
 
     def add(self, **cells: Value) -> None:
         """Append a row; cells by column key, and ``met`` for whether the row's limit is held."""
-        known = {column.key for column in self.columns} | {"met"}
-        unknown = set(cells) - known
+        column_keys = {column.key for column in self.columns} | {"met"}
+        unknown = set(cells) - column_keys
         if unknown:
             raise KeyError(f"table {self.key!r} has no column {sorted(unknown)}")
         self.rows.append(cells)
@@ -76,20 +76,20 @@ def print_table(table: Table) -> None:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    shown = table.shown_columns()
+    columns = table.shown_columns()
     printed = RichTable(
         title=table.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1)
     )
-    for index, column in enumerate(shown):
+    for index, column in enumerate(columns):
         title = f"{column.title}\n{column.unit}" if column.unit else column.title
         words = any(isinstance(row.get(column.key), str) for row in table.rows)
         printed.add_column(title, justify="left" if words else "right", no_wrap=index < 2)
-    judged = any("met" in row for row in table.rows)
-    if judged:
+    has_limits = any("met" in row for row in table.rows)
+    if has_limits:
         printed.add_column("")
     for row in table.rows:
-        cells = [cell_text(row.get(column.key), column.digits) for column in shown]
-        if judged:
+        cells = [cell_text(row.get(column.key), column.digits) for column in columns]
+        if has_limits:
             cells.append(f"[green]{verdict(row)}" if row.get("met") else f"[red]{verdict(row)}")
         printed.add_row(*cells)
     console = Console()

@@ -20,19 +20,24 @@ _EQUATIONS = ("pitch_moment", "yaw_moment")
 
 def filter_setup(name: str) -> tuple[ObserverSetup, Any, np.ndarray, np.ndarray]:
     """A setup of 6 states and 2 torques, the observer, a measurement and a command."""
-    chosen = experiment(
+    loop_setup = experiment(
         "controller=newton_mpc",
         "ref=square",
         f"observer={name}",
         f"observer.disturbances=[{','.join(_EQUATIONS)}]",
         f"sim.sample_time={_SAMPLE_TIME}",
     )
-    plant = chosen.plant.init(PlantSetup(_SAMPLE_TIME, 2, 0))
+    plant = loop_setup.plant.init(PlantSetup(_SAMPLE_TIME, 2, 0))
     outputs = tuple(signal.name for signal in plant.outputs)
     setup = ObserverSetup(
-        chosen.model, _SAMPLE_TIME, outputs, plant.noise_sd, plant.measure(), plant.first_command
+        loop_setup.model,
+        _SAMPLE_TIME,
+        outputs,
+        plant.noise_sd,
+        plant.measure(),
+        plant.first_command,
     )
-    return setup, chosen.observer, plant.measure().copy(), np.array([1.0, 0.1])
+    return setup, loop_setup.observer, plant.measure().copy(), np.array([1.0, 0.1])
 
 
 class _Model:

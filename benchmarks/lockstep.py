@@ -127,10 +127,12 @@ class Entrant:
         damping = _row(problem.rate_weights, model.state_names)
         rates = np.diff(np.array(self.states), axis=0) / self.period
         columns = [model.state_index(name) for name in model.controlled]
-        wanted = ca.Function(
-            "wanted", [r := ca.SX.sym("r", *references.T.shape)], [smooth_rates(r, self.period)]
+        reference_rates = ca.Function(
+            "reference_rates",
+            [r := ca.SX.sym("r", *references.T.shape)],
+            [smooth_rates(r, self.period)],
         )
-        rates[:, columns] -= np.asarray(wanted(references.T)).T
+        rates[:, columns] -= np.asarray(reference_rates(references.T)).T
         return float(
             ((states - goal) ** 2 @ q).sum()
             + (rates**2 @ damping).sum()
@@ -157,5 +159,5 @@ def quantiles(times: FloatArray) -> tuple[float, float]:
     return float(median), float(p99)
 
 
-def _row(weights: Mapping[str, float], known: Sequence[str]) -> FloatArray:
-    return np.array([weights.get(name, 0.0) for name in known])
+def _row(weights: Mapping[str, float], keys: Sequence[str]) -> FloatArray:
+    return np.array([weights.get(name, 0.0) for name in keys])

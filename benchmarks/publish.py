@@ -46,15 +46,15 @@ def publish(
 
 def markdown(table: Table) -> str:
     """A table with its title and notes."""
-    shown = table.shown_columns()
-    judged = any("met" in row for row in table.rows)
-    titles = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in shown]
+    columns = table.shown_columns()
+    has_limits = any("met" in row for row in table.rows)
+    titles = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in columns]
     lines = [f"**{table.title}**", ""]
-    lines.append(_row([*titles, *(["limit"] if judged else [])]))
-    lines.append(_row(["---"] * (len(shown) + judged)))
+    lines.append(_row([*titles, *(["limit"] if has_limits else [])]))
+    lines.append(_row(["---"] * (len(columns) + has_limits)))
     for row in table.rows:
-        cells = [cell_text(row.get(column.key), column.digits) for column in shown]
-        lines.append(_row([*cells, *([verdict(row)] if judged else [])]))
+        cells = [cell_text(row.get(column.key), column.digits) for column in columns]
+        lines.append(_row([*cells, *([verdict(row)] if has_limits else [])]))
     for note in table.notes:
         lines += ["", f"{note[0].upper()}{note[1:]}"]
     return "\n".join(lines)

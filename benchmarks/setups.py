@@ -27,10 +27,10 @@ def experiment(*overrides: str) -> Experiment:
     return experiment_of(compose(list(overrides)).config)
 
 
-def newton_of(chosen: Experiment) -> NewtonMpc:
+def newton_of(loop_setup: Experiment) -> NewtonMpc:
     """The experiment's controller, which is a ``newton_mpc``."""
-    assert isinstance(chosen.controller, NewtonMpc)
-    return chosen.controller
+    assert isinstance(loop_setup.controller, NewtonMpc)
+    return loop_setup.controller
 
 
 def newton_horizon(periods: int) -> tuple[str, ...]:

@@ -47,12 +47,12 @@ def recorded_parser(chapter: str, about: str | None, study: Path) -> argparse.Ar
     return parser
 
 
-def refuse_part(given: argparse.Namespace) -> None:
+def refuse_part(arguments: argparse.Namespace) -> None:
     """What is recorded is all of it.
 
     Raises ConfigurationError for ``--update`` with ``--quick`` or ``--out``.
     """
-    if given.update and (given.quick or given.out):
+    if arguments.update and (arguments.quick or arguments.out):
         raise ConfigurationError(
             "what is recorded is the whole study, in its own place",
             where="--update",
@@ -69,11 +69,11 @@ def progress_with_time() -> Callable[[str], None]:
     """What tells how far a study is, with the seconds since now."""
     begin = perf_counter()
 
-    def said(what: str) -> None:
+    def report(what: str) -> None:
         sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {what}\n")
         sys.stdout.flush()
 
-    return said
+    return report
 
 
 class RunsBar:

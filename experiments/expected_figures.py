@@ -58,38 +58,40 @@ def read_expected(file: Path, part: str) -> dict[str, dict[str, Any]]:
 
 
 def differences(
-    found: Figures, expected: Figures, tolerances: Mapping[str, Tolerance]
+    figures: Figures, expected: Figures, tolerances: Mapping[str, Tolerance]
 ) -> list[str]:
     """A sentence for each figure of the parts with a tolerance that is not what was recorded."""
     words = []
     for part, allowed in tolerances.items():
-        ours, known = found.get(part, {}), expected.get(part, {})
-        for name in sorted(ours.keys() ^ known.keys()):
+        ours, expected_part = figures.get(part, {}), expected.get(part, {})
+        for name in sorted(ours.keys() ^ expected_part.keys()):
             words.append(f"{part}: {name} is {'new' if name in ours else 'gone'}")
-        for name in sorted(ours.keys() & known.keys()):
-            if not _agree(ours[name], known[name], allowed):
-                now, then = rounded([ours[name], known[name]])
+        for name in sorted(ours.keys() & expected_part.keys()):
+            if not _agree(ours[name], expected_part[name], allowed):
+                now, then = rounded([ours[name], expected_part[name]])
                 words.append(f"{part}: {name} is {now}, expected {then}")
     return words
 
 
-def _agree(ours: Figure, known: Figure, allowed: Tolerance) -> bool:
-    numbers = [v for v in (ours, known) if isinstance(v, int | float) and not isinstance(v, bool)]
+def _agree(ours: Figure, expected: Figure, allowed: Tolerance) -> bool:
+    numbers = [
+        v for v in (ours, expected) if isinstance(v, int | float) and not isinstance(v, bool)
+    ]
     if len(numbers) < 2:
-        return ours == known
+        return ours == expected
     room = allowed.absolute + allowed.relative * abs(numbers[1])
     return abs(numbers[0] - numbers[1]) <= room
 
 
 def exit_code(
-    found: Figures,
+    figures: Figures,
     expected: Figures,
     tolerances: Mapping[str, Tolerance],
-    said: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> int:
     """Tell which figures moved: 1 if any did."""
-    moved = differences(found, expected, tolerances)
-    for sentence in moved:
+    changes = differences(figures, expected, tolerances)
+    for sentence in changes:
         sys.stdout.write(f"  {sentence}\n")
-    said(f"{len(moved)} of {sum(map(len, found.values()))} figures are not what was recorded")
-    return EXIT_WORSE if moved else EXIT_OK
+    report(f"{len(changes)} of {sum(map(len, figures.values()))} figures are not what was recorded")
+    return EXIT_WORSE if changes else EXIT_OK

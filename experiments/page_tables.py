@@ -17,9 +17,9 @@ def write_tables(page: Path, tables: Mapping[str, str]) -> None:
     text = page.read_text(encoding="utf-8")
     for name, table in tables.items():
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, found, rest = text.partition(begin)
-        _, closed, after = rest.partition(end)
-        if not (found and closed):
+        before, opening, rest = text.partition(begin)
+        _, closing, after = rest.partition(end)
+        if not (opening and closing):
             raise ConfigurationError(
                 f"the page has lost its marks {begin} … {end}", where=str(page), remedy="add them"
             )

@@ -79,8 +79,10 @@ def run(options: Options) -> list[Table]:
         table.add_limited("time", unknown, LIMIT_NORMAL, case="120 s, no suspect is the cause")
         quick, _ = _diagnosis(folder, [longest], "effort=quick")
         table.add_limited("time", quick, LIMIT_QUICK, case="120 s, effort=quick")
-        known = [_recording(folder, lengths[0], seed=s, effect=False) for s in (8, 9)]
-        words = f"against=[{','.join(map(str, known))}]"
+        reference_recordings = [
+            _recording(folder, lengths[0], seed=s, effect=False) for s in (8, 9)
+        ]
+        words = f"against=[{','.join(map(str, reference_recordings))}]"
         _diagnosis(folder, [longest], words)  # compiles
         compared, _ = _diagnosis(folder, [longest], words)
         case = f"120 s, against two of {lengths[0]:g} s"

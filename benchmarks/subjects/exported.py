@@ -79,14 +79,14 @@ def _agreement(options: Options, program: str | None) -> Table:
     if program is None:
         return table
     for name, overrides in _LOOPS.items():
-        chosen = experiment(
+        loop_setup = experiment(
             "controller=newton_mpc",
             "observer=full_state",
             *([] if any(word.startswith("ref=") for word in overrides) else ["ref=square"]),
             *overrides,
             f"sim.duration={options.duration(120.0)}",
         )
-        example = _Example(chosen)
+        example = _Example(loop_setup)
         measured = example.measured(program, passes=1)
         itself = rounding_difference(example.controller, example.setup, example.rows)
         # What changes Python so much in the last bit of an estimate has no nearer neighbour.
@@ -127,14 +127,14 @@ def _times(options: Options, program: str | None) -> Table:
         table.notes.append("no C compiler on this machine: nothing measured")
         return table
     for name, (limit, horizon, iterations) in _CASES.items():
-        chosen = experiment(
+        loop_setup = experiment(
             "controller=newton_mpc",
             "ref=square",
             *horizon,
             *([f"controller.max_iterations={iterations}"] if iterations else []),
             f"sim.duration={options.duration(80.0)}",
         )
-        example = _Example(chosen)
+        example = _Example(loop_setup)
         measured, python = example.measured(program), example.python_median()
         cells: dict[str, Value] = {
             "case": name,
@@ -229,10 +229,12 @@ def rounding_difference(controller: NewtonMpc, setup: ControlSetup, rows: FloatA
     sizes = [model.n_x, model.n_w, len(model.controlled) * (preview + 1), model.n_u]
     draw, largest = np.random.default_rng(0), 0.0
     for k, row in enumerate(rows):
-        x, w, r, u, chosen = np.split(row, np.cumsum(sizes))
+        x, w, r, u, example_command = np.split(row, np.cumsum(sizes))
         x = np.nextafter(x, draw.choice([-np.inf, np.inf], len(x)))
-        seen = r.reshape(preview + 1, -1)
-        sample = ControlSample(k * setup.sample_time, seen, Estimate(x, 0 * x, w, 0 * w), u)
+        reference_preview = r.reshape(preview + 1, -1)
+        sample = ControlSample(
+            k * setup.sample_time, reference_preview, Estimate(x, 0 * x, w, 0 * w), u
+        )
         command = controller.step(state, sample, want_prediction=False)
-        largest = max(largest, float(np.abs(command.u - chosen).max()))
+        largest = max(largest, float(np.abs(command.u - example_command).max()))
     return largest

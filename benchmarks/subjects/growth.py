@@ -76,12 +76,12 @@ def _states(options: Options) -> Table:
         [Column("states", "states"), Column("total", "with memory"), *_time_columns()],
     )
     for name, case in _MODELS.items():
-        chosen = _one_iteration(options, *newton_horizon(20), *case.overrides)
+        loop_setup = _one_iteration(options, *newton_horizon(20), *case.overrides)
         if case.delayed:
-            chosen = replace(chosen, model=_delayed(chosen.model))
-        period = chosen.controller.sample_time or chosen.sample_time
-        total = chosen.model.n_x + len(chosen.model.memory(period))
-        _time(table, {"states": name, "total": total}, chosen)
+            loop_setup = replace(loop_setup, model=_delayed(loop_setup.model))
+        period = loop_setup.controller.sample_time or loop_setup.sample_time
+        total = loop_setup.model.n_x + len(loop_setup.model.memory(period))
+        _time(table, {"states": name, "total": total}, loop_setup)
     return table
 
 
@@ -105,8 +105,8 @@ def _one_iteration(options: Options, *overrides: str) -> Experiment:
     )
 
 
-def _time(table: Table, cells: dict[str, str | int], chosen: Experiment) -> None:
-    entrant = race(chosen, {"newton_mpc": chosen.controller})[0]
+def _time(table: Table, cells: dict[str, str | int], loop_setup: Experiment) -> None:
+    entrant = race(loop_setup, {"newton_mpc": loop_setup.controller})[0]
     median, p99 = quantiles(entrant.counted_times)
     first = float(table.rows[0]["median"]) if table.rows else median  # type: ignore[arg-type]
     table.add(

@@ -95,13 +95,13 @@ def _simulations(recording: _Recording, quick: bool) -> Table:
         begin = time.process_time()
         theirs = _by_scipy(recording, tolerance)
         seconds = time.process_time() - begin
-        found = _angle_error(theirs, fine)
-        if found <= error or tolerance == _TOLERANCES[-1]:
+        scipy_error = _angle_error(theirs, fine)
+        if scipy_error <= error or tolerance == _TOLERANCES[-1]:
             table.add(
                 how=f"scipy solve_ivp, RK45, rtol {tolerance:.0e}, compiled right-hand side",
                 time=1e3 * seconds,
                 slower=seconds / spent,
-                error=found,
+                error=scipy_error,
             )
             break
     table.notes.append(
@@ -148,10 +148,10 @@ def _by_scipy(recording: _Recording, tolerance: float) -> np.ndarray:
     for k, command in enumerate(dataset.commands):
         y[k] = state[columns]
         slope.inputs[1][:] = command
-        found = solve_ivp(
+        solution = solve_ivp(
             right_hand_side, (0.0, _STEP), state, rtol=tolerance, atol=1e-3 * tolerance
         )
-        state = found.y[:, -1]
+        state = solution.y[:, -1]
     return y
 
 
@@ -206,8 +206,8 @@ def _fits(recording: _Recording, quick: bool) -> Table:
 
 def _problem(recording: _Recording, free: tuple[str, ...]) -> FitProblem:
     model = recording.model
-    chosen = free_parameters(model.parameters, free)
-    return FitProblem(model=model, datasets=(recording.dataset,), free=chosen, jobs=2)
+    selection = free_parameters(model.parameters, free)
+    return FitProblem(model=model, datasets=(recording.dataset,), free=selection, jobs=2)
 
 
 def _add(

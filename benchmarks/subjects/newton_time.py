@@ -68,7 +68,7 @@ def run(options: Options) -> list[Table]:
 
 
 def _timed(options: Options, horizon: tuple[str, ...], iterations: int | None) -> Entrant:
-    chosen = experiment(
+    loop_setup = experiment(
         "controller=newton_mpc",
         "ref=square",
         *FULL_STATE,
@@ -76,4 +76,4 @@ def _timed(options: Options, horizon: tuple[str, ...], iterations: int | None) -
         *([f"controller.max_iterations={iterations}"] if iterations else []),
         f"sim.duration={options.duration(80.0)}",
     )
-    return race(chosen, {"newton_mpc": chosen.controller})[0]
+    return race(loop_setup, {"newton_mpc": loop_setup.controller})[0]

@@ -35,16 +35,16 @@ def run(options: Options) -> list[Table]:
     horizons = {"N = 20, no blocks": newton_horizon(20), "default": ()}
     for ref in REFERENCES:
         for name, horizon in horizons.items():
-            chosen = experiment(
+            loop_setup = experiment(
                 "controller=newton_mpc",
                 f"ref={ref}",
                 *FULL_STATE,
                 *horizon,
                 f"sim.duration={options.duration(40.0)}",
             )
-            problem = newton_of(chosen)
+            problem = newton_of(loop_setup)
             entrants = race(
-                chosen,
+                loop_setup,
                 {
                     "ipopt": Nmpc.of(problem, solver="ipopt", second_start="always"),
                     "newton": replace(problem, max_iterations=50),

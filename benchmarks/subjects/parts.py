@@ -95,39 +95,39 @@ def _add(
 
 def runner_times(steps: int, *, logged: bool) -> np.ndarray:
     """µs per step of the loop with hollow plugins, a figure for each simulated second."""
-    chosen = experiment(
+    loop_setup = experiment(
         "controller=newton_mpc", "ref=square", "sim.sample_time=0.01", f"sim.duration={steps / 100}"
     )
-    chosen = replace(
-        chosen,
-        plant=HollowPlant(chosen.model),
+    loop_setup = replace(
+        loop_setup,
+        plant=HollowPlant(loop_setup.model),
         observer=HollowObserver(),
         controller=HollowController(),
         prediction_every=0,
     )
     with tempfile.TemporaryDirectory() as folder:
-        return _loop_times(chosen, Path(folder) / "run.mcap" if logged else None)
+        return _loop_times(loop_setup, Path(folder) / "run.mcap" if logged else None)
 
 
-def _loop_times(chosen: Experiment, log_path: Path | None) -> np.ndarray:
+def _loop_times(loop_setup: Experiment, log_path: Path | None) -> np.ndarray:
     from trms_cli.library.tasks.experiment import topics_of
     from trms_cli.recordings.run_log import RunLog
 
     logs: list[RunLog] = []
 
     def make_history(plant: Any) -> History:
-        topics = topics_of(chosen, plant)
+        topics = topics_of(loop_setup, plant)
         if log_path is not None:
             logs.append(RunLog(log_path, topics, {}))
         units = {t.name: {f.name: f.unit for f in t.fields} for t in topics}
         return History(units, logs[0] if logs else None)
 
-    loop = Loop.start(chosen, make_history)
+    loop = Loop.start(loop_setup, make_history)
     stamps = [perf_counter()]
     loop.run(lambda time, error: stamps.append(perf_counter()))
     for log in logs:
         log.close("completed")
-    per_second = round(1.0 / chosen.sample_time)
+    per_second = round(1.0 / loop_setup.sample_time)
     return 1e6 * np.diff(stamps) / per_second
 
 
@@ -143,8 +143,8 @@ def _batches(step: Callable[[], object], steps: int) -> np.ndarray:
 
 
 def _plant_times(steps: int, *, integrate_only: bool = False) -> np.ndarray:
-    chosen = experiment("controller=newton_mpc", "ref=square", "sim.sample_time=0.01")
-    rig = chosen.plant.init(PlantSetup(0.01, steps + _BATCH, 0))
+    loop_setup = experiment("controller=newton_mpc", "ref=square", "sim.sample_time=0.01")
+    rig = loop_setup.plant.init(PlantSetup(0.01, steps + _BATCH, 0))
     command = np.array([1.4, 0.1])
     if integrate_only:
         rig.advance(command)

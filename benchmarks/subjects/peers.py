@@ -46,16 +46,16 @@ def _against_nmpc(options: Options) -> Table:
         ],
     )
     for ref in _AGAINST:
-        chosen = experiment(
+        loop_setup = experiment(
             "controller=newton_mpc",
             f"ref={ref}",
             *FULL_STATE,
             f"sim.duration={options.duration(40.0)}",
         )
-        problem = newton_of(chosen)
+        problem = newton_of(loop_setup)
         solvers: tuple[Method, ...] = ("ipopt", "fatrop")
         ours, *others = race(
-            chosen,
+            loop_setup,
             {"newton_mpc": problem, **{name: Nmpc.of(problem, solver=name) for name in solvers}},
         )
         cost = ours.closed_loop_objective(problem)
@@ -106,14 +106,14 @@ def _peers(options: Options) -> Table:
             Column("remark", ""),
         ],
     )
-    chosen = experiment(
+    loop_setup = experiment(
         "controller=newton_mpc",
         "ref=square",
         *FULL_STATE,
         *newton_horizon(20),
         f"sim.duration={options.duration(40.0)}",
     )
-    problem = newton_of(chosen)
+    problem = newton_of(loop_setup)
     controllers: dict[str, Controller] = {
         "newton_mpc, converged": replace(problem, max_iterations=50),
         "newton_mpc, one iteration": replace(problem, max_iterations=1),
@@ -122,14 +122,14 @@ def _peers(options: Options) -> Table:
     for name, make in peers(problem).items():
         try:
             controller = make()
-            race(replace(chosen, duration=2 * problem.sample_time), {name: controller})
+            race(replace(loop_setup, duration=2 * problem.sample_time), {name: controller})
         except ModuleNotFoundError as error:
             missing[name] = f"not installed ({error.name}): pip install 'trms-cli[bench]'"
         except Exception as error:
             missing[name] = f"does not run here: {str(error).strip().splitlines()[-1]}"
         else:
             controllers[name] = controller
-    entrants = race(chosen, controllers)
+    entrants = race(loop_setup, controllers)
     reference = quantiles(entrants[0].counted_times)[0]
     for entrant in entrants:
         median, p99 = quantiles(entrant.counted_times)

@@ -116,7 +116,7 @@ class _Place:
             began = time.time_ns()
             used = _children()
             begin = time.perf_counter()
-            done = subprocess.run(
+            process = subprocess.run(
                 [*command, *folder],
                 cwd=self.folder,
                 env=self.environment,
@@ -125,9 +125,9 @@ class _Place:
             )
             spent = time.perf_counter() - begin
             processor.append(_children() - used)
-            if done.returncode != 0:
-                words = (done.stderr or done.stdout).strip().splitlines()
-                return _Times(remark=words[0] if words else f"exit code {done.returncode}")
+            if process.returncode != 0:
+                words = (process.stderr or process.stdout).strip().splitlines()
+                return _Times(remark=words[0] if words else f"exit code {process.returncode}")
             times.append((_first_stamp(out / "run.mcap") - began) * 1e-9 if first_sample else spent)
         return _Times(np.array(times[1:]), float(np.median(processor[1:])))
 

@@ -43,12 +43,12 @@ def run(options: Options) -> list[Table]:
     plain, alone, viewed = [], [], []
     with tempfile.TemporaryDirectory() as scratch:
         first = _Worker(Path(scratch) / "plain", (*words, "sim.scene_every=0"))
-        shown = _Worker(Path(scratch) / "shown", words)
+        view_worker = _Worker(Path(scratch) / "shown", words)
         beginning = first.run(0)["whole"]
         for number in range(1, last):
             plain.append(first.run(number))
             alone.append(_loop_in_memory(words, number))
-            viewed.append(shown.run(number)["whole"])
+            viewed.append(view_worker.run(number)["whole"])
     of = {part: _median([each[part] for each in plain]) for part in _PARTS}
     loop = _median(alone)
     table = Table(
@@ -144,9 +144,9 @@ def _loop_in_memory(words: tuple[str, ...], number: int) -> float:
         work(loop)
         spent.append(1e3 * (process_time() - start))
 
-    chosen = experiment(*words, f"seed={number}", f"plant.prior_seed={number}")
+    loop_setup = experiment(*words, f"seed={number}", f"plant.prior_seed={number}")
     with patch.object(Loop, "run", measured):
-        run_in_memory(chosen)
+        run_in_memory(loop_setup)
     return spent[0]
 
 

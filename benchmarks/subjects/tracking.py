@@ -74,14 +74,14 @@ def run(options: Options) -> list[Table]:
         noisy = experiment("controller=newton_mpc", *overrides, "observer=ukf", duration)
         pushed = experiment("controller=newton_mpc", *overrides, "observer=ukf", *_PUSHED, duration)
         weighted, plain = _optima(newton_of(exact))
-        for who, chosen in {
+        for who, loop_setup in {
             _OPTIMUM: replace(exact, controller=weighted),
             _FULL: exact,
             _FILTER: noisy,
             _PUSH: pushed,
             _PLAIN_OPTIMUM: replace(exact, controller=plain),
         }.items():
-            outcomes.append(_outcome(reference, who, chosen))
+            outcomes.append(_outcome(reference, who, loop_setup))
     return [_errors(outcomes), _steps(outcomes)]
 
 
@@ -102,8 +102,8 @@ def _optima(default: NewtonMpc) -> tuple[Nmpc, Nmpc]:
     return Nmpc.of(long, solver="ipopt"), Nmpc.of(plain, solver="fatrop")
 
 
-def _outcome(reference: str, who: str, chosen: Experiment) -> _Outcome:
-    loop, score = close(chosen)
+def _outcome(reference: str, who: str, loop_setup: Experiment) -> _Outcome:
+    loop, score = close(loop_setup)
     resting = math.nan
     resting_axis = {"pitch": "alpha_h", "yaw": "alpha_v"}.get(reference)
     if resting_axis is not None:
@@ -182,7 +182,7 @@ def _steps(outcomes: list[_Outcome]) -> Table:
             cells["resting"] = outcome.resting
         if outcome.who not in (_OPTIMUM, _PLAIN_OPTIMUM):
             cells["met"] = all(checks.values())
-            cells["missed"] = ", ".join(name for name, held in checks.items() if not held)
+            cells["missed"] = ", ".join(name for name, is_met in checks.items() if not is_met)
         table.add(reference=outcome.reference, who=outcome.who, steady=outcome.steady, **cells)
     table.notes += [
         f"limits: settled to 2 % within {SETTLED:g} s, overshoot {OVERSHOOT:g} %, resting axis "
@@ -196,9 +196,12 @@ def _steps(outcomes: list[_Outcome]) -> Table:
 def _price(outcomes: list[_Outcome]) -> list[str]:
     """What the weights on moves and rates cost and give, in words."""
     lines = []
-    found = {(o.reference, o.who): o for o in outcomes}
+    outcomes_by_case = {(o.reference, o.who): o for o in outcomes}
     for reference in SQUARES:
-        calm, plain = found[reference, _FULL], found[reference, _PLAIN_OPTIMUM]
+        calm, plain = (
+            outcomes_by_case[reference, _FULL],
+            outcomes_by_case[reference, _PLAIN_OPTIMUM],
+        )
         words = [
             f"{name} {plain.worst(key):.3g} → {calm.worst(key):.3g} {unit}"
             for name, key, unit in (

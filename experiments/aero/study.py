@@ -110,34 +110,34 @@ def errors(
         ),
     )
     validations = validate_all(models, dict.fromkeys(models, (dataset,)), options)
-    return {judged.name: _of_model(judged) for judged in validations}
+    return {validation.name: _of_model(validation) for validation in validations}
 
 
-def _of_model(judged: ModelValidation) -> dict[str, Any]:
+def _of_model(validation: ModelValidation) -> dict[str, Any]:
     statistics: dict[str, Any] = {}
     for channel in _CHANNELS:
         free = {
-            f"{horizon:g}": float(np.sqrt(np.nanmean(judged.pooled(channel, horizon) ** 2)))
-            for horizon in judged.horizons
+            f"{horizon:g}": float(np.sqrt(np.nanmean(validation.pooled(channel, horizon) ** 2)))
+            for horizon in validation.horizons
         }
         unchanged = {
-            f"{h:g}": float(np.sqrt(np.nanmean(judged.pooled(channel, h, "unchanged") ** 2)))
-            for h in judged.horizons
+            f"{h:g}": float(np.sqrt(np.nanmean(validation.pooled(channel, h, "unchanged") ** 2)))
+            for h in validation.horizons
         }
-        tests = judged.tests.of(channel)
+        tests = validation.tests.of(channel)
         statistics[channel] = {
             "free_runs": free,
             "unchanged": unchanged,
-            "autocorrelation": _first_autocorrelation(judged, channel),
-            "tests_failed": [test.name for test in tests if test.failed(judged.tests.level)],
+            "autocorrelation": _first_autocorrelation(validation, channel),
+            "tests_failed": [test.name for test in tests if test.failed(validation.tests.level)],
             "tests": len(tests),
         }
     return statistics
 
 
-def _first_autocorrelation(judged: ModelValidation, channel: str) -> float:
+def _first_autocorrelation(validation: ModelValidation, channel: str) -> float:
     """Of the one-step errors at a lag of one sample; 0 for a model that leaves white noise."""
-    (step,) = judged.one_steps
+    (step,) = validation.one_steps
     error = step.errors[:, step.channels.index(channel)]
     error = error[np.isfinite(error)]
     error = error - error.mean()

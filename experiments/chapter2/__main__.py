@@ -30,45 +30,45 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, help="put tables, figures and JSON there and leave docs/ as it is"
     )
-    given = parser.parse_args(argv)
-    return exit_code_of(lambda: _run(given))
+    arguments = parser.parse_args(argv)
+    return exit_code_of(lambda: _run(arguments))
 
 
-def _run(given: argparse.Namespace) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from experiments.chapter2 import figures, page
 
-    study = read_study(given.study)
-    folder = given.out or FIGURES
+    study = read_study(arguments.study)
+    folder = arguments.out or FIGURES
     folder.mkdir(parents=True, exist_ok=True)
-    said = progress_with_time()
+    report = progress_with_time()
 
     rotors = [study_rotor(study, rotor) for rotor in ROTORS]
     figures.draw_rotors(rotors, folder / "rotors.png")
     tables = page.rotor_tables(rotors)
-    said("rotors alone: static curves, steps, sines")
+    report("rotors alone: static curves, steps, sines")
 
     single = {freedom: one_axis(study, freedom) for freedom in study.one_axis}
     for freedom, cases in single.items():
         angle = "alpha_v" if freedom == "vertical" else "alpha_h"
         figures.draw_responses(cases, angle, folder / f"{freedom}.png")
         tables[freedom] = page.one_axis_table(cases)
-    said(f"one axis: {sum(map(len, single.values()))} cases")
+    report(f"one axis: {sum(map(len, single.values()))} cases")
 
     cases = two_axes(study)
     for angle, axis in zip(ANGLES, ("pitch", "yaw"), strict=True):
         figures.draw_responses(cases, angle, folder / f"two_axes_{axis}.png")
         figures.draw_spectra(cases, angle, folder / f"two_axes_{axis}_spectra.png")
     tables |= page.two_axes_tables(cases)
-    said(f"two axes: {len(cases)} cases")
+    report(f"two axes: {len(cases)} cases")
 
     agreements, terms = study_agreement(study)
     tables |= page.agreement_tables(agreements, terms)
-    said("where the models agree, and what parts them")
+    report("where the models agree, and what parts them")
 
-    found, records = study_bench_tests(study)
+    results, records = study_bench_tests(study)
     figures.draw_bench_tests(records, folder / "bench_tests.png")
-    tables["bench tests"] = page.bench_table(found)
-    said(f"bench tests: {study.bench_tests.repetitions} repetitions")
+    tables["bench tests"] = page.bench_table(results)
+    report(f"bench tests: {study.bench_tests.repetitions} repetitions")
 
     document = {
         "schema": "trms.chapter2/1",
@@ -83,18 +83,18 @@ def _run(given: argparse.Namespace) -> int:
             t.name: {"all": t.newtonian, **t.left_wrong, "arm": t.arm} for t in terms
         },
         "bench_tests": {
-            f.name: {"true": f.true, "mean": f.mean, "sd": f.sd, "unit": f.unit} for f in found
+            f.name: {"true": f.true, "mean": f.mean, "sd": f.sd, "unit": f.unit} for f in results
         },
     }
     text = json_text(rounded(document))
-    if given.out is None:
+    if arguments.out is None:
         EXPECTED.write_text(text, encoding="utf-8")
         write_tables(PAGE, tables)
-        said(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
+        report(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
     else:
         (folder / "chapter2.json").write_text(text, encoding="utf-8")
         write_alone(folder, tables)
-        said(f"written: {folder}")
+        report(f"written: {folder}")
     return EXIT_OK
 
 

@@ -48,14 +48,14 @@ def study_agreement(study: Study) -> tuple[list[Agreement], list[TermStudy]]:
     newtonian = OpenLoop(Newtonian(), T, n, stops=False)
     finer = OpenLoop(Lagrangian(), T, 2 * n, stops=False)
 
-    terms, by_hand, by_step, moved = [], 0.0, 0.0, 0.0
+    terms, by_hand, by_step, travel = [], 0.0, 0.0, 0.0
     for name in study.two_axes:
         u = pair_of_commands(study, name)
         with_arm = whole.respond(u, start)
         measure = whole.respond(u, start, on_axis)
         by_hand = max(by_hand, _largest(right.respond(u, start), measure))
         by_step = max(by_step, _largest(finer.respond(u, start), with_arm))
-        moved = max(moved, *(float(np.ptp(measure.outputs[angle])) for angle in ANGLES))
+        travel = max(travel, *(float(np.ptp(measure.outputs[angle])) for angle in ANGLES))
         terms.append(
             TermStudy(
                 name,
@@ -67,9 +67,9 @@ def study_agreement(study: Study) -> tuple[list[Agreement], list[TermStudy]]:
     agreements = [
         _one_axis(study, "horizontal", {"h": 0.0}, "yaw alone, h = 0"),
         _one_axis(study, "vertical", {"r_ts": 0.0}, "pitch alone, r_ts = 0"),
-        Agreement("nine cases, h = 0, the four terms put right by hand", by_hand, moved),
+        Agreement("nine cases, h = 0, the four terms put right by hand", by_hand, travel),
         Agreement(
-            f"the same model with {T / n * 1e3:g} and {T / n * 5e2:g} ms steps", by_step, moved
+            f"the same model with {T / n * 1e3:g} and {T / n * 5e2:g} ms steps", by_step, travel
         ),
     ]
     return agreements, terms
@@ -80,15 +80,15 @@ def _one_axis(study: Study, freedom: str, same: dict[str, float], what: str) -> 
     responses = []
     u = _staircase(study.sample_time)
     for kind in (Newtonian, Lagrangian):
-        known = kind(freedom=freedom).parameters  # type: ignore[arg-type]
-        values = {name: value for name, value in same.items() if name in known}
+        parameter_set = kind(freedom=freedom).parameters  # type: ignore[arg-type]
+        values = {name: value for name, value in same.items() if name in parameter_set}
         model = kind(freedom=freedom, parameters=values)  # type: ignore[arg-type]
         loop = OpenLoop(model, study.sample_time, study.substeps, stops=False)
         start = {"alpha_v": -0.5} if freedom == "vertical" else {}
         responses.append(loop.respond(u, start))
     angle = "alpha_v" if freedom == "vertical" else "alpha_h"
-    moved = float(np.ptp(responses[1].outputs[angle]))
-    return Agreement(what, _largest(*responses), moved)
+    travel = float(np.ptp(responses[1].outputs[angle]))
+    return Agreement(what, _largest(*responses), travel)
 
 
 def _staircase(sample_time: float) -> FloatArray:

@@ -47,7 +47,7 @@ def one_axis(study: Study, freedom: str) -> list[Comparison]:
         for kind in (Newtonian, Lagrangian)
     ]
     start = rest_of(both[1])
-    found = []
+    comparisons = []
     for shape, cases in study.one_axis[freedom].items():
         for frequency, amplitude in cases:
             wave = signal(
@@ -56,8 +56,8 @@ def one_axis(study: Study, freedom: str) -> list[Comparison]:
             t = times(max(_LEAST, _PERIODS / frequency), T)
             u = wave.sample(t)[:, None]
             name = f"{shape} {frequency:g} Hz, {amplitude:g} V"
-            found.append(_compared(name, "", *(model.respond(u, start) for model in both)))
-    return found
+            comparisons.append(_compared(name, "", *(model.respond(u, start) for model in both)))
+    return comparisons
 
 
 def pair_of_commands(study: Study, name: str) -> FloatArray:

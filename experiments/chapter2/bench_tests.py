@@ -69,13 +69,13 @@ def study_bench_tests(study: Study, seed: int = 0) -> tuple[list[BenchTestResult
     rig = {p.name: p for p in Lagrangian().parameters}
     clean = _Clean.simulated(study)
     generator = np.random.default_rng(seed)
-    drawn: dict[str, list[float]] = {}
+    samples: dict[str, list[float]] = {}
     records: BenchRecords | None = None
     for _ in range(study.bench_tests.repetitions):
-        found, record = _once(study, clean, {n: p.value for n, p in rig.items()}, generator)
+        estimates, record = _once(study, clean, {n: p.value for n, p in rig.items()}, generator)
         records = records or record
-        for name, value in found.items():
-            drawn.setdefault(name, []).append(value)
+        for name, value in estimates.items():
+            samples.setdefault(name, []).append(value)
     assert records is not None
     return [
         BenchTestResult(
@@ -86,7 +86,7 @@ def study_bench_tests(study: Study, seed: int = 0) -> tuple[list[BenchTestResult
             float(np.mean(values)),
             float(np.std(values, ddof=1)),
         )
-        for name, values in drawn.items()
+        for name, values in samples.items()
     ], records
 
 
@@ -101,28 +101,28 @@ class _Clean:
 
     @classmethod
     def simulated(cls, study: Study) -> _Clean:
-        asked, T, n = study.bench_tests, study.sample_time, study.substeps
+        settings, T, n = study.bench_tests, study.sample_time, study.substeps
         static, run_down = {}, {}
         for rotor, (axis, _) in _ROTORS.items():
             model = SingleRotor(rotor=rotor, load_cell=True)  # type: ignore[arg-type]
             bench = OpenLoop(model, T, n)
             c = {p.name: p.value for p in model.parameters}
-            u = np.linspace(-2.5, 2.5, asked.static_points)
+            u = np.linspace(-2.5, 2.5, settings.static_points)
             u = u[np.abs(u) > 0.2]
-            held = np.ones((len(times(_SETTLED, T)), 1))
-            ends = [bench.respond(value * held).outputs for value in u]
+            unit_command = np.ones((len(times(_SETTLED, T)), 1))
+            ends = [bench.respond(value * unit_command).outputs for value in u]
             omega = np.array([y[f"omega_{axis}"][-1] for y in ends])
             thrust = np.array([y[f"thrust_{axis}"][-1] for y in ends])
             current = (c[f"k_u{axis}"] * u - c["kphi"] * omega) / c["R"]
             static[rotor] = (omega, current, thrust)
             opened = model.parameters.replaced({"R": _OPEN}).values
-            t = times(asked.run_down_duration, T)
-            first = asked.run_down_speed if axis == "v" else asked.run_down_speed_tail
+            t = times(settings.run_down_duration, T)
+            first = settings.run_down_speed if axis == "v" else settings.run_down_speed_tail
             decay = bench.respond(np.zeros((len(t), 1)), {f"omega_{axis}": first}, opened)
             run_down[rotor] = (t, decay.outputs[f"omega_{axis}"])
         yaw = OpenLoop(Lagrangian(freedom="horizontal"), T, n, stops=False)
-        held = np.ones((len(times(_YAW_SETTLED, T)), 1))
-        ends = [yaw.respond(value * held).outputs for value in asked.yaw_commands]
+        unit_command = np.ones((len(times(_YAW_SETTLED, T)), 1))
+        ends = [yaw.respond(value * unit_command).outputs for value in settings.yaw_commands]
         cable = tuple(np.array([y[name][-1] for y in ends]) for name in ("omega_h", "alpha_h"))
         swing = Rollout(Lagrangian(freedom="vertical"), T, free=("k_ov", "l_cb"), substeps=1)
         return cls(static, run_down, (cable[0], cable[1]), swing)
@@ -131,20 +131,20 @@ class _Clean:
 def _once(
     study: Study, clean: _Clean, c: dict[str, float], generator: np.random.Generator
 ) -> tuple[dict[str, float], BenchRecords]:
-    asked = study.bench_tests
-    found: dict[str, float] = {}
+    settings = study.bench_tests
+    estimates: dict[str, float] = {}
     static, run_down = {}, {}
 
     def noisy(values: FloatArray, sd: float) -> FloatArray:
         return values + sd * generator.standard_normal(values.shape)
 
     def encoder(values: FloatArray) -> FloatArray:
-        return np.round(values / asked.angle_quantum) * asked.angle_quantum
+        return np.round(values / settings.angle_quantum) * settings.angle_quantum
 
     for rotor, (axis, suffix) in _ROTORS.items():
-        omega = noisy(clean.static[rotor][0], asked.speed_noise)
-        current = noisy(clean.static[rotor][1], asked.current_noise)
-        force = noisy(clean.static[rotor][2], asked.force_noise)
+        omega = noisy(clean.static[rotor][0], settings.speed_noise)
+        current = noisy(clean.static[rotor][1], settings.current_noise)
+        force = noisy(clean.static[rotor][2], settings.force_noise)
         square = omega * np.abs(omega)
         sides = np.stack([square * (omega > 0), square * (omega < 0)], axis=-1)
         rows = np.column_stack([omega, sides])
@@ -152,30 +152,30 @@ def _once(
         thrust = np.linalg.lstsq(sides, force, rcond=None)[0]
         values = (friction[0], friction[1], friction[2], thrust[0], thrust[1])
         names = (f"B_{suffix}", f"k_t{axis}p", f"k_t{axis}n", f"k_f{axis}p", f"k_f{axis}n")
-        found |= {name: float(value) for name, value in zip(names, values, strict=True)}
+        estimates |= {name: float(value) for name, value in zip(names, values, strict=True)}
         static[rotor] = (omega, c["kphi"] * current, force)
         time, decay = clean.run_down[rotor]
-        measured = noisy(decay, asked.speed_noise)
+        measured = noisy(decay, settings.speed_noise)
         inertia, fitted = _inertia(time, measured, max(friction[0], 0.0), friction[1])
-        found[f"J_{suffix}"] = inertia
+        estimates[f"J_{suffix}"] = inertia
         run_down[rotor] = (time, measured, fitted)
 
-    omega = noisy(clean.cable[0], asked.speed_noise)
+    omega = noisy(clean.cable[0], settings.speed_noise)
     yaw = encoder(clean.cable[1])
-    gains = np.where(omega > 0, found["k_fhp"], found["k_fhn"])
+    gains = np.where(omega > 0, estimates["k_fhp"], estimates["k_fhn"])
     moment = c["l_t"] * gains * omega * np.abs(omega)
     for name, side in (("k_chp", yaw > 0), ("k_chn", yaw < 0)):
-        found[name] = float(yaw[side] @ moment[side] / (yaw[side] @ yaw[side]))
+        estimates[name] = float(yaw[side] @ moment[side] / (yaw[side] @ yaw[side]))
 
     # Released by hand: never from the same angle twice.
-    time = times(asked.swing_duration, study.sample_time)
+    time = times(settings.swing_duration, study.sample_time)
     start = clean.swing.model.rest()
-    start[2] += asked.swing_start * (1 + 0.2 * generator.uniform(-1, 1))
+    start[2] += settings.swing_start * (1 + 0.2 * generator.uniform(-1, 1))
     still = np.zeros((len(time), 1))
     measured = encoder(clean.swing.outputs(still, [0], [len(still)], start[None, :]).y[:, 0])
     swing, fitted = _swing(clean.swing, measured, c, generator)
-    found |= swing
-    return found, BenchRecords(static, run_down, (yaw, moment), (time, measured, fitted))
+    estimates |= swing
+    return estimates, BenchRecords(static, run_down, (yaw, moment), (time, measured, fitted))
 
 
 def _inertia(
@@ -192,8 +192,8 @@ def _inertia(
     def decay(p: FloatArray) -> FloatArray:
         first, inertia = p[0], np.exp(p[1])
         # −expm1 keeps the difference where the friction is slight.
-        gone = -np.expm1(-friction / inertia * time)
-        return np.asarray(first * (1 - gone) / (1 + drag * first / friction * gone))
+        decline = -np.expm1(-friction / inertia * time)
+        return np.asarray(first * (1 - decline) / (1 + drag * first / friction * decline))
 
     start = np.array([omega[0], np.log(1e-4)])
     best = least_squares(lambda p: decay(p) - omega, start, x_scale=[100.0, 1.0])
@@ -231,8 +231,8 @@ def _swing(
         bounds=([-2, -2, 0.1, 0.6], [2, 2, 10, 1.5]),
         xtol=1e-10,
     )
-    found = dict(zip(names, (best.x[2:] * nominal).tolist(), strict=True))
-    return found, simulated(best.x)[0].copy()
+    estimates = dict(zip(names, (best.x[2:] * nominal).tolist(), strict=True))
+    return estimates, simulated(best.x)[0].copy()
 
 
 def _test_of(name: str) -> str:

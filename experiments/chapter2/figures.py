@@ -54,9 +54,12 @@ def draw_rotors(rotors: Sequence[RotorStudy], path: Path) -> None:
             for k, (frequency, response) in enumerate(rotor.sines.items()):
                 omega = response.outputs[f"omega_{rotor.axis}"]
                 periods = response.time * frequency
-                shown = periods >= 4.0
+                window = periods >= 4.0
                 sines.plot(
-                    periods[shown] - 4.0, omega[shown], color=COLOURS[k], label=f"{frequency:g} Hz"
+                    periods[window] - 4.0,
+                    omega[window],
+                    color=COLOURS[k],
+                    label=f"{frequency:g} Hz",
                 )
             sines.set(xlabel="periods", ylabel="[rad/s]")
             legend_above(sines, 3)
@@ -74,10 +77,10 @@ def draw_responses(cases: Sequence[Comparison], angle: str, path: Path) -> None:
             upper, lower = part.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
             time = case.lagrangian.time
             measure = case.lagrangian.outputs[angle]
-            found = case.newtonian.outputs[angle]
+            response = case.newtonian.outputs[angle]
             upper.plot(time, measure, color=_LAGRANGIAN, lw=2.4, label="Lagrangian")
-            upper.plot(time, found, color=_NEWTONIAN, lw=0.9, label="Newtonian")
-            lower.plot(time, 1e3 * (found - measure), color=INK, lw=0.8)
+            upper.plot(time, response, color=_NEWTONIAN, lw=0.9, label="Newtonian")
+            lower.plot(time, 1e3 * (response - measure), color=INK, lw=0.8)
             lower.axhline(0.0, color=GREY, lw=0.6)
             touched = case.lagrangian.stopped or case.newtonian.stopped
             title = case.name.replace("_", " ") + (" (stop)" if touched else "")
@@ -101,11 +104,11 @@ def draw_spectra(cases: Sequence[Comparison], angle: str, path: Path) -> None:
         grid = page.subplots(rows, 3, sharex=True, squeeze=False)
         for k, (case, panel) in enumerate(zip(cases, grid.ravel(), strict=False)):
             rate = 1 / (case.lagrangian.time[1] - case.lagrangian.time[0])
-            measure, found = (r.outputs[angle] for r in (case.lagrangian, case.newtonian))
+            measure, response = (r.outputs[angle] for r in (case.lagrangian, case.newtonian))
             for values, colour, width, label in (
                 (measure, _LAGRANGIAN, 2.4, "Lagrangian"),
-                (found, _NEWTONIAN, 0.9, "Newtonian"),
-                (found - measure, INK, 0.7, "their difference"),
+                (response, _NEWTONIAN, 0.9, "Newtonian"),
+                (response - measure, INK, 0.7, "their difference"),
             ):
                 frequency, density = spectrum(values, rate)
                 panel.loglog(frequency, density, color=colour, lw=width, label=label)
@@ -125,8 +128,8 @@ def spectrum(values: FloatArray, rate: float) -> tuple[FloatArray, FloatArray]:
 
     length = len(values) // 2
     frequency, density = welch(values, rate, nperseg=length, detrend="constant")
-    shown = (frequency >= _BAND[0]) & (frequency <= _BAND[1])
-    return frequency[shown], np.maximum(density[shown], 1e-16)
+    in_band = (frequency >= _BAND[0]) & (frequency <= _BAND[1])
+    return frequency[in_band], np.maximum(density[in_band], 1e-16)
 
 
 def draw_bench_tests(records: BenchRecords, path: Path) -> None:

@@ -94,7 +94,7 @@ def agreement_tables(agreements: Sequence[Agreement], terms: Sequence[TermStudy]
     }
 
 
-def bench_table(found: Sequence[BenchTestResult]) -> str:
+def bench_table(results: Sequence[BenchTestResult]) -> str:
     """Parameters by bench test."""
     rows = [
         [
@@ -105,7 +105,7 @@ def bench_table(found: Sequence[BenchTestResult]) -> str:
             f"{f.bias_percent:+.2f}",
             f"{f.sd_percent:.2f}",
         ]
-        for f in found
+        for f in results
     ]
     return _table(["parameter", "test", "true", "unit", "bias [%]", "sd of one test [%]"], rows)
 

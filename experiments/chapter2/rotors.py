@@ -39,23 +39,23 @@ class RotorStudy:
 
 def study_rotor(study: Study, rotor: str) -> RotorStudy:
     """Simulate one rotor, ``main`` or ``tail``."""
-    asked, T = study.rotors, study.sample_time
+    settings, T = study.rotors, study.sample_time
     axis = ROTORS[rotor]
     bench = OpenLoop(SingleRotor(rotor=rotor, load_cell=True), T, study.substeps)  # type: ignore[arg-type]
-    commands = asked.commands.values
-    held = np.ones((len(times(_SETTLED, T)), 1))
-    settled = [bench.respond(u * held).outputs for u in commands]
+    commands = settings.commands.values
+    unit_command = np.ones((len(times(_SETTLED, T)), 1))
+    settled = [bench.respond(u * unit_command).outputs for u in commands]
 
-    half = len(times(asked.step_duration / 2, T))
+    half = len(times(settings.step_duration / 2, T))
     pulse = np.concatenate([np.ones((half, 1)), np.zeros((half, 1))])
-    steps = {size: bench.respond(size * pulse) for size in asked.steps}
+    steps = {size: bench.respond(size * pulse) for size in settings.steps}
     shapes = {size: _shape(r.outputs[f"omega_{axis}"], half, T) for size, r in steps.items()}
 
     sines, harmonics = {}, {}
-    for frequency in asked.sines.frequencies:
+    for frequency in settings.sines.frequencies:
         # Two periods to settle, four to look at.
         t = times(6 / frequency, T)
-        wave = asked.sines.offset + asked.sines.amplitude * np.sin(2 * np.pi * frequency * t)
+        wave = settings.sines.offset + settings.sines.amplitude * np.sin(2 * np.pi * frequency * t)
         response = bench.respond(wave[:, None])
         sines[frequency] = response
         last = t >= 2 / frequency - 1e-9
@@ -63,7 +63,7 @@ def study_rotor(study: Study, rotor: str) -> RotorStudy:
         turning = np.exp(-2j * np.pi * frequency * t[last])
         harmonics[frequency] = np.sum(omega * turning) / np.sum(wave[last] * turning)
 
-    full = max(asked.steps)
+    full = max(settings.steps)
     inductive = OpenLoop(
         SingleRotor(rotor=rotor, currents="dynamic"),  # type: ignore[arg-type]
         T,

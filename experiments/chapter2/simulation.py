@@ -38,9 +38,9 @@ class Difference:
     fit: float
 
 
-def difference(found: FloatArray, measure: FloatArray) -> Difference:
+def difference(response: FloatArray, measure: FloatArray) -> Difference:
     """Compare two records of one output, shape (n,)."""
-    error = found - measure
+    error = response - measure
     spread = float(np.linalg.norm(measure - measure.mean()))
     fit = 100 * (1 - float(np.linalg.norm(error)) / spread) if spread > 1e-9 else float("nan")
     return Difference(float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()), fit)

@@ -109,9 +109,9 @@ def signal(given: Mapping[str, Any], where: str) -> ReferenceSignal:
             f"there is no signal {name!r}", where=f"{where}.signal", remedy="see trms list signal"
         )
     node = yaml.safe_load(file.read_text(encoding="utf-8")) | values
-    built = build(node, where)
-    assert isinstance(built, ReferenceSignal)
-    return built
+    reference = build(node, where)
+    assert isinstance(reference, ReferenceSignal)
+    return reference
 
 
 def times(duration: float, sample_time: float) -> FloatArray:

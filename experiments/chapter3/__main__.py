@@ -22,10 +22,10 @@ _DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code."""
-    given = _parser().parse_args(argv)
+    arguments = _parser().parse_args(argv)
     take_one_thread()
     return exit_code_of(
-        lambda: _networks(given.only) if given.what == "networks" else _study(given)
+        lambda: _networks(arguments.only) if arguments.what == "networks" else _study(arguments)
     )
 
 
@@ -42,19 +42,19 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _study(given: argparse.Namespace) -> int:
+def _study(arguments: argparse.Namespace) -> int:
     from experiments.chapter3.figures import draw_all
     from experiments.chapter3.page import write_page
     from experiments.chapter3.study import run_study
     from experiments.chapter3.tables import markdown, plain
 
-    study = run_study(given.jobs, given.short, given.seeds)
-    folder = given.docs / "figures" / "chapter3"
-    draw_all(study, folder, given.short)
+    study = run_study(arguments.jobs, arguments.short, arguments.seeds)
+    folder = arguments.docs / "figures" / "chapter3"
+    draw_all(study, folder, arguments.short)
     tables = markdown(study)
     document = json.dumps(plain(study), indent=1, ensure_ascii=False)
     (folder / "chapter3.json").write_text(f"{document}\n", encoding="utf-8")
-    write_page(given.docs / "chapter3.md", tables)
+    write_page(arguments.docs / "chapter3.md", tables)
     sys.stdout.write("\n\n".join(f"{name}\n\n{table}" for name, table in tables.items()) + "\n")
     return EXIT_OK
 

@@ -63,8 +63,8 @@ def draw_all(study: Study, folder: Path, short: float) -> None:
         _draw_runs(name, _best_of(results, ("nnarx", "nnoe")), folder / f"runs_{name}.png", short)
     draw_structures(study, folder / "structure.png")
     for label in ("nnarx", "nnoe"):
-        chosen = min(group_trainings(study.members["vertical"])[label], key=_test_error)
-        _draw_tests(chosen, folder / f"correlations_{label}.png", short)
+        best = min(group_trainings(study.members["vertical"])[label], key=_test_error)
+        _draw_tests(best, folder / f"correlations_{label}.png", short)
 
 
 def draw_structures(study: Study, path: Path) -> None:
@@ -75,12 +75,12 @@ def draw_structures(study: Study, path: Path) -> None:
     for one in study.structures:
         row, column = lags.index(one.candidate.lags), hidden.index(one.candidate.hidden)
         errors[row, column] = one.free_run
-    chosen = select_candidate(study.structures).candidate
+    selection = select_candidate(study.structures).candidate
     draw_structure(
         lags,
         hidden,
         100 * errors,
-        (chosen.lags, chosen.hidden),
+        (selection.lags, selection.hidden),
         path,
         title="Free run over held-out data, % of the spread: median, range over starts",
     )
@@ -92,11 +92,11 @@ def _test_error(one: TrainingResult) -> float:
 
 def _best_of(results: Sequence[TrainingResult], labels: Sequence[str]) -> dict[str, TrainingResult]:
     """The median start of each label, so that no lucky one is shown."""
-    chosen = {}
+    medians = {}
     for label in labels:
         ordered = sorted(group_trainings(results)[label], key=_test_error)
-        chosen[MEMBERS[label].split(",")[0]] = ordered[len(ordered) // 2]
-    return chosen
+        medians[MEMBERS[label].split(",")[0]] = ordered[len(ordered) // 2]
+    return medians
 
 
 def _draw_runs(system: str, networks: dict[str, TrainingResult], path: Path, short: float) -> None:
@@ -133,7 +133,7 @@ def _draw_tests(one: TrainingResult, path: Path, short: float) -> None:
         lags=20,
     )
     angle = angles([one])[0]
-    shown = [
+    correlation_tests = [
         Correlation(
             test.formula,
             test.result.lags.astype(np.float64),
@@ -146,7 +146,7 @@ def _draw_tests(one: TrainingResult, path: Path, short: float) -> None:
     ]
     name = MEMBERS[one.job.label].split(",")[0]
     draw_correlations(
-        shown,
+        correlation_tests,
         path,
         title=f"{name}, {_NAMES[angle]}: residuals one step ahead, 95 % bands over all lags",
     )

@@ -53,8 +53,8 @@ def train_network(name: str, progress: Progress) -> NarxFile:
     ]
     validation = pieces(seed + 100, own["held_out"])
     test = pieces(seed + 200, own["held_out"])
-    chosen = {**common["method"], **own["method"]}
-    fit = method("nnoe", chosen.pop("training", "lm"), chosen)
+    method_options = {**common["method"], **own["method"]}
+    fit = method("nnoe", method_options.pop("training", "lm"), method_options)
     problem = FitProblem(
         model=model, datasets=tuple(fitted), validation=tuple(validation), seed=seed
     )

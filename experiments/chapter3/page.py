@@ -22,7 +22,7 @@ def fill_tables(text: str, tables: Mapping[str, str], where: str) -> str:
                 where=where,
                 remedy=f"put <!-- table {name} --> and <!-- end --> where it belongs",
             )
-        text = marks.sub(lambda found, t=table: f"{found[1]}{t}\n{found[2]}", text)  # type: ignore[misc]
+        text = marks.sub(lambda match, t=table: f"{match[1]}{t}\n{match[2]}", text)  # type: ignore[misc]
     return text
 
 

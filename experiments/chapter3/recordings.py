@@ -48,8 +48,8 @@ def recording(
     seed : int
         Of the commands and of the noise.
     """
-    built = build(option("model", model), "model")
-    rig = SimulatedRig(model=built, sensors=bench_sensors())
+    rig_model = build(option("model", model), "model")
+    rig = SimulatedRig(model=rig_model, sensors=bench_sensors())
     n = round(duration / sample_time)
     run = rig.init(PlantSetup(sample_time, n, seed))
     time = np.arange(n, dtype=np.float64) * sample_time
@@ -115,9 +115,9 @@ def spans(datasets: list[Dataset]) -> dict[str, tuple[float, float]]:
 
 def _seeded(part: Mapping[str, Any], seed: int, number: int) -> dict[str, Any]:
     """A signal with its draws or its phase moved: another recording or input, another signal."""
-    moved = dict(part)
+    signal = dict(part)
     if "seed" in part:
-        moved["seed"] = int(part["seed"]) + 1000 * seed + 100 * number
+        signal["seed"] = int(part["seed"]) + 1000 * seed + 100 * number
     if "phase" in part:
-        moved["phase"] = float(part["phase"]) + _GOLDEN * (2 * seed + number) % 1.0
-    return moved
+        signal["phase"] = float(part["phase"]) + _GOLDEN * (2 * seed + number) % 1.0
+    return signal

@@ -70,8 +70,8 @@ def assess(
 
     Raises RecordingError if the recordings cannot be fitted, or nothing is held out.
     """
-    chosen = candidate_method(method, candidate)
-    results = [chosen.fit(replace(problem, seed=seed), progress) for seed in seeds]
+    narx_fit = candidate_method(method, candidate)
+    results = [narx_fit.fit(replace(problem, seed=seed), progress) for seed in seeds]
     return AssessedCandidate(
         candidate,
         int(results[0].details["weights"]),

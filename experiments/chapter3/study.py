@@ -51,9 +51,9 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
 
         def timed(name: str, work: Sequence[Job]) -> list[TrainingResult]:
             begin = perf_counter()
-            done = list(_told(name, run(partial(run_job, short=short), work), len(work)))
+            results = list(_told(name, run(partial(run_job, short=short), work), len(work)))
             seconds[name] = perf_counter() - begin
-            return done
+            return results
 
         tables = {
             name: timed(name, _table_jobs(name, seeds or own.get("seeds", settings()["seeds"])))
@@ -66,11 +66,11 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
         excitations = timed("excitations", _excitation_jobs(seeds))
         begin, own = perf_counter(), settings()["structure"]
         candidates = [Candidate(lags, hidden) for lags in own["lags"] for hidden in own["hidden"]]
-        chosen = list(seeds or own["seeds"])
+        start_seeds = list(seeds or own["seeds"])
         structures = list(
             _told(
                 "structure",
-                run(partial(_assess, seeds=chosen, short=short), candidates),
+                run(partial(_assess, seeds=start_seeds, short=short), candidates),
                 len(candidates),
             )
         )
@@ -136,9 +136,9 @@ def _pool(jobs: int) -> Iterator[Callable[..., Iterator]]:
 
 def _told(name: str, results: Iterator, count: int) -> Iterator:
     """Results as they come, with a line on the screen that counts them."""
-    for done, result in enumerate(results, start=1):
+    for number, result in enumerate(results, start=1):
         if sys.stderr.isatty():
-            sys.stderr.write(f"\r{name}: {done} of {count}  ")
-            if done == count:
+            sys.stderr.write(f"\r{name}: {number} of {count}  ")
+            if number == count:
                 sys.stderr.write("\n")
         yield result

@@ -74,16 +74,16 @@ def angles(results: Sequence[TrainingResult]) -> list[str]:
 
 
 def _trainings(results: Sequence[TrainingResult]) -> str:
-    shown = angles(results)
+    angle_names = angles(results)
     heads = ["training", "epochs", "processor time [s]"]
-    for name in shown:
+    for name in angle_names:
         heads += [f"{_NAMES[name]}, one step, fitted [mrad]", "test"]
         heads += [f"{_NAMES[name]}, free run, fitted [mrad]", "test"]
     rows = []
     for label, group in group_trainings(results).items():
         cells = [f"`{label}`", _spread([one.epochs for one in group], 0)]
         cells.append(_spread([one.seconds for one in group], 2))
-        for name in shown:
+        for name in angle_names:
             for errors in ("one_step", "free_run"):
                 for part in ("fitted", "test"):
                     factor = _SHOWN[name][0]
@@ -94,15 +94,15 @@ def _trainings(results: Sequence[TrainingResult]) -> str:
 
 
 def _members(results: Sequence[TrainingResult]) -> str:
-    shown = angles(results)
+    angle_names = angles(results)
     heads = ["network", "weights", "processor time [s]"]
-    for name in shown:
+    for name in angle_names:
         heads += [f"{_NAMES[name]}, one step, test [mrad]", "free run, fitted", "free run, test"]
     rows = []
     for label, group in group_trainings(results).items():
         cells = [MEMBERS.get(label, label), str(group[0].weights)]
         cells.append(_spread([one.seconds for one in group], 2))
-        for name in shown:
+        for name in angle_names:
             factor = _SHOWN[name][0]
             for errors, part in (
                 ("one_step", "test"),
@@ -116,7 +116,7 @@ def _members(results: Sequence[TrainingResult]) -> str:
 
 def _structure(study: Study) -> str:
     best = min(study.structures, key=lambda one: one.level)
-    chosen = select_candidate(study.structures)
+    selection = select_candidate(study.structures)
     rows = [
         [
             words,
@@ -126,7 +126,7 @@ def _structure(study: Study) -> str:
             _spread([100 * value for value in one.one_step]),
             _spread([100 * value for value in one.free_run]),
         ]
-        for words, one in (("best", best), ("selected", chosen))
+        for words, one in (("best", best), ("selected", selection))
     ]
     heads = ["", "lags", "hidden units", "weights"]
     return _table([*heads, "one step [% of the spread]", "free run [% of the spread]"], rows)

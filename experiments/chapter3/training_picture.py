@@ -110,11 +110,11 @@ def draw_spread(
         left, right = figure.subplots(1, 2, sharey=True)
         finite = [e for row in rows for e in row.errors if np.isfinite(e)]
         for i, row in enumerate(rows):
-            lost = int(np.count_nonzero(~np.isfinite(row.errors)))
+            divergences = int(np.count_nonzero(~np.isfinite(row.errors)))
             _dots(left, i, row.errors[np.isfinite(row.errors)], PALETTE["blue"])
             _dots(right, i, row.seconds, PALETTE["vermilion"])
-            if lost:
-                words = f"{lost} of {len(row.errors)} diverged"
+            if divergences:
+                words = f"{divergences} of {len(row.errors)} diverged"
                 left.annotate(
                     words, (1.0, i), (-4, 0), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", va="center", fontsize=8, color=ALARM,
@@ -178,31 +178,31 @@ def draw_structure(
     lags: Sequence[int],
     hidden: Sequence[int],
     errors: FloatArray,
-    chosen: tuple[int, int],
+    selection: tuple[int, int],
     path: Path,
     *,
     title: str = "",
 ) -> None:
     """Map of errors over lags and hidden units, with the spread over starts in each cell.
 
-    ``errors``: (n_lags, n_hidden, n_starts) array; infinite after a divergence. ``chosen``: lags
+    ``errors``: (n_lags, n_hidden, n_starts) array; infinite after a divergence. ``selection``: lags
     and hidden units of the selected structure.
     """
     with house_style():
         figure = new_figure(1.9 + 1.35 * len(hidden), 1.5 + 0.75 * len(lags))
         panel = figure.subplots()
         median = np.median(errors, axis=2)
-        shown = np.where(np.isfinite(median), median, np.nan)
-        least, most = float(np.nanmin(shown)), float(np.nanmax(shown))
+        finite_median = np.where(np.isfinite(median), median, np.nan)
+        least, most = float(np.nanmin(finite_median)), float(np.nanmax(finite_median))
         norm = LogNorm(least, max(most, 1.01 * least))
-        picture = panel.imshow(shown, cmap="viridis_r", aspect="auto", norm=norm)
+        picture = panel.imshow(finite_median, cmap="viridis_r", aspect="auto", norm=norm)
         bright = np.sqrt(least * most)
         for i, j in np.ndindex(median.shape):
             low, high = errors[i, j].min(), errors[i, j].max()
             words = f"{_short(float(median[i, j]))}\n{_short(low)}–{_short(high)}"
-            colour = "white" if shown[i, j] > bright else INK
+            colour = "white" if finite_median[i, j] > bright else INK
             panel.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
-        row, column = list(lags).index(chosen[0]), list(hidden).index(chosen[1])
+        row, column = list(lags).index(selection[0]), list(hidden).index(selection[1])
         panel.add_patch(_frame(column, row))
         panel.set_xticks(range(len(hidden)), [str(units) for units in hidden])
         panel.set_yticks(range(len(lags)), [str(count) for count in lags])

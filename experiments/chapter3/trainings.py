@@ -73,9 +73,9 @@ def settings() -> dict[str, Any]:
 @cache
 def model_of(system: str) -> Model:
     """The rig's equations."""
-    built = build(option("model", settings()["systems"][system]["model"]), "model")
-    assert isinstance(built, Model)
-    return built
+    model = build(option("model", settings()["systems"][system]["model"]), "model")
+    assert isinstance(model, Model)
+    return model
 
 
 @cache

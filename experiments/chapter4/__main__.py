@@ -16,9 +16,9 @@ from trms_cli.core.errors import EXIT_OK
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study, print its tables, write them into the documentation on request."""
-    given = _parser().parse_args(argv)
+    arguments = _parser().parse_args(argv)
     one_thread_each()
-    return exit_code_of(lambda: _study(given))
+    return exit_code_of(lambda: _study(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -35,13 +35,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _study(given: argparse.Namespace) -> int:
+def _study(arguments: argparse.Namespace) -> int:
     from experiments.chapter4 import page
     from experiments.chapter4.cases import Case, read_study
     from experiments.chapter4.fits import CaseOutcome, run_case
     from experiments.page_tables import print_tables
 
-    study = read_study(given.only, given.quick)
+    study = read_study(arguments.only, arguments.quick)
     begin = perf_counter()
     # The comparison first: its searches are the longest.
     work: list[tuple[Case, dict[str, tuple[str, ...]], tuple[int, ...], bool]] = [
@@ -54,13 +54,13 @@ def _study(given: argparse.Namespace) -> int:
     outcomes: dict[int, CaseOutcome] = {}
     compared: dict[int, CaseOutcome] = {}
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max_workers=given.jobs, mp_context=context) as pool:
+    with ProcessPoolExecutor(max_workers=arguments.jobs, mp_context=context) as pool:
         waiting = {pool.submit(run_case, *item[:3]): item for item in work}
         try:
-            for done, future in enumerate(as_completed(waiting), start=1):
+            for count, future in enumerate(as_completed(waiting), start=1):
                 case, methods, _, of_comparison = waiting[future]
                 outcome = future.result()
-                _tell(done, len(work), case.name, ", ".join(methods))
+                _tell(count, len(work), case.name, ", ".join(methods))
                 if not of_comparison:
                     outcomes[case.number] = outcome
                 elif case.number in compared:
@@ -71,24 +71,24 @@ def _study(given: argparse.Namespace) -> int:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     seconds = perf_counter() - begin
-    found = page.Findings(
+    findings = page.Findings(
         [outcomes[number] for number in sorted(outcomes)],
         [compared[number] for number in sorted(compared)],
         seconds,
     )
-    tables = {name: rows for name, rows in page.tables(found).items() if len(rows) > 1}
+    tables = {name: rows for name, rows in page.tables(findings).items() if len(rows) > 1}
     print_tables(tables, width=120)
-    page.write_out(found, given.out)
-    if given.publish:
-        page.publish(found)
-    print(f"{seconds:.0f} s; tables and figures: {given.out}")
+    page.write_out(findings, arguments.out)
+    if arguments.publish:
+        page.publish(findings)
+    print(f"{seconds:.0f} s; tables and figures: {arguments.out}")
     return EXIT_OK
 
 
-def _tell(done: int, of: int, name: str, methods: str) -> None:
+def _tell(count: int, of: int, name: str, methods: str) -> None:
     if sys.stderr.isatty():
-        sys.stderr.write(f"\r\033[K{done} of {of}: {name} ({methods})")
-        if done == of:
+        sys.stderr.write(f"\r\033[K{count} of {of}: {name} ({methods})")
+        if count == of:
             sys.stderr.write("\r\033[K")
         sys.stderr.flush()
 

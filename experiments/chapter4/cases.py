@@ -56,8 +56,8 @@ def read_study(only: str = "*", quick: bool = False, file: Path = CASES) -> Stud
         )
         for number, node in enumerate(content["cases"], start=1)
     ]
-    chosen = [c for c in cases if fnmatch(c.name, only) or fnmatch(str(c.number), only)]
-    if not chosen:
+    matches = [c for c in cases if fnmatch(c.name, only) or fnmatch(str(c.number), only)]
+    if not matches:
         raise ConfigurationError(
             f"no case is called {only!r}",
             where="--only",
@@ -65,9 +65,9 @@ def read_study(only: str = "*", quick: bool = False, file: Path = CASES) -> Stud
         )
     comparison = content["comparison"]
     return Study(
-        chosen,
+        matches,
         _methods(content["methods"], quick),
-        [case for case in chosen if case.number in comparison["cases"]],
+        [case for case in matches if case.number in comparison["cases"]],
         _methods(comparison["methods"], quick),
         tuple(comparison["seeds"][: 1 if quick else None]),
     )

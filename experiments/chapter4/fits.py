@@ -82,8 +82,8 @@ def _fit(
     from trms_cli.library.tasks.identify import identification_of
 
     overrides = [f"real='{fit}'", f"validation.real='{held_out}'", "jobs=1"]
-    asked = identification_of(compose([*overrides, *outcome.case.identify, *words], "identify"))
-    problem = asked.problem
+    task = identification_of(compose([*overrides, *outcome.case.identify, *words], "identify"))
+    problem = task.problem
     length = problem.window_length
     if not outcome.white:
         outcome.free = len(problem.free)
@@ -95,7 +95,7 @@ def _fit(
         }
         outcome.white_trace = _trace(white)
     begin = process_time()
-    result: FitResult = asked.method.fit(problem, SilentProgress())
+    result: FitResult = task.method.fit(problem, SilentProgress())
     seconds = process_time() - begin
     runs = window_runs(with_values(problem.model, result.values), problem.validation, length)
     outcome.fits.append(

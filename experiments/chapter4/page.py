@@ -35,37 +35,37 @@ class Findings:
     seconds: float  #: Of the whole study, s
 
 
-def tables(found: Findings) -> dict[str, list[list[str]]]:
+def tables(findings: Findings) -> dict[str, list[list[str]]]:
     """Tables by name, each with its head in the first row."""
-    return {"white-against-grey": _white_grey(found), "comparison": _comparison(found)}
+    return {"white-against-grey": _white_grey(findings), "comparison": _comparison(findings)}
 
 
-def write_out(found: Findings, folder: Path) -> None:
+def write_out(findings: Findings, folder: Path) -> None:
     """Tables as JSON and figures into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = json_data(document(found))
+    content = json_data(document(findings))
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
     (folder / "chapter4.json").write_text(text + "\n", encoding="utf-8")
-    draw(found, folder)
+    draw(findings, folder)
 
 
-def publish(found: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None:
+def publish(findings: Findings, page: Path = PAGE, figures: Path = FIGURES) -> None:
     """Rewrite the page between its marks, and its figures.
 
     Raises ConfigurationError if the page has no marks for a table.
     """
-    blocks = {name: markdown(rows) for name, rows in tables(found).items()}
-    fits = [f for o in (*found.cases, *found.compared) for f in o.fits]
+    blocks = {name: markdown(rows) for name, rows in tables(findings).items()}
+    fits = [f for o in (*findings.cases, *findings.compared) for f in o.fits]
     blocks["time"] = (
         f"The {len(fits)} fits of the study took {sum(f.seconds for f in fits):.0f} s of processor "
         "time together; two processes share them."
     )
     write_tables(page, blocks)
     figures.mkdir(parents=True, exist_ok=True)
-    draw(found, figures)
+    draw(findings, figures)
 
 
-def document(found: Findings) -> dict[str, Any]:
+def document(findings: Findings) -> dict[str, Any]:
     """``trms.chapter4/1``."""
 
     def fit(f: GreyboxFit) -> dict[str, Any]:
@@ -93,33 +93,33 @@ def document(found: Findings) -> dict[str, Any]:
 
     return {
         "schema": SCHEMA,
-        "seconds": found.seconds,
-        "cases": [case(o) for o in found.cases],
-        "comparison": [case(o) for o in found.compared],
+        "seconds": findings.seconds,
+        "cases": [case(o) for o in findings.cases],
+        "comparison": [case(o) for o in findings.compared],
     }
 
 
-def draw(found: Findings, folder: Path) -> None:
+def draw(findings: Findings, folder: Path) -> None:
     """All figures, as PNG."""
     from trms_cli.reporting.style import house_style, save_png
 
     with house_style():
-        if found.cases:
-            save_png(_bars(found.cases), folder / "white_against_grey.png")
-            for outcome in found.cases:
+        if findings.cases:
+            save_png(_bars(findings.cases), folder / "white_against_grey.png")
+            for outcome in findings.cases:
                 if outcome.case.number in (1, 9, 11):
                     path = folder / f"case_{outcome.case.number}.png"
                     save_png(_traces(outcome), path)
-        if found.compared:
-            save_png(_searches(found.compared), folder / "comparison.png")
+        if findings.compared:
+            save_png(_searches(findings.compared), folder / "comparison.png")
 
 
-def _white_grey(found: Findings) -> list[list[str]]:
-    methods = list(dict.fromkeys(f.method for o in found.cases for f in o.fits))
+def _white_grey(findings: Findings) -> list[list[str]]:
+    methods = list(dict.fromkeys(f.method for o in findings.cases for f in o.fits))
     head = ["", "case", "free", "output", "white"]
     head += [_METHODS[m] for m in methods] + [f"{_METHODS[m]} [s]" for m in methods]
     rows = [head]
-    for outcome in found.cases:
+    for outcome in findings.cases:
         first = True
         for name, label in _ANGLES.items():
             if name not in outcome.white:
@@ -140,7 +140,7 @@ def _white_grey(found: Findings) -> list[list[str]]:
     return rows
 
 
-def _comparison(found: Findings) -> list[list[str]]:
+def _comparison(findings: Findings) -> list[list[str]]:
     rows = [
         [
             "case",
@@ -152,7 +152,7 @@ def _comparison(found: Findings) -> list[list[str]]:
             "yaw [mrad]",
         ]
     ]
-    for outcome in found.compared:
+    for outcome in findings.compared:
         least = min(f.cost for f in outcome.fits)
         for i, method in enumerate(dict.fromkeys(f.method for f in outcome.fits)):
             fits = [f for f in outcome.fits if f.method == method]

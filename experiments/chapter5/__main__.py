@@ -28,32 +28,32 @@ SCHEMA = "trms.chapter5/1"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a figure is not what was recorded."""
-    given = recorded_parser("chapter5", __doc__, STUDY).parse_args(argv)
+    arguments = recorded_parser("chapter5", __doc__, STUDY).parse_args(argv)
     one_thread_each()
-    return exit_code_of(lambda: _run(given))
+    return exit_code_of(lambda: _run(arguments))
 
 
-def _run(given: argparse.Namespace) -> int:
-    refuse_part(given)
-    study = read_study(given.study, quick=given.quick)
-    expected = None if given.update else read_expected(EXPECTED, "figures")
-    said = progress_with_time()
-    pictures = FIGURES if given.update else given.out
+def _run(arguments: argparse.Namespace) -> int:
+    refuse_part(arguments)
+    study = read_study(arguments.study, quick=arguments.quick)
+    expected = None if arguments.update else read_expected(EXPECTED, "figures")
+    report = progress_with_time()
+    pictures = FIGURES if arguments.update else arguments.out
     if pictures is not None:
         pictures.mkdir(parents=True, exist_ok=True)
-    documents = answers(study, given.jobs, pictures, said)
-    found = figures_of(study, documents)
-    if given.update:
-        EXPECTED.write_text(json_text({"schema": SCHEMA, "figures": found}), encoding="utf-8")
+    documents = answers(study, arguments.jobs, pictures, report)
+    figures = figures_of(study, documents)
+    if arguments.update:
+        EXPECTED.write_text(json_text({"schema": SCHEMA, "figures": figures}), encoding="utf-8")
         write_tables(PAGE, parts_of(study, documents))
-        said(f"recorded: {PAGE.name}, {EXPECTED.name}")
+        report(f"recorded: {PAGE.name}, {EXPECTED.name}")
         return EXIT_OK
-    if given.out is not None:
+    if arguments.out is not None:
         for name, document in documents.items():
-            (given.out / f"{name}.json").write_text(json_text(document), encoding="utf-8")
-        said(f"written: {given.out}")
+            (arguments.out / f"{name}.json").write_text(json_text(document), encoding="utf-8")
+        report(f"written: {arguments.out}")
     assert expected is not None
-    return exit_code(found, expected, dict.fromkeys(found, study.tolerance), said)
+    return exit_code(figures, expected, dict.fromkeys(figures, study.tolerance), report)
 
 
 if __name__ == "__main__":

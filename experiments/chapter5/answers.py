@@ -44,24 +44,25 @@ def answer(question: Question, pictures: str | None) -> dict[str, Any]:
 
 
 def answers(
-    study: Study, jobs: int, pictures: Path | None, said: Callable[[str], None]
+    study: Study, jobs: int, pictures: Path | None, report: Callable[[str], None]
 ) -> dict[str, dict[str, Any]]:
     """The documents of all questions, by name."""
-    kept = None if pictures is None else str(pictures)
-    found: dict[str, dict[str, Any]] = {}
+    picture_folder = None if pictures is None else str(pictures)
+    documents: dict[str, dict[str, Any]] = {}
     if jobs <= 1:
         for name, question in study.questions.items():
-            found[name] = answer(question, kept)
-            said(name)
-        return found
+            documents[name] = answer(question, picture_folder)
+            report(name)
+        return documents
     with process_pool(jobs) as pool:
         futures = {
-            pool.submit(answer, question, kept): name for name, question in study.questions.items()
+            pool.submit(answer, question, picture_folder): name
+            for name, question in study.questions.items()
         }
         for future in as_completed(futures):
-            found[futures[future]] = future.result()
-            said(futures[future])
-    return {name: found[name] for name in study.questions}
+            documents[futures[future]] = future.result()
+            report(futures[future])
+    return {name: documents[name] for name in study.questions}
 
 
 def figures_of(

@@ -26,29 +26,33 @@ EXPECTED = HERE / "expected.json"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a figure is not what was recorded."""
-    given = recorded_parser("chapter6", __doc__, STUDY).parse_args(argv)
+    arguments = recorded_parser("chapter6", __doc__, STUDY).parse_args(argv)
     one_thread_each()
-    return exit_code_of(lambda: _run(given))
+    return exit_code_of(lambda: _run(arguments))
 
 
-def _run(given: argparse.Namespace) -> int:
-    refuse_part(given)
-    study = read_study(given.study, quick=given.quick)
-    expected = None if given.update else read_expected(EXPECTED, "quick" if given.quick else "full")
-    said = progress_with_time()
-    results = compute(study, given.jobs, said)
-    found = figures_of(results)
-    if given.update:
-        quick = compute(read_study(given.study, quick=True), given.jobs, said)
-        EXPECTED.write_text(document_of(found, figures_of(quick)), encoding="utf-8")
+def _run(arguments: argparse.Namespace) -> int:
+    refuse_part(arguments)
+    study = read_study(arguments.study, quick=arguments.quick)
+    expected = (
+        None
+        if arguments.update
+        else read_expected(EXPECTED, "quick" if arguments.quick else "full")
+    )
+    report = progress_with_time()
+    results = compute(study, arguments.jobs, report)
+    figures = figures_of(results)
+    if arguments.update:
+        quick = compute(read_study(arguments.study, quick=True), arguments.jobs, report)
+        EXPECTED.write_text(document_of(figures, figures_of(quick)), encoding="utf-8")
         _show(study, results, FIGURES, page=True)
-        said(f"recorded: {PAGE.name}, {EXPECTED.name}")
+        report(f"recorded: {PAGE.name}, {EXPECTED.name}")
         return EXIT_OK
-    if given.out is not None:
-        _show(study, results, given.out, page=False)
-        said(f"written: {given.out}")
+    if arguments.out is not None:
+        _show(study, results, arguments.out, page=False)
+        report(f"written: {arguments.out}")
     assert expected is not None
-    return exit_code(found, expected, study.tolerances, said)
+    return exit_code(figures, expected, study.tolerances, report)
 
 
 def _show(study: Study, results: Results, folder: Path, *, page: bool) -> None:

@@ -53,7 +53,7 @@ def _checked(name: str, mode: Mode, study: Decrease, seed: int) -> tuple[Claim, 
     ]
     rows = [_gaps(record, mode.terminal) for record in records]
     before, gaps, moves = (np.concatenate([row[i] for row in rows]) for i in range(3))
-    held = np.concatenate([r.residual[:-1] <= study.held for r in records])
+    is_met = np.concatenate([r.residual[:-1] <= study.held for r in records])
     slack = study.tolerance * before
     floor = before > 1e-9  # at rest there is nothing left to fall
     shifted = np.concatenate([r.shifted[1:] for r in records])
@@ -62,12 +62,12 @@ def _checked(name: str, mode: Mode, study: Decrease, seed: int) -> tuple[Claim, 
         Claim(
             name,
             sum(len(r.objective) for r in records),
-            float(held.mean()),
-            float((gaps <= slack)[held & floor].mean()),
-            float((gaps <= moves + slack)[held & floor].mean()),
-            float((gaps / np.maximum(before, 1e-9))[held & floor].max()),
+            float(is_met.mean()),
+            float((gaps <= slack)[is_met & floor].mean()),
+            float((gaps <= moves + slack)[is_met & floor].mean()),
+            float((gaps / np.maximum(before, 1e-9))[is_met & floor].max()),
             float(np.concatenate([r.converged for r in records]).mean()),
-            float(shifted[held].max()),
+            float(shifted[is_met].max()),
             float(max(np.abs(r.x[-1] - target.x)[angles].max() for r in records)),
         ),
         records,

@@ -100,7 +100,7 @@ def find_all(
     study: Domain, states: list[FloatArray], sides: tuple[int, int] | None = None
 ) -> FeasibleStates:
     """Feasibility of states; those of a grid (``sides``, row by row) have neighbours."""
-    found = FeasibleStates(states)
+    feasible_states = FeasibleStates(states)
     for terminal in study.terminals:
         shorter: list[FloatArray | None] = [None] * len(states)
         before: _Finder | None = None
@@ -113,10 +113,12 @@ def find_all(
                     plans[i] = finder.find(x, before.longer(x, plan, horizon))
             if sides is not None:
                 _spread(finder, states, plans, sides)
-            found.alone[terminal, horizon] = alone
-            found.feasible[terminal, horizon] = np.array([plan is not None for plan in plans])
+            feasible_states.alone[terminal, horizon] = alone
+            feasible_states.feasible[terminal, horizon] = np.array(
+                [plan is not None for plan in plans]
+            )
             shorter, before = plans, finder
-    return found
+    return feasible_states
 
 
 def _spread(
@@ -127,7 +129,7 @@ def _spread(
 ) -> None:
     """Try the plans of neighbours where none was found, as long as that finds any."""
     rows, columns = sides
-    tried: set[tuple[int, int]] = set()
+    attempts: set[tuple[int, int]] = set()
     fresh = True
     while fresh:
         fresh = False
@@ -142,12 +144,12 @@ def _spread(
                 (row, column + 1),
             ):
                 j = r * columns + c
-                if not (0 <= r < rows and 0 <= c < columns) or (i, j) in tried:
+                if not (0 <= r < rows and 0 <= c < columns) or (i, j) in attempts:
                     continue
                 plan = plans[j]
                 if plan is None:
                     continue
-                tried.add((i, j))
+                attempts.add((i, j))
                 plans[i] = finder.find(states[i], plan)
                 if plans[i] is not None:
                     fresh = True
@@ -192,8 +194,10 @@ def study_loops(study: Domain, seed: int) -> list[Arrivals]:
                 arrived.append(bool(off <= loops.arrived))
                 feasible.append(record.residual[0] <= study.feasible)
                 cost.append(float(np.nansum(record.stage)))
-            met = float("nan") if terminal == "none" else float(np.mean(feasible))
+            feasible_share = float("nan") if terminal == "none" else float(np.mean(feasible))
             rows.append(
-                Arrivals(terminal, horizon, met, float(np.mean(arrived)), float(np.mean(cost)))
+                Arrivals(
+                    terminal, horizon, feasible_share, float(np.mean(arrived)), float(np.mean(cost))
+                )
             )
     return rows

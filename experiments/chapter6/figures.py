@@ -45,12 +45,12 @@ _LIMIT = 2.5  # V
 
 def draw_cases(runs: Sequence[Run], path: Path) -> None:
     """Responses and inputs of each case under the controller as it is."""
-    shown = [run for run in runs if run.controller == "equality"]
-    rows = -(-len(shown) // 3)
+    equality_runs = [run for run in runs if run.controller == "equality"]
+    rows = -(-len(equality_runs) // 3)
     with house_style():
         page = new_figure(10.0, 3.9 * rows)
         parts = page.subfigures(rows, 3, squeeze=False).ravel()
-        for k, (run, part) in enumerate(zip(shown, parts, strict=False)):
+        for k, (run, part) in enumerate(zip(equality_runs, parts, strict=False)):
             panels = part.subplots(3, 1, sharex=True, height_ratios=[1.2, 1.2, 1.0])
             time = run.traces["time"]
             for panel, angle in zip(panels, _AXES, strict=False):
@@ -69,7 +69,7 @@ def draw_cases(runs: Sequence[Run], path: Path) -> None:
             panels[0].set_xlim(0.0, time[-1])
             if k % 3 == 0:
                 panels[2].set_ylabel("input [V]")
-            if k >= len(shown) - 3:
+            if k >= len(equality_runs) - 3:
                 panels[2].set_xlabel("time [s]")
             if k == 0:
                 legend_above(panels[2], 2)
@@ -161,13 +161,13 @@ def draw_decrease(runs: Mapping[str, Sequence[Record]], period: float, path: Pat
                 [r.objective[1:] - r.objective[:-1] + r.stage[:-1] for r in runs[mode]]
             )
             share = gap / np.maximum(before, 1e-12)
-            held = np.concatenate([r.residual[:-1] <= 1e-4 for r in runs[mode]]) & (before > 1e-9)
-            for chosen, colour, label in (
-                (held, COLOURS[0], "constraint met"),
-                (~held, PALETTE["orange"], "not met"),
+            is_met = np.concatenate([r.residual[:-1] <= 1e-4 for r in runs[mode]]) & (before > 1e-9)
+            for mask, colour, label in (
+                (is_met, COLOURS[0], "constraint met"),
+                (~is_met, PALETTE["orange"], "not met"),
             ):
-                if chosen.any():
-                    lower.plot(before[chosen], share[chosen], ".", color=colour, ms=1.6,
+                if mask.any():
+                    lower.plot(before[mask], share[mask], ".", color=colour, ms=1.6,
                                alpha=0.6, label=label)  # fmt: skip
             lower.axhline(0.0, color=ALARM, lw=0.8)
             lower.set_xscale("log")
@@ -197,15 +197,15 @@ def draw_domain(study: Domain, slices: Mapping[str, FeasibleStates], path: Path)
         grid = page.subplots(len(study.terminals), len(slices), squeeze=False, sharex="col",
                              sharey="col")  # fmt: skip
         for row, terminal in zip(grid, study.terminals, strict=True):
-            for panel, (name, found) in zip(row, slices.items(), strict=True):
+            for panel, (name, feasible_states) in zip(row, slices.items(), strict=True):
                 (first, xs), (second, ys) = slice_axes(study, name)
-                shortest = np.full(len(found.states), len(horizons), dtype=float)
+                shortest = np.full(len(feasible_states.states), len(horizons), dtype=float)
                 for rank in reversed(range(len(horizons))):
-                    shortest[found.feasible[terminal, horizons[rank]]] = rank
+                    shortest[feasible_states.feasible[terminal, horizons[rank]]] = rank
                 values = shortest.reshape(len(ys), len(xs))
                 image = panel.pcolormesh(xs, ys, values, cmap=colours, norm=norm, shading="nearest")
                 for horizon in study.drawn:
-                    inside = found.feasible[terminal, horizon].reshape(len(ys), len(xs))
+                    inside = feasible_states.feasible[terminal, horizon].reshape(len(ys), len(xs))
                     if inside.any() and not inside.all():
                         panel.contour(xs, ys, inside.astype(float), [0.5], colors=INK,
                                       linewidths=0.7)  # fmt: skip
@@ -265,13 +265,13 @@ def draw_iterations(rows: Sequence[Economy], path: Path) -> None:
         panels = page.subplots(1, len(references), squeeze=False)[0]
         for panel, reference in zip(panels, references, strict=True):
             for colour, horizon in zip(COLOURS, horizons, strict=False):
-                chosen = [r for r in rows if (r.reference, r.horizon) == (reference, horizon)]
-                unit = next(r for r in chosen if r.count == 1)
-                times = [r.seconds / unit.seconds for r in chosen]
-                best = min(r.cost for r in chosen)
-                panel.plot(times, [100 * (r.cost / best - 1) for r in chosen], marker="o", ms=3.5,
+                group = [r for r in rows if (r.reference, r.horizon) == (reference, horizon)]
+                unit = next(r for r in group if r.count == 1)
+                times = [r.seconds / unit.seconds for r in group]
+                best = min(r.cost for r in group)
+                panel.plot(times, [100 * (r.cost / best - 1) for r in group], marker="o", ms=3.5,
                            color=colour, label=horizon)  # fmt: skip
-                for time, r in zip(times, chosen, strict=True):
+                for time, r in zip(times, group, strict=True):
                     above = 100 * (r.cost / best - 1)
                     words = {"textcoords": "offset points", "fontsize": 7, "color": colour}
                     panel.annotate(str(r.count), (time, above), (3, 3), **words)

@@ -22,24 +22,24 @@ class Economy:
     seconds: float  #: Median time of a sample's computation, s; of this machine at this hour
 
 
-def square_wave(given: dict[str, float], duration: float, period: float) -> FloatArray:
+def square_wave(wave: dict[str, float], duration: float, period: float) -> FloatArray:
     """Goals of both axes, a row a control period, high first."""
     time = np.arange(round(duration / period)) * period
-    high = np.mod(time / given["period"], 1.0) < 0.5
-    sizes = np.array([given[name] for name in MODEL.controlled])
+    high = np.mod(time / wave["period"], 1.0) < 0.5
+    sizes = np.array([wave[name] for name in MODEL.controlled])
     return np.where(high, 1.0, -1.0)[:, None] * sizes
 
 
 def study_iterations(study: Iterations) -> list[Economy]:
     """Every count on every reference with every horizon."""
     rows = []
-    for name, given in study.horizons.items():
+    for name, settings in study.horizons.items():
         if study.only and name not in study.only:
             continue
         for reference, wave in study.references.items():
             for count in study.counts:
                 mode = Mode(
-                    horizon=given.get("horizon", 0), iterations=count, tolerance=study.tolerance
+                    horizon=settings.get("horizon", 0), iterations=count, tolerance=study.tolerance
                 )
                 loop = Loop(mode.controller())
                 goals = square_wave(wave, study.duration, loop.mpc.sample_time)

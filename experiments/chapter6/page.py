@@ -94,8 +94,8 @@ def domain_tables(
         [
             str(horizon),
             *(
-                f"{100 * found.feasible[terminal, horizon].mean():.1f}"
-                for found in (box, *slices.values())
+                f"{100 * feasible_states.feasible[terminal, horizon].mean():.1f}"
+                for feasible_states in (box, *slices.values())
                 for terminal in study.terminals
             ),
         ]
@@ -143,9 +143,11 @@ def iteration_table(rows: Sequence[Economy]) -> str:
 
 
 def _signal(case: Case, angle: str) -> str:
-    given = getattr(case, angle)
-    offset = f" + {given['offset']:g}" if given.get("offset") else ""
-    return f"±{given['amplitude']:g}{offset} rad, {given['frequency']:.3g} Hz".replace("+ -", "− ")
+    reference = getattr(case, angle)
+    offset = f" + {reference['offset']:g}" if reference.get("offset") else ""
+    return f"±{reference['amplitude']:g}{offset} rad, {reference['frequency']:.3g} Hz".replace(
+        "+ -", "− "
+    )
 
 
 def _pair(pitch: Mapping[str, float], yaw: Mapping[str, float], key: str, form: str) -> str:

@@ -49,31 +49,31 @@ def compute(study: Study, jobs: int, said: Callable[[str], None]) -> Results:
         **{name: (study_slice, study.domain, name) for name in study.domain.slices},
         "predictions": (study_predictions, study.predictions),
     }
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if jobs <= 1:
-        for name, (work, *given) in parts.items():
-            found[name] = work(*given)
+        for name, (work, *arguments) in parts.items():
+            results[name] = work(*arguments)
             said(name)
         economy = study_iterations(study.iterations)
     else:
         with process_pool(jobs) as pool:
             futures: dict[str, Future[Any]] = {
-                name: pool.submit(work, *given) for name, (work, *given) in parts.items()
+                name: pool.submit(work, *arguments) for name, (work, *arguments) in parts.items()
             }
             for name, future in futures.items():
-                found[name] = future.result()
+                results[name] = future.result()
                 said(name)
             economy = pool.submit(study_iterations, study.iterations).result()
     said("iterations")
-    claims, records = found["decrease"]
+    claims, records = results["decrease"]
     return Results(
-        found["cases"],
-        found["predictions"],
+        results["cases"],
+        results["predictions"],
         claims,
         records,
-        found["box"],
-        {name: found[name] for name in study.domain.slices},
-        found["loops"],
+        results["box"],
+        {name: results[name] for name in study.domain.slices},
+        results["loops"],
         economy,
     )
 
@@ -93,8 +93,8 @@ def figures_of(results: Results) -> dict[str, dict[str, float]]:
         for key in ("held", "kept", "kept_with_move"):
             decrease[f"{claim.mode}/{key}"] = getattr(claim, key)
     domain: dict[str, float] = {}
-    for place, found in {"box": results.box, **results.slices}.items():
-        for (terminal, horizon), feasible in found.feasible.items():
+    for place, feasible_states in {"box": results.box, **results.slices}.items():
+        for (terminal, horizon), feasible in feasible_states.feasible.items():
             domain[f"{place}/{terminal}/{horizon}"] = float(feasible.mean())
     for row in results.arrivals:
         domain[f"loops/{row.terminal}/{row.horizon}/arrived"] = row.arrived

@@ -64,14 +64,14 @@ class Mode(msgspec.Struct, forbid_unknown_fields=True):
         default = NewtonMpc()
         horizon = self.horizon or default.prediction_horizon
         blocks = default.move_blocks if self.blocked or not self.horizon else (1,) * horizon
-        given: dict[str, Any] = {
+        options: dict[str, Any] = {
             "terminal": self.terminal,
             "prediction_horizon": horizon,
             "move_blocks": blocks,
             "max_iterations": self.iterations,
             "tolerance": self.tolerance,
         }
-        return NewtonMpc(**given | more)
+        return NewtonMpc(**options | more)
 
 
 class Decrease(msgspec.Struct, forbid_unknown_fields=True):
@@ -154,13 +154,13 @@ def read_study(path: Path = STUDY, *, quick: bool = False) -> Study:
         ) from error
 
 
-def _merged(given: dict[str, Any], instead: dict[str, Any]) -> dict[str, Any]:
+def _merged(base: dict[str, Any], instead: dict[str, Any]) -> dict[str, Any]:
     """Values replaced key by key; lists and what has ``only`` beside it as a whole."""
-    merged = dict(given)
+    merged = dict(base)
     for key, value in instead.items():
-        known = merged.get(key)
-        both = isinstance(known, dict) and isinstance(value, dict) and key != "controllers"
-        merged[key] = _merged(known, value) if both else value  # type: ignore[arg-type]
+        current = merged.get(key)
+        both = isinstance(current, dict) and isinstance(value, dict) and key != "controllers"
+        merged[key] = _merged(current, value) if both else value  # type: ignore[arg-type]
     return merged
 
 

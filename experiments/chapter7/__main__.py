@@ -38,37 +38,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--update", action="store_true", help="make these the expected figures; redo the page"
     )
-    given = parser.parse_args(argv)
-    return exit_code_of(lambda: _run(given))
+    arguments = parser.parse_args(argv)
+    return exit_code_of(lambda: _run(arguments))
 
 
-def _run(given: argparse.Namespace) -> int:
-    study = read_study(given.study)
-    jobs = jobs_of(study, quick=given.quick, all_pairs=given.all_pairs)
-    jobs = [job for job in jobs if given.only in job.key]
+def _run(arguments: argparse.Namespace) -> int:
+    study = read_study(arguments.study)
+    jobs = jobs_of(study, quick=arguments.quick, all_pairs=arguments.all_pairs)
+    jobs = [job for job in jobs if arguments.only in job.key]
     begin, outcomes = perf_counter(), []
-    for outcome in run_all(jobs, study.last, given.jobs):
+    for outcome in run_all(jobs, study.last, arguments.jobs):
         outcomes.append(outcome)
-        said = outcome.problem or _summary(outcome)
-        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {outcome.job.key}: {said}\n")
+        message = outcome.problem or _summary(outcome)
+        sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {outcome.job.key}: {message}\n")
         sys.stdout.flush()
     tables = tables_of(study, outcomes)
     for name, table in tables.items():
         sys.stdout.write(f"\n{name}\n\n{table}\n")
     figures = rounded({outcome.job.key: outcome.figures for outcome in outcomes})
-    section = "quick" if given.quick else "full"
-    if given.out is not None:
-        given.out.mkdir(parents=True, exist_ok=True)
-        _draw(study, outcomes, given.out)
+    section = "quick" if arguments.quick else "full"
+    if arguments.out is not None:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        _draw(study, outcomes, arguments.out)
         document = {"schema": SCHEMA, section: figures}
-        (given.out / "chapter7.json").write_text(json_text(document), encoding="utf-8")
-        write_alone(given.out, tables)
+        (arguments.out / "chapter7.json").write_text(json_text(document), encoding="utf-8")
+        write_alone(arguments.out, tables)
     if any(outcome.problem for outcome in outcomes):
         return EXIT_WORSE
-    if given.update:
+    if arguments.update:
         expected = read_expected() | {"schema": SCHEMA, section: figures}
         EXPECTED.write_text(json_text(expected), encoding="utf-8")
-        if not given.quick:
+        if not arguments.quick:
             FIGURES.mkdir(parents=True, exist_ok=True)
             _draw(study, outcomes, FIGURES)
             write_tables(PAGE, tables)
@@ -86,11 +86,11 @@ def read_expected() -> dict[str, Any]:
 
 def _compare(study: Study, figures: dict[str, Any], section: str) -> int:
     expected = {k: v for k, v in read_expected().get(section, {}).items() if k in figures}
-    found = list(deviations(expected, figures, study.tolerances))
-    for one in found:
+    changes = list(deviations(expected, figures, study.tolerances))
+    for one in changes:
         sys.stdout.write(f"\n{one.key}: {one.now}, expected {one.expected}")
-    sys.stdout.write(f"\n{len(found)} figures deviate from {EXPECTED.name}\n")
-    return EXIT_WORSE if found else EXIT_OK
+    sys.stdout.write(f"\n{len(changes)} figures deviate from {EXPECTED.name}\n")
+    return EXIT_WORSE if changes else EXIT_OK
 
 
 def _draw(study: Study, outcomes: Sequence[Outcome], folder: Path) -> None:

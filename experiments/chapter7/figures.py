@@ -98,7 +98,7 @@ def draw_observers(document: Mapping[str, Any], path: Path) -> None:
     }  # fmt: skip
     kinds = {("all", "estimated"): 0, ("angles", "estimated"): 1, ("all", "none"): 2,
              ("angles", "none"): 3}  # fmt: skip
-    told = ("speeds measured", "angles only", "speeds, no torques", "angles, no torques")
+    kind_labels = ("speeds measured", "angles only", "speeds, no torques", "angles, no torques")
     rigs = list(dict.fromkeys(c["rig"] for c in document["conditions"]))
     with house_style():
         figure = new_figure(9.0, 0.52 * len(rigs) + 1.6)
@@ -110,8 +110,8 @@ def draw_observers(document: Mapping[str, Any], path: Path) -> None:
                 y = rigs.index(condition["rig"]) + 0.2 * (kind - 1.5)
                 if low is not None and high is not None:
                     panel.plot([low, high], [y, y], color=COLOURS[kind], lw=1.2)
-                panel.plot(mean, y, "o", ms=3.2, color=COLOURS[kind],
-                           label=told[kind] if condition["rig"] == rigs[0] else None)  # fmt: skip
+                legend = kind_labels[kind] if condition["rig"] == rigs[0] else None
+                panel.plot(mean, y, "o", ms=3.2, color=COLOURS[kind], label=legend)
             panel.axvline(1.0, color=INK, lw=0.8)
             panel.set_xscale("log")
             _ratio_axis(panel)

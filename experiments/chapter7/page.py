@@ -41,8 +41,8 @@ def _cases(study: Study, part: str, outcomes: Sequence[Outcome]) -> str:
         *("case", "pair", "RMSE pitch, yaw [rad]", "overshoot [%]"),
         *("estimate's RMSE [mrad]", "variation of u_v, u_h [V]", "failures"),
     ]
-    asked = [[case, text.what] for case, text in study.parts[part].cases.items()]
-    return f"{_table(['case', 'reference'], asked)}\n\n{_table(heads, rows)}"
+    references = [[case, text.what] for case, text in study.parts[part].cases.items()]
+    return f"{_table(['case', 'reference'], references)}\n\n{_table(heads, rows)}"
 
 
 def _steady(study: Study, outcomes: Sequence[Outcome]) -> str:

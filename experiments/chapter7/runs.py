@@ -67,13 +67,13 @@ def close_loop(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
 
-    chosen = experiment_of(compose(list(overrides)).config)
+    loop_setup = experiment_of(compose(list(overrides)).config)
 
     def make_history(plant: Any) -> History:
-        topics = topics_of(chosen, plant)
+        topics = topics_of(loop_setup, plant)
         return History({t.name: {f.name: f.unit for f in t.fields} for t in topics}, None)
 
-    loop = Loop.start(chosen, make_history)
+    loop = Loop.start(loop_setup, make_history)
     loop.run()
     history = loop.history
     tables = {
@@ -83,8 +83,8 @@ def close_loop(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]
     lower, upper = loop.plant.input_limits
     bounds = zip(loop.plant.inputs, lower.tolist(), upper.tolist(), strict=True)
     limits = {signal.name: (low, high) for signal, low, high in bounds}
-    limits |= {name: (-stop, stop) for name, stop in chosen.model.stops.items()}
-    return tables, limits, loop.done * chosen.sample_time
+    limits |= {name: (-stop, stop) for name, stop in loop_setup.model.stops.items()}
+    return tables, limits, loop.done * loop_setup.sample_time
 
 
 def _figures(

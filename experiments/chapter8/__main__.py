@@ -36,49 +36,49 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--timed", action="store_true", help="write the times too: on a quiet machine, --jobs 1"
     )
-    given = parser.parse_args(argv)
-    if given.update and given.quick:
+    arguments = parser.parse_args(argv)
+    if arguments.update and arguments.quick:
         parser.error("--update takes the whole study")
-    return exit_code_of(lambda: _run(given))
+    return exit_code_of(lambda: _run(arguments))
 
 
-def _run(given: argparse.Namespace) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from experiments.chapter8 import figures, page
     from experiments.page_tables import write_alone, write_tables
 
-    study = read_study(given.study)
-    folder = FIGURES if given.update else (given.out or Path("outputs", "chapter8"))
+    study = read_study(arguments.study)
+    folder = FIGURES if arguments.update else (arguments.out or Path("outputs", "chapter8"))
     folder.mkdir(parents=True, exist_ok=True)
-    said = progress_with_time()
+    report = progress_with_time()
 
     contained, clouds = study_coverage(study)
     figures.draw_polytope(clouds, folder / "polytope.png")
     tables = {"coverage": page.coverage_table(contained)}
-    said(f"polytopes: {len(contained)} against {study.coverage.points} points each")
+    report(f"polytopes: {len(contained)} against {study.coverage.points} points each")
 
     gains = study_standstill(study)
     tables["standstill"] = page.standstill_table(gains)
-    said("the standing tail rotor")
+    report("the standing tail rotor")
 
     laws: list[LawResult] = []
-    if not given.quick:
+    if not arguments.quick:
         laws = study_laws(study)
         figures.draw_switching(laws, folder / "switching.png")
         tables |= page.laws_tables(laws)
-        said(f"laws: {len(laws)}, each switched to its worst and at random")
+        report(f"laws: {len(laws)}, each switched to its worst and at random")
 
-    found = study_domain(study, quick=given.quick)
-    figures.draw_domain(found, study.starts, folder / "domain.png")
-    tables["domain"] = page.domain_table(found)
-    said(f"domain: {found.yaw.size * found.pitch.size} starts twice")
+    domain_map = study_domain(study, quick=arguments.quick)
+    figures.draw_domain(domain_map, study.starts, folder / "domain.png")
+    tables["domain"] = page.domain_table(domain_map)
+    report(f"domain: {domain_map.yaw.size * domain_map.pitch.size} starts twice")
 
     runs: list[Ran] = []
-    for ran in run_all(cases(study, quick=given.quick), given.jobs):
+    for ran in run_all(cases(study, quick=arguments.quick), arguments.jobs):
         runs.append(ran)
     for observer in dict.fromkeys(ran.case.observer for ran in runs):
         figures.draw_runs(runs, observer, folder / f"runs_{observer}.png")
     tables |= page.runs_tables(runs)
-    said(f"runs: {len(runs)}")
+    report(f"runs: {len(runs)}")
 
     document = {
         "schema": "trms.chapter8/1",
@@ -88,32 +88,32 @@ def _run(given: argparse.Namespace) -> int:
         ],
         "standstill": {g.name: {"weakest": g.weakest, "gamma": g.gamma} for g in gains},
         "laws": [_law(law) for law in laws],
-        "domain": found.shares,
+        "domain": domain_map.shares,
         "runs": [_ran(ran) for ran in runs],
     }
     text = json_text(rounded(document, 4))  # an interior point ends where it ends
-    if given.update:
-        if not given.timed:
+    if arguments.update:
+        if not arguments.timed:
             del tables["times"]
         EXPECTED.write_text(text, encoding="utf-8")
         write_tables(PAGE, tables)
-        said(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
+        report(f"written: {PAGE.relative_to(DOCS.parent)}, {FIGURES.relative_to(DOCS.parent)}")
     else:
         (folder / "chapter8.json").write_text(text, encoding="utf-8")
         write_alone(folder, tables)
-        said(f"written: {folder}")
+        report(f"written: {folder}")
     return EXIT_OK
 
 
 def _law(law: LawResult) -> dict[str, Any]:
-    held = law.certificate
+    guarantee = law.certificate
     return {
         "start": list(law.start),
         "kind": law.kind,
         "region": law.region,
         "vertices": law.vertices,
-        "gamma": math.nan if held is None else held.gamma,
-        "contraction": math.nan if held is None else held.contraction,
+        "gamma": math.nan if guarantee is None else guarantee.gamma,
+        "contraction": math.nan if guarantee is None else guarantee.contraction,
         "slack": law.slack,
         "cost": None if law.greedy is None else law.greedy.cost,
         "rise": None if law.greedy is None else law.greedy.rise,

@@ -46,7 +46,7 @@ def study_coverage(study: Study) -> tuple[list[ContainmentCheck], dict[float, Fl
     bench, s = Bench(), study.coverage
     r = bench.regulation
     cube = independent_cube(s.points, r.n + r.m, study.seed)
-    found, clouds = [], {}
+    checks, clouds = [], {}
     for size in s.sizes:
         region = r.region_of(bench.aim.target, np.full(r.n, size))
         samples = r.coefficients.over(bench.aim.target, region)
@@ -56,20 +56,20 @@ def study_coverage(study: Study) -> tuple[list[ContainmentCheck], dict[float, Fl
         for components in s.components:
             polytope = box(samples, components, bench.controller.margin)
             inside = are_inside(polytope, others)
-            left = remainder(polytope, others)
-            found.append(
+            distances = remainder(polytope, others)
+            checks.append(
                 ContainmentCheck(
                     size,
                     components,
                     float(np.ptp(others, axis=0).max()),
                     float(inside.mean()),
                     _upper_bound(int((~inside).sum()), len(inside), s.confidence),
-                    float(np.median(left)),
-                    float(left.max()),
+                    float(np.median(distances)),
+                    float(distances.max()),
                     float(np.abs(residual).max()),
                 )
             )
-    return found, clouds
+    return checks, clouds
 
 
 def _upper_bound(hits: int, trials: int, risk: float) -> float:
@@ -116,6 +116,10 @@ def _yaw(bench: Bench, yaw: float, bound: float) -> tuple[float, float]:
     gains = np.abs(coefficients[:, row, 0])
     task = r.task(box(coefficients, c.principal_components, c.margin), bench.aim, z)
     solution = bench.solve(task)
-    held = None if solution is None else certify(task, solution)
-    gamma = held.gamma if held is not None and held.stable and held.constrained else math.nan
+    certificate = None if solution is None else certify(task, solution)
+    gamma = (
+        certificate.gamma
+        if certificate is not None and certificate.stable and certificate.constrained
+        else math.nan
+    )
     return float(gains.min() / gains.max()), gamma

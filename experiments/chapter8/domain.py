@@ -38,18 +38,18 @@ def study_domain(study: Study, *, quick: bool = False) -> Map:
     bench = Bench()
     offline = controller("robust_mpc_offline")
     family = offline.init(setup_of(bench.model)).family
-    held: dict[str, FloatArray] = {}
+    domains: dict[str, FloatArray] = {}
     for hover in (True, False):
         rotor = "main rotor turning" if hover else "main rotor at rest"
         for name in ("online", "offline", "newton_mpc"):
-            held[f"{name}, {rotor}"] = np.zeros((n, m), dtype=bool)
+            domains[f"{name}, {rotor}"] = np.zeros((n, m), dtype=bool)
         for i, j in np.ndindex(n, m):
             start = (float(yaw[i]), float(pitch[j]))
             z = bench.deviation(start, hover=hover)
-            held[f"online, {rotor}"][i, j] = _online(bench, z)
-            held[f"offline, {rotor}"][i, j] = family.gain(z)[1] >= 0
-            held[f"newton_mpc, {rotor}"][i, j] = _newton(bench, start, hover=hover)
-    return Map(yaw, pitch, held)
+            domains[f"online, {rotor}"][i, j] = _online(bench, z)
+            domains[f"offline, {rotor}"][i, j] = family.gain(z)[1] >= 0
+            domains[f"newton_mpc, {rotor}"][i, j] = _newton(bench, start, hover=hover)
+    return Map(yaw, pitch, domains)
 
 
 def _online(bench: Bench, z: FloatArray) -> bool:

@@ -90,13 +90,15 @@ def draw_polytope(clouds: Mapping[float, FloatArray], path: Path) -> None:
 
 def draw_switching(laws: Sequence[LawResult], path: Path) -> None:
     """V along the worst and along random switching, from each start."""
-    chosen = [w for w in laws if w.region == "sub" and w.vertices == 4 and w.greedy is not None]
-    starts = list(dict.fromkeys(w.start for w in chosen))
+    switching_laws = [
+        w for w in laws if w.region == "sub" and w.vertices == 4 and w.greedy is not None
+    ]
+    starts = list(dict.fromkeys(w.start for w in switching_laws))
     with house_style():
         page = new_figure(10.0, 2.9)
         panels = page.subplots(1, max(len(starts), 1), sharey=True, squeeze=False)[0]
         for panel, start in zip(panels, starts, strict=False):
-            for w in chosen:
+            for w in switching_laws:
                 if w.start != start or w.greedy is None or w.random is None:
                     continue
                 colour = PALETTE["blue"] if w.kind == "common" else PALETTE["vermilion"]
@@ -116,20 +118,20 @@ def draw_switching(laws: Sequence[LawResult], path: Path) -> None:
         save_png(page, path)
 
 
-def draw_domain(found: Map, starts: Sequence[tuple[float, float]], path: Path) -> None:
+def draw_domain(domain_map: Map, starts: Sequence[tuple[float, float]], path: Path) -> None:
     """Which starts are held, by controller, the main rotor turning or at rest."""
-    names = list(found.held)
+    names = list(domain_map.held)
     with house_style():
         page = new_figure(10.0, 4.6)
         grid = page.subplots(2, 3, sharex=True, sharey=True)
-        yaw, pitch = np.meshgrid(found.yaw, found.pitch, indexing="ij")
+        yaw, pitch = np.meshgrid(domain_map.yaw, domain_map.pitch, indexing="ij")
         for panel, name in zip(grid.ravel(), names, strict=True):
-            held = found.held[name].astype(bool)
-            panel.plot(yaw[~held], pitch[~held], "o", color=PALE, ms=4)
-            panel.plot(yaw[held], pitch[held], "o", color=PALETTE["blue"], ms=5)
+            is_held = domain_map.held[name].astype(bool)
+            panel.plot(yaw[~is_held], pitch[~is_held], "o", color=PALE, ms=4)
+            panel.plot(yaw[is_held], pitch[is_held], "o", color=PALETTE["blue"], ms=5)
             for start in starts:
                 panel.plot(*start, "x", color=PALETTE["vermilion"], ms=6, mew=1.6)
-            panel.set_title(f"{name}: {100 * held.mean():.0f} %", fontsize=9)
+            panel.set_title(f"{name}: {100 * is_held.mean():.0f} %", fontsize=9)
         for panel in grid[-1]:
             panel.set_xlabel("yaw [rad]")
         for panel in grid[:, 0]:

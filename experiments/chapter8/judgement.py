@@ -21,8 +21,8 @@ def remainder(polytope: Polytope, coefficients: FloatArray) -> FloatArray:
     """
     flat = (coefficients - polytope.centre).reshape(len(coefficients), -1)
     theta = np.clip(flat @ polytope.directions.T, polytope.lower, polytope.upper)
-    left = flat - theta @ polytope.directions
-    return np.asarray(np.linalg.norm(left.reshape(coefficients.shape), 2, axis=(1, 2)))
+    residual = flat - theta @ polytope.directions
+    return np.asarray(np.linalg.norm(residual.reshape(coefficients.shape), 2, axis=(1, 2)))
 
 
 def are_inside(polytope: Polytope, coefficients: FloatArray) -> BoolArray:

@@ -121,7 +121,7 @@ def _law(
         return LawResult(
             start, lyapunov, region_kind, polytope.vertices, None, np.nan, False, np.nan, None, None
         )
-    held = certify(task, solution)
+    certificate = certify(task, solution)
     reached = np.sqrt(np.array([np.diag(Q) for Q in solution.Q]).max(axis=0))
     covered = region.contains(r.region_of(target, reached), 1e-6 * r.scale_z)
     decreasing = np.nan
@@ -129,23 +129,23 @@ def _law(
         contraction, _ = decrease_on(r.coefficients.over(target, region, cube), solution, task)
         decreasing = float(np.mean(contraction < 1.0))
     runs = [
-        switching(task, solution, held, study.laws.steps, study.seed if chance else None)
+        switching(task, solution, certificate, study.laws.steps, study.seed if chance else None)
         for chance in (False, True)
-    ] if held.stable else [None, None]  # fmt: skip
+    ] if certificate.stable else [None, None]  # fmt: skip
     return LawResult(
-        start, lyapunov, region_kind, polytope.vertices, held, solution.slack, covered,
+        start, lyapunov, region_kind, polytope.vertices, certificate, solution.slack, covered,
         decreasing, runs[0], runs[1],
     )  # fmt: skip
 
 
 def switching(
-    task: Task, solution: LmiSolution, held: Certificate, steps: int, seed: int | None
+    task: Task, solution: LmiSolution, certificate: Certificate, steps: int, seed: int | None
 ) -> Switching:
     """Vertices chosen at each step to hurt most (no seed) or at random.
 
     V is that of the certified bound, from the first state of the task.
     """
-    P = held.gamma * np.linalg.inv(solution.Q)
+    P = certificate.gamma * np.linalg.inv(solution.Q)
     own = np.arange(len(task.A)) % len(P)
     stage = task.C.T @ task.C + solution.K.T * task.R @ solution.K
     closed = task.A + task.B @ solution.K
@@ -164,4 +164,4 @@ def switching(
         rise = max(rise, (costs[vertex] + cost) / max(now, 1e-300))
         spent += cost
         z = after
-    return Switching(spent / held.gamma, rise, inputs, states, np.array(values))
+    return Switching(spent / certificate.gamma, rise, inputs, states, np.array(values))

@@ -60,7 +60,7 @@ def runs_tables(runs: Sequence[Ran]) -> dict[str, str]:
     }  # fmt: skip
 
 
-def coverage_table(found: Sequence[ContainmentCheck]) -> str:
+def coverage_table(checks: Sequence[ContainmentCheck]) -> str:
     """Polytopes against independent points."""
     rows = [
         [
@@ -73,7 +73,7 @@ def coverage_table(found: Sequence[ContainmentCheck]) -> str:
             f"{c.largest:.4f}",
             f"{c.residual:.4f}",
         ]
-        for c in found
+        for c in checks
     ]
     return _table(
         ["half-width of the region", "vertices", "spread", "inside [%]", "outside at most [%]",
@@ -144,11 +144,11 @@ def laws_tables(laws: Sequence[LawResult]) -> dict[str, str]:
     }  # fmt: skip
 
 
-def domain_table(found: Map) -> str:
+def domain_table(domain_map: Map) -> str:
     """Shares of the grid."""
     return _table(
         ["controller", "starts held [%]"],
-        [[name, f"{100 * share:.0f}"] for name, share in found.shares.items()],
+        [[name, f"{100 * share:.0f}"] for name, share in domain_map.shares.items()],
     )
 
 

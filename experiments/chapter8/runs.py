@@ -116,14 +116,14 @@ def run_case(case: Case) -> Ran:
     )
 
 
-def run_all(chosen: Sequence[Case], jobs: int) -> Iterator[Ran]:
+def run_all(case_list: Sequence[Case], jobs: int) -> Iterator[Ran]:
     """Run cases in worker processes, in order."""
     if jobs <= 1:
-        yield from map(run_case, chosen)
+        yield from map(run_case, case_list)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max_workers=min(jobs, len(chosen)), mp_context=context) as pool:
-        yield from pool.map(run_case, chosen)
+    with ProcessPoolExecutor(max_workers=min(jobs, len(case_list)), mp_context=context) as pool:
+        yield from pool.map(run_case, case_list)
 
 
 def _settling(time: FloatArray, error: FloatArray, band: float) -> float:

@@ -102,9 +102,9 @@ def controller(name: str = "robust_mpc", **other: Any) -> Any:
 
 def online(**other: Any) -> RobustMpc:
     """The online controller as it is configured, with other values for some keys."""
-    made = controller(**other)
-    assert isinstance(made, RobustMpc)
-    return made
+    mpc = controller(**other)
+    assert isinstance(mpc, RobustMpc)
+    return mpc
 
 
 def setup_of(model: Newtonian) -> ControlSetup:

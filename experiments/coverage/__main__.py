@@ -21,60 +21,61 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--without-priors", action="store_true", help="identifiable ones only")
     parser.add_argument("--jobs", type=int, default=1, help="threads of each fit")
     parser.add_argument("--json", action="store_true", help="print trms.coverage/1")
-    given = parser.parse_args(argv)
-    seeds = range(given.first, given.first + given.rigs)
+    arguments = parser.parse_args(argv)
+    seeds = range(arguments.first, arguments.first + arguments.rigs)
 
-    def told(done: int) -> None:
+    def report(count: int) -> None:
         if sys.stderr.isatty():
-            sys.stderr.write(f"\r{done} of {given.rigs} rigs")
+            sys.stderr.write(f"\r{count} of {arguments.rigs} rigs")
 
-    found = coverage(
+    result = coverage(
         seeds,
-        duration=given.duration,
-        with_priors=not given.without_priors,
-        jobs=given.jobs,
-        told=told,
+        duration=arguments.duration,
+        with_priors=not arguments.without_priors,
+        jobs=arguments.jobs,
+        told=report,
     )
-    print(json.dumps(document(found)) if given.json else table(found))
+    print(json.dumps(document(result)) if arguments.json else table(result))
     return 0
 
 
-def document(found: Coverage) -> dict[str, object]:
+def document(result: Coverage) -> dict[str, object]:
     """The figures as JSON has them."""
-    share, error = found.overall
-    learnt, learnt_error = found.of_learnt
+    share, error = result.overall
+    learnt, learnt_error = result.of_learnt
     return {
         "schema": "trms.coverage/1",
-        "rigs": len(found.errors),
-        "left_out": found.left_out,
-        "unsettled": found.unsettled,
+        "rigs": len(result.errors),
+        "left_out": result.left_out,
+        "unsettled": result.unsettled,
         "inside_95": {"share": share, "standard_error": error},
         "inside_95_of_learnt": {"share": learnt, "standard_error": learnt_error},
-        "seconds_median": float(np.median(found.seconds)),
+        "seconds_median": float(np.median(result.seconds)),
         "parameters": {
             name: {
-                "inside_95": float(found.inside[i]),
-                "error_rms": float(np.sqrt(np.mean(found.errors[:, i] ** 2))),
-                "prior_remaining": float(np.median(found.remaining[:, i])),
+                "inside_95": float(result.inside[i]),
+                "error_rms": float(np.sqrt(np.mean(result.errors[:, i] ** 2))),
+                "prior_remaining": float(np.median(result.remaining[:, i])),
             }
-            for i, name in enumerate(found.names)
+            for i, name in enumerate(result.names)
         },
     }
 
 
-def table(found: Coverage) -> str:
+def table(result: Coverage) -> str:
     """The same for people, in Markdown."""
     rows = [
-        f"| {name} | {100 * found.inside[i]:.1f} | {np.sqrt(np.mean(found.errors[:, i] ** 2)):.2f} "
-        f"| {np.median(found.remaining[:, i]):.3g} |"
-        for i, name in enumerate(found.names)
+        f"| {name} | {100 * result.inside[i]:.1f} "
+        f"| {np.sqrt(np.mean(result.errors[:, i] ** 2)):.2f} "
+        f"| {np.median(result.remaining[:, i]):.3g} |"
+        for i, name in enumerate(result.names)
     ]
-    share, error = found.overall
-    learnt, learnt_error = found.of_learnt
+    share, error = result.overall
+    learnt, learnt_error = result.of_learnt
     return "\n".join(
         [
-            f"{len(found.errors)} rigs; {found.left_out} left out that hit a stop, "
-            f"{found.unsettled} fits unsettled; median {np.median(found.seconds):.2f} s a fit",
+            f"{len(result.errors)} rigs; {result.left_out} left out that hit a stop, "
+            f"{result.unsettled} fits unsettled; median {np.median(result.seconds):.2f} s a fit",
             f"inside the 95 % interval: {100 * share:.1f} ± {100 * error:.1f} %, of parameters "
             f"that the data told of {100 * learnt:.1f} ± {100 * learnt_error:.1f} %",
             "",

@@ -70,7 +70,7 @@ def coverage(
     duration: float = 60.0,
     with_priors: bool = True,
     jobs: int = 1,
-    told: Callable[[int], None] = lambda done: None,
+    told: Callable[[int], None] = lambda count: None,
 ) -> Coverage:
     """Fit one rig a seed.
 
@@ -88,8 +88,8 @@ def coverage(
     """
     errors, remaining, seconds, unsettled, left_out = [], [], [], 0, 0
     names: tuple[str, ...] = ()
-    for done, seed in enumerate(seeds):
-        told(done)
+    for count, seed in enumerate(seeds):
+        told(count)
         model = Newtonian()
         nominal = model.parameters
         record = record_rig(model, seed, duration)

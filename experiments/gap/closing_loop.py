@@ -209,8 +209,8 @@ def tracking(
     counted = np.arange(len(error)) >= first
     rmse, settled, effort, movement = {}, {}, {}, {}
     for i, axis in enumerate(AXES):
-        moved = np.diff(references[:, i], prepend=references[0, i]) != 0
-        count = np.concatenate([np.zeros(waited), np.cumsum(moved)])
+        is_jump = np.diff(references[:, i], prepend=references[0, i]) != 0
+        count = np.concatenate([np.zeros(waited), np.cumsum(is_jump)])
         still = counted & (count[waited:] == count[:-waited])
         rmse[axis] = _rms(error[counted, i])
         settled[axis] = _rms(error[still, i])

@@ -245,11 +245,11 @@ def draw(findings: Findings, folder: Path, runs: Path) -> None:
 
 def _worst(runs: Sequence[Tracking]) -> Tracking:
     """The run with the true model on the rig where the nominal one loses most against it."""
-    lost = {run.rig: -sum(errors(run).values()) for run in runs if run.model == TRUE}
+    losses = {run.rig: -sum(errors(run).values()) for run in runs if run.model == TRUE}
     for run in runs:
         if run.model == NOMINAL:
-            lost[run.rig] += sum(errors(run).values())
-    rig = max(lost, key=lambda name: lost[name])
+            losses[run.rig] += sum(errors(run).values())
+    rig = max(losses, key=lambda name: losses[name])
     return next(run for run in runs if run.rig == rig and run.model == TRUE)
 
 

@@ -18,8 +18,8 @@ from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError, TrmsEr
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return the exit code: 1 when a score got worse, 2 for bad input."""
-    given = _parser().parse_args(argv)
-    return exit_code_of(lambda: _regression(given))
+    arguments = _parser().parse_args(argv)
+    return exit_code_of(lambda: _regression(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -40,84 +40,84 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _regression(given: argparse.Namespace) -> int:
-    _check(given)
-    cases = read_matrix(given.matrix, given.only, given.overrides)
-    recorded = _recorded(given)
-    if not given.update and not given.overrides:
+def _regression(arguments: argparse.Namespace) -> int:
+    _check(arguments)
+    cases = read_matrix(arguments.matrix, arguments.only, arguments.overrides)
+    recorded = _recorded(arguments)
+    if not arguments.update and not arguments.overrides:
         comparing.check_matrix(cases, recorded)
     begin = perf_counter()
-    outcomes = _outcomes(cases, given.jobs)
+    outcomes = _outcomes(cases, arguments.jobs)
     seconds = perf_counter() - begin
     comparisons = [comparing.compare_outcome(outcome, recorded) for outcome in outcomes]
 
     from experiments.regression import screen
 
-    if given.json:
+    if arguments.json:
         words = screen.document(comparisons, recorded)
         json.dump(words, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
         sys.stdout.write("\n")
     else:
         screen.print_runs(comparisons, recorded)
         screen.print_changes(comparisons)
-    if given.update:
-        return _update(given, outcomes, recorded)
-    if not given.json:
+    if arguments.update:
+        return _update(arguments, outcomes, recorded)
+    if not arguments.json:
         screen.print_verdict(comparisons, recorded, seconds)
     return EXIT_WORSE if any(comparison.bad for comparison in comparisons) else EXIT_OK
 
 
-def _check(given: argparse.Namespace) -> None:
-    if given.update and not given.reason.strip():
+def _check(arguments: argparse.Namespace) -> None:
+    if arguments.update and not arguments.reason.strip():
         raise ConfigurationError(
             "a baseline changes with a reason",
             where="--update",
             remedy='make regression-update REASON="why"',
         )
-    if given.update and (given.only != "*" or given.overrides):
+    if arguments.update and (arguments.only != "*" or arguments.overrides):
         raise ConfigurationError(
             "a baseline is of the whole matrix as it is written",
             where="--update",
             remedy="leave out --only and the overrides",
         )
-    if given.reason and not given.update:
+    if arguments.reason and not arguments.update:
         raise ConfigurationError("--reason goes with --update", where="--reason")
 
 
-def _recorded(given: argparse.Namespace) -> comparing.BaselineFile:
+def _recorded(arguments: argparse.Namespace) -> comparing.BaselineFile:
     """The baseline; an update needs none, and may replace a broken one."""
     try:
-        return comparing.read_recorded(given.baseline)
+        return comparing.read_recorded(arguments.baseline)
     except TrmsError:
-        if given.update:
+        if arguments.update:
             return comparing.BaselineFile()
         raise
 
 
 def _outcomes(cases: Sequence[Case], jobs: int) -> list[Outcome]:
     """In the order of the cases; a bar on a terminal."""
-    done: dict[str, Outcome] = {}
+    outcomes: dict[str, Outcome] = {}
     with RunsBar(len(cases)) as advance:
         for outcome in run_all(cases, jobs):
-            done[outcome.case.name] = outcome
+            outcomes[outcome.case.name] = outcome
             advance(outcome.case.name)
-    return [done[case.name] for case in cases]
+    return [outcomes[case.name] for case in cases]
 
 
 def _update(
-    given: argparse.Namespace, outcomes: list[Outcome], before: comparing.BaselineFile
+    arguments: argparse.Namespace, outcomes: list[Outcome], before: comparing.BaselineFile
 ) -> int:
     from experiments.regression.screen import console
     from trms_cli.library.tasks.git_revision import GitRevision
 
     new = comparing.write_recorded(
-        outcomes, before, given.reason.strip(), GitRevision.ask().answer(), given.baseline
+        outcomes, before, arguments.reason.strip(), GitRevision.ask().answer(), arguments.baseline
     )
-    if given.baseline == comparing.BASELINE:
+    if arguments.baseline == comparing.BASELINE:
         from experiments.regression.expectation import write_expectation
 
         write_expectation(outcomes, new)
-    if not given.json:
+    if not arguments.json:
         console().print(f"baseline recorded: {new.reason} ({new.date}, {new.git})")
     return EXIT_OK
 

@@ -119,13 +119,13 @@ def compare_outcome(outcome: Outcome, recorded: BaselineFile) -> Comparison:
 
 def baseline_part(score: Mapping[str, Any], case: Case) -> dict[str, Any]:
     """The part of a score that a case is held to, rounded: what stands in the baseline."""
-    chosen = case.tolerances
+    case_tolerances = case.tolerances
 
     def part(group: str, values: Mapping[str, Any]) -> dict[str, Any]:
         return {
             name: _rounded(value)
             for name, value in values.items()
-            if name == "unit" or name in chosen or f"{group}.{name}" in chosen
+            if name == "unit" or name in case_tolerances or f"{group}.{name}" in case_tolerances
         }
 
     return {
@@ -139,7 +139,7 @@ def baseline_part(score: Mapping[str, Any], case: Case) -> dict[str, Any]:
             kind: {
                 name: _rounded(value)
                 for name, value in score["estimate"][kind].items()
-                if f"estimate.{kind}.{name}" in chosen
+                if f"estimate.{kind}.{name}" in case_tolerances
             }
             for kind in ("rmse", "prediction_rmse")
         },

@@ -82,25 +82,25 @@ def read_matrix(path: Path = MATRIX, pattern: str = "*", extra: Sequence[str] = 
             matrix.controllers, matrix.references, matrix.rigs
         )
     ]
-    chosen = [case for case in cases if fnmatch(case.name, pattern)]
-    if not chosen:
+    matches = [case for case in cases if fnmatch(case.name, pattern)]
+    if not matches:
         raise ConfigurationError(
             f"no run matches {pattern!r}",
             where="--only",
             remedy="there are: " + ", ".join(case.name for case in cases),
         )
-    return chosen
+    return matches
 
 
-def _tolerances(given: Mapping[str, Any]) -> dict[str, FigureTolerance]:
-    known = {figure.key for figure in FIGURES if figure.tolerance is not None}
+def _tolerances(entries: Mapping[str, Any]) -> dict[str, FigureTolerance]:
+    figure_names = {figure.key for figure in FIGURES if figure.tolerance is not None}
     groups = tuple({"states": "estimate"}.get(f.group, f.group) for f in FIGURES if f.tolerance)
-    for name in given:
-        if name not in known and not name.startswith(groups):
-            raise TypeError(f"{name!r} is no figure of a score; there are {sorted(known)}")
+    for name in entries:
+        if name not in figure_names and not name.startswith(groups):
+            raise TypeError(f"{name!r} is no figure of a score; there are {sorted(figure_names)}")
     return {
         name: FigureTolerance(**value)
         if isinstance(value, dict)
         else FigureTolerance(absolute=value)
-        for name, value in given.items()
+        for name, value in entries.items()
     }

@@ -43,41 +43,41 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--update", action="store_true", help="write the pages' tables, pictures")
     parser.add_argument("--jobs", type=int, help="processes (one for each core)")
     parser.add_argument("--only", help="one of the sweeps: draws, tuning")
-    given = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     one_thread_each()
-    return exit_code_of(lambda: _study(given))
+    return exit_code_of(lambda: _study(arguments))
 
 
-def _study(given: argparse.Namespace) -> int:
-    if given.quick:
-        refuse_part(given)
+def _study(arguments: argparse.Namespace) -> int:
+    if arguments.quick:
+        refuse_part(arguments)
     sweeps = read_as(dict[str, OneSweep], STUDY, str(STUDY))
-    out = given.out or ROOT / "outputs" / "robustness"
+    out = arguments.out or ROOT / "outputs" / "robustness"
     failed = 0
     for name, sweep in sweeps.items():
-        if given.only not in (None, name):
+        if arguments.only not in (None, name):
             continue
-        swept = _made(sweep, out / name, given)
+        swept = _made(sweep, out / name, arguments)
         failed += not swept.all_done
         document = outcome_of(swept.folder)
         table = table_of(document)
         sys.stdout.write(f"{table}\n\n")
-        drawn = draw_summary(swept.folder, document["summary"])
-        if given.update:
+        pictures = draw_summary(swept.folder, document["summary"])
+        if arguments.update:
             PICTURES.mkdir(parents=True, exist_ok=True)
-            for picture in drawn:
+            for picture in pictures:
                 if picture.name in sweep.figures:
                     shutil.copy(picture, PICTURES / picture.name)
             write_tables(ROOT / sweep.page, {name: table})
     return int(failed > 0)
 
 
-def _made(sweep: OneSweep, folder: Path, given: argparse.Namespace) -> SweepOutcome:
+def _made(sweep: OneSweep, folder: Path, arguments: argparse.Namespace) -> SweepOutcome:
     """The sweep, begun or gone on with."""
-    workers = [f"launcher.workers={given.jobs}"] if given.jobs else []
+    workers = [f"launcher.workers={arguments.jobs}"] if arguments.jobs else []
     if (folder / "sweep.json").is_file():
         return go_on(folder, settings=workers)
-    words = [*sweep.words, *(sweep.quick if given.quick else []), *workers, f"out={folder}"]
+    words = [*sweep.words, *(sweep.quick if arguments.quick else []), *workers, f"out={folder}"]
     return make_sweep(words, "run", perform)
 
 

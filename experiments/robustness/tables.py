@@ -21,10 +21,10 @@ def table_of(document: Mapping[str, Any]) -> str:
     counts = document["counts"]
     lines = [f"{counts['done']} runs done, {counts['failed'] + counts['lost']} failed or lost.", ""]
     summary = document["summary"]
-    told = _search(summary) if summary["kind"] == "optimisation" else _draws(summary)
+    rows = _search(summary) if summary["kind"] == "optimisation" else _draws(summary)
     # Which controller: in a study of one choice its value is enough.
-    told = [line.replace("| controller=", "| ") for line in told]
-    return "\n".join([*lines, *told])
+    rows = [line.replace("| controller=", "| ") for line in rows]
+    return "\n".join([*lines, *rows])
 
 
 def _draws(summary: Mapping[str, Any]) -> list[str]:
@@ -34,31 +34,31 @@ def _draws(summary: Mapping[str, Any]) -> list[str]:
     ]
     for name, about in summary["figures"].items():
         for group in summary["groups"]:
-            told = group["figures"][name]
-            cells = [number(told[key]) for key in ("median", "q05", "q95", "max")]
-            cells.append(f"{100 * told['best_share']:.0f} %")
+            entry = group["figures"][name]
+            cells = [number(entry[key]) for key in ("median", "q05", "q95", "max")]
+            cells.append(f"{100 * entry['best_share']:.0f} %")
             lines.append(
                 f"| {name} [{about['unit']}] | {choices_of(group)} | {' | '.join(cells)} |"
             )
     lines += ["", "| failed | draws | failures | share | 95 % |", "|---|---|---|---|---|"]
     for group in summary["groups"]:
-        told = group["failures"]
-        interval = f"{100 * told['low']:.1f}–{100 * told['high']:.1f} %"
-        share = f"{100 * told['share']:.1f} %"
+        entry = group["failures"]
+        interval = f"{100 * entry['low']:.1f}–{100 * entry['high']:.1f} %"
+        share = f"{100 * entry['share']:.1f} %"
         lines.append(
-            f"| {choices_of(group)} | {told['draws']} | {told['count']} | {share} | {interval} |"
+            f"| {choices_of(group)} | {entry['draws']} | {entry['count']} | {share} | {interval} |"
         )
     lines += ["", "| rank correlation with | | strongest first |", "|---|---|---|"]
     short = short_keys(summary["varied"])
     for name in summary["figures"]:
         for group in summary["groups"]:
-            found = [
+            correlations = [
                 f"`{short[e['key']]}` {e['rho']:+.2f}"
                 for e in group["sensitivity"]
                 if e["figure"] == name and e["p"] < _LEVEL
             ]
             lines.append(
-                f"| {name} | {choices_of(group)} | {', '.join(found[:_MOST_NAMED]) or '–'} |"
+                f"| {name} | {choices_of(group)} | {', '.join(correlations[:_MOST_NAMED]) or '–'} |"
             )
     return lines
 

@@ -20,10 +20,10 @@ _ABOUT = "about.json"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the tournament, print its tables, write them into the documentation on request."""
-    given = _parser().parse_args(argv)
+    arguments = _parser().parse_args(argv)
     one_thread_each()
     try:
-        return _tournament(given)
+        return _tournament(arguments)
     except TrmsError as error:
         sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
         return error.exit_code
@@ -54,52 +54,60 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _tournament(given: argparse.Namespace) -> int:
+def _tournament(arguments: argparse.Namespace) -> int:
     from experiments.tournament import figures, page
     from experiments.tournament.publications import put_beside, read_published
     from experiments.tournament.verdict import read_results
     from trms_cli.runs.run_folder import write_document
 
-    if given.jobs < 1:
-        raise ConfigurationError(f"{given.jobs} given", where="--jobs", remedy="one at the least")
-    plan = read_plan(given.tournament)
-    runs = runs_of(plan, pattern=given.only, quick=given.quick)
+    if arguments.jobs < 1:
+        raise ConfigurationError(
+            f"{arguments.jobs} given", where="--jobs", remedy="one at the least"
+        )
+    plan = read_plan(arguments.tournament)
+    runs = runs_of(plan, pattern=arguments.only, quick=arguments.quick)
     published = read_published()
-    seconds = _run(runs, given, plan)
-    results = read_results(given.out, plan.criteria)
-    besides = [put_beside(each, given.out / "published") for each in published]
-    about = _about(given, seconds, whole=given.only == "*" and not given.quick)
-    write_document(page.report(results, besides, about, plan.criteria), given.out / "report.json")
-    drawn = figures.draw(results, given.out / "figures")
+    seconds = _run(runs, arguments, plan)
+    results = read_results(arguments.out, plan.criteria)
+    besides = [put_beside(each, arguments.out / "published") for each in published]
+    about = _about(arguments, seconds, whole=arguments.only == "*" and not arguments.quick)
+    write_document(
+        page.report(results, besides, about, plan.criteria), arguments.out / "report.json"
+    )
+    pictures = figures.draw(results, arguments.out / "figures")
     page.print_results(results)
-    print(f"\n{results.runs} runs; tables and figures: {given.out}; the ranking again:")
-    print(f"  trms compare {given.out / 'main'}")
-    if given.publish:
-        page.publish(page.tables(results, besides, plan.criteria), about, results, drawn)
+    print(f"\n{results.runs} runs; tables and figures: {arguments.out}; the ranking again:")
+    print(f"  trms compare {arguments.out / 'main'}")
+    if arguments.publish:
+        page.publish(page.tables(results, besides, plan.criteria), about, results, pictures)
     return EXIT_OK
 
 
-def _run(runs: Sequence[Run], given: argparse.Namespace, plan: Plan) -> float:
+def _run(runs: Sequence[Run], arguments: argparse.Namespace, plan: Plan) -> float:
     """Run what has not been run; returns the seconds that all of it took, resumed or not."""
     from experiments.tournament.worker_runs import is_done, run_all
 
-    given.out.mkdir(parents=True, exist_ok=True)
-    if any(given.out.iterdir()) and not given.resume:
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    if any(arguments.out.iterdir()) and not arguments.resume:
         raise ConfigurationError(
-            f"the folder {str(given.out)!r} is not empty, and nothing is written over",
+            f"the folder {str(arguments.out)!r} is not empty, and nothing is written over",
             where="--out",
             remedy="--resume goes on in it, or name another",
         )
-    before = _earlier(given.out)
-    todo = [run for run in runs if not is_done(run, given.out)]
+    before = _earlier(arguments.out)
+    todo = [run for run in runs if not is_done(run, arguments.out)]
     begin = perf_counter()
     with RunsBar(len(todo)) as advance:
         for run in run_all(
-            todo, given.out, jobs=given.jobs, time_limit=plan.time_limit, logs=given.logs
+            todo,
+            arguments.out,
+            jobs=arguments.jobs,
+            time_limit=plan.time_limit,
+            logs=arguments.logs,
         ):
             advance(run.name)
             seconds = before + perf_counter() - begin
-            (given.out / _ABOUT).write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
+            (arguments.out / _ABOUT).write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
     return before + perf_counter() - begin
 
 
@@ -111,13 +119,13 @@ def _earlier(out: Path) -> float:
         return 0.0
 
 
-def _about(given: argparse.Namespace, seconds: float, *, whole: bool) -> dict[str, Any]:
+def _about(arguments: argparse.Namespace, seconds: float, *, whole: bool) -> dict[str, Any]:
     from benchmarks.machine import describe
     from trms_cli.library.tasks.git_revision import GitRevision
 
     return {
         "seconds": round(seconds, 1),
-        "jobs": given.jobs,
+        "jobs": arguments.jobs,
         "whole": whole,
         "git": GitRevision.ask().answer(),
         "machine": describe(),

@@ -21,7 +21,7 @@ def draw(results: Results, folder: Path) -> list[Path]:
     from trms_cli.reporting.style import house_style, save_png
 
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = []
+    paths = []
     with house_style():
         for name, figure in (
             (NAMES[0], _ratios(results.main)),
@@ -30,23 +30,23 @@ def draw(results: Results, folder: Path) -> list[Path]:
         ):
             if figure is not None:
                 save_png(figure, folder / name)
-                drawn.append(folder / name)
-    return drawn
+                paths.append(folder / name)
+    return paths
 
 
 def _ratios(main: Ranking) -> Any:
     """Error over the best of every run, a row an entrant, a colour a class of rigs."""
     from trms_cli.reporting.style import COLOURS, INK, legend_above, new_figure
 
-    shown = list(main.standings)
-    classes = list(dict.fromkeys(told.get(CLASS, "") for told in main.contest.conditions))
-    figure = new_figure(9.5, 0.9 + 0.42 * len(shown))
+    entrants = list(main.standings)
+    classes = list(dict.fromkeys(condition.get(CLASS, "") for condition in main.contest.conditions))
+    figure = new_figure(9.5, 0.9 + 0.42 * len(entrants))
     panel = figure.subplots()
     generator = np.random.default_rng(0)  # of the scatter that keeps points apart, nothing else
-    for row, standing in enumerate(shown):
+    for row, standing in enumerate(entrants):
         of = [main.contest.conditions[int(c)].get(CLASS, "") for c in standing.conditions]
         for i, name in enumerate(classes):
-            at = np.array([told == name for told in of], dtype=bool)
+            at = np.array([rig_class == name for rig_class in of], dtype=bool)
             values = np.minimum(standing.ratios[at], _LARGEST)
             spread = generator.uniform(-0.28, 0.28, values.size)
             panel.plot(
@@ -62,12 +62,12 @@ def _ratios(main: Ranking) -> Any:
         panel.plot([standing.ratio] * 2, [row - 0.38, row + 0.38], color=INK, lw=1.8)
     panel.axvline(1.0, color=INK, lw=0.6)
     panel.set_xscale("log")
-    right = min(_LARGEST, 1.05 * max(float(s.ratios.max(initial=1.0)) for s in shown))
-    left = min(float(s.ratios.min(initial=1.0)) for s in shown)
+    right = min(_LARGEST, 1.05 * max(float(s.ratios.max(initial=1.0)) for s in entrants))
+    left = min(float(s.ratios.min(initial=1.0)) for s in entrants)
     panel.set_xlim(0.97 * left, 1.03 * right)
     _ticks(panel, left, right)
-    panel.set_yticks(range(len(shown)), [_label(standing) for standing in shown])
-    panel.set_ylim(len(shown) - 0.5, -0.5)
+    panel.set_yticks(range(len(entrants)), [_label(standing) for standing in entrants])
+    panel.set_ylim(len(entrants) - 0.5, -0.5)
     panel.grid(axis="y", visible=False)
     panel.set_xlabel("RMSE over the best entrant's in the same condition (bar: geometric mean)")
     if any(classes):
@@ -84,11 +84,11 @@ def _effects(results: Results) -> Any:
     ranking = results.classes.get("effect")
     if ranking is None:
         return None
-    shown = list(ranking.standings)
-    tables = [by_rig(ranking, standing.name) for standing in shown]
+    entrants = list(ranking.standings)
+    tables = [by_rig(ranking, standing.name) for standing in entrants]
     rigs = sorted(dict.fromkeys(rig for table in tables for rig in table))
     values = np.array([[table.get(rig, np.nan) for table in tables] for rig in rigs])
-    figure = new_figure(2.9 + 0.78 * len(shown), 1.6 + 0.19 * len(rigs))
+    figure = new_figure(2.9 + 0.78 * len(entrants), 1.6 + 0.19 * len(rigs))
     panel = figure.subplots()
     colours = LinearSegmentedColormap.from_list("behind", [PAPER, SOME, PALETTE["vermilion"]])
     panel.imshow(
@@ -102,7 +102,7 @@ def _effects(results: Results) -> Any:
                 panel.text(
                     j, i, text, ha="center", va="center", fontsize=6.5, color=INK, weight=bold
                 )
-    panel.set_xticks(range(len(shown)), [_label(s).replace(" + ", "\n+ ") for s in shown])
+    panel.set_xticks(range(len(entrants)), [_label(s).replace(" + ", "\n+ ") for s in entrants])
     panel.tick_params(axis="x", labelsize=7, labelrotation=90, top=True, labeltop=True,
                       bottom=False, labelbottom=False)  # fmt: skip
     names = [rig.removeprefix("effect_").replace("_", " ") for rig in rigs]
@@ -120,13 +120,13 @@ def _cost(main: Ranking) -> Any:
 
     figure = new_figure(9.5, 3.8)
     panels = figure.subplots(1, 2, sharey=True)
-    shown = [standing for standing in main.standings if np.isfinite(standing.ratio)]
+    entrants = [standing for standing in main.standings if np.isfinite(standing.ratio)]
     for panel, figure_name, words in (
         (panels[0], "variation", "mean Σ|Δu| of a run [V]"),
         (panels[1], "step_ms", "median time of a control step [ms]"),
     ):
         points = []
-        for standing in shown:
+        for standing in entrants:
             x = getattr(figures_of(standing, main.metric), figure_name)
             ranked = standing.rank is not None
             panel.plot(x, standing.ratio, "o" if ranked else "s", ms=5,
@@ -149,14 +149,14 @@ def _name(panel: Any, points: Sequence[tuple[float, float, str]]) -> None:
     scale = 72.0 / panel.figure.dpi
     panel.figure.draw_without_rendering()
     places = [scale * panel.transData.transform((x, y)) for x, y, _ in points]
-    taken = [(left - 3.0, left + 3.0, height - 2.0) for left, height in places]
-    for (x, y, name), (left, height) in sorted(
+    boxes = [(centre - 3.0, centre + 3.0, height - 2.0) for centre, height in places]
+    for (x, y, name), (centre, height) in sorted(
         zip(points, places, strict=True), key=lambda pair: float(pair[1][1])
     ):
-        begin, end, at = left + 6.0, left + 6.0 + 0.6 * size * len(name), height - 2.0
-        while any(begin < r and b < end and abs(at - h) < 1.2 * size for b, r, h in taken):
+        begin, end, at = centre + 6.0, centre + 6.0 + 0.6 * size * len(name), height - 2.0
+        while any(begin < r and b < end and abs(at - h) < 1.2 * size for b, r, h in boxes):
             at += 1.0
-        taken.append((begin, end, at))
+        boxes.append((begin, end, at))
         panel.annotate(
             name, (x, y), xytext=(6, at - height), textcoords="offset points", fontsize=size
         )

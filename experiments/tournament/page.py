@@ -95,7 +95,7 @@ def tables(
     results: Results, besides: Sequence[Beside], criteria: Criteria
 ) -> dict[str, list[str] | Rows]:
     """What is made, by name: tables with their heads first, or lines of text."""
-    made: dict[str, list[str] | Rows] = {
+    contents: dict[str, list[str] | Rows] = {
         "summary": summary_lines(results),
         "ranking": ranking_rows(results.main),
         "cost": cost_rows(results.main),
@@ -106,10 +106,10 @@ def tables(
         "published": published_rows(besides),
     }
     if results.observers is not None:
-        made["observers"] = ranking_rows(results.observers)
+        contents["observers"] = ranking_rows(results.observers)
     if results.faults is not None:
-        made["faults"] = fault_rows(results.faults)
-    return made
+        contents["faults"] = fault_rows(results.faults)
+    return contents
 
 
 def summary_lines(results: Results) -> list[str]:
@@ -123,22 +123,22 @@ def ranking_rows(ranking: Ranking) -> Rows:
     head = "|entrant|runs|RMSE [rad]|over best|95 %|over first|95 %||p95|worst"
     rows = [head.split("|")]
     for standing in ranking.standings:
-        told = figures_of(standing, ranking.metric)
+        figures = figures_of(standing, ranking.metric)
         first = standing.rank == 1
         mark = {None: "", True: "≠", False: "="}[standing.different]
         rows.append(
             [
                 "" if standing.rank is None else str(standing.rank),
                 standing.name,
-                str(told.runs),
-                number(told.error_mean),
+                str(figures.runs),
+                number(figures.error_mean),
                 _ratio(standing.ratio),
                 _between(standing.interval),
                 "" if first else _ratio(standing.against_first),
                 "" if first else _between(standing.against_interval),
                 "" if first else mark,
-                _ratio(told.ratio_p95),
-                _ratio(told.ratio_worst),
+                _ratio(figures.ratio_p95),
+                _ratio(figures.ratio_worst),
             ]
         )
     return rows
@@ -149,20 +149,20 @@ def cost_rows(ranking: Ranking) -> Rows:
     rows = [["", "entrant", "∫u²dt [V² s]", "Σ\\|Δu\\| [V]", "step [ms]", "p99 [ms]"]]
     rows[0] += ["failed runs", "not finite", "fall-backs", "deadlines missed", "degraded [s]"]
     for standing in ranking.standings:
-        told = figures_of(standing, ranking.metric)
+        figures = figures_of(standing, ranking.metric)
         rows.append(
             [
                 "" if standing.rank is None else str(standing.rank),
                 standing.name,
-                number(told.effort),
-                number(told.variation),
-                number(told.step_ms, 2),
-                number(told.step_p99_ms, 2),
-                str(told.failed),
-                "–" if told.non_finite is None else str(told.non_finite),
-                str(told.fallbacks),
-                str(told.missed),
-                number(told.degraded_s),
+                number(figures.effort),
+                number(figures.variation),
+                number(figures.step_ms, 2),
+                number(figures.step_p99_ms, 2),
+                str(figures.failed),
+                "–" if figures.non_finite is None else str(figures.non_finite),
+                str(figures.fallbacks),
+                str(figures.missed),
+                number(figures.degraded_s),
             ]
         )
     return rows
@@ -197,12 +197,12 @@ def behind_rows(results: Results, criteria: Criteria) -> Rows:
 
 def fault_rows(ranking: Ranking) -> Rows:
     """RMSE and degraded time, a fault a row and an entrant a column."""
-    shown = ranking.standings
-    rows = [["fault", *(standing.name for standing in shown)]]
+    entrants = ranking.standings
+    rows = [["fault", *(standing.name for standing in entrants)]]
     for c in range(len(ranking.contest.conditions)):
-        told = ranking.contest.conditions[c]
-        cells = [told.get("rig", "").removeprefix("fault_").replace("_", " ")]
-        for standing in shown:
+        condition = ranking.contest.conditions[c]
+        cells = [condition.get("rig", "").removeprefix("fault_").replace("_", " ")]
+        for standing in entrants:
             at = [i for i, each in enumerate(standing.conditions) if int(each) == c]
             if not at:
                 cells.append("–")
@@ -285,7 +285,7 @@ def markdown(rows: Rows) -> str:
 
 
 def publish(
-    made: Mapping[str, list[str] | Rows],
+    contents: Mapping[str, list[str] | Rows],
     about: Mapping[str, Any],
     results: Results,
     figures: Sequence[Path],
@@ -297,7 +297,7 @@ def publish(
     Raises ValueError if the page lacks the marks of a part.
     """
     text = page.read_text(encoding="utf-8")
-    parts: dict[str, list[str] | Rows] = {"about": [_about(about, results)], **made}
+    parts: dict[str, list[str] | Rows] = {"about": [_about(about, results)], **contents}
     for figure in figures:
         link = f"![{_SHOWN[figure.name]}](figures/tournament/{figure.name})"
         parts[f"figure {figure.stem}"] = [link]

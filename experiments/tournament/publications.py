@@ -97,11 +97,11 @@ def put_beside(published: PublishedResult, folder: Path) -> Beside:
         score, _ = score_in_memory(run, folder)
     except TrmsError as error:
         return Beside(published=published, found={}, problem=error.problem)
-    found = {
+    values = {
         figure.words: (score["channels"][figure.channel][figure.figure], figure.unit)
         for figure in ours.figures
     }
-    return Beside(published=published, found=found)
+    return Beside(published=published, found=values)
 
 
 def _with_limits(limits: dict[str, float], folder: Path) -> list[str]:

@@ -168,32 +168,32 @@ def runs_of(plan: Plan, *, pattern: str = "*", quick: bool = False) -> list[Run]
     ConfigurationError
         If nothing matches, or a name is unknown.
     """
-    found: dict[str, Run] = {}
+    runs_by_name: dict[str, Run] = {}
     for run in _all_runs(plan):
-        known = found.get(run.name)
-        if known is not None:
-            run = replace(known, blocks=tuple(dict.fromkeys((*known.blocks, *run.blocks))))
-        found[run.name] = run
-    runs = list(found.values())
+        duplicate = runs_by_name.get(run.name)
+        if duplicate is not None:
+            run = replace(duplicate, blocks=tuple(dict.fromkeys((*duplicate.blocks, *run.blocks))))
+        runs_by_name[run.name] = run
+    runs = list(runs_by_name.values())
     if quick:
         runs = [_shortened(run, plan) for run in runs if _is_quick(run, plan)]
     patterns = pattern.split(",")
-    chosen = [run for run in runs if any(fnmatch(run.name, each) for each in patterns)]
-    if not chosen:
+    matches = [run for run in runs if any(fnmatch(run.name, each) for each in patterns)]
+    if not matches:
         raise ConfigurationError(
             f"no run matches {pattern!r}",
             where="--only",
             remedy=f"names are like {runs[0].name}, {runs[-1].name}" if runs else "",
         )
-    return chosen
+    return matches
 
 
 def rigs_of(plan: Plan) -> dict[str, tuple[str, tuple[str, ...]]]:
     """Class and words of every rig by name, the faults' among them."""
-    found: dict[str, tuple[str, tuple[str, ...]]] = {}
+    rigs_by_name: dict[str, tuple[str, tuple[str, ...]]] = {}
     for name, rigs in (*plan.rigs.items(), (FAULT_CLASS, plan.faults)):
-        found |= {rig: (name, words) for rig, words in _of_class(rigs)}
-    return found
+        rigs_by_name |= {rig: (name, words) for rig, words in _of_class(rigs)}
+    return rigs_by_name
 
 
 def options(group: str) -> list[str]:
@@ -249,8 +249,8 @@ def _of_class(rigs: _Rigs) -> Iterator[tuple[str, tuple[str, ...]]]:
         yield name, tuple(words)
     if rigs.draws is not None:
         for seed in rigs.draws.seeds:
-            drawn = (f"plant.prior_seed={seed}", f"plant.prior_scale={rigs.draws.scale}")
-            yield f"draw_{seed}", (*drawn, f"seed={seed}")
+            overrides = (f"plant.prior_seed={seed}", f"plant.prior_scale={rigs.draws.scale}")
+            yield f"draw_{seed}", (*overrides, f"seed={seed}")
     if rigs.every_option_of is not None:
         group = rigs.every_option_of
         for option in options(group):

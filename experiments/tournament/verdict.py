@@ -61,7 +61,7 @@ class Results:
 
     def all_runs(self) -> list[ComparisonRun]:
         """Of all blocks; one that is in several stands several times."""
-        return [run for found in self.gathered.values() for run in found.runs]
+        return [run for collection in self.gathered.values() for run in collection.runs]
 
 
 def read_results(folder: Path, criteria: Criteria) -> Results:
@@ -117,7 +117,7 @@ def _behind(main: Ranking, criteria: Criteria) -> tuple[Behind, ...]:
     standing = standing_of(main, criteria.champion)
     if standing is None:
         return ()
-    found = []
+    runs_behind = []
     for condition, ratio, run in zip(
         standing.conditions, standing.ratios, standing.runs, strict=True
     ):
@@ -127,7 +127,7 @@ def _behind(main: Ranking, criteria: Criteria) -> tuple[Behind, ...]:
         best = standing_of(main, main.best[at])
         assert best is not None
         rival = best.runs[int(np.flatnonzero(best.conditions == at)[0])]
-        found.append(
+        runs_behind.append(
             Behind(
                 rig_class=run.coordinates[CLASS],
                 rig=run.coordinates[RIG],
@@ -138,7 +138,7 @@ def _behind(main: Ranking, criteria: Criteria) -> tuple[Behind, ...]:
                 best_error=rival.error(main.metric),
             )
         )
-    return tuple(sorted(found, key=lambda each: -each.ratio))
+    return tuple(sorted(runs_behind, key=lambda each: -each.ratio))
 
 
 def _aims(
@@ -222,8 +222,8 @@ def _nothing_failed(gathered: dict[str, RunCollection]) -> Aim:
         figures += f": {', '.join(names)}"
     if stopped:
         figures += f"; {stopped} did not end (`--resume` runs them)"
-    met = None if stopped and not failed else not failed
-    return Aim(words="no run ends in an error", met=met, figures=figures)
+    is_met = None if stopped and not failed else not failed
+    return Aim(words="no run ends in an error", met=is_met, figures=figures)
 
 
 def _faster(main: Ranking, criteria: Criteria) -> Aim:
@@ -247,8 +247,8 @@ def _disturbed(run: ComparisonRun, criteria: Criteria) -> bool:
 
 def _all(gathered: dict[str, RunCollection]) -> list[ComparisonRun]:
     """Every run once."""
-    found = {_key(run): run for each in gathered.values() for run in each.runs}
-    return list(found.values())
+    runs_by_key = {_key(run): run for each in gathered.values() for run in each.runs}
+    return list(runs_by_key.values())
 
 
 def _key(run: ComparisonRun) -> tuple[str, ...]:

@@ -46,8 +46,8 @@ def is_done(run: Run, out: Path) -> bool:
     """Whether a run of these very words has ended, well or not; a crash is tried again."""
     folder = folder_of(run, out)
     with contextlib.suppress(OSError, ValueError):
-        told = json.loads((folder / SCORE).read_text(encoding="utf-8"))[RUN_KEY]
-        return bool(told["fingerprint"] == run.fingerprint)
+        run_record = json.loads((folder / SCORE).read_text(encoding="utf-8"))[RUN_KEY]
+        return bool(run_record["fingerprint"] == run.fingerprint)
     with contextlib.suppress(OSError, ValueError):
         status = json.loads((folder / STATUS).read_text(encoding="utf-8"))
         return status.get("fingerprint") == run.fingerprint and status["state"] == "failed"
@@ -101,7 +101,7 @@ def perform(run: Run, out: Path, time_limit: float, logs: bool) -> None:
     except Exception as error:  # a failing run must not hide the others
         _file_status(run, out, "failed", f"{type(error).__name__}: {error}")
         return
-    told = {
+    run_record = {
         "coordinates": run.coordinates,
         "outside": run.outside,
         "non_finite": non_finite,
@@ -110,7 +110,7 @@ def perform(run: Run, out: Path, time_limit: float, logs: bool) -> None:
         "seconds": round(perf_counter() - begin, 3),
     }
     score["log"] = LOG if logs else ""
-    content = json.dumps({**score, RUN_KEY: told}, indent=1, allow_nan=False).encode()
+    content = json.dumps({**score, RUN_KEY: run_record}, indent=1, allow_nan=False).encode()
     for block in run.blocks:
         place = folder_of(run, out, block)
         place.mkdir(parents=True, exist_ok=True)
@@ -146,8 +146,8 @@ def _in_a_pool(
                         break
                 if not pending:
                     return
-                done, _ = wait(pending, return_when=FIRST_COMPLETED)
-                for future in done:
+                completions, _ = wait(pending, return_when=FIRST_COMPLETED)
+                for future in completions:
                     future.result()
                     yield pending.pop(future), True
         except BrokenProcessPool:

@@ -152,7 +152,7 @@ def _row(
         for name, p in usual.items()
         if p.prior_sd
     }
-    moved = ", ".join(f"{name} {z:+.1f}" for name, z in far.items() if abs(z) > _FAR)
+    shifts = ", ".join(f"{name} {z:+.1f}" for name, z in far.items() if abs(z) > _FAR)
     nats = fitted.fit.score - nominal.fit.score
     cells = (
         " + ".join(fitted.names) or "–",
@@ -161,7 +161,7 @@ def _row(
         before,
         own,
     )
-    return f"| {' | '.join((*cells, moved))} |"
+    return f"| {' | '.join((*cells, shifts))} |"
 
 
 if __name__ == "__main__":

@@ -154,8 +154,8 @@ def _fit_to(
 
 def errors(model: Model, dataset: Dataset, settings: Mapping[str, Any]) -> dict[str, Any]:
     """RMS of the free runs' errors, by output and by how their windows start, SI units."""
-    judged = settings["judged"]
-    horizon = judged["horizon"]
+    window_settings = settings["judged"]
+    horizon = window_settings["horizon"]
     rollout = Rollout(model, dataset.sample_time)
     rms_errors: dict[str, Any] = {}
     one_step = None
@@ -164,8 +164,8 @@ def errors(model: Model, dataset: Dataset, settings: Mapping[str, Any]) -> dict[
             horizons=(horizon,),
             windows=WindowOptions(
                 start=kind,  # type: ignore[arg-type]
-                history=judged["history"],
-                stride=judged["stride"],
+                history=window_settings["history"],
+                stride=window_settings["stride"],
             ),
         )
         if one_step is None:

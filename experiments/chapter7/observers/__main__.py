@@ -40,40 +40,40 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--update", action="store_true", help="write docs/chapter7.md and results.json"
     )
-    given = parser.parse_args(argv)
-    return exit_code_of(lambda: _run(given))
+    arguments = parser.parse_args(argv)
+    return exit_code_of(lambda: _run(arguments))
 
 
-def _run(given: argparse.Namespace) -> int:
-    study = read_study(given.study)
-    if given.quick:
+def _run(arguments: argparse.Namespace) -> int:
+    study = read_study(arguments.study)
+    if arguments.quick:
         study = msgspec.structs.replace(study, seeds=2, duration=12.0)
     begin = perf_counter()
     outcomes = []
-    for outcome in run_all(study, given.jobs):
+    for outcome in run_all(study, arguments.jobs):
         outcomes.append(outcome)
-        said = outcome.problem or "done"
+        message = outcome.problem or "done"
         sys.stdout.write(
             f"{perf_counter() - begin:6.1f} s  {outcome.job.condition}, record "
-            f"{outcome.job.seed}: {said}\n"
+            f"{outcome.job.seed}: {message}\n"
         )
         sys.stdout.flush()
     cells = cells_of(outcomes, study.observers, study.against)
-    found = replay_all(study, given.records) if given.records else {}
-    tables = tables_of(cells, study.observers, study.against, times=not given.no_times)
-    tables["recordings"] = recordings_table(found, study.observers)
-    text = json_text(rounded(document_of(study, cells, found, times=not given.no_times)))
+    innovations = replay_all(study, arguments.records) if arguments.records else {}
+    tables = tables_of(cells, study.observers, study.against, times=not arguments.no_times)
+    tables["recordings"] = recordings_table(innovations, study.observers)
+    text = json_text(rounded(document_of(study, cells, innovations, times=not arguments.no_times)))
     for name, table in tables.items():
         sys.stdout.write(f"\n{name}\n\n{table}\n")
-    if given.out is not None:
-        given.out.mkdir(parents=True, exist_ok=True)
-        (given.out / "observers.json").write_text(text, encoding="utf-8")
+    if arguments.out is not None:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        (arguments.out / "observers.json").write_text(text, encoding="utf-8")
         words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
-        (given.out / "observers.md").write_text(words + "\n", encoding="utf-8")
-    if given.update:
+        (arguments.out / "observers.md").write_text(words + "\n", encoding="utf-8")
+    if arguments.update:
         from experiments.page_tables import write_tables
 
-        if not found:
+        if not innovations:
             tables.pop("recordings")  # those that stand there were made where they are
         write_tables(PAGE, tables)
         RESULTS.write_text(text, encoding="utf-8")
@@ -94,7 +94,7 @@ def run_all(study: Study, jobs: int) -> Iterator[Outcome]:
 
 
 def document_of(
-    study: Study, cells: Sequence[Cell], found: dict[str, Any], *, times: bool
+    study: Study, cells: Sequence[Cell], innovations: dict[str, Any], *, times: bool
 ) -> dict[str, Any]:
     """The JSON twin of the tables."""
     return {
@@ -120,7 +120,7 @@ def document_of(
             for observer in study.observers
             if observer != study.against
         },
-        "recordings": found,
+        "recordings": innovations,
     }
 
 

@@ -97,8 +97,12 @@ def cells_of(outcomes: Iterable[Outcome], observers: Sequence[str], against: str
 
 def tally(cells: Iterable[Cell], observer: str) -> dict[Verdict, list[tuple[Cell, str]]]:
     """Where an observer is better than the reference, worse, or even: by cell and state."""
-    found: dict[Verdict, list[tuple[Cell, str]]] = {"better": [], "worse": [], "even": []}
+    cells_by_verdict: dict[Verdict, list[tuple[Cell, str]]] = {
+        "better": [],
+        "worse": [],
+        "even": [],
+    }
     for cell in cells:
         for state, ratio in cell.ratios[observer].items():
-            found[ratio.verdict].append((cell, state))
-    return found
+            cells_by_verdict[ratio.verdict].append((cell, state))
+    return cells_by_verdict

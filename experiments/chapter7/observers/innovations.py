@@ -14,12 +14,12 @@ from experiments.chapter7.observers.study import Study
 
 def replay_all(study: Study, folder: Path) -> dict[str, dict[str, dict[str, Any]]]:
     """Innovation figures by recording, observer and channel; of the recordings that are there."""
-    found = {}
+    innovations = {}
     for name, recording in study.recordings.items():
         file = folder / recording.file
         if not file.is_file():
             continue
-        found[name] = {
+        innovations[name] = {
             observer: _replay(
                 [
                     *(f"plant.file='{file}'", *recording.run, f"observer={observer}"),
@@ -28,7 +28,7 @@ def replay_all(study: Study, folder: Path) -> dict[str, dict[str, dict[str, Any]
             )
             for observer in study.observers
         }
-    return found
+    return innovations
 
 
 def _replay(overrides: list[str]) -> dict[str, Any]:

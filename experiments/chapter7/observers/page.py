@@ -28,7 +28,7 @@ def tables_of(
     ``times``: whether times are told; they are worth nothing of a machine that does something else
     too.
     """
-    chosen = [cell for cell in cells if cell.condition in _TOLD]
+    page_cells = [cell for cell in cells if cell.condition in _TOLD]
     return {
         "observer errors": _table(
             ["rig", "channels", "torques", "observer", *HEADS.values()],
@@ -38,7 +38,7 @@ def tables_of(
                     *(_first(cell.torques, i), f"`{observer}`"),
                     *(f"{_SCALE[s] * cell.rmse[observer][s]:.3g}" for s in STATES),
                 ]
-                for cell in chosen
+                for cell in page_cells
                 for i, observer in enumerate(observers)
             ],
         ),
@@ -75,12 +75,12 @@ _TOLD = (
 )
 
 
-def recordings_table(found: Mapping[str, Any], observers: Sequence[str]) -> str:
+def recordings_table(innovations: Mapping[str, Any], observers: Sequence[str]) -> str:
     """One-step prediction errors and consistency on recordings; a line where there are none."""
-    if not found:
+    if not innovations:
         return "The recordings were not there."
     rows = []
-    for name, of in found.items():
+    for name, of in innovations.items():
         for i, observer in enumerate(observers):
             channels = of[observer]
             rows.append(
@@ -107,10 +107,10 @@ def _prediction(figures: Mapping[str, Any] | None) -> str:
 
 
 def _tallied(cells: Sequence[Cell], observer: str) -> list[str]:
-    found = tally(cells, observer)
+    cells_by_verdict = tally(cells, observer)
     ratios = sorted(ratio.mean for cell in cells for ratio in cell.ratios[observer].values())
     return [
-        *(str(len(found[verdict])) for verdict in ("better", "even", "worse")),
+        *(str(len(cells_by_verdict[verdict])) for verdict in ("better", "even", "worse")),
         *(f"{value:.3g}" for value in (ratios[len(ratios) // 2], ratios[0], ratios[-1])),
     ]
 

@@ -72,29 +72,29 @@ def make_record(overrides: Sequence[str]) -> Record:
     from trms_cli.composition.composer import compose
     from trms_cli.library.tasks.experiment import experiment_of, topics_of
 
-    chosen = experiment_of(compose(list(overrides)).config)
+    loop_setup = experiment_of(compose(list(overrides)).config)
     rigs: list[PlantRun] = []
 
     def make_history(plant: PlantRun) -> History:
         rigs.append(plant)
-        topics = topics_of(chosen, plant)
+        topics = topics_of(loop_setup, plant)
         return History({t.name: {f.name: f.unit for f in t.fields} for t in topics}, None)
 
-    loop = Loop.start(chosen, make_history)
+    loop = Loop.start(loop_setup, make_history)
     loop.run()
     plant, history = rigs[0], loop.history
 
-    def table(topic: str, wanted: Sequence[str]) -> FloatArray:
+    def table(topic: str, column_names: Sequence[str]) -> FloatArray:
         columns = history.columns(topic)
-        return np.stack([columns[name] for name in wanted], axis=1)
+        return np.stack([columns[name] for name in column_names], axis=1)
 
     outputs = names(plant.outputs)
     applied = table("/command", names(plant.inputs))
     return Record(
-        chosen,
+        loop_setup,
         np.vstack([plant.first_command, applied[:-1]]),
         table("/measurement", outputs),
-        table("/plant/state", chosen.model.state_names),
+        table("/plant/state", loop_setup.model.state_names),
         outputs,
         dict(plant.noise_sd),
     )
@@ -104,10 +104,10 @@ def observer_of(name: str, torques: str) -> Any:
     """An observer as its configuration has it."""
     from trms_cli.composition.composer import compose
 
-    given = [f"observer={name}"]
+    overrides = [f"observer={name}"]
     if torques == "none":
-        given.append("observer.disturbances=[]")
-    return build(compose(given).config["observer"], "observer")
+        overrides.append("observer.disturbances=[]")
+    return build(compose(overrides).config["observer"], "observer")
 
 
 def judge(

@@ -174,18 +174,20 @@ def marks(model: Model, datasets: Sequence[Dataset], block: float) -> FloatArray
     the commands; for each channel the size of its steps and of its noise.
     """
     free = nominal_free(model)
-    moved = motion(model, datasets, [p.name for p in free], block)
-    terms, library = columns(model, moved)
+    trajectory = motion(model, datasets, [p.name for p in free], block)
+    terms, library = columns(model, trajectory)
     scales = np.array([p.scale for p in free])
-    derivative = np.gradient(moved.x, moved.step, axis=0)
-    second = np.gradient(derivative, moved.step, axis=0)
-    slopes = np.gradient(moved.u, moved.step, axis=0)
-    common = np.hstack([moved.x, derivative, second, moved.u, slopes, np.ones((len(moved.x), 1))])
+    derivative = np.gradient(trajectory.x, trajectory.step, axis=0)
+    second = np.gradient(derivative, trajectory.step, axis=0)
+    slopes = np.gradient(trajectory.u, trajectory.step, axis=0)
+    common = np.hstack(
+        [trajectory.x, derivative, second, trajectory.u, slopes, np.ones((len(trajectory.x), 1))]
+    )
     features: list[float] = []
     for i, place in enumerate(names(model.disturbances)):
-        force = moved.force[:, i]
-        nuisances = moved.of_parameters[:, i] * scales
-        ridge = float(np.var(force)) * len(force) / moved.independent
+        force = trajectory.force[:, i]
+        nuisances = trajectory.of_parameters[:, i] * scales
+        ridge = float(np.var(force)) * len(force) / trajectory.independent
         inner = nuisances.T @ nuisances + ridge * np.eye(len(free))
         gain = np.linalg.solve(inner, nuisances.T) if len(free) else nuisances.T
         term_columns = [k for k, term in enumerate(terms) if term.location == place]
@@ -195,7 +197,7 @@ def marks(model: Model, datasets: Sequence[Dataset], block: float) -> FloatArray
         unit = residuals / np.maximum(size, 1e-12 + 1e-6 * np.sqrt(np.mean(both**2, axis=0)))
         features.append(float(np.log(size[0] + 1e-12)))
         features.append(float(np.log(size[0] / (np.sqrt(np.mean(force**2)) + 1e-12) + 1e-6)))
-        features += _bands(residuals[:, 0], moved.step)
+        features += _bands(residuals[:, 0], trajectory.step)
         features += (unit[:, 1:].T @ unit[:, 0] / len(unit)).tolist()
     for signal_noise in _of_channels(datasets):
         features += signal_noise
@@ -264,7 +266,7 @@ class Classifier:
 
     def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         parts = parts_of(problem)
         model = train_classifier(
             problem.model,
@@ -301,7 +303,7 @@ class Classifier:
             parameters=corrected.nominal(),
             refit=plain.values,
             sentence=f"The recording looks like those of synthetic rigs with {best}.",
-            seconds={"all": time.perf_counter() - begun},
+            seconds={"all": time.perf_counter() - start_time},
         )
 
 
@@ -334,13 +336,13 @@ def train_classifier(
     effects = {name: s.effect for name, s in applicable_effects.items() if not s.stochastic}
     file = _file(model, effects, outputs, sample_time, rigs_each)
     if file.is_file():
-        with np.load(file) as saved:
+        with np.load(file) as archive:
             return TrainedClassifier(
-                tuple(saved["classes"].tolist()),
-                saved["mean"],
-                saved["sd"],
-                saved["weights"],
-                float(saved["accuracy"]),
+                tuple(archive["classes"].tolist()),
+                archive["mean"],
+                archive["sd"],
+                archive["weights"],
+                float(archive["accuracy"]),
             )
     requests = [
         Request(model, name, effect, tuple(outputs), sample_time, rigs_each, seed)

@@ -99,11 +99,11 @@ class FlexibleResidual:
 
     def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         parts = parts_of(problem)
         fit = refit(problem, parts)
-        moved = motion(fit.model, parts.fitted, (), parts.block)
-        force, foretold = learnt(fit.model, moved, problem.seed)
+        trajectory = motion(fit.model, parts.fitted, (), parts.block)
+        force, foretold = learnt(fit.model, trajectory, problem.seed)
         model = extend_model(fit.model, {"learnt_force": force}) if foretold else fit.model
         total = sum(foretold.values())
         return diagnosis(
@@ -122,26 +122,28 @@ class FlexibleResidual:
                 f"{place}: {100 * share:.0f} % of the smoothed force foretold out of sample"
                 for place, share in foretold.items()
             ],
-            seconds={"all": time.perf_counter() - begun},
+            seconds={"all": time.perf_counter() - start_time},
         )
 
 
-def learnt(model: Model, moved: Motion, seed: int) -> tuple[LearntForce, dict[str, float]]:
+def learnt(model: Model, trajectory: Motion, seed: int) -> tuple[LearntForce, dict[str, float]]:
     """A force on each equation, and the share of the smoothed one that it foretells."""
     x, u, p, w = model.symbols()
     s = inputs(EffectContext(model, x, u, p, w, ca.SX.zeros(0), {}))
-    n = len(moved.x)
+    n = len(trajectory.x)
     parameters = np.repeat(model.parameters.values[:, None], n, axis=1)
     disturbances = np.zeros((model.n_w, n))
     along = ca.Function("inputs", [x, u, p, w], [ca.densify(s)]).map(n)
-    input_samples = np.array(ca.DM(along(moved.x.T, moved.u.T, parameters, disturbances)).full()).T
+    input_samples = np.array(
+        ca.DM(along(trajectory.x.T, trajectory.u.T, parameters, disturbances)).full()
+    ).T
     layer = _layer(input_samples, seed)
     symbol = ca.SX.sym("s", input_samples.shape[1])
     features = ca.Function("features", [symbol], [ca.densify(layer(symbol))]).map(n)
     columns = np.array(ca.DM(features(input_samples.T)).full()).T
     coefficients, foretold = {}, {}
     for i, place in enumerate(names(model.disturbances)):
-        c, share = _ridged(columns, moved.force[:, i], moved)
+        c, share = _ridged(columns, trajectory.force[:, i], trajectory)
         if share > _LEAST:
             coefficients[place], foretold[place] = c, share
     return LearntForce(layer, coefficients), foretold
@@ -163,13 +165,13 @@ def _layer(input_samples: FloatArray, seed: int) -> Layer:
     )
 
 
-def _ridged(columns: FloatArray, force: FloatArray, moved: Motion) -> tuple[FloatArray, float]:
+def _ridged(columns: FloatArray, force: FloatArray, trajectory: Motion) -> tuple[FloatArray, float]:
     """Coefficients at the best ridge, and the share that is foretold in cross-validation."""
-    fold, total = moved.block % _FOLDS, float(np.mean(force**2))
+    fold, total = trajectory.block % _FOLDS, float(np.mean(force**2))
     spread = np.maximum(np.std(columns, axis=0), 1e-9)
     spread[-1] = 1.0
     scaled = columns / spread
-    worth = moved.independent / len(force)
+    worth = trajectory.independent / len(force)
     errors = np.full((len(_RIDGES), _FOLDS), np.nan)
     for f in range(_FOLDS):
         train, test = fold != f, fold == f

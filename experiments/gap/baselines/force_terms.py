@@ -159,14 +159,14 @@ class AddedForces(Memory):
         return force
 
 
-def columns(model: Model, moved: Motion) -> tuple[tuple[Term, ...], FloatArray]:
+def columns(model: Model, trajectory: Motion) -> tuple[tuple[Term, ...], FloatArray]:
     """The library's terms along a motion, (n, number of terms)."""
-    terms, function, memory = _functions(model, moved.step)
-    along = _remembered(model, moved, memory)
-    n = len(moved.x)
+    terms, function, memory = _functions(model, trajectory.step)
+    along = _remembered(model, trajectory, memory)
+    n = len(trajectory.x)
     parameters = np.repeat(model.parameters.values[:, None], n, axis=1)
     disturbances = np.zeros((model.n_w, n))
-    values = function.map(n)(along.T, moved.x.T, moved.u.T, parameters, disturbances)
+    values = function.map(n)(along.T, trajectory.x.T, trajectory.u.T, parameters, disturbances)
     return terms, np.array(ca.DM(values).full()).T
 
 
@@ -188,17 +188,17 @@ def _functions(model: Model, step: float) -> tuple[tuple[Term, ...], ca.Function
     )
 
 
-def _remembered(model: Model, moved: Motion, step: ca.Function) -> FloatArray:
+def _remembered(model: Model, trajectory: Motion, step: ca.Function) -> FloatArray:
     """The memory along a motion, from rest at the first command of each recording."""
-    edges = [*moved.breaks.tolist(), len(moved.x)]
+    edges = [*trajectory.breaks.tolist(), len(trajectory.x)]
     parts = []
     for a, b in pairwise(edges):
         n = b - a
         start = np.zeros(5)
-        start[: min(2, moved.u.shape[1])] = moved.u[a, :2]
+        start[: min(2, trajectory.u.shape[1])] = trajectory.u[a, :2]
         p = np.repeat(model.parameters.values[:, None], n, axis=1)
         chain = step.mapaccum(n)
-        after = chain(start, moved.x[a:b].T, moved.u[a:b].T, p, np.zeros((model.n_w, n)))
+        after = chain(start, trajectory.x[a:b].T, trajectory.u[a:b].T, p, np.zeros((model.n_w, n)))
         after = np.array(ca.DM(after).full()).T
         parts.append(np.vstack([start, after[:-1]]))
     return np.concatenate(parts)

@@ -27,7 +27,7 @@ class Oracle:
 
     def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         parts = parts_of(problem)
         plain = refit(problem, parts)
         candidates, _ = applicable_candidates(problem.model, problem.candidates)
@@ -49,5 +49,5 @@ class Oracle:
             parameters=fit.nominal(),
             refit=plain.values,
             sentence="The effects were told, and fitted.",
-            seconds={"all": time.perf_counter() - begun},
+            seconds={"all": time.perf_counter() - start_time},
         )

@@ -21,7 +21,7 @@ class ParameterRefit:
 
     def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         parts = parts_of(problem)
         fit = refit(problem, parts)
         measured = measure_shrinkage(problem, parts, problem.model, fit.model, fit.model)
@@ -33,5 +33,5 @@ class ParameterRefit:
             parameters=fit.nominal(),
             refit=fit.values,
             sentence="The nominal parameters were refitted; nothing else was considered.",
-            seconds={"all": time.perf_counter() - begun},
+            seconds={"all": time.perf_counter() - start_time},
         )

@@ -105,16 +105,16 @@ def _smoothed(
         if signal.name not in model.state_names or not present.any():
             continue
         filled = np.interp(np.arange(n), np.flatnonzero(present), column[present])
-        lost = np.convolve(~present, np.ones(edge), "same") > 0.5
-        good &= ~lost
+        is_gap = np.convolve(~present, np.ones(edge), "same") > 0.5
+        good &= ~is_gap
         i = model.state_index(signal.name)
         x[:, i], derivative[:, i] = savgol(filled, step, 0), savgol(filled, step, 1)
         rates[i] = derivative[:, i]
     # A command acts from its sample on: at the sample itself it has changed by half.
     before = np.vstack([dataset.commands[:1], dataset.commands[:-1]])
     u = savgol((before + dataset.commands) / 2, step, 0)
-    moved = equations.momenta(x, u, rates)
-    derivative[:, moved] = savgol(x[:, moved], step, 1)
+    momentum_states = equations.momenta(x, u, rates)
+    derivative[:, momentum_states] = savgol(x[:, momentum_states], step, 1)
     return x, u, derivative, good
 
 

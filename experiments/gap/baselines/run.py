@@ -227,7 +227,7 @@ def run_baseline(
     waiting = [r for r in recordings if not (folder_out / r.stem / DOCUMENT).is_file()]
     folder_out.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
-    begun = perf_counter()
+    start_time = perf_counter()
     effects_by_recording = truth or {}
     tasks = {
         r.stem: (name, tuple(effects_by_recording.get(r.stem, ())), r, folder_out, problem_of)
@@ -241,7 +241,7 @@ def run_baseline(
             failed[stem] = message = (
                 str(problem) if isinstance(problem, TrmsError) else repr(problem)
             )
-        minutes = (perf_counter() - begun) / 60
+        minutes = (perf_counter() - start_time) / 60
         tell(f"{count:4d} of {len(waiting)}  {stem}  {message}  {minutes:.1f} min")
     return failed
 
@@ -250,7 +250,7 @@ def _answer(
     name: str, effects: tuple[str, ...], recording: Path, out: Path, problem_of: ProblemOf
 ) -> str:
     """One answer; its verdict and first cause."""
-    begun = perf_counter()
+    start_time = perf_counter()
     problem = problem_of(recording)
     answer = baseline_of(name, effects).answer(problem)
     draft = out / f".{recording.stem}"
@@ -259,7 +259,7 @@ def _answer(
     text = json.dumps(document_of(answer), indent=1, allow_nan=False)
     (draft / DOCUMENT).write_text(text + "\n", encoding="utf-8")
     write_models(answer, problem, draft)
-    seconds = json.dumps({"seconds": round(perf_counter() - begun, 2)})
+    seconds = json.dumps({"seconds": round(perf_counter() - start_time, 2)})
     (draft / "blind.json").write_text(seconds + "\n", encoding="utf-8")
     draft.replace(out / recording.stem)
     first = answer.causes[0] if answer.causes else None

@@ -51,12 +51,14 @@ class SparseRegression:
 
     def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         parts = parts_of(problem)
         fit = refit(problem, parts)
-        moved = motion(fit.model, parts.fitted, [p.name for p in fit.free], parts.block)
-        supported_terms = sparse_terms(fit, moved)
-        corrected = with_terms(fit, moved, tuple(supported_terms)) if supported_terms else fit.model
+        trajectory = motion(fit.model, parts.fitted, [p.name for p in fit.free], parts.block)
+        supported_terms = sparse_terms(fit, trajectory)
+        corrected = (
+            with_terms(fit, trajectory, tuple(supported_terms)) if supported_terms else fit.model
+        )
         causes = _causes(supported_terms, problem)
         return diagnosis(
             problem,
@@ -75,60 +77,60 @@ class SparseRegression:
                 f"{100 * entry.share:.0f} % of the residual force"
                 for term, entry in supported_terms.items()
             ],
-            seconds={"all": time.perf_counter() - begun},
+            seconds={"all": time.perf_counter() - start_time},
         )
 
 
-def sparse_terms(fit: Fit, moved: Motion) -> dict[Term, SupportedTerm]:
+def sparse_terms(fit: Fit, trajectory: Motion) -> dict[Term, SupportedTerm]:
     """Terms that stay, those that explain most first.
 
     Each has to earn what the extended Bayesian information criterion asks for one of so many
     (Chen & Chen 2008, Biometrika 95).
     """
-    terms, values = columns(fit.model, moved)
+    terms, values = columns(fit.model, trajectory)
     scales = np.array([p.scale for p in fit.free])
     supported_terms: dict[Term, SupportedTerm] = {}
     for i, place in enumerate(names(fit.model.disturbances)):
         term_columns = [k for k, term in enumerate(terms) if term.location == place]
         if not term_columns:
             continue
-        force = moved.force[:, i]
+        force = trajectory.force[:, i]
         library = values[:, term_columns]
         # A parameter moves by its prior; neighbouring samples of a smoothed force are one.
-        ridge = float(np.var(force)) * len(force) / moved.independent
-        outside = _Projector(moved.of_parameters[:, i] * scales, ridge)
+        ridge = float(np.var(force)) * len(force) / trajectory.independent
+        outside = _Projector(trajectory.of_parameters[:, i] * scales, ridge)
         y, columns_ = outside(force[:, None])[:, 0], outside(library)
-        coefficients = _regressed(columns_, y, moved.block)
+        coefficients = _regressed(columns_, y, trajectory.block)
         rss = _rss(columns_, y, coefficients)
         for k, value in coefficients.items():
             without = _rss(columns_, y, {j: c for j, c in coefficients.items() if j != k})
-            gain = 0.5 * moved.independent * float(np.log(without / rss))
+            gain = 0.5 * trajectory.independent * float(np.log(without / rss))
             share = 1 - rss / without
-            if gain < 0.5 * np.log(moved.independent) + np.log(len(terms)):
+            if gain < 0.5 * np.log(trajectory.independent) + np.log(len(terms)):
                 continue
             supported_terms[terms[term_columns[k]]] = SupportedTerm(value, gain, share)
     return dict(sorted(supported_terms.items(), key=lambda item: -item[1].gain))
 
 
-def with_terms(fit: Fit, moved: Motion, selected_terms: tuple[Term, ...]) -> Model:
+def with_terms(fit: Fit, trajectory: Motion, selected_terms: tuple[Term, ...]) -> Model:
     """The refitted model with some terms; their coefficients together with all parameters.
 
     All equations at once, each in units of its force, the parameters held by their priors.
     """
-    terms, values = columns(fit.model, moved)
+    terms, values = columns(fit.model, trajectory)
     places = names(fit.model.disturbances)
     scales = np.array([p.scale for p in fit.free])
-    size = np.maximum(np.std(moved.force, axis=0), 1e-300)
+    size = np.maximum(np.std(trajectory.force, axis=0), 1e-300)
     n_f, rows, targets = len(fit.free), [], []
-    worth = np.sqrt(moved.independent / len(moved.force))
+    worth = np.sqrt(trajectory.independent / len(trajectory.force))
     for i, place in enumerate(places):
-        block = np.zeros((len(moved.force), n_f + len(selected_terms)))
-        block[:, :n_f] = moved.of_parameters[:, i] * scales
+        block = np.zeros((len(trajectory.force), n_f + len(selected_terms)))
+        block[:, :n_f] = trajectory.of_parameters[:, i] * scales
         for k, term in enumerate(selected_terms):
             if term.location == place:
                 block[:, n_f + k] = values[:, terms.index(term)]
         rows.append(block * worth / size[i])
-        targets.append(moved.force[:, i] * worth / size[i])
+        targets.append(trajectory.force[:, i] * worth / size[i])
     own = np.hstack([np.eye(n_f), np.zeros((n_f, len(selected_terms)))])
     a, b = np.vstack([*rows, own]), np.concatenate([*targets, np.zeros(n_f)])
     width = np.maximum(np.linalg.norm(a, axis=0), 1e-300)

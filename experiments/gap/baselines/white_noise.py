@@ -214,7 +214,7 @@ class WhiteNoiseBic:
 
     def answer(self, problem: GapProblem) -> DiagnosisResult:
         """See :class:`~experiments.gap.baselines.baseline.Baseline`."""
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         parts = parts_of(problem)
         nominal = compete(problem, parts, (), None)
         field: dict[tuple[str, ...], Competitor] = {
@@ -226,7 +226,7 @@ class WhiteNoiseBic:
             # A force that noise drives has no simulation to be compared with.
             if not candidate.stochastic:
                 field[(name,)] = compete(problem, parts, (candidate,), nominal)
-        fitted = time.perf_counter() - begun
+        fitted = time.perf_counter() - start_time
         ranked = sorted(field.items(), key=lambda item: item[1].bic)
         weights = np.exp([-(entry.bic - ranked[0][1].bic) / 2 for _, entry in ranked])
         probability = (weights / weights.sum()).tolist()
@@ -246,5 +246,5 @@ class WhiteNoiseBic:
             parameters=winner.fit.nominal(),
             refit=nominal.fit.values,
             sentence=f"{', '.join(best)} has the lowest BIC on white-noise simulation error.",
-            seconds={"fits": fitted, "all": time.perf_counter() - begun},
+            seconds={"fits": fitted, "all": time.perf_counter() - start_time},
         )

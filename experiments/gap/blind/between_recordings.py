@@ -41,14 +41,14 @@ class Spread:
     count: int  #: Channels of rigs
 
 
-def between_recordings(judged: Sequence[JudgedCase]) -> list[Spread]:
+def between_recordings(judged_cases: Sequence[JudgedCase]) -> list[Spread]:
     """Of the rigs whose diagnosis names an effect, all together first and then by band."""
     spreads: list[Spread] = []
     for name, of_speeds in (("angles", False), ("speeds", True)):
         rows = np.array(
             [
                 (*j.answer.sealed[channel], *fresh)
-                for j in judged
+                for j in judged_cases
                 if j.fresh is not None and j.answer.named_effects
                 for channel, fresh in j.fresh.errors.items()
                 if (channel in SPEEDS.values()) is of_speeds and channel in j.answer.sealed

@@ -207,10 +207,10 @@ class _Draw:
     def _with_known_state(self, case: Case, standing: str, what: str) -> Case:
         random = self._random
         away = _STANDING_OFFSET * random.standard_normal(len(self._priors))
-        moved = {}
+        parameter_changes = {}
         if what == "parameter":
             change = random.uniform(*_CHANGE) * random.choice([-1.0, 1.0])
-            moved = {str(random.choice(_CHANGING)): round(float(change), 4)}
+            parameter_changes = {str(random.choice(_CHANGING)): round(float(change), 4)}
         standing_sizes = self._sized(standing, "weak", random.uniform(*_STANDING))
         laws = case.nuisances
         if not case.imperfect:
@@ -222,7 +222,7 @@ class _Draw:
             nuisances=laws,
             references=int(random.integers(1, 4)),
             standing={standing: standing_sizes},
-            moved=moved,
+            moved=parameter_changes,
         )
 
     def _compared(self) -> float:

@@ -83,7 +83,7 @@ class Table:
 
 
 def table(
-    judged: Sequence[JudgedCase],
+    judged_cases: Sequence[JudgedCase],
     oracle: Mapping[str, JudgedCase] | None = None,
     *,
     draws: int = 2000,
@@ -94,13 +94,15 @@ def table(
     ``oracle``: answers of one who was told the effect, by case. ``draws``, ``seed``: of the
     bootstrap.
     """
-    took = [j.answer.seconds for j in judged if j.answer.seconds is not None]
+    took = [j.answer.seconds for j in judged_cases if j.answer.seconds is not None]
     return Table(
-        rows=(*_shares(judged), *_amounts(judged, oracle or {}, draws, seed)),
-        by_effect=_by_effect(judged),
-        confusions=_confusions(judged),
-        spreads=between_recordings(judged),
-        reliability=reliability([j.answer.first[1] for j in judged], [j.right for j in judged]),
+        rows=(*_shares(judged_cases), *_amounts(judged_cases, oracle or {}, draws, seed)),
+        by_effect=_by_effect(judged_cases),
+        confusions=_confusions(judged_cases),
+        spreads=between_recordings(judged_cases),
+        reliability=reliability(
+            [j.answer.first[1] for j in judged_cases], [j.right for j in judged_cases]
+        ),
         seconds=fmean(took) if took else None,
     )
 
@@ -326,24 +328,30 @@ def _near(j: JudgedCase) -> bool:
     return j.onset_error is not None and j.onset_error <= NEAR
 
 
-def _shares(judged: Sequence[JudgedCase]) -> list[Row]:
+def _shares(judged_cases: Sequence[JudgedCase]) -> list[Row]:
     return [
-        Row(measure=measure, estimate=share([hit(j) for j in judged if among(j)]), target=target)
+        Row(
+            measure=measure,
+            estimate=share([hit(j) for j in judged_cases if among(j)]),
+            target=target,
+        )
         for measure, among, hit, target in _SHARES
     ]
 
 
 def _amounts(
-    judged: Sequence[JudgedCase], oracle: Mapping[str, JudgedCase], draws: int, seed: int
+    judged_cases: Sequence[JudgedCase], oracle: Mapping[str, JudgedCase], draws: int, seed: int
 ) -> list[Row]:
-    ratios = [r for j in judged if (r := _relative_shrink(j, oracle.get(j.name))) is not None]
-    errors = [e for j in judged if j.case.kind == "single" for e in j.size_errors.values()]
-    fresh_cases = [j for j in judged if j.fresh is not None]
-    took = [j.answer.seconds for j in judged if j.answer.seconds is not None]
-    first = np.array([j.answer.first[1] for j in judged])
-    right = np.array([j.right for j in judged], dtype=bool)
+    ratios = [r for j in judged_cases if (r := _relative_shrink(j, oracle.get(j.name))) is not None]
+    errors = [e for j in judged_cases if j.case.kind == "single" for e in j.size_errors.values()]
+    fresh_cases = [j for j in judged_cases if j.fresh is not None]
+    took = [j.answer.seconds for j in judged_cases if j.answer.seconds is not None]
+    first = np.array([j.answer.first[1] for j in judged_cases])
+    right = np.array([j.right for j in judged_cases], dtype=bool)
     parts = [
-        (p, effect in j.case.effects) for j in judged for effect, p in j.answer.inclusion.items()
+        (p, effect in j.case.effects)
+        for j in judged_cases
+        for effect, p in j.answer.inclusion.items()
     ]
     of_parts = np.array([p for p, _ in parts])
     there = np.array([t for _, t in parts], dtype=bool)
@@ -351,7 +359,10 @@ def _amounts(
         Row(
             measure="expected calibration error",
             estimate=bootstrapped(
-                lambda some: calibration_error(first[some], right[some]), len(judged), draws, seed
+                lambda some: calibration_error(first[some], right[some]),
+                len(judged_cases),
+                draws,
+                seed,
             ),
             unit="1",
             target=_at_most(0.04),
@@ -377,7 +388,7 @@ def _amounts(
         ),
         Row(
             measure="95 % interval of the shrink covers",
-            estimate=share([c for j in judged if (c := _covered(j)) is not None]),
+            estimate=share([c for j in judged_cases if (c := _covered(j)) is not None]),
             target=Target(kind="within", low=0.94, high=0.96),
         ),
         Row(
@@ -421,9 +432,9 @@ def _covered(j: JudgedCase) -> bool | None:
     return ci95[0] <= j.fresh.shrink <= ci95[1]
 
 
-def _by_effect(judged: Sequence[JudgedCase]) -> dict[str, dict[str, Estimate]]:
+def _by_effect(judged_cases: Sequence[JudgedCase]) -> dict[str, dict[str, Estimate]]:
     hits: dict[str, dict[str, list[bool]]] = {}
-    for j in judged:
+    for j in judged_cases:
         if j.case.kind != "single" or not _full(j):
             continue
         for effect, level in j.case.severity.items():
@@ -437,9 +448,9 @@ def _by_effect(judged: Sequence[JudgedCase]) -> dict[str, dict[str, Estimate]]:
     }
 
 
-def _confusions(judged: Sequence[JudgedCase]) -> dict[str, dict[str, int]]:
+def _confusions(judged_cases: Sequence[JudgedCase]) -> dict[str, dict[str, int]]:
     counts: dict[str, dict[str, int]] = {}
-    for j in judged:
+    for j in judged_cases:
         row = counts.setdefault(j.label, {})
         row[j.answer_label] = row.get(j.answer_label, 0) + 1
     return {

@@ -36,7 +36,7 @@ def draw_nuisances(random: Random) -> dict[str, float]:
     pitch, yaw = random.choice(_OWN, 2)
     if random.uniform() < 0.6:
         pitch = yaw = random.choice(_ALIKE)
-    drawn = {
+    nuisances = {
         "jitter": octaves(2e-5, 8e-4),
         "drift": between(0.0, _DRIFT),
         "drift_time": octaves(10.0, 100.0) if slow else 0.0,
@@ -57,7 +57,7 @@ def draw_nuisances(random: Random) -> dict[str, float]:
         "pitch_inertia": between(0.99, 1.01),
         "yaw_inertia": between(0.99, 1.01),
     }
-    return {name: float(f"{value:.4g}") for name, value in drawn.items()}
+    return {name: float(f"{value:.4g}") for name, value in nuisances.items()}
 
 
 def imperfect_laws(random: Random, share: float = 1.0) -> dict[str, float]:
@@ -70,14 +70,14 @@ def imperfect_laws(random: Random, share: float = 1.0) -> dict[str, float]:
     def signed(size: float) -> float:
         return float(random.choice([-1.0, 1.0])) * size * share
 
-    drawn = {
+    laws = {
         "viscous_exponent": 1 + signed(0.15),
         "thrust_exponent": signed(0.06),
         "cable_hardening": signed(0.05),
         "pitch_inertia": 1 + signed(0.08),
         "yaw_inertia": 1 + signed(0.08),
     }
-    return {name: float(f"{value:.4g}") for name, value in drawn.items()}
+    return {name: float(f"{value:.4g}") for name, value in laws.items()}
 
 
 def curved_laws(random: Random) -> dict[str, float]:

@@ -90,11 +90,11 @@ class Slips:
     def torque(self, angle: FloatArray) -> FloatArray:
         """The torque against the travel, N m."""
         assert self._spring_torques is not None
-        moved = 0.0 if self._angle is None else angle - self._angle
+        increment = 0.0 if self._angle is None else angle - self._angle
         self._angle = angle
         for i, stiffness in enumerate(self._stiffness):
             self._spring_torques[i] = np.clip(
-                self._spring_torques[i] + stiffness * moved, -self._yield, self._yield
+                self._spring_torques[i] + stiffness * increment, -self._yield, self._yield
             )
         total: FloatArray = self._spring_torques.sum(axis=0)
         return total

@@ -71,18 +71,18 @@ def _judged(
     from experiments.gap.blind.measures import table
     from experiments.gap.blind.verdicts import document_of, judge, with_fresh
 
-    judged = {name: judge(key, folder) for name, folder in methods.items()}
+    cases_by_method = {name: judge(key, folder) for name, folder in methods.items()}
     if options.fresh and key.fresh is not None:
-        judged = {
+        cases_by_method = {
             name: with_fresh(judged_cases, methods[name], key.fresh, options.jobs)
-            for name, judged_cases in judged.items()
+            for name, judged_cases in cases_by_method.items()
         }
-    oracle = {j.name: j for j in judged[options.oracle]} if options.oracle else None
+    oracle = {j.name: j for j in cases_by_method[options.oracle]} if options.oracle else None
     tables = {
         name: table(judged_cases, oracle, draws=options.bootstrap, seed=options.seed)
-        for name, judged_cases in judged.items()
+        for name, judged_cases in cases_by_method.items()
     }
-    return tables, document_of(key, tables, judged)
+    return tables, document_of(key, tables, cases_by_method)
 
 
 def methods_of(diagnoses: str | Sequence[str]) -> dict[str, Path]:

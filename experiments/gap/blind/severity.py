@@ -146,13 +146,13 @@ def _ratios(trials: Sequence[tuple[str, float]]) -> list[float]:
 
     model = Newtonian()
     run = _recorded(trials)
-    residual_rms, begun = [], time.perf_counter()
+    residual_rms, start_time = [], time.perf_counter()
     for i in range(_NULLS + len(trials)):
         recording = dataset_of(model, run.time, run.commands[i], run.measured[i])
         residual_rms.append(refit(model, recording).rms)
         floor = np.sqrt(np.mean(np.square(residual_rms[:_NULLS]), axis=0))
         name = trials[i - _NULLS] if i >= _NULLS else "nothing"
-        spent = time.perf_counter() - begun
+        spent = time.perf_counter() - start_time
         _say(
             f"{i + 1:4d} of {len(run.commands)}, {spent:4.0f} s  {name}  {residual_rms[-1] / floor}"
         )

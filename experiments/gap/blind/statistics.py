@@ -45,8 +45,8 @@ def quantile(values: Sequence[float], q: float, draws: int, seed: int) -> Estima
     if n < 3:
         return Estimate(estimate, None, None, n)
     picked = np.random.default_rng(seed).integers(n, size=(draws, n))
-    drawn = np.quantile(data[picked], q, axis=1)
-    low, high = np.quantile(drawn, [0.025, 0.975])
+    replicates = np.quantile(data[picked], q, axis=1)
+    low, high = np.quantile(replicates, [0.025, 0.975])
     return Estimate(estimate, float(low), float(high), n)
 
 
@@ -63,8 +63,8 @@ def bootstrapped(
     if count < 3:
         return Estimate(estimate, None, None, count)
     random = np.random.default_rng(seed)
-    drawn = [statistic(random.integers(count, size=count)) for _ in range(draws)]
-    low, high = np.quantile(drawn, [0.025, 0.975])
+    replicates = [statistic(random.integers(count, size=count)) for _ in range(draws)]
+    low, high = np.quantile(replicates, [0.025, 0.975])
     return Estimate(estimate, float(low), float(high), count)
 
 

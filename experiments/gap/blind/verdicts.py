@@ -63,10 +63,10 @@ def judge(key: OpenedKey, folder: Path) -> list[JudgedCase]:
 
 
 def with_fresh(
-    judged: Sequence[JudgedCase], folder: Path, fresh: Path, jobs: int
+    judged_cases: Sequence[JudgedCase], folder: Path, fresh: Path, jobs: int
 ) -> list[JudgedCase]:
     """The same with how the models do on the second recordings."""
-    tasks = [(j, folder / j.name, fresh / f"{j.name}.csv") for j in judged]
+    tasks = [(j, folder / j.name, fresh / f"{j.name}.csv") for j in judged_cases]
     if jobs == 1:
         fresh_results = [_on_fresh(*task) for task in tasks]
     else:
@@ -74,16 +74,16 @@ def with_fresh(
             fresh_results = list(pool.map(_on_fresh, *zip(*tasks, strict=True)))
     return [
         replace(j, fresh=fresh_result)
-        for j, fresh_result in zip(judged, fresh_results, strict=True)
+        for j, fresh_result in zip(judged_cases, fresh_results, strict=True)
     ]
 
 
-def _on_fresh(judged: JudgedCase, folder: Path, recording: Path) -> FreshResult | None:
-    return on_fresh(judged.answer, folder, recording) if recording.is_file() else None
+def _on_fresh(judged_case: JudgedCase, folder: Path, recording: Path) -> FreshResult | None:
+    return on_fresh(judged_case.answer, folder, recording) if recording.is_file() else None
 
 
 def document_of(
-    key: OpenedKey, tables: Mapping[str, Table], judged: Mapping[str, Sequence[JudgedCase]]
+    key: OpenedKey, tables: Mapping[str, Table], cases_by_method: Mapping[str, Sequence[JudgedCase]]
 ) -> dict[str, Any]:
     """The content of ``score.json``."""
     return {
@@ -94,7 +94,7 @@ def document_of(
         "cases": len(key.cases),
         "methods": {
             name: {
-                "diagnosed": len(judged[name]),
+                "diagnosed": len(cases_by_method[name]),
                 "mean_seconds": table.seconds,
                 "measures": [_row(row) for row in table.rows],
                 "by_effect": {
@@ -104,7 +104,7 @@ def document_of(
                 "confusions": table.confusions,
                 "reliability": asdict(table.reliability),
                 "between_recordings": [asdict(spread) for spread in table.spreads],
-                "judged": {j.name: _facts(j) for j in judged[name]},
+                "judged": {j.name: _facts(j) for j in cases_by_method[name]},
             }
             for name, table in tables.items()
         },
