@@ -12,7 +12,7 @@ from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
-from trms_cli.gap.evidence import ChangeEvidence, judge
+from trms_cli.gap.evidence import ChangeEvidence, coarser_sensors, judge
 from trms_cli.gap.findings import headline
 from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.onset import diagnose_onset
@@ -288,6 +288,26 @@ def test_a_law_of_the_rigs_build_is_hardly_believed_to_begin(reference_state, fr
         assert drag.began is None and drag.belief > -0.1
     else:
         assert drag.began is not None and drag.belief == pytest.approx(np.log(0.1), abs=0.01)
+
+
+def test_a_sensor_that_rounds_coarser_than_before_is_read_from_its_steps(reference_state):
+    """Rounding has no slope and looks like a torque; its steps alone tell it from one."""
+    candidates, _ = applicable_candidates(
+        MODEL, {n: effect(n) for n in ("yaw_quantisation", "pitch_quantisation")}
+    )
+    quantum = 6 * 2 * np.pi / 4096  # every sixth line of the encoder
+    coarse = {"yaw_quantisation": replace(effect("yaw_quantisation"), quantum=quantum)}
+    dataset = begins(coarse, 0.0, values=VALUES, seconds=20.0, seed=14)
+    evidence = ChangeEvidence(NewRecordings.of(reference_state, [dataset]))
+    (score,) = coarser_sensors(evidence, candidates)
+    assert score.difference.name == "yaw_quantisation" and score.began is None
+    assert score.value[0] == pytest.approx(quantum, rel=0.01)
+    compared_state = compare_with(reference_state, [dataset], candidates, {})
+    assert compared_state.probabilities[0] > 0.95
+    assert compared_state.judged[0].difference.name == "yaw_quantisation"
+    same = begins({}, 0.0, values=VALUES, seconds=20.0, seed=14)
+    evidence = ChangeEvidence(NewRecordings.of(reference_state, [same]))
+    assert coarser_sensors(evidence, candidates) == []
 
 
 def test_a_gate_opens_at_its_onset():

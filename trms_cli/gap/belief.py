@@ -121,11 +121,18 @@ _SLOW = 4.0
 _WHOLE = 1.01
 #: What the name of a torque from outside ends in.
 DISTURBANCE = "_disturbance"
+#: What the name of coarse rounding ends in, which no simulation shows.
+QUANTISATION = "_quantisation"
 #: Logarithms. A right cause may do a channel so much harm on a short sealed part; more than the
 #: other is all alike.
 _BY_CHANCE, _HARMED = 0.1, 1.5
 #: Floors. Free runs worse than this are all alike.
 _WORST = 50.0
+
+
+def simulated_part(effects: tuple[str, ...]) -> tuple[str, ...]:
+    """Those effects of a cause that a simulation shows."""
+    return tuple(n for n in effects if not n.endswith((DISTURBANCE, QUANTISATION)))
 
 
 def own_feature(effect: str) -> str:

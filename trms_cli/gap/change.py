@@ -26,7 +26,7 @@ from trms_cli.gap.belief import (
 )
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
-from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
+from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, coarser_sensors, judge
 from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.problem import (
     CandidateEffect,
@@ -118,7 +118,7 @@ def compare_with(
         )
     evidence = ChangeEvidence(questioned, ends=ends)
     count = len(known_state.free) + len(candidates) + 2
-    scores = []
+    scores = coarser_sensors(evidence, candidates)
     for k, difference in enumerate(differences(questioned, candidates, jobs=jobs)):
         scores.append(with_random_torque(evidence, judge(evidence, difference)))
         watch(0.2 + 0.5 * k / count, difference.name)
@@ -134,7 +134,10 @@ def compare_with(
     near = [j for j, w in zip(scores, worth, strict=True) if w > worth[0] - _NEAR][:_FINALISTS]
     watch(0.75, "when")
     finely = [
-        with_random_torque(evidence, judge(evidence, j.difference, finely=True)) for j in near
+        with_random_torque(evidence, judge(evidence, j.difference, finely=True))
+        if j.difference.families
+        else j
+        for j in near
     ]
     judged, worth = _in_order([*finely, *scores[len(near) :]], constants)
     free = law_evidence(evidence) - evidence.unchanged

@@ -35,8 +35,9 @@ from trms_cli.gap.problem import (
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
 from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 
-#: Probability from which a verdict is given, and below which a cause is not told.
-_DECIDED, _LEAST = 0.5, 0.002
+#: Probability from which a verdict is given, below which an effect's part is not told, and below
+#: which a cause is left out.
+_DECIDED, _LEAST, _NEGLIGIBLE = 0.5, 0.002, 1e-6
 
 
 def change_result(problem: GapProblem, comparison: StateComparison) -> DiagnosisResult:
@@ -167,7 +168,7 @@ def _causes(comparison: StateComparison) -> tuple[Cause, ...]:
     for j, probability in zip(comparison.judged, comparison.probabilities.tolist(), strict=True):
         if j.difference.kind == "parameter":
             of_parameters, first = of_parameters + probability, first or j
-        elif probability >= _LEAST:
+        elif probability >= _NEGLIGIBLE:
             rows.append(
                 Cause(
                     effects=(j.difference.name,),
@@ -357,7 +358,7 @@ def _rejected(comparison: StateComparison) -> tuple[Rejected, ...]:
     unjudged = {
         name: "no simulation with it stays finite"
         if candidate.simulated
-        else "rounding is not compared: diagnose the recording without against"
+        else "its steps are no coarser than in the known state"
         for name, candidate in comparison.candidates.items()
         if name not in judged_names
     }

@@ -45,7 +45,8 @@ def _corrected(
 ) -> Model | None:
     """The known state's model with the difference, of sizes that the sealed part has no say in."""
     known_state = comparison.questioned.known_state
-    if correction.varies:  # nothing foretells it
+    # nothing foretells what varies at random, and rounding is in no model
+    if correction.varies or not correction.difference.families:
         return known_state.model
     if correction.began is not None:
         within = (

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from trms_cli.gap.beginning import begins_at
-from trms_cli.gap.belief import calibration
+from trms_cli.gap.belief import calibration, simulated_part
 from trms_cli.gap.competing_model import Refit, about_priors, nominal_parameters, refit
 from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.diagnosis_result import StageResults, result_of
 from trms_cli.gap.flexible import fit_flexible
 from trms_cli.gap.model_form import leads, refit_with_free_form
 from trms_cli.gap.onset import diagnose_onset
-from trms_cli.gap.posterior import Posterior, posterior_of, simulated_part
+from trms_cli.gap.posterior import Posterior, posterior_of
 from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates, divide
 from trms_cli.gap.race import EFFORTS, Checkpoint, run_race
 from trms_cli.gap.residuals import innovation_tests, locate, smoothed_forces

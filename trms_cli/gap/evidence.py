@@ -1,6 +1,6 @@
 """How probable a change is: what it leaves of the missing forces, against the standing error."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.effects.quantisation import Quantisation
 from trms_cli.gap.diagnosis import Onset
 from trms_cli.gap.differences import (
     Difference,
@@ -16,8 +17,10 @@ from trms_cli.gap.differences import (
     NewRecordings,
     SensorJump,
 )
+from trms_cli.gap.problem import COARSER, CandidateEffect, quantum_of
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import robust, robust_weight
+from trms_cli.models.model import names
 
 
 @dataclass(frozen=True)
@@ -298,6 +301,49 @@ def judge(
         recording,
         (change + part * slope)[0],
     )
+
+
+def coarser_sensors(
+    evidence: ChangeEvidence, candidates: Mapping[str, CandidateEffect]
+) -> list[DifferenceScore]:
+    """Sensors that round coarser than in any recording of the known state; seen in their steps.
+
+    A reading of the known state lies on steps r times as coarse by chance in one of r. So much
+    speaks for them with each level that was met, and no simulation tells more.
+    """
+    model = evidence.known_state.model
+    scores = []
+    for name, candidate in candidates.items():
+        if not isinstance(candidate.effect, Quantisation):
+            continue
+        channel = model.outputs[candidate.effect.row(model)].name
+        now, before = (
+            [d.output(channel) for d in runs.windows.datasets if channel in names(d.outputs)]
+            for runs in (evidence.runs, evidence.known_state.runs)
+        )
+        quantum = min(map(quantum_of, now), default=0.0)
+        ratio = quantum / max((*map(quantum_of, before), quantum / _MOST_COARSER, 1e-12))
+        if not before or ratio < COARSER:
+            continue
+        levels = sum(len(np.unique(np.round(v[np.isfinite(v)] / quantum))) for v in now)
+        labels, units = zip(*((p.name, p.unit) for p in candidate.effect.parameters()), strict=True)
+        scores.append(
+            DifferenceScore(
+                Difference(name, "effect", labels, units, candidate.locations, ()),
+                always=evidence.unchanged + levels * float(np.log(ratio)),
+                begins=-np.inf,
+                value=np.array([quantum]),
+                sd=np.array([quantum / levels]),
+                onset=None,
+                recording=0,
+                change=np.zeros_like(evidence.forces.force),
+            )
+        )
+    return scores
+
+
+#: Steps are called coarser by this factor at most; those of a smooth reading are not known.
+_MOST_COARSER = 10.0
 
 
 def _together(trials: Sequence[_Trial]) -> float:

@@ -14,9 +14,11 @@ from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.belief import (
     DISTURBANCE,
+    QUANTISATION,
     Calibration,
     Features,
     probabilities_of,
+    simulated_part,
     standard_error,
 )
 from trms_cli.gap.competing_model import FittedModel
@@ -25,7 +27,7 @@ from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.problem import CandidateEffect, GapProblem, quantum_of
+from trms_cli.gap.problem import COARSER, CandidateEffect, GapProblem, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
@@ -50,8 +52,6 @@ _RESAMPLES = 200
 _RUN = 5
 #: rad. Step of the encoders that the models' rigs have.
 _USUAL_QUANTUM = 2 * np.pi / 4096
-#: What the names of effects end in that no simulation with slopes shows.
-_QUANTISATION = "_quantisation"
 #: Belief that a sensor which rounds coarser than the other has that effect.
 _COARSE = 0.95
 
@@ -73,11 +73,6 @@ class Posterior:
     def fitted(self, race: Race, effects: tuple[str, ...]) -> FittedModel | None:
         """What was fitted of a cause: a torque from outside and a coarse sensor are not."""
         return {e.names: e for e in race.entries}.get(simulated_part(effects))
-
-
-def simulated_part(effects: tuple[str, ...]) -> tuple[str, ...]:
-    """Those effects of a cause that a simulation shows."""
-    return tuple(n for n in effects if not n.endswith((DISTURBANCE, _QUANTISATION)))
 
 
 def features_of(
@@ -416,9 +411,9 @@ def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]
         axis
         for axis, quantum in quanta.items()
         if f"{axis}_quantisation" in candidates
-        and quantum > 1.5 * max(_USUAL_QUANTUM, min(quanta.values()))
+        and quantum > COARSER * max(_USUAL_QUANTUM, min(quanta.values()))
     ]
-    return f"{coarse[0]}{_QUANTISATION}" if coarse and len(quanta) > 1 else ""
+    return f"{coarse[0]}{QUANTISATION}" if coarse and len(quanta) > 1 else ""
 
 
 def _with_coarse_sensor(

@@ -234,6 +234,10 @@ def with_noise(dataset: Dataset) -> Dataset:
     return replace(dataset, noise_sd=np.maximum(noise, np.maximum(_PRECISION * motion, 1e-9)))
 
 
+#: Steps so many times those of another sensor, or of another day, are coarser ones.
+COARSER = 1.5
+
+
 def quantum_of(values: FloatArray) -> float:
     """Step of a sensor: the smallest that is common between its values; 0 if they are smooth."""
     levels = np.unique(np.round(values[np.isfinite(values)], 9))

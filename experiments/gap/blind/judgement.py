@@ -13,9 +13,9 @@ from experiments.gap.blind.cases import Case
 from experiments.gap.blind.refit import dataset_of
 from experiments.gap.blind.truths import TRUTHS, same_equation
 from trms_cli.effects.model_file import load_model
+from trms_cli.gap.belief import simulated_part
 from trms_cli.gap.diagnosis import NO_EFFECT, SCHEMA, WORSE
 from trms_cli.gap.free_runs import free_run_errors
-from trms_cli.gap.posterior import simulated_part
 from trms_cli.gap.shrinkage import LEAST_GAP
 
 #: Sizes that the rigs' laws and the library's share: the cable's memory follows another law, a

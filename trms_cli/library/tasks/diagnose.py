@@ -32,7 +32,7 @@ from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.model_form import MODEL_FORM
-from trms_cli.gap.belief import DISTURBANCE
+from trms_cli.gap.belief import simulated_part
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
@@ -409,9 +409,8 @@ def applied_cause(diagnosis: DiagnosisResult) -> Cause | None:
     # a torque from outside or a coarse sensor beside it is no part of a model
     fitted = tuple(
         name
-        for name in first.effects
-        if not name.endswith(DISTURBANCE)
-        and any(size.startswith(f"{name}.") for size in first.parameters)
+        for name in simulated_part(first.effects)
+        if any(size.startswith(f"{name}.") for size in first.parameters)
     )
     return replace(first, effects=fitted) if fitted else None
 
