@@ -320,12 +320,12 @@ def _moved_parameters(diagnosis: DiagnosisResult) -> report.Section | None:
     if not diagnosis.moved:
         return None
     columns = [
-        report.Column("what", "words"),
+        report.Column("parameter", "parameter"),
         report.Column(
             "that it moved",
             lambda item: report.Datum(wording.percent(item.probability), bar=item.probability),
         ),
-        report.Column("parameter", "parameter"),
+        report.Column("what", "words"),
     ]
     text = (
         "A refit moves every parameter a little. Here each either keeps to what was known of it or "

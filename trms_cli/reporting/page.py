@@ -107,9 +107,8 @@ def policy(digests: Sequence[bytes] = ()) -> str:
 #: A drawing with more points in its curves than this is embedded as pixels instead.
 _MOST_POINTS = 4_000
 _PIXELS_PER_INCH = 144
-#: Letters up to which a cell and the head of a row stay on one line; those that a cell of a table
-#: with a filter has at most.
-_SHORT, _LONGEST_HEAD, _LONGEST_CELL = 24, 48, 300
+#: Letters up to which a cell stays on one line; of a table with a filter those that it has at most.
+_SHORT, _LONGEST_CELL = 24, 300
 #: Rows of a table with a filter: more are slow to lay out.
 MOST_ROWS = 10_000
 
@@ -265,8 +264,7 @@ def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str
     if datum.link:
         content = f'<a href="{escape(datum.link)}">{content}</a>'
     if is_head:
-        broken = ' class="broken"' if len(text) > _LONGEST_HEAD else ""
-        return f'<th scope="row"{broken}>{content}</th>'
+        return f'<th scope="row">{content}</th>'
     is_number = is_numeric or (_is_number(value) and value is not None)
     short = "" if is_sortable or len(text) > _SHORT else "short"
     names = [datum.judgement, "number" if is_number else short, "bar" * (datum.bar is not None)]
