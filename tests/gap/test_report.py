@@ -142,7 +142,7 @@ def test_parameters_that_moved_are_told_with_their_probability() -> None:
     report = findings(diagnosis(verdict="parameters_only", **PLAIN))
     assert any("from 20.9 to 10.3 mrad (noise alone: 1.1)" in text for text in report.lead)
     assert rows(report, "that it moved") == [
-        ["viscous friction of yaw +59 % (0.0095 → 0.0151 N m s)", "97 %", "k_oh"]
+        ["k_oh", "97 %", "viscous friction of yaw +59 % (0.0095 → 0.0151 N m s)"]
     ]
 
 
