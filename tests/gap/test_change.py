@@ -308,6 +308,10 @@ def test_a_sensor_that_rounds_coarser_than_before_is_read_from_its_steps(referen
     same = begins({}, 0.0, values=VALUES, seconds=20.0, seed=14)
     evidence = ChangeEvidence(NewRecordings.of(reference_state, [same]))
     assert coarser_sensors(evidence, candidates) == []
+    # a file with fewer digits rounds, too, but by less than any encoder
+    few_digits = replace(same, measurements=np.round(same.measurements, 3))
+    evidence = ChangeEvidence(NewRecordings.of(reference_state, [few_digits]))
+    assert coarser_sensors(evidence, candidates) == []
 
 
 def test_a_gate_opens_at_its_onset():

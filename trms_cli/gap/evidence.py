@@ -17,7 +17,7 @@ from trms_cli.gap.differences import (
     NewRecordings,
     SensorJump,
 )
-from trms_cli.gap.problem import COARSER, CandidateEffect, quantum_of
+from trms_cli.gap.problem import CandidateEffect, is_coarser, quantum_of
 from trms_cli.gap.short_runs import ShortRuns
 from trms_cli.gap.standing import robust, robust_weight
 from trms_cli.models.model import names
@@ -322,9 +322,10 @@ def coarser_sensors(
             for runs in (evidence.runs, evidence.known_state.runs)
         )
         quantum = min(map(quantum_of, now), default=0.0)
-        ratio = quantum / max((*map(quantum_of, before), quantum / _MOST_COARSER, 1e-12))
-        if not before or ratio < COARSER:
+        usual = max(map(quantum_of, before), default=np.inf)
+        if not is_coarser(quantum, usual):
             continue
+        ratio = min(quantum / max(usual, 1e-12), _MOST_COARSER)
         levels = sum(len(np.unique(np.round(v[np.isfinite(v)] / quantum))) for v in now)
         labels, units = zip(*((p.name, p.unit) for p in candidate.effect.parameters()), strict=True)
         scores.append(

@@ -27,7 +27,7 @@ from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.problem import COARSER, CandidateEffect, GapProblem, quantum_of
+from trms_cli.gap.problem import CandidateEffect, GapProblem, is_coarser, quantum_of
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
@@ -50,8 +50,6 @@ _CERTAIN = 0.05
 _RESAMPLES = 200
 #: Competitors whose free runs on the sealed part are asked for.
 _RUN = 5
-#: rad. Step of the encoders that the models' rigs have.
-_USUAL_QUANTUM = 2 * np.pi / 4096
 #: Belief that a sensor which rounds coarser than the other has that effect.
 _COARSE = 0.95
 
@@ -410,8 +408,7 @@ def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]
     coarse = [
         axis
         for axis, quantum in quanta.items()
-        if f"{axis}_quantisation" in candidates
-        and quantum > COARSER * max(_USUAL_QUANTUM, min(quanta.values()))
+        if f"{axis}_quantisation" in candidates and is_coarser(quantum, min(quanta.values()))
     ]
     return f"{coarse[0]}{QUANTISATION}" if coarse and len(quanta) > 1 else ""
 

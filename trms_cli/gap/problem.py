@@ -234,8 +234,15 @@ def with_noise(dataset: Dataset) -> Dataset:
     return replace(dataset, noise_sd=np.maximum(noise, np.maximum(_PRECISION * motion, 1e-9)))
 
 
-#: Steps so many times those of another sensor, or of another day, are coarser ones.
-COARSER = 1.5
+#: rad. Step of a usual encoder: rounding that is finer, as of a file's digits, matters to nobody.
+_USUAL_QUANTUM = 2 * np.pi / 4096
+#: Steps so many times others are coarser ones.
+_COARSER = 1.5
+
+
+def is_coarser(quantum: float, other: float) -> bool:
+    """Whether an angle's steps are coarser than others, and than those of a usual encoder, rad."""
+    return quantum > _COARSER * max(_USUAL_QUANTUM, other)
 
 
 def quantum_of(values: FloatArray) -> float:
