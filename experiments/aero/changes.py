@@ -47,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     heads = ("recording", "against", "verdict", "likeliest", "since", "place", "time")
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     for name in arguments.only:
-        for against in ((), tuple(n for n in arguments.references if n != name)):
+        others = tuple(n for n in arguments.references if n != name)
+        for against in dict.fromkeys(((), others)):  # compared with itself alone it is diagnosed once
             if against or not arguments.only_against:
                 begin = perf_counter()
                 result = diagnosis(arguments.folder, name, against)
