@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     for name in arguments.only:
         others = tuple(n for n in arguments.references if n != name)
-        for against in dict.fromkeys(((), others)):  # compared with itself alone it is diagnosed once
+        for against in dict.fromkeys(((), others)):  # none but itself: once
             if against or not arguments.only_against:
                 begin = perf_counter()
                 result = diagnosis(arguments.folder, name, against)
