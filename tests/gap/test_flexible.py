@@ -15,13 +15,16 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.model_file import load_model
 from trms_cli.effects.residual import term_names
 from trms_cli.gap import belief
+from trms_cli.gap import diagnose as diagnosing
 from trms_cli.gap.belief import Features, calibration, probabilities_of
 from trms_cli.gap.competing_model import nominal_parameters, refit
+from trms_cli.gap.diagnosis import Shrink
 from trms_cli.gap.flexible import fit_flexible, node_of, short_law
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.force.short_law import short_law_of
-from trms_cli.gap.problem import divide
+from trms_cli.gap.problem import GapProblem, divide
 from trms_cli.gap.residuals import locate, smoothed_forces
+from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.identification.model_writer import ModelOrigin, model_document
 from trms_cli.library.tasks.diagnose import candidates_of
 from trms_cli.models.model import Signal
@@ -115,6 +118,32 @@ def test_the_fitted_residual_is_an_effect_of_a_model_file(detent, tmp_path):
     expected = free.outputs(u, [0], [len(u)], start[None]).y
     y = Rollout(again, STEP).outputs(u, [0], [len(u)], start[None]).y
     np.testing.assert_allclose(y, expected, atol=1e-9)
+
+
+def test_a_residual_that_makes_free_runs_worse_is_left_out(monkeypatch):
+    assert not Shrinkage({}, {"all": {}}, ()).leaves_more
+    for fraction, leaves_more in ((0.3, False), (-0.3, True), (None, False)):
+        shrink = {"all": {"2.0": Shrink(fraction=fraction, ci95=None)}}
+        assert Shrinkage({}, shrink, ()).leaves_more is leaves_more
+
+    monkeypatch.setattr(diagnosing, "diagnose_onset", lambda problem, watch: None)
+    rig = {"yaw_residual_force": effect("yaw_residual_force", terms=DETENT)}
+    problem = GapProblem(
+        model=MODEL,
+        model_name="newtonian",
+        datasets=(recording(rig, seconds=50.0),),
+        candidates={"main_input_delay": effect("main_input_delay")},
+        jobs=1,
+        advise=False,
+    )
+    kept = diagnosing.diagnose(problem)
+    assert kept.verdict == "none_of_these" and set(kept.residual) == {"yaw_residual_force"}
+    assert not kept.warnings and kept.shrink["all"]["2.0"].fraction > 0.5
+    monkeypatch.setattr(Shrinkage, "leaves_more", property(lambda shrinkage: True))
+    plain = diagnosing.diagnose(problem)
+    assert plain.verdict == "none_of_these" and not plain.residual
+    assert plain.shrink["all"]["2.0"].fraction == 0.0
+    assert "yaw moment" in plain.warnings[0] and "left out" in plain.warnings[0]
 
 
 def test_a_draught_is_not_foretold():

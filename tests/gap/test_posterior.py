@@ -196,10 +196,11 @@ def test_stribeck_friction_without_an_excess_is_coulomb_friction():
     both = {n: effect(n) for n in ("yaw_stribeck_friction", "yaw_coulomb_friction")}
     candidates, _ = applicable_candidates(model, both)
 
-    def entry(excess, *names):
+    def entry(excess, *names, velocity=0.03):
         """A stand-in for a fit."""
         effects = tuple(candidates[n] for n in names)
-        values = {"yaw_stribeck_friction.excess": excess}
+        stribeck = "yaw_stribeck_friction"
+        values = {f"{stribeck}.excess": excess, f"{stribeck}.velocity": velocity}
         return SimpleNamespace(
             names=names, structure=SimpleNamespace(effects=effects), values=values
         )
@@ -214,6 +215,16 @@ def test_stribeck_friction_without_an_excess_is_coulomb_friction():
     assert special_cases([stribeck, coulomb], candidates) == {}
     merged_probabilities = merged(probabilities, special_cases([small, coulomb], candidates))
     assert merged_probabilities == {("yaw_coulomb_friction",): pytest.approx(0.9), ("no_gap",): 0.1}
+    # an excess that is gone at a few mrad/s is that of bristles
+    bristles = entry(0.5, "yaw_stribeck_friction", velocity=0.005)
+    assert special_cases([bristles, coulomb], candidates) == special_cases(
+        [small, coulomb], candidates
+    )
+    # what has both has one friction
+    both_small = entry(0.05, *sorted(both))
+    assert special_cases([both_small, coulomb], candidates) == {
+        both_small.names: ("yaw_coulomb_friction",)
+    }
     # beside a torque from outside as alone; and where it was not fitted it keeps its name
     beside = {("yaw_disturbance", "yaw_stribeck_friction"): 1.0}
     special = special_cases([small, coulomb], candidates)

@@ -166,6 +166,33 @@ def test_a_partner_is_looked_for_beside_what_a_fit_takes_for_discrepancy(frictio
     assert place.promise > 3 * project_traces(excused, traces).best(name)[0]
 
 
+def test_a_law_that_is_a_simpler_one_at_its_sizes_races_as_that_one(friction):
+    """Friction with hardly an excess beside a delay: the same with Coulomb friction is fitted."""
+    names = ("yaw_coulomb_friction", "yaw_stribeck_friction", "main_input_delay")
+    candidates, _ = applicable_candidates(MODEL, {n: effect(n) for n in names})
+    refitted = friction.refit
+    traces = effect_traces(refitted, list(candidates.values()))
+    search = _Search(
+        refitted, candidates, traces, EFFORTS["normal"], Checkpoint(), 1, lambda share, what: True
+    )
+    structure = refitted.structure.with_effects(*(candidates[n] for n in names[1:]))
+
+    def at(excess: float, velocity: float) -> FittedModel:
+        own = {"torque": 0.003, "excess": excess, "velocity": velocity}
+        sizes = {f"yaw_stribeck_friction.{size}": value for size, value in own.items()}
+        theta = structure.theta({**refitted.values, **sizes, "main_input_delay.delay": 0.005})
+        point = [(theta, structure.starts(theta, refitted.fit.starts))]
+        return structure.fit(refitted.metric, point, centres=refitted.centres, iterations=0)
+
+    assert search.special_cases([at(0.5, 0.03)]) == []
+    for small in (at(0.1, 0.03), at(0.5, 0.005)):
+        (simpler,) = search.special_cases([small])
+        assert simpler.names == ("main_input_delay", "yaw_coulomb_friction")
+        assert simpler.values["yaw_coulomb_friction.torque"] == pytest.approx(0.003, rel=0.05)
+        assert simpler.fit.score > small.fit.score - 1.0
+        assert search.special_cases([small, simpler]) == []
+
+
 def test_an_angle_off_the_middle_is_tried_on_both_sides():
     rows = variants(effect("yaw_cable_stiffness").parameters())
     assert {round(float(row[2]), 2) for row in rows} == {-0.15, 0.0, 0.15}

@@ -103,9 +103,9 @@ class Effect(ABC):
     #: Whether it may begin while a rig runs, as what is hung on, rubs or slips does: a law of the
     #: rig's build hardly does
     may_begin: ClassVar[bool] = True
-    #: An effect of the same axis that this one is where one of its sizes is below a value: its
-    #: class, the size, and the value
-    special_case: ClassVar["tuple[type[Effect], str, float] | None"] = None
+    #: An effect of the same axis that this one is where one of some sizes is below a value: its
+    #: class, and these values by size
+    special_case: ClassVar["tuple[type[Effect], Mapping[str, float]] | None"] = None
 
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:

@@ -180,6 +180,9 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
             return replace(began, seconds=watch.rounded())
         watch.enter("how far")
     sealed = sealed_comparison(problem, parts, race.refit, posterior.corrected, runs)
+    if posterior.stand_in is not None and sealed.shrinkage.leaves_more:
+        posterior = replace(posterior, corrected=None)
+        sealed = sealed_comparison(problem, parts, race.refit, None, runs)
     watch.enter("advice")
     remaining_signatures = project_traces(posterior.corrected or nominal, traces)
     stage_results = (race, place, forces, tests, posterior, sealed, remaining_signatures)

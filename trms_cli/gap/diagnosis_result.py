@@ -36,7 +36,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.model_form import departures
 from trms_cli.gap.moved_parameters import WORTH_TELLING, moved_parameters
 from trms_cli.gap.next_experiment import advise
-from trms_cli.gap.posterior import Posterior
+from trms_cli.gap.posterior import OWN_DOING, Posterior
 from trms_cli.gap.problem import (
     CandidateEffect,
     GapProblem,
@@ -49,8 +49,9 @@ from trms_cli.gap.race import Race
 from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, smoothed_forces
 from trms_cli.gap.sentence import LEAST_ALIKE, sentence
-from trms_cli.gap.shrinkage import SealedComparison
+from trms_cli.gap.shrinkage import TOLD_AT, SealedComparison
 from trms_cli.gap.signatures import VISIBLE, Signatures
+from trms_cli.gap.wording import place_name
 from trms_cli.identification.free_runs import simulated_windows
 
 #: Causes less probable than this are not listed.
@@ -151,16 +152,13 @@ def _foretold_share(posterior: Posterior, location: str) -> float | None:
 
 def _residual_places(posterior: Posterior) -> tuple[str, ...]:
     """Where the residual without a name acts, if the corrected model has it."""
-    flexible = posterior.flexible
-    if flexible is None or posterior.corrected is not flexible.fitted:
-        return ()
-    return flexible.places
+    return () if posterior.stand_in is None else posterior.stand_in.places
 
 
 def _residual(stages: StageResults) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
     """What the corrected model has in place of a named cause, and the short law that is closest."""
-    flexible, race = stages.posterior.flexible, stages.race
-    if flexible is None or not _residual_places(stages.posterior):
+    flexible, race = stages.posterior.stand_in, stages.race
+    if flexible is None:
         return {}, ()
     nodes = {name: node_of(effect) for name, effect in flexible.effects.items()}
     return nodes, short_law(race.refit, flexible, stages.forces)
@@ -378,7 +376,24 @@ def _remarks(stages: StageResults) -> tuple[str, ...]:
             f"the refit had to move {moves} standard deviations of what was known: rather "
             "proxies of what is missing than an explanation"
         )
-    return (*remarks, *proxies)
+    return (*remarks, *proxies, *_withdrawn(stages.posterior))
+
+
+def _withdrawn(posterior: Posterior) -> tuple[str, ...]:
+    """Why the corrected model has nothing in the place of a law that has no name."""
+    flexible = posterior.flexible
+    if (
+        posterior.verdict != "none_of_these"
+        or posterior.corrected is not None
+        or flexible is None
+        or flexible.foretold <= OWN_DOING
+    ):
+        return ()
+    return (
+        f"a force that depends on the motion foretells {100 * flexible.foretold:.0f} % of what is "
+        f"missing in the {place_name(flexible.location)}, but a model with it errs more over "
+        f"{float(TOLD_AT):g} s on the data kept aside than one without it: it is left out",
+    )
 
 
 def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperiment | None:

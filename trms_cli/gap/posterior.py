@@ -44,7 +44,7 @@ _NATS, _ERRORS = 3.0, 1.0
 #: Traces alike to this cosine cannot be told apart by a recording of this kind.
 _ALIKE = 0.99
 #: A force of which the flexible competitor foretells this share is the rig's own doing.
-_OWN_DOING = 0.5
+OWN_DOING = 0.5
 #: p-value from which a regression on a missing force is believed.
 _CERTAIN = 0.05
 _RESAMPLES = 200
@@ -67,6 +67,12 @@ class Posterior:
     #: The probabilities with blocks drawn anew: how much they hang on single blocks
     resampled: tuple[Mapping[tuple[str, ...], float], ...]
     flexible: Flexible | None = None  #: The competitor without a name; None: it was not fitted
+
+    @property
+    def stand_in(self) -> Flexible | None:
+        """What the corrected model has in the place of a law; None: nothing."""
+        is_in_model = self.flexible is not None and self.corrected is self.flexible.fitted
+        return self.flexible if is_in_model else None
 
     def fitted(self, race: Race, effects: tuple[str, ...]) -> FittedModel | None:
         """What was fitted of a cause: a torque from outside and a coarse sensor are not."""
@@ -298,7 +304,7 @@ def posterior_of(
     corrected = None
     if verdict in ("effect", "undecided"):
         corrected = entries.get(parts[0])
-    elif verdict == "none_of_these" and flexible is not None and flexible.foretold > _OWN_DOING:
+    elif verdict == "none_of_these" and flexible is not None and flexible.foretold > OWN_DOING:
         corrected = flexible.fitted
     return Posterior(
         probabilities, verdict, best, corrected, confusable, features, resampled, flexible
@@ -354,30 +360,11 @@ def special_cases(
     fitted_names = {entry.names for entry in entries}
     cases = {}
     for entry in entries:
-        names_ = (_effect_name(c, entry.values, candidates) for c in entry.structure.effects)
+        names_ = {c.at_sizes(entry.values, candidates).name for c in entry.structure.effects}
         other = tuple(sorted(names_))
         if other != entry.names and other in fitted_names:
             cases[entry.names] = other
     return cases
-
-
-def _effect_name(
-    candidate: CandidateEffect,
-    values: Mapping[str, float],
-    candidates: Mapping[str, CandidateEffect],
-) -> str:
-    """Name of the effect that a candidate is at the values that were fitted."""
-    if candidate.effect.special_case is None:
-        return candidate.name
-    other, size, least = candidate.effect.special_case
-    if values[f"{candidate.name}.{size}"] >= least:
-        return candidate.name
-    alike = [
-        name
-        for name, c in candidates.items()
-        if type(c.effect) is other and c.locations == candidate.locations
-    ]
-    return alike[0] if alike else candidate.name
 
 
 def merged(

@@ -326,6 +326,25 @@ class CandidateEffect:
             surprises.append(float(0.5 * (np.log(size / np.sqrt(least * most)) / spread) ** 2))
         return min(surprises)
 
+    def at_sizes(
+        self, values: Mapping[str, float], candidates: Mapping[str, "CandidateEffect"]
+    ) -> "CandidateEffect":
+        """What it is at some sizes: a candidate that is its special case there, or itself.
+
+        ``values``: by name, ``<effect>.<size>``.
+        """
+        if self.effect.special_case is None:
+            return self
+        simpler, limits = self.effect.special_case
+        if all(values[f"{self.name}.{size}"] >= least for size, least in limits.items()):
+            return self
+        alike = (
+            c
+            for c in candidates.values()
+            if type(c.effect) is simpler and c.locations == self.locations
+        )
+        return next(alike, self)
+
     @property
     def simulated(self) -> bool:
         """Whether a simulation with slopes shows it: neither noise nor rounding has a slope."""

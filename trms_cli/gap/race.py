@@ -155,6 +155,7 @@ def run_race(
     if everyone and effort.deepest > 1:
         later = search.later(everyone)
         everyone += search.together(signs, everyone)
+        everyone += search.special_cases(everyone)
         # from some moment on in place of throughout, where that says clearly more
         everyone = [later.pop(entry.names, entry) for entry in everyone] + [*later.values()]
     everyone.sort(key=lambda e: -e.fit.score)
@@ -329,6 +330,39 @@ class _Search:
             if deeper.fit.score < best.fit.score + _ENTRANCE or deeper is best:
                 return entries
             best = deeper
+
+    def special_cases(self, entries: Sequence[FittedModel]) -> list[FittedModel]:
+        """The simpler laws that the likeliest are at their sizes, where these have not raced."""
+        raced_names = {entry.names for entry in entries}
+        simpler: dict[tuple[str, ...], tuple[FittedModel, ModelStructure]] = {}
+        for entry in sorted(entries, key=lambda e: -e.fit.score)[: self._effort.finalists]:
+            effects = [c.at_sizes(entry.values, self._candidates) for c in entry.structure.effects]
+            structure = self._refit.structure.with_effects(*{e.name: e for e in effects}.values())
+            if structure.names not in raced_names:
+                simpler.setdefault(structure.names, (entry, structure))
+
+        def fit(case: tuple[FittedModel, ModelStructure]) -> FittedModel:
+            entry, structure = case
+            return self._once(
+                "special " + "+".join(structure.names),
+                structure,
+                lambda: self._fit_special_case(entry, structure),
+            )
+
+        return self._each(fit, list(simpler.values()), (0.95, 0.99), "simpler laws")
+
+    def _fit_special_case(self, entry: FittedModel, structure: ModelStructure) -> FittedModel:
+        """A fit with simpler laws, from the sizes that both have."""
+        values = dict(entry.values)
+        for own in entry.structure.effects:
+            other = own.at_sizes(entry.values, self._candidates)
+            for size in other.free:
+                short = size.name.removeprefix(f"{other.name}.")
+                values[size.name] = entry.values.get(f"{own.name}.{short}", size.start)
+        theta = structure.theta(values)
+        starts = structure.starts(theta, entry.fit.starts[:, : self._refit.centres.shape[1]])
+        point = [(theta, starts)]
+        return _fit_from_points(structure, entry, _between(entry), point).in_own_metric()
 
     def _pair(
         self, place: tuple[Signatures, int, int], singles: Mapping[str, FittedModel]

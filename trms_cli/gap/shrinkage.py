@@ -47,6 +47,12 @@ class Shrinkage:
     shrink: Mapping[str, Mapping[str, Shrink]]  #: By channel, and ``all``, and horizon
     worse: tuple[str, ...]  #: Channels that the correction made worse at 2 s
 
+    @property
+    def leaves_more(self) -> bool:
+        """Whether the corrected model errs more at 2 s than the refitted one, over all channels."""
+        told = self.shrink["all"].get(TOLD_AT)
+        return told is not None and told.fraction is not None and told.fraction < 0
+
 
 class SealedRuns:
     """Free runs of models on the sealed part, each model's made once."""
