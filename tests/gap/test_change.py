@@ -343,6 +343,25 @@ def test_recordings_that_differ_more_among_themselves_foretell_less():
     assert apart.sizes.white == pytest.approx(0.1, rel=0.3)
 
 
+def test_no_change_turns_the_sign_of_a_parameter_that_is_known(reference_state):
+    recorded = [begins({}, 0.0, values=VALUES, seconds=20.0, seed=17)]
+    value = reference_state.model.parameters["k_fvp"].value
+
+    def reach(deviations: float) -> float:
+        """The lowest value that is tried, where the prior is so many deviations from zero."""
+        free = [
+            replace(p, lower=-np.inf, prior_sd=value / deviations)
+            for p in FREE
+            if p.name == "k_fvp"
+        ]
+        questioned = NewRecordings.of(replace(reference_state, free=tuple(free)), recorded)
+        (difference,) = differences(questioned, {}, only={"k_fvp"})
+        return value + min(float(f.low.min()) for f in difference.families)
+
+    assert 0 < reach(10.0) < 0.5 * value  # seven deviations, and not sixteen
+    assert reach(2.0) < 0
+
+
 def test_runs_of_a_single_second_have_no_onset(reference_state):
     """Pieces of a second, as a recording cut at its gaps leaves: there is no time to begin in."""
     whole = begins({}, 0.0, values=VALUES, seconds=20.0, seed=18)

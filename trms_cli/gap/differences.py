@@ -122,6 +122,8 @@ def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
     at = model.parameters.names.index(f.name)
     steps = np.array([-x for x in reversed(_CHANGES)] + list(_CHANGES)) * f.scale
     steps = steps[(p[at] + steps > f.lower) & (p[at] + steps < f.upper)]
+    if abs(p[at]) > _SURE_OF_SIGN * f.scale:
+        steps = steps[p[at] * (p[at] + steps) > 0]
     if len(steps) < 2:  # its bounds leave no room
         return Difference(f.name, "parameter", ("change",), (f.unit,), (), ())
     starts: FloatArray | None = None
@@ -148,6 +150,9 @@ def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
 #: Changes of a parameter that are tried, in deviations of its prior, and the deviation of what is
 #: believed of a change: a fault is no draw from what is believed of a rig in order.
 _CHANGES, _WIDTH = (0.5, 1.2, 3.0, 7.0, 16.0), 5.0
+#: Deviations of its prior from zero on which no change turns a parameter's sign: a thrust that
+#: pushes does not come to pull.
+_SURE_OF_SIGN = 3.0
 #: A parameter that moves no start by more than this moves none.
 _SAME_START = 1e-6
 
