@@ -28,8 +28,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--models",
         metavar="NAME,NAME",
-        help="whose model: some of nominal, refit, diagnosed, told, true; without `diagnosed` "
-        "nothing is diagnosed",
+        help="whose model: some of nominal, refit, diagnosed, known_cause, true; without "
+        "`diagnosed` nothing is diagnosed",
     )
     parser.add_argument("--without-separation", action="store_true", help="tracking alone")
     parser.add_argument(

@@ -263,7 +263,7 @@ def study(
         rigs,
         rights,
         {
-            "told": [diagnosis_belief(line) for line in calibration_lines],
+            "as diagnosed": [diagnosis_belief(line) for line in calibration_lines],
             "package": [probabilities_of(features, start.weights) for features in feature_sets],
             f"{folds} folds": beliefs,
         },

@@ -11,7 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 #: Whose model the controller and the observer get.
-NOMINAL, REFIT, DIAGNOSED, KNOWN_CAUSE, TRUE = "nominal", "refit", "diagnosed", "told", "true"
+NOMINAL, REFIT, DIAGNOSED = "nominal", "refit", "diagnosed"
+KNOWN_CAUSE, TRUE = "known_cause", "true"
 
 
 def identify_model(recording: Path, out: Path, effect: str = "") -> Path:

@@ -1,4 +1,4 @@
-"""The oracle: it is told which effects the rig has, and only fits them. The reference of a shrink.
+"""The oracle: it knows which effects the rig has, and only fits them. The reference of a shrink.
 
 What no candidate stands for (an effect outside the library) it cannot add; then it is a refit.
 """
@@ -48,6 +48,6 @@ class Oracle:
             where=places(selected_candidates, 1.0),
             parameters=fit.nominal(),
             refit=plain.values,
-            sentence="The effects were told, and fitted.",
+            sentence="The effects were known, and fitted.",
             seconds={"all": time.perf_counter() - start_time},
         )

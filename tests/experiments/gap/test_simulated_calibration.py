@@ -209,7 +209,7 @@ def test_the_study_is_told_and_nothing_is_written_unasked(tmp_path, capsys):
     assert package.read_bytes() == before
     output = capsys.readouterr().out
     assert "10 rigs, 1 could not be diagnosed, 6 are weighed" in output
-    assert "| all | 6 | 2 folds |" in output and "Reliability, told:" in output
+    assert "| all | 6 | 2 folds |" in output and "Reliability, as diagnosed:" in output
 
 
 def test_what_is_right_for_each_kind():
