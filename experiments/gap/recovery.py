@@ -45,7 +45,7 @@ class Recovery:
     estimate: float | None  #: None where none was fitted
     sd: float | None
     score: float | None  #: Held-out nats above the refit
-    named: bool  #: Whether the likeliest cause is the effect, or one that is declared alike
+    is_named: bool  #: Whether the likeliest cause is the effect, or one that is declared alike
     verdict: str
 
     @property
@@ -61,7 +61,7 @@ class Recovery:
     def recovered(self) -> bool:
         """Whether size and score are the rig's."""
         if self.effect.endswith(_EFFECTS_WITHOUT_FIT):
-            return self.named
+            return self.is_named
         return self.near and self.score is not None and self.score > FAR_ABOVE
 
 
@@ -125,7 +125,7 @@ def table_of(recoveries: Sequence[Recovery]) -> str:
             estimate = f"{one.estimate:.4g} ± {one.sd:.2g}"
             error = f"{100 * (one.estimate / one.size - 1):+.1f} %"
         score = "–" if one.score is None else f"{one.score:.0f}"
-        answer = "named" if one.named else one.verdict
+        answer = "named" if one.is_named else one.verdict
         yes = "yes" if one.recovered else "**no**"
         cells = (one.effect, f"{one.factor:g}", f"{one.size:.4g}", estimate, error, score, answer)
         lines.append("| " + " | ".join((*cells, yes)) + " |")

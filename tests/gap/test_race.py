@@ -319,12 +319,12 @@ def test_windows_before_a_beginning_are_those_without_the_effect(friction):
     assert gated_residuals.j is not None
     assert not gated_residuals.j[:2, ..., size].any() and gated_residuals.j[2:, ..., size].any()
     # all of a window with the effect, and none of it
-    r, slopes = gated.joined(2, p, starts, [0, 130, int(gated.count[2])])
+    r, slopes = gated.joined_to_beginning(2, p, starts, [0, 130, int(gated.count[2])])
     assert r[0] == pytest.approx(whole.r[2], abs=1e-12)
     assert r[2] == pytest.approx(without.r[2], abs=1e-12)
     moved = starts.copy()
     moved[2, 0] += 1e-6
-    ahead, _ = gated.joined(2, p, moved, [130])
+    ahead, _ = gated.joined_to_beginning(2, p, moved, [130])
     assert (ahead[0] - r[1]) / 1e-6 == pytest.approx(slopes[1, ..., 0], abs=1e-3)
     # from a sample within a window on: slopes in the size are those of differences, too
     within = beginning_at(entry.structure, 2, 130).windows

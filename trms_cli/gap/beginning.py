@@ -72,7 +72,7 @@ class GatedWindows(Windows):
             before.j[..., self._sizes] = before.dends[..., self._sizes] = 0.0
             j, dends = gate(acting.j, before.j), gate(acting.dends, before.dends)
         if self.sample:
-            own, slope = self.joined(self.begins, p, starts, [self.sample])
+            own, slope = self.joined_to_beginning(self.begins, p, starts, [self.sample])
             r[self.begins] = own[0]
             if j is not None:
                 j[self.begins] = slope[0]
@@ -84,7 +84,7 @@ class GatedWindows(Windows):
         parameters[self._vanishing] = 0.0
         return parameters
 
-    def joined(
+    def joined_to_beginning(
         self, j: int, p: FloatArray, starts: FloatArray, samples: list[int]
     ) -> tuple[FloatArray, FloatArray]:
         """Window ``j`` if the effects begin at some of its samples.
@@ -294,7 +294,7 @@ def _moments(fitted: FittedModel, windows: GatedWindows) -> tuple[FloatArray, Fl
     by_window: dict[int, FloatArray] = {}
     for j in near:
         samples = [*range(0, int(windows.count[j]), every), int(windows.count[j])]
-        r, slopes = windows.joined(j, p, fitted.fit.starts, samples)
+        r, slopes = windows.joined_to_beginning(j, p, fitted.fit.starts, samples)
         own = slopes[..., : windows.n_x] * windows.spread
         columns = np.concatenate([own, (r + drift[j])[..., None]], axis=-1)
         flat = np.moveaxis(columns, 0, -2).reshape(1, *r.shape[1:], -1)

@@ -316,17 +316,19 @@ def _by_steps(name: tuple[str, ...], scores: Mapping[tuple[str, ...], float]) ->
     The tenth nat counts more than the hundredth, of a second effect as of the first.
     """
     parts = [n for n in scores if set(n) < set(name) and np.isfinite(scores[n])]
-    ways = [_bent(scores[name])]
-    ways += [_by_steps(part, scores) + _bent(scores[name] - scores[part]) for part in parts]
+    ways = [_flattened_score(scores[name])]
+    ways += [
+        _by_steps(part, scores) + _flattened_score(scores[name] - scores[part]) for part in parts
+    ]
     return max(ways)
 
 
-def _bent(score: float) -> float:
+def _flattened_score(score: float) -> float:
     return _BEND * float(np.log1p(max(score, 0.0) / _BEND))
 
 
 def _of_score(score: float) -> dict[str, float]:
-    return {"score": score, "score.bend": _bent(score)}
+    return {"score": score, "score.bend": _flattened_score(score)}
 
 
 def _of_error(ratio: float) -> float:

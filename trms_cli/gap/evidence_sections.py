@@ -328,14 +328,19 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, report.Cell]]:
                 "refitted": scale * gap.refit,
                 "corrected": report.Datum(scale * gap.corrected, mark),
                 "floor": scale * gap.floor,
-                **_closed(diagnosis.shrink.get(channel, {}).get(horizon)),
+                **_closed_cells(diagnosis.shrink.get(channel, {}).get(horizon)),
             }
     for horizon, shrink in diagnosis.shrink.get("all", {}).items():
         blank = dict.fromkeys(("as it was", "refitted", "corrected", "floor"), "")
-        yield {"output": "all channels", _LENGTH: f"{float(horizon):g}", **blank, **_closed(shrink)}
+        yield {
+            "output": "all channels",
+            _LENGTH: f"{float(horizon):g}",
+            **blank,
+            **_closed_cells(shrink),
+        }
 
 
-def _closed(shrink: Shrink | None) -> dict[str, report.Cell]:
+def _closed_cells(shrink: Shrink | None) -> dict[str, report.Cell]:
     if shrink is None or shrink.fraction is None:
         return {_CLOSED[0]: wording.MISSING, _CLOSED[1]: ""}
     mark: report.Judgement = (

@@ -90,7 +90,7 @@ def _recorded(
     model, step = request.model, request.sample_time
     skipped = round(_SETTLING / step)
     u = _commands(model, round(_DURATION / step) + skipped, step, random)
-    p = _drawn(rig, random)
+    p = _draw(rig, random)
     start = rollout.initial(resting_state(rig, {}, u[0]), u[0])
     with np.errstate(all="ignore"):
         y = rollout.outputs(u, [0], [len(u)], start[None], p).y[skipped:]
@@ -136,7 +136,7 @@ def _commands(model: Model, samples: int, step: float, random: np.random.Generat
     return np.stack(columns, axis=1)
 
 
-def _drawn(rig: Model, random: np.random.Generator) -> FloatArray:
+def _draw(rig: Model, random: np.random.Generator) -> FloatArray:
     """All parameters of a rig: the nominal ones from their priors, sizes from their ranges."""
     p, order = rig.parameters.values, rig.parameters.names
     scatter = random.uniform(0.0, 1.0)

@@ -91,7 +91,9 @@ def fit_problem(
     model = with_values(joint(problem.model, effects), starts or {})
     priors = {p.name: p for p in nominal_free(problem.model)}
     priors |= {p.name: p for candidate in effects for p in candidate.free}
-    free = tuple(_started(priors[p.name], p.value) for p in model.parameters if p.name in priors)
+    free = tuple(
+        _starting_at(priors[p.name], p.value) for p in model.parameters if p.name in priors
+    )
     return FitProblem(
         model=model,
         datasets=parts.fitted,
@@ -119,5 +121,5 @@ def refit(problem: GapProblem, parts: Parts) -> Fit:
     return map_fit(fit_problem(problem, parts))
 
 
-def _started(parameter: FreeParameter, value: float) -> FreeParameter:
+def _starting_at(parameter: FreeParameter, value: float) -> FreeParameter:
     return replace(parameter, start=float(np.clip(value, parameter.lower, parameter.upper)))

@@ -137,7 +137,7 @@ class _Draw:
     """Endless cases of each kind."""
 
     def __init__(self, set_plan: SetPlan, random: Random) -> None:
-        self._set, self._random = set_plan, random
+        self._plan, self._random = set_plan, random
         self._priors = tuple(relative_sds())
         self._shift = set_plan.shift * random.choice([-1.0, 1.0], size=len(self._priors))
         self.kinds: Mapping[Kind, Callable[[], Iterator[Case]]] = {
@@ -229,7 +229,7 @@ class _Draw:
         return round(self._random.uniform(*_COMPARED))
 
     def _outsides(self) -> Iterator[Case]:
-        for effect, level in self._effects(self._set.outside, weak=False):
+        for effect, level in self._effects(self._plan.outside, weak=False):
             yield self._with("outside", {effect: level})
 
     def _unexcited(self) -> Iterator[Case]:
@@ -293,11 +293,11 @@ class _Draw:
 
     def _sized(self, effect: str, level: str, share: float = 1.0) -> dict[str, float]:
         truth, random = TRUTHS[effect], self._random
-        factor = share * severity.factor_of(effect, level) * random.uniform(*self._set.stretch)
+        factor = share * severity.factor_of(effect, level) * random.uniform(*self._plan.stretch)
         if truth.either_sign:
             factor *= random.choice([-1.0, 1.0])
         others: Mapping[str, float] = {}
-        if self._set.final and truth.variants and random.uniform() < _OTHER_FORM:
+        if self._plan.final and truth.variants and random.uniform() < _OTHER_FORM:
             others = truth.variants[random.integers(len(truth.variants))]
         return {n: float(f"{v:.5g}") for n, v in truth.sized(factor, **others).items()}
 
@@ -310,18 +310,18 @@ class _Draw:
         if any(effect.endswith("_quantisation") for effect in case.effects):
             for axis in ("pitch", "yaw"):  # of which the other axis has nothing
                 nuisances[f"{axis}_quantum"] = min(nuisances[f"{axis}_quantum"], 1.0)
-        if self._set.laws == "powers":
+        if self._plan.laws == "powers":
             nuisances |= imperfect_laws(random)
-        elif self._set.laws == "curves":
+        elif self._plan.laws == "curves":
             nuisances |= curved_laws(random)
         drive, channels = self._watched(case)
         return replace(
             case,
-            centre=round(float(random.uniform(*self._set.centre)), 4),
-            amplitude=round(float(random.uniform(*self._set.amplitude)), 4),
+            centre=round(float(random.uniform(*self._plan.centre)), 4),
+            amplitude=round(float(random.uniform(*self._plan.amplitude)), 4),
             duration=draw_duration(random),
             nuisances=nuisances,
-            imperfect=self._set.laws != "nominal",
+            imperfect=self._plan.laws != "nominal",
             drive=drive,
             channels=channels,
         )

@@ -45,7 +45,7 @@ class Target:
     low: float = 0.0  #: "at least" heeds ``low``, "at most" ``high``
     high: float = 1.0  #: "at least" heeds ``low``, "at most" ``high``
 
-    def met(self, value: float) -> bool:
+    def is_met(self, value: float) -> bool:
         """Whether a figure reaches it."""
         return (self.kind == "at most" or value >= self.low) and (
             self.kind == "at least" or value <= self.high
@@ -62,11 +62,11 @@ class Row:
     target: Target | None = None
 
     @property
-    def reached(self) -> bool | None:
+    def is_reached(self) -> bool | None:
         """Whether the target is; None where there is no target, or no case."""
         if self.target is None or self.estimate.value is None:
             return None
-        return self.target.met(self.estimate.value)
+        return self.target.is_met(self.estimate.value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +142,7 @@ def _wrong_name(j: JudgedCase) -> bool:
     return bool(j.answer.named_effects - frozenset(j.case.effects))
 
 
-def _changed(what: str) -> Judge:
+def _of_change(what: str) -> Judge:
     """Rigs with recordings of a known state in which an effect, a parameter or nothing changed."""
 
     def among(j: JudgedCase) -> bool:
@@ -158,7 +158,7 @@ def _names_something(j: JudgedCase) -> bool:
 
 def _without_cause(j: JudgedCase) -> bool:
     """Nothing that could be named: exact nulls, parameter offsets, nothing changed."""
-    return j.case.kind in ("null", "offset") or _changed("nothing")(j)
+    return j.case.kind in ("null", "offset") or _of_change("nothing")(j)
 
 
 def _very_sure(j: JudgedCase) -> bool:
@@ -223,7 +223,7 @@ _OF_NOTHING: _Shares = (
     ("effect named on a parameter offset", _kind("offset"), _names_effect, _at_most(0.01)),
     (
         "no change: an effect or a parameter named",
-        _changed("nothing"),
+        _of_change("nothing"),
         _names_something,
         _at_most(0.01),
     ),
@@ -284,17 +284,22 @@ _OF_MOMENTS: _Shares = (
     ),
 )
 _OF_CHANGES: _Shares = (
-    ("what changed, an effect: exact", _changed("effect"), lambda j: j.exact, None),
+    ("what changed, an effect: exact", _of_change("effect"), lambda j: j.exact, None),
     (
         "what changed, an effect: up to the declared confusion group",
-        _changed("effect"),
+        _of_change("effect"),
         lambda j: j.in_group,
         None,
     ),
-    ("what changed, an effect: place named", _changed("effect"), lambda j: j.located, None),
-    ("what changed, a parameter: parameters only", _changed("parameter"), lambda j: j.right, None),
-    ("what changed, a parameter: which", _changed("parameter"), _names_parameter, None),
-    ("no change: said so", _changed("nothing"), lambda j: j.right, None),
+    ("what changed, an effect: place named", _of_change("effect"), lambda j: j.located, None),
+    (
+        "what changed, a parameter: parameters only",
+        _of_change("parameter"),
+        lambda j: j.right,
+        None,
+    ),
+    ("what changed, a parameter: which", _of_change("parameter"), _names_parameter, None),
+    ("no change: said so", _of_change("nothing"), lambda j: j.right, None),
 )
 _OF_LIMITS: _Shares = (
     ("matched pairs: exact", _kind("matched"), lambda j: j.exact, None),

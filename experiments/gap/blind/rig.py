@@ -155,7 +155,7 @@ class _Run:
         n = len(rigs)
         self.none = np.zeros(n)
         self.waiting = sorted({t for at in rigs.onsets.values() for t in at.tolist() if t > 0})
-        self.sizes = self._begun(0.0)
+        self.sizes = self._sizes_at(0.0)
         self.random = np.random.default_rng(rigs.seed)
         self.steps = round(sample_time / STEP)
         self.time = 0.0
@@ -193,7 +193,7 @@ class _Run:
         """A size of an effect for every rig, (n,); zero where it has not begun."""
         return self.sizes.get(f"{effect}.{name}", self.none)
 
-    def _begun(self, time: float) -> dict[str, FloatArray]:
+    def _sizes_at(self, time: float) -> dict[str, FloatArray]:
         """The sizes that are there at a time, s."""
         onsets = self.rigs.onsets
         return {
@@ -257,7 +257,7 @@ class _Run:
         for _ in range(self.steps):
             if self.waiting and self.time >= self.waiting[0]:
                 self.waiting.pop(0)
-                self.sizes = self._begun(self.time)
+                self.sizes = self._sizes_at(self.time)
                 self._shape()
             self._step(command)
 

@@ -132,7 +132,7 @@ def _print(tables: Mapping[str, Table], document: Mapping[str, Any], folder: Pat
         for column in ("", "95 %", "cases", "reach"):
             printed.add_column(column, justify="right", no_wrap=True)
         for row in table.rows:
-            e, style = row.estimate, {True: "green", False: "bold red", None: ""}[row.reached]
+            e, style = row.estimate, {True: "green", False: "bold red", None: ""}[row.is_reached]
             interval = "" if e.low is None else f"{figure_text(e.low, row.unit)} … "
             interval += "" if e.high is None else figure_text(e.high, row.unit)
             cells = (

@@ -128,10 +128,10 @@ def open_key(key: Path, folder: Path) -> OpenedKey:
     document = _document(file, KEY_SCHEMA, "key")
     commitment_document = _document(folder / COMMITMENT, COMMITMENT_SCHEMA, "in")
     with not_as_written(str(file)):
-        return _opened(document, commitment_document, file, folder)
+        return _open(document, commitment_document, file, folder)
 
 
-def _opened(
+def _open(
     document: Mapping[str, Any], commitment_document: Mapping[str, Any], file: Path, folder: Path
 ) -> OpenedKey:
     content = document["key"]

@@ -138,7 +138,7 @@ def markdown(document: Mapping[str, Any]) -> str:
         lines += ["", f"### {name}: exact, by effect", "", *_by_effect(method["by_effect"])]
         cases = list(method["judged"].values())
         lines += ["", f"### {name}: right, by kind", "", *_by_kind(cases)]
-        lines += ["", f"### {name}: what was missed", "", *_missed(cases)]
+        lines += ["", f"### {name}: what was missed", "", *_misses(cases)]
         lines += ["", f"### {name}: reliability", "", *_bins(method["reliability"]["bins"])]
         if spreads := method["between_recordings"]:
             lines += ["", f"### {name}: errors on the second recordings", "", *_spreads(spreads)]
@@ -189,7 +189,7 @@ def _row(row: Row) -> dict[str, Any]:
         "unit": row.unit,
         **asdict(row.estimate),
         "reach": reach(row.target, row.unit) or None,
-        "reached": row.reached,
+        "reached": row.is_reached,
     }
 
 
@@ -263,7 +263,7 @@ def _share(hits: Sequence[bool]) -> str:
     return _cell({**asdict(share(hits)), "unit": "%", "reached": None})
 
 
-def _missed(cases: Sequence[Mapping[str, Any]]) -> list[str]:
+def _misses(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     """Cases whose likeliest cause is not the truth: what they have, and what was said instead."""
     rows: dict[tuple[str, str], list[str]] = {}
     missed = [c for c in sorted(cases, key=lambda c: -c["probability"]) if not c["right"]]

@@ -189,10 +189,10 @@ def test_intervals_of_quantiles_hold_the_truth_as_often_as_they_say() -> None:
 
 
 def test_reliability_of_probabilities_and_targets() -> None:
-    assert Target(kind="at least", low=0.9).met(0.9)
-    assert not Target(kind="at least", low=0.9).met(0.89)
-    assert not Target(kind="at most", high=0.02).met(0.03)
-    assert not Target(kind="within", low=0.94, high=0.96).met(0.97)
+    assert Target(kind="at least", low=0.9).is_met(0.9)
+    assert not Target(kind="at least", low=0.9).is_met(0.89)
+    assert not Target(kind="at most", high=0.02).is_met(0.03)
+    assert not Target(kind="within", low=0.94, high=0.96).is_met(0.97)
     reliability_table = reliability(
         [0.95] * 20 + [0.55] * 20, [True] * 19 + [False] + [True] * 11 + [False] * 9
     )

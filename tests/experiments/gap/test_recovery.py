@@ -45,7 +45,7 @@ def test_every_effect_is_recovered_of_its_own_simulation(sides, tmp_path):
     missed = [
         r
         for r in recoveries
-        if not r.recovered and not (r.effect in HARDLY_VISIBLE and (r.near or not r.named))
+        if not r.recovered and not (r.effect in HARDLY_VISIBLE and (r.near or not r.is_named))
     ]
     assert not missed, table_of(missed)
 
@@ -54,7 +54,7 @@ def test_every_effect_is_recovered_of_its_own_simulation(sides, tmp_path):
 def test_a_sensor_that_is_late_is_recovered_at_three_sizes(tmp_path, capsys):
     recoveries = study(tmp_path, ["yaw_sensor_delay"], race=False, seed=20, jobs=2)
     assert [one.factor for one in recoveries] == list(FACTORS)
-    assert all(one.recovered and one.named for one in recoveries)
+    assert all(one.recovered and one.is_named for one in recoveries)
     # what is there is only read
     assert main([str(tmp_path), "yaw_sensor_delay"]) == 0
     assert "3 of 3 recovered" in capsys.readouterr().out
