@@ -15,14 +15,14 @@ usage: python -m experiments.gap.baselines method=NAME in=SET out=DIR [jobs=2] [
        python -m experiments.gap.baselines train [outputs=4|2] [rigs=40] [sample_time=0.02]
 
 Answers every recording of a set that `trms blind make` wrote; `trms blind score` judges the
-answers in DIR like diagnoses. Only method=oracle is given the key. `train` trains the classifier
-and keeps it in the cache folder; without it the first use does.
+answers in DIR like diagnoses. Only the methods oracle and true_values are given the key. `train`
+trains the classifier and keeps it in the cache folder; without it the first use does.
 methods: """
 
 
 def main(argv: Sequence[str]) -> int:
     """Run; exit code 2 for words that mean nothing."""
-    from experiments.gap.baselines.run import METHODS, effects_of, run_baseline
+    from experiments.gap.baselines.run import METHODS, WITH_KEY, run_baseline, truths_of
 
     if not argv or argv[0] in ("-h", "--help"):
         print(_USAGE + ", ".join(METHODS))
@@ -35,13 +35,15 @@ def main(argv: Sequence[str]) -> int:
             if key not in options:
                 raise ConfigurationError(f"{key} is not given", where=key, remedy=f"{key}=…")
         folder = Path(options["in"])
-        truth = effects_of(Path(options["key"]), folder) if options["method"] == "oracle" else None
+        truths = None
+        if options["method"] in WITH_KEY and "key" in options:
+            truths = truths_of(Path(options["key"]), folder)
         failed = run_baseline(
             options["method"],
             folder,
             Path(options["out"]),
             int(options.get("jobs", 2)),
-            truth=truth,
+            truths=truths,
             cases=int(options["cases"]) if "cases" in options else None,
         )
     except TrmsError as error:
@@ -61,10 +63,6 @@ def _words(argv: Sequence[str], keys: Sequence[str]) -> dict[str, str]:
                 f"{word!r} given", where="the command line", remedy=f"keys are {', '.join(keys)}"
             )
         options[key] = value
-    if options.get("method") == "oracle" and "key" not in options:
-        raise ConfigurationError(
-            "the oracle has to be told the truth", where="key", remedy="key=DIR.key"
-        )
     return options
 
 

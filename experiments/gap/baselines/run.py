@@ -1,14 +1,14 @@
 """A baseline over a sealed set: a folder of diagnoses that ``trms blind score`` takes.
 
 Each recording is answered in a process of its own, in one thread; what has an answer is not done
-again. Only the oracle may open the key.
+again. Only methods of :data:`WITH_KEY` may open the key.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from time import perf_counter
@@ -16,7 +16,9 @@ from typing import Any
 
 from experiments.command_line import side_by_side
 from experiments.gap.baselines.baseline import Baseline
+from experiments.gap.baselines.oracle import RigTruth
 from experiments.gap.blind.judgement import CORRECTED, REFIT
+from experiments.gap.blind.nominal import nominal, relative_sds
 from experiments.gap.blind.run import recordings_of
 from experiments.gap.blind.sealing import open_key
 from trms_cli.core.errors import ConfigurationError, TrmsError
@@ -96,20 +98,24 @@ METHODS = (
     "classifier",
     "flexible_residual",
     "oracle",
+    "true_values",
 )
+#: Those that know the truth.
+WITH_KEY = ("oracle", "true_values")
+_NOTHING = RigTruth()
 #: What a recording is to be diagnosed as: it is handed to other processes, so no closure.
 ProblemOf = Callable[[Path], GapProblem]
 
 
-def baseline_of(name: str, effects: Sequence[str] = ()) -> Baseline:
+def baseline_of(name: str, truth: RigTruth = _NOTHING) -> Baseline:
     """A baseline by name.
 
     Parameters
     ----------
     name : str
         One of :data:`METHODS`.
-    effects : sequence of str
-        What the oracle is told.
+    truth : RigTruth
+        For those that know it.
 
     Raises
     ------
@@ -139,7 +145,11 @@ def baseline_of(name: str, effects: Sequence[str] = ()) -> Baseline:
     if name == "oracle":
         from experiments.gap.baselines.oracle import Oracle
 
-        return Oracle(effects=tuple(effects))
+        return Oracle(effects=truth.effects)
+    if name == "true_values":
+        from experiments.gap.baselines.oracle import TrueValues
+
+        return TrueValues(truth=truth)
     raise ConfigurationError(
         f"{name!r} is no baseline", where="method", remedy=nearest(name, METHODS)
     )
@@ -176,10 +186,19 @@ def bench_effects() -> dict[str, Effect]:
     return candidates
 
 
-def effects_of(key: Path, folder: Path) -> dict[str, tuple[str, ...]]:
-    """What each rig of a set has, by recording: for the oracle alone."""
-    cases = open_key(key, folder).cases
-    return {name: tuple(case.effects) for name, case in cases.items()}
+def truths_of(key: Path, folder: Path) -> dict[str, RigTruth]:
+    """What each rig of a set has, by recording: for those alone that know it."""
+    constants, sds = nominal(), relative_sds()
+    truths = {}
+    for name, case in open_key(key, folder).cases.items():
+        values = {
+            parameter: value * (1 + sds.get(parameter, 0.0) * case.deviations(parameter))
+            for parameter, value in constants.items()
+        }
+        for effect, sizes in case.effects.items():
+            values |= {f"{effect}.{size}": value for size, value in sizes.items()}
+        truths[name] = RigTruth(effects=tuple(case.effects), values=values)
+    return truths
 
 
 def run_baseline(
@@ -189,7 +208,7 @@ def run_baseline(
     jobs: int = 2,
     *,
     problem_of: ProblemOf = bench_problem,
-    truth: Mapping[str, Sequence[str]] | None = None,
+    truths: Mapping[str, RigTruth] | None = None,
     cases: int | None = None,
     tell: Callable[[str], None] = print,
 ) -> dict[str, str]:
@@ -206,8 +225,8 @@ def run_baseline(
         Recordings at once.
     problem_of : callable
         A function of a module.
-    truth : dict of str to sequence of str or None
-        Effects by recording, for the oracle; see :func:`effects_of`.
+    truths : dict of str to RigTruth or None
+        By recording, for those that know it; see :func:`truths_of`.
     cases : int or None
         Only the first so many.
     tell : callable
@@ -218,19 +237,17 @@ def run_baseline(
     dict of str to str
         Why, by name, for those that could not be answered.
     """
-    if name == "oracle" and truth is None:
-        raise ConfigurationError(
-            "the oracle has to be told the truth", where="key", remedy="key=DIR.key"
-        )
     baseline_of(name)
+    if name in WITH_KEY and truths is None:
+        raise ConfigurationError(f"{name} has to know the truth", where="key", remedy="key=DIR.key")
     recordings = recordings_of(folder_in)[:cases]
     waiting = [r for r in recordings if not (folder_out / r.stem / DOCUMENT).is_file()]
     folder_out.mkdir(parents=True, exist_ok=True)
     failed: dict[str, str] = {}
     start_time = perf_counter()
-    effects_by_recording = truth or {}
+    known_truths = truths or {}
     tasks = {
-        r.stem: (name, tuple(effects_by_recording.get(r.stem, ())), r, folder_out, problem_of)
+        r.stem: (name, known_truths.get(r.stem, _NOTHING), r, folder_out, problem_of)
         for r in waiting
     }
     for count, (stem, future) in enumerate(side_by_side(_answer, tasks, jobs, _TASKS), start=1):
@@ -246,13 +263,11 @@ def run_baseline(
     return failed
 
 
-def _answer(
-    name: str, effects: tuple[str, ...], recording: Path, out: Path, problem_of: ProblemOf
-) -> str:
+def _answer(name: str, truth: RigTruth, recording: Path, out: Path, problem_of: ProblemOf) -> str:
     """One answer; its verdict and first cause."""
     start_time = perf_counter()
     problem = problem_of(recording)
-    answer = baseline_of(name, effects).answer(problem)
+    answer = baseline_of(name, truth).answer(problem)
     draft = out / f".{recording.stem}"
     shutil.rmtree(draft, ignore_errors=True)
     draft.mkdir(parents=True)

@@ -70,6 +70,10 @@ class Case:
     moved: Mapping[str, float] = field(default_factory=dict)
     excitation: int = 0  #: Seed of the commands
 
+    def deviations(self, parameter: str) -> float:
+        """By how many prior standard deviations a parameter is off."""
+        return self.parameters.get(parameter, 0.0) + self.moved.get(parameter, 0.0)
+
 
 #: Shares of rigs that a controller drives, and that record angles only.
 _CLOSED, _ANGLES = 0.12, 0.12

@@ -182,14 +182,9 @@ def _onsets(cases: Sequence[Case]) -> dict[str, FloatArray]:
 def _constants(cases: Sequence[Case]) -> dict[str, FloatArray]:
     sds = relative_sds()
     return {
-        name: np.array([value * (1 + sds.get(name, 0.0) * _away(case, name)) for case in cases])
+        name: np.array([value * (1 + sds.get(name, 0.0) * case.deviations(name)) for case in cases])
         for name, value in nominal().items()
     }
-
-
-def _away(case: Case, parameter: str) -> float:
-    """By how many prior standard deviations a parameter is off."""
-    return case.parameters.get(parameter, 0.0) + case.moved.get(parameter, 0.0)
 
 
 def _sizes(cases: Sequence[Case]) -> dict[str, FloatArray]:

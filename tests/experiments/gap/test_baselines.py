@@ -13,7 +13,7 @@ from experiments.gap.baselines.classifier import Request, _fitted, marks, rigs
 from experiments.gap.baselines.fits import fit_problem, parts_of, refit
 from experiments.gap.baselines.flexible_residual import FlexibleResidual
 from experiments.gap.baselines.force_terms import columns
-from experiments.gap.baselines.oracle import Oracle
+from experiments.gap.baselines.oracle import Oracle, RigTruth, TrueValues
 from experiments.gap.baselines.parameter_refit import ParameterRefit
 from experiments.gap.baselines.restoring_force import motion
 from experiments.gap.baselines.run import (
@@ -126,6 +126,20 @@ def test_the_oracle_closes_what_it_is_told(rubbing: GapProblem) -> None:
     blind = Oracle(effects=("something_else",)).answer(rubbing)
     assert blind.verdict == "none_of_these"
     assert shrunk(blind) == 0.0
+
+
+@pytest.mark.slow
+def test_true_values_are_not_fitted(rubbing: GapProblem) -> None:
+    values = {
+        **{p.name: p.value for p in rubbing.model.parameters},
+        f"{FRICTION}.torque": 0.005,
+        "other": 1.0,
+    }
+    answer = TrueValues(truth=RigTruth(effects=(FRICTION,), values=values)).answer(rubbing)
+    assert answer.causes[0].effects == (FRICTION,)
+    assert answer.causes[0].parameters[f"{FRICTION}.torque"].value == 0.005
+    assert answer.parameters["k_oh"].fitted == values["k_oh"]
+    assert shrunk(answer) > 0.9
 
 
 def test_sparse_regression_names_the_friction_and_shrinks_the_gap(rubbing: GapProblem) -> None:
@@ -256,7 +270,7 @@ def test_what_an_effect_is_made_with_can_be_written() -> None:
 
 @pytest.mark.slow
 def test_an_answer_leaves_its_models(tmp_path: Path) -> None:
-    summary = _answer("oracle", (FRICTION,), Path("c1.csv"), tmp_path, small)
+    summary = _answer("oracle", RigTruth(effects=(FRICTION,)), Path("c1.csv"), tmp_path, small)
     assert "yaw_coulomb_friction 1.00" in summary
     corrected = load_model(str(tmp_path / "c1" / "corrected_model.yaml"))
     assert corrected.parameters[f"{FRICTION}.torque"].value == pytest.approx(0.005, rel=0.05)
