@@ -136,8 +136,8 @@ blind-full: $(READY) ## proof, whole: 300 sealed rigs, with baselines; hours, an
 	@test -f $(BLIND)/final/commitment.json || $(BIN)/trms blind make set=final seed=$(SEED) out=$(BLIND)/final
 	@$(BIN)/trms blind run in=$(BLIND)/final out=$(BLIND)/final.found $(ARGS)
 	@for method in $(BASELINES); do $(BIN)/python -m experiments.gap.baselines method=$$method in=$(BLIND)/final out=$(BLIND)/final.$$method || exit; done
-	@$(BIN)/python -m experiments.gap.baselines method=oracle key=$(BLIND)/final.key in=$(BLIND)/final out=$(BLIND)/final.oracle
-	@$(BIN)/trms blind score in=$(BLIND)/final oracle=oracle "diagnoses=[trms=$(BLIND)/final.found,$(foreach method,$(BASELINES),$(method)=$(BLIND)/final.$(method),)oracle=$(BLIND)/final.oracle]"
+	@for method in oracle true_values; do $(BIN)/python -m experiments.gap.baselines method=$$method key=$(BLIND)/final.key in=$(BLIND)/final out=$(BLIND)/final.$$method || exit; done
+	@$(BIN)/trms blind score in=$(BLIND)/final oracle=oracle "diagnoses=[trms=$(BLIND)/final.found,$(foreach method,$(BASELINES),$(method)=$(BLIND)/final.$(method),)oracle=$(BLIND)/final.oracle,true_values=$(BLIND)/final.true_values]"
 
 blind-severity: $(READY) ## how large effects have to be for gaps of 1.3, 2 and 4 times the floor (ten minutes)
 	@$(BIN)/python -m experiments.gap.blind.severity
