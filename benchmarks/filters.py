@@ -78,7 +78,7 @@ class _Model:
         return self._F
 
 
-def _told(peer: Any, model: _Model, setup: ObserverSetup) -> None:
+def _configure(peer: Any, model: _Model, setup: ObserverSetup) -> None:
     peer.x, peer.P = model.start.copy(), np.diag(np.full(model.n, 1e-2))
     peer.Q = np.diag(np.full(model.n, 1e-4))
     peer.R = np.diag([setup.noise_sd[name] ** 2 for name in setup.outputs])
@@ -90,7 +90,7 @@ def _ukf(setup: ObserverSetup, y: np.ndarray, u: np.ndarray) -> Callable[[], Non
     model = _Model(setup, u)
     points = MerweScaledSigmaPoints(model.n, alpha=1.0, beta=2.0, kappa=0.0)
     peer = UnscentedKalmanFilter(model.n, len(y), setup.sample_time, model.hx, model.fx, points)
-    _told(peer, model, setup)
+    _configure(peer, model, setup)
 
     def step() -> None:
         peer.predict()
@@ -104,7 +104,7 @@ def _ekf(setup: ObserverSetup, y: np.ndarray, u: np.ndarray) -> Callable[[], Non
 
     model = _Model(setup, u)
     peer = ExtendedKalmanFilter(model.n, len(y))
-    _told(peer, model, setup)
+    _configure(peer, model, setup)
 
     def step() -> None:
         # its own prediction of the mean is linear: the model's step stands in
@@ -121,7 +121,7 @@ def _kalman(setup: ObserverSetup, y: np.ndarray, u: np.ndarray) -> Callable[[], 
 
     model = _Model(setup, u)
     peer = KalmanFilter(model.n, len(y), len(u))
-    _told(peer, model, setup)
+    _configure(peer, model, setup)
     peer.F, peer.H = model.slope(model.start).copy(), model.H
     peer.B = np.zeros((model.n, len(u)))
 

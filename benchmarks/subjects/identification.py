@@ -51,7 +51,7 @@ class _Recording:
 
 def _recording(duration: float) -> _Recording:
     model = Newtonian()
-    rig = model.parameters.drawn(3)
+    rig = model.parameters.draw(3)
     n = round(duration / _STEP)
     times = _STEP * np.arange(n, dtype=np.float64)
     main = Multilevel(amplitude=0.8, offset=0.9, shortest=1.0, longest=5.0)

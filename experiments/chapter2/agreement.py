@@ -20,7 +20,7 @@ class Agreement:
 
     what: str
     largest: float  #: Difference of an angle over all cases, rad
-    moved: float  #: By how much that angle moved, rad
+    travel: float  #: By how much that angle moved, rad
 
 
 @dataclass(frozen=True)

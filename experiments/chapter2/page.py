@@ -83,7 +83,7 @@ def two_axes_tables(cases: Sequence[Comparison]) -> dict[str, str]:
 
 def agreement_tables(agreements: Sequence[Agreement], terms: Sequence[TermStudy]) -> dict[str, str]:
     """Where they agree; what each term does."""
-    same = [[a.what, f"{a.largest:.1e}", f"{a.moved:.2f}"] for a in agreements]
+    same = [[a.what, f"{a.largest:.1e}", f"{a.travel:.2f}"] for a in agreements]
     parts = [
         [t.name, _pair(t.newtonian), *(_pair(t.left_wrong[term]) for term in TERMS), _pair(t.arm)]
         for t in terms

@@ -51,7 +51,9 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
 
         def timed(name: str, work: Sequence[Job]) -> list[TrainingResult]:
             begin = perf_counter()
-            results = list(_told(name, run(partial(run_job, short=short), work), len(work)))
+            results = list(
+                _show_progress(name, run(partial(run_job, short=short), work), len(work))
+            )
             seconds[name] = perf_counter() - begin
             return results
 
@@ -68,7 +70,7 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
         candidates = [Candidate(lags, hidden) for lags in own["lags"] for hidden in own["hidden"]]
         start_seeds = list(seeds or own["seeds"])
         structures = list(
-            _told(
+            _show_progress(
                 "structure",
                 run(partial(_assess, seeds=start_seeds, short=short), candidates),
                 len(candidates),
@@ -134,7 +136,7 @@ def _pool(jobs: int) -> Iterator[Callable[..., Iterator]]:
                 os.environ[name] = value
 
 
-def _told(name: str, results: Iterator, count: int) -> Iterator:
+def _show_progress(name: str, results: Iterator, count: int) -> Iterator:
     """Results as they come, with a line on the screen that counts them."""
     for number, result in enumerate(results, start=1):
         if sys.stderr.isatty():

@@ -183,16 +183,16 @@ def _spread(values: Sequence[float], digits: int | None = None) -> str:
     """Median, and smallest to largest."""
     middle, low, high = np.median(values), min(values), max(values)
 
-    def said(value: float) -> str:
+    def text(value: float) -> str:
         if not np.isfinite(value):
             return "∞"
         if digits is not None:
             return f"{value:.{digits}f}"
         return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
 
-    if said(low) == said(high):
-        return said(middle)
-    return f"{said(middle)} ({said(low)}–{said(high)})"
+    if text(low) == text(high):
+        return text(middle)
+    return f"{text(middle)} ({text(low)}–{text(high)})"
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

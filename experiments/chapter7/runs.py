@@ -84,7 +84,7 @@ def close_loop(overrides: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]
     bounds = zip(loop.plant.inputs, lower.tolist(), upper.tolist(), strict=True)
     limits = {signal.name: (low, high) for signal, low, high in bounds}
     limits |= {name: (-stop, stop) for name, stop in loop_setup.model.stops.items()}
-    return tables, limits, loop.done * loop_setup.sample_time
+    return tables, limits, loop.completed_samples * loop_setup.sample_time
 
 
 def _figures(

@@ -22,11 +22,11 @@ class Map:
     yaw: FloatArray  #: (n,) arrays; rad
     pitch: FloatArray  #: (n,) arrays; rad
     #: dict of str to (n_yaw, n_pitch) array of bool; by controller and how the main rotor starts
-    held: dict[str, FloatArray]
+    domains: dict[str, FloatArray]
 
     @property
     def shares(self) -> dict[str, float]:
-        return {name: float(values.mean()) for name, values in self.held.items()}
+        return {name: float(values.mean()) for name, values in self.domains.items()}
 
 
 def study_domain(study: Study, *, quick: bool = False) -> Map:

@@ -120,13 +120,13 @@ def draw_switching(laws: Sequence[LawResult], path: Path) -> None:
 
 def draw_domain(domain_map: Map, starts: Sequence[tuple[float, float]], path: Path) -> None:
     """Which starts are held, by controller, the main rotor turning or at rest."""
-    names = list(domain_map.held)
+    names = list(domain_map.domains)
     with house_style():
         page = new_figure(10.0, 4.6)
         grid = page.subplots(2, 3, sharex=True, sharey=True)
         yaw, pitch = np.meshgrid(domain_map.yaw, domain_map.pitch, indexing="ij")
         for panel, name in zip(grid.ravel(), names, strict=True):
-            is_held = domain_map.held[name].astype(bool)
+            is_held = domain_map.domains[name].astype(bool)
             panel.plot(yaw[~is_held], pitch[~is_held], "o", color=PALE, ms=4)
             panel.plot(yaw[is_held], pitch[is_held], "o", color=PALETTE["blue"], ms=5)
             for start in starts:

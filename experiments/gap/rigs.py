@@ -56,7 +56,7 @@ def rig_of(effect: str, sizes: Mapping[str, float], seed: int, scatter: float) -
 
     ``scatter``: deviation of the parameters as a share of that of their priors.
     """
-    return Rig(effect, sizes, seed, Newtonian().parameters.drawn(seed, scatter))
+    return Rig(effect, sizes, seed, Newtonian().parameters.draw(seed, scatter))
 
 
 class OwnDraws(np.random.Generator):

@@ -63,10 +63,10 @@ def draw(outcomes: Sequence[Outcome], path: Path) -> None:
     from trms_cli.reporting.style import house_style, save_png
 
     with house_style():
-        save_png(_drawn(outcomes), path)
+        save_png(_figure(outcomes), path)
 
 
-def _drawn(outcomes: Sequence[Outcome]) -> Any:
+def _figure(outcomes: Sequence[Outcome]) -> Any:
     from trms_cli.reporting.style import COLOURS, GREY, new_figure
 
     panels: dict[tuple[str, str], list[tuple[str, dict[str, Any]]]] = {}

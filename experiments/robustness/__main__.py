@@ -57,7 +57,7 @@ def _study(arguments: argparse.Namespace) -> int:
     for name, sweep in sweeps.items():
         if arguments.only not in (None, name):
             continue
-        swept = _made(sweep, out / name, arguments)
+        swept = _run_sweep(sweep, out / name, arguments)
         failed += not swept.all_done
         document = outcome_of(swept.folder)
         table = table_of(document)
@@ -72,7 +72,7 @@ def _study(arguments: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
-def _made(sweep: OneSweep, folder: Path, arguments: argparse.Namespace) -> SweepOutcome:
+def _run_sweep(sweep: OneSweep, folder: Path, arguments: argparse.Namespace) -> SweepOutcome:
     """The sweep, begun or gone on with."""
     workers = [f"launcher.workers={arguments.jobs}"] if arguments.jobs else []
     if (folder / "sweep.json").is_file():

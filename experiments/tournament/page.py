@@ -37,7 +37,7 @@ def report(
 ) -> dict[str, Any]:
     """``trms.tournament/1``."""
 
-    def told(ranking: Ranking | None, block: str = "main") -> dict[str, Any] | None:
+    def ranking_data(ranking: Ranking | None, block: str = "main") -> dict[str, Any] | None:
         if ranking is None:
             return None
         return document(ranking, results.gathered[block], ranking.standings)
@@ -59,10 +59,10 @@ def report(
         "schema": SCHEMA,
         "about": dict(about),
         "runs": results.runs,
-        "aims": [{"words": a.words, "met": a.met, "figures": a.figures} for a in results.aims],
-        "main": told(results.main),
-        "faults": told(results.faults, "faults"),
-        "observers": told(results.observers, "observers"),
+        "aims": [{"words": a.words, "met": a.is_met, "figures": a.figures} for a in results.aims],
+        "main": ranking_data(results.main),
+        "faults": ranking_data(results.faults, "faults"),
+        "observers": ranking_data(results.observers, "observers"),
         "classes": {name: short(ranking) for name, ranking in results.classes.items()},
         "references": {name: short(ranking) for name, ranking in results.references.items()},
         "by_rig": {
@@ -82,7 +82,7 @@ def report(
                 "theirs": beside.published.theirs,
                 "ours": {
                     words: {"value": value, "unit": unit}
-                    for words, (value, unit) in beside.found.items()
+                    for words, (value, unit) in beside.figures.items()
                 },
                 "problem": beside.problem,
             }
@@ -115,7 +115,7 @@ def tables(
 def summary_lines(results: Results) -> list[str]:
     """The aims, met or missed."""
     words = {True: "**met**", False: "**missed**", None: "not told"}
-    return [f"- {aim.words}: {words[aim.met]} ({aim.figures})" for aim in results.aims]
+    return [f"- {aim.words}: {words[aim.is_met]} ({aim.figures})" for aim in results.aims]
 
 
 def ranking_rows(ranking: Ranking) -> Rows:
@@ -244,10 +244,10 @@ def published_rows(besides: Sequence[Beside]) -> Rows:
         ours = "not repeated: the condition is not told, or needs their record"
         if beside.problem:
             ours = f"failed: {beside.problem}"
-        elif beside.found:
+        elif beside.figures:
             ours = "; ".join(
                 f"{words} {'not reached' if value is None else f'{number(value)} {unit}'}"
-                for words, (value, unit) in beside.found.items()
+                for words, (value, unit) in beside.figures.items()
             )
             if published.ours is not None and published.ours.note:
                 ours += f" ({published.ours.note})"
@@ -268,7 +268,7 @@ def print_results(results: Results) -> None:
     words = {True: ("met", "bold green"), False: ("missed", "bold red"), None: ("not told", "")}
     out.print()
     for aim in results.aims:
-        word, style = words[aim.met]
+        word, style = words[aim.is_met]
         out.print([(f"{word:>8}", style), (f"  {aim.words}: {aim.figures}", "")])
 
 

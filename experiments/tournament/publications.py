@@ -52,7 +52,7 @@ class Beside:
 
     published: PublishedResult
     #: Our figures with their units, by words; None for what did not happen
-    found: dict[str, tuple[float | None, str]]
+    figures: dict[str, tuple[float | None, str]]
     problem: str = ""  #: Why our run failed; "" if it did not
 
 
@@ -78,7 +78,7 @@ def put_beside(published: PublishedResult, folder: Path) -> Beside:
     """
     ours = published.ours
     if ours is None:
-        return Beside(published=published, found={})
+        return Beside(published=published, figures={})
     from experiments.tournament.worker_runs import score_in_memory
 
     run = Run(
@@ -96,12 +96,12 @@ def put_beside(published: PublishedResult, folder: Path) -> Beside:
     try:
         score, _ = score_in_memory(run, folder)
     except TrmsError as error:
-        return Beside(published=published, found={}, problem=error.problem)
+        return Beside(published=published, figures={}, problem=error.problem)
     values = {
         figure.words: (score["channels"][figure.channel][figure.figure], figure.unit)
         for figure in ours.figures
     }
-    return Beside(published=published, found=values)
+    return Beside(published=published, figures=values)
 
 
 def _with_limits(limits: dict[str, float], folder: Path) -> list[str]:

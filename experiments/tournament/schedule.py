@@ -206,7 +206,7 @@ def _all_runs(plan: Plan) -> Iterator[Run]:
 
     def run(name: str, observer: str, ref: str, rig: str, block: str, outside: str = "") -> Run:
         who = plan.outside[name] if outside else plan.controllers[name]
-        rig_class, words = _known(rig, rigs, "rigs")
+        rig_class, words = _table_entry(rig, rigs, "rigs")
         return Run(
             controller=name,
             observer=observer,
@@ -214,8 +214,8 @@ def _all_runs(plan: Plan) -> Iterator[Run]:
             rig=rig,
             rig_class=rig_class,
             blocks=(block,),
-            entrant_words=(*who.words, *_known(observer, plan.observers, "observers")),
-            ref_words=tuple(_known(ref, plan.references, "references")),
+            entrant_words=(*who.words, *_table_entry(observer, plan.observers, "observers")),
+            ref_words=tuple(_table_entry(ref, plan.references, "references")),
             rig_words=words,
             every=tuple(plan.every),
             outside=outside,
@@ -272,7 +272,7 @@ def _shortened(run: Run, plan: Plan) -> Run:
     return replace(run, every=(*run.every, *plan.quick.every))
 
 
-def _known(name: str, table: Mapping[str, Any], where: str) -> Any:
+def _table_entry(name: str, table: Mapping[str, Any], where: str) -> Any:
     if name not in table:
         raise ConfigurationError(
             f"there is no {name!r}", where=where, remedy=f"there are: {', '.join(table)}"

@@ -24,7 +24,7 @@ class Aim:
     """A criterion and what came out."""
 
     words: str  #: What was asked
-    met: bool | None  #: None where the runs do not tell
+    is_met: bool | None  #: None where the runs do not tell
     figures: str  #: What was found
 
 
@@ -163,7 +163,7 @@ def _first_on_nominal(classes: dict[str, Ranking], criteria: Criteria) -> Aim:
     first = None if ranking is None else ranking.first
     standing = None if ranking is None else standing_of(ranking, criteria.champion)
     if ranking is None or first is None or standing is None:
-        return Aim(words=words, met=None, figures="no such runs")
+        return Aim(words=words, is_met=None, figures="no such runs")
     won = sum(name == criteria.champion for name in ranking.best.values())
     figures = f"rank {standing.rank}, best in {won} of {len(ranking.best)} runs"
     others = [each for each in ranking.ranked if each.name != criteria.champion]
@@ -172,7 +172,7 @@ def _first_on_nominal(classes: dict[str, Ranking], criteria: Criteria) -> Aim:
         figures += f"; {others[0].name} second, {lead:.1f} % behind"
     elif first.name != criteria.champion:
         figures += f"; {first.name} first, {100 * (standing.against_first - 1):.1f} % ahead"
-    return Aim(words=words, met=first.name == criteria.champion, figures=figures)
+    return Aim(words=words, is_met=first.name == criteria.champion, figures=figures)
 
 
 def _close_on_disturbed(main: Ranking, behind: Sequence[Behind], criteria: Criteria) -> Aim:
@@ -182,14 +182,14 @@ def _close_on_disturbed(main: Ranking, behind: Sequence[Behind], criteria: Crite
     )
     standing = standing_of(main, criteria.champion)
     if standing is None:
-        return Aim(words=words, met=None, figures="no such runs")
+        return Aim(words=words, is_met=None, figures="no such runs")
     at = [
         float(ratio)
         for ratio, run in zip(standing.ratios, standing.runs, strict=True)
         if run.coordinates[CLASS] in criteria.disturbed_classes
     ]
     if not at:
-        return Aim(words=words, met=None, figures="no such runs")
+        return Aim(words=words, is_met=None, figures="no such runs")
     missed = [each for each in behind if each.rig_class in criteria.disturbed_classes]
     rigs = {run.coordinates[RIG] for run in standing.runs if _disturbed(run, criteria)}
     means = {rig: ratio for rig, ratio in by_rig(main, criteria.champion).items() if rig in rigs}
@@ -199,7 +199,7 @@ def _close_on_disturbed(main: Ranking, behind: Sequence[Behind], criteria: Crite
         f"over all references of a rig {len(means) - over} of {len(means)} rigs within, worst "
         f"{max(means.values()):.3f}"
     )
-    return Aim(words=words, met=not missed, figures=figures)
+    return Aim(words=words, is_met=not missed, figures=figures)
 
 
 def _finite(gathered: dict[str, RunCollection]) -> Aim:
@@ -209,7 +209,7 @@ def _finite(gathered: dict[str, RunCollection]) -> Aim:
     figures = f"{sum(counted)} in {len(counted)} runs"
     if bad:
         figures += f" ({bad} runs with some)"
-    return Aim(words="no command that is not finite, in any run", met=not bad, figures=figures)
+    return Aim(words="no command that is not finite, in any run", is_met=not bad, figures=figures)
 
 
 def _nothing_failed(gathered: dict[str, RunCollection]) -> Aim:
@@ -223,7 +223,7 @@ def _nothing_failed(gathered: dict[str, RunCollection]) -> Aim:
     if stopped:
         figures += f"; {stopped} did not end (`--resume` runs them)"
     is_met = None if stopped and not failed else not failed
-    return Aim(words="no run ends in an error", met=is_met, figures=figures)
+    return Aim(words="no run ends in an error", is_met=is_met, figures=figures)
 
 
 def _faster(main: Ranking, criteria: Criteria) -> Aim:
@@ -233,12 +233,12 @@ def _faster(main: Ranking, criteria: Criteria) -> Aim:
     )
     one, other = (standing_of(main, n) for n in (criteria.champion, criteria.slower_peer))
     if one is None or other is None:
-        return Aim(words=words, met=None, figures="no such runs")
+        return Aim(words=words, is_met=None, figures="no such runs")
     own, theirs = figures_of(one).step_ms, figures_of(other).step_ms
     if not (math.isfinite(own) and math.isfinite(theirs)) or own <= 0:
-        return Aim(words=words, met=None, figures="no times")
+        return Aim(words=words, is_met=None, figures="no times")
     figures = f"{theirs / own:.1f} times: median {own:.2g} against {theirs:.2g} ms"
-    return Aim(words=words, met=theirs / own >= criteria.faster_by, figures=figures)
+    return Aim(words=words, is_met=theirs / own >= criteria.faster_by, figures=figures)
 
 
 def _disturbed(run: ComparisonRun, criteria: Criteria) -> bool:

@@ -102,7 +102,7 @@ def cross_validated(
     """
     first, rest = parts_of(folder, settings, fit)
     cuts = np.linspace(0, len(first) + len(rest), settings["folds"] + 1).round().astype(int)
-    whole = _joined(first, rest)
+    whole = _concatenate(first, rest)
     fold_errors: list[dict[str, Any]] = []
     for a, b in pairwise(cuts.tolist()):
         others = tuple(part for part in (whole.part(0, a), whole.part(b, len(whole))) if len(part))
@@ -122,7 +122,7 @@ def cross_validated(
     return {"pooled": pooled, "folds": fold_errors}
 
 
-def _joined(first: Dataset, rest: Dataset) -> Dataset:
+def _concatenate(first: Dataset, rest: Dataset) -> Dataset:
     return replace(
         first,
         time=np.concatenate([first.time, rest.time]),

@@ -60,7 +60,7 @@ class TestFit:
         assert "k_ov" in page and 'src="http' not in page
 
     def test_finds_the_rig_within_what_it_reports(self, fitted):
-        true = Newtonian(freedom="vertical").parameters.drawn(3)
+        true = Newtonian(freedom="vertical").parameters.draw(3)
         _, document = fitted
         for name, p in document["parameters"].items():
             assert abs(p["value"] - true[name].value) < 4 * p["sd"]

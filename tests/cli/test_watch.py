@@ -437,7 +437,7 @@ class TestSweep:
         self.say(folder, 2, now, state="failed", error={"problem": "no way\nat all"})
         self.say(folder, 3, now, state="running", pid=os.getpid())
         seen = sweep.now()
-        assert (seen.total, len(seen.jobs), seen.ended) == (6, 4, False)
+        assert (seen.total, len(seen.jobs), seen.has_ended) == (6, 4, False)
         assert [job.state for job in seen.jobs] == ["done", "done", "failed", "running"]
         assert seen.rate == pytest.approx(0.1) and seen.left_s == pytest.approx(30.0)
         text = text_of(sweep_frame(seen, 80, 24))
@@ -454,7 +454,7 @@ class TestSweep:
         ended.wait()
         self.say(folder, 0, state="running", pid=ended.pid)
         seen = SweepFollower(folder).now()
-        assert seen.count("gone") == 1 and seen.ended
+        assert seen.count("gone") == 1 and seen.has_ended
         assert "died" in text_of(sweep_frame(seen, 80, 24))
 
     def test_a_sweep_whose_driver_has_gone(self, folder):
@@ -465,10 +465,10 @@ class TestSweep:
         self.say(folder, 2, 120.0, state="interrupted")
         sweep = SweepFollower(folder)
         with drive_sweep(folder):
-            assert sweep.now().state == "running" and not sweep.now().ended
+            assert sweep.now().state == "running" and not sweep.now().has_ended
             (folder / "sweep.json").write_text(json.dumps(record | {"total": 200}))
         seen = sweep.now()
-        assert seen.stopped and seen.ended and seen.total == 200
+        assert seen.stopped and seen.has_ended and seen.total == 200
         text = text_of(sweep_frame(seen, 80, 24))
         for words in (
             "stopped before its end", "0 running  2 interrupted  197 not begun", "sweep resume",

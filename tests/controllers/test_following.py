@@ -243,7 +243,7 @@ def test_the_error_decays_as_chosen(kind: Any, axis: str) -> None:
     reference = np.array([0.1, 0.7])
     steady = SteadyState(model).solve(reference)
     state = law.init(setup_of(model, period, steady.u))
-    state.started = True
+    state.has_started = True
     angles = [model.state_index(name) for name in ("alpha_v", "alpha_h")]
     state.guide[:, 0] = [reference[part.reference] for part in state.parts.axes]
     moved = 0 if axis == "pitch" else 1

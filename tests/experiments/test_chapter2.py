@@ -109,7 +109,7 @@ class TestExpectation:
         agreements, terms = study_agreement(study)
         *exact, integration = agreements
         for agreement in exact:
-            assert agreement.largest < 1e-12 < 1e-3 < agreement.moved
+            assert agreement.largest < 1e-12 < 1e-3 < agreement.travel
         assert integration.largest == pytest.approx(
             expected["agreement_rad"][integration.what], rel=0.05
         )

@@ -206,8 +206,8 @@ def finished(tmp_path_factory):
 class TestVerdicts:
     def test_the_aims_are_judged_by_the_figures(self, finished):
         results = read_results(finished, PLAN.criteria)
-        met = {aim.words.split(",")[0]: aim.met for aim in results.aims}
-        assert [aim.met for aim in results.aims] == [True, False, True, True, True], met
+        met = {aim.words.split(",")[0]: aim.is_met for aim in results.aims}
+        assert [aim.is_met for aim in results.aims] == [True, False, True, True, True], met
         assert {(each.rig, each.ref) for each in results.behind} == {
             ("effect_yaw_coulomb_friction", ref) for ref in PLAN.rigs["effect"].references
         }
@@ -277,4 +277,4 @@ def test_published_figures_have_sources_and_ours_can_be_run(tmp_path):
     shorter = msgspec.structs.replace(ours, ours=msgspec.structs.replace(ours.ours, words=short))
     beside = put_beside(shorter, tmp_path)
     assert not beside.problem
-    assert len(beside.found) == len(ours.ours.figures)
+    assert len(beside.figures) == len(ours.ours.figures)

@@ -184,7 +184,7 @@ class TestDesign:
     def test_rigs_drawn_from_the_priors_have_wider_ranges(self):
         request = replace(LONG, lead_in=10.0, rigs=3)
         found = design(Newtonian(), KINDS["multisine"], request)
-        assert found.drawn == 3 and 0 <= found.lost <= 3
+        assert found.rig_count == 3 and 0 <= found.lost_rig_count <= 3
         low, high = found.drawn_ranges["omega_h"]
         assert high - low > 0.9 * np.ptp(found.ranges["omega_h"])
 

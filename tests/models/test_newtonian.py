@@ -118,11 +118,11 @@ def test_unknown_parameters_and_sets_are_told_with_those_there_are():
 
 def test_draws_from_the_priors_repeat_and_keep_known_constants():
     parameters = Newtonian().parameters
-    once, again, other = parameters.drawn(7), parameters.drawn(7), parameters.drawn(8)
+    once, again, other = parameters.draw(7), parameters.draw(7), parameters.draw(8)
     assert np.array_equal(once.values, again.values)
     assert not np.array_equal(once.values, other.values)
     assert once["g"].value == parameters["g"].value
     relative = np.array(
-        [parameters.drawn(seed)["k_fvp"].value / parameters["k_fvp"].value for seed in range(400)]
+        [parameters.draw(seed)["k_fvp"].value / parameters["k_fvp"].value for seed in range(400)]
     )
     assert relative.std() == pytest.approx(0.06, rel=0.15)

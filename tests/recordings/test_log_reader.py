@@ -281,7 +281,7 @@ def test_only_what_is_wanted_is_read_and_progress_is_told_by_chunk(tmp_path, wri
         log.table("/reference")
     assert "/command" in caught.value.remedy
     with LogTail(path) as tail:
-        written = [pair for piece in read_all(tail) for pair in piece.written]
+        written = [pair for piece in read_all(tail) for pair in piece.progress]
     assert [log for log, _ in written] == [990_000_000, 1_990_000_000, 2_490_000_000]
     assert sorted(written) == written and written[0][1] > 10**17
 

@@ -47,7 +47,7 @@ def drawn(*marks, x=None):
 
 
 def test_curves_have_their_points_and_one_name_each_in_the_legend():
-    curve = Curve([0.0, 1.0], [2.0, 3.0], "a", "vermilion", "dashed", held=True)
+    curve = Curve([0.0, 1.0], [2.0, 3.0], "a", "vermilion", "dashed", is_step=True)
     plot = drawn(curve, Curve([0, 1], [0, 1], "a"), x=Axis("t", "s", linked="time"))
     first, second = plot.traces
     assert unpacked(first["y"]).tolist() == [2.0, 3.0]
@@ -93,7 +93,11 @@ def test_three_axes_are_a_picture():
 
 
 def test_what_is_held_and_shaded_is_drawn_in_print_too():
-    marks = [Curve([0.0, 1.0, 2.0], [0, 1, 0], held=True), Span(0.5, 1.0, "late"), Points([1], [1])]
+    marks = [
+        Curve([0.0, 1.0, 2.0], [0, 1, 0], is_step=True),
+        Span(0.5, 1.0, "late"),
+        Points([1], [1]),
+    ]
     chart = Chart("held", [Panel(Axis("t", linked="time"), Axis("u"), marks)])
     with house_style():
         (axes,) = picture_of(chart).axes
@@ -198,8 +202,8 @@ def test_two_dozen_curves_are_told_apart():
 def test_a_plot_as_the_script_gets_it():
     time = Axis("time", "s", linked="time")
     fans = Fans([0.0, 1.0], [0, 1, np.nan, 1, 2, np.nan], [1, 2, np.nan, 2, 3, np.nan])
-    other = Panel(time, Axis("u", "V"), [Curve([0, 1], [3, 4], "<x>", held=True), fans])
-    panel = Panel(time, Axis("alpha"), [Curve([0, 1], [1, 2], "<x>", held=True), fans],
+    other = Panel(time, Axis("u", "V"), [Curve([0, 1], [3, 4], "<x>", is_step=True), fans])
+    panel = Panel(time, Axis("alpha"), [Curve([0, 1], [1, 2], "<x>", is_step=True), fans],
                   variants={"other": other})  # fmt: skip
     (plot,) = plots_of(Chart("one", [panel], columns=1))
     told = json.loads(script_json(plot.document()))

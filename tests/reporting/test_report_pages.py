@@ -308,9 +308,11 @@ class TestSweep:
         lead = findings_of_sweep(sweep).lead
         assert lead[0] == "20 of 21 runs completed; **1 failed**."
         assert "Run 0 has the least rmse [rad], 0.1 (" in lead[-1]
-        stopped = findings_of_sweep(replace(sweep, asked=50)).lead[0]
+        stopped = findings_of_sweep(replace(sweep, planned_count=50)).lead[0]
         assert stopped.startswith("20 of 50 runs completed; **1 failed**, **29 not begun**")
-        assert findings_of_sweep(replace(sweep, asked=5)).lead[0].startswith("20 of 21 runs")
+        assert (
+            findings_of_sweep(replace(sweep, planned_count=5)).lead[0].startswith("20 of 21 runs")
+        )
 
     @pytest.mark.parametrize(
         ("ratio", "words"),

@@ -121,13 +121,13 @@ def test_a_moment_is_of_the_samples_until_then(finished: Path) -> None:
     assert pitch.error == pitch.reference - source.columns["alpha_v"][k]
     first = int(np.searchsorted(reference.time, 1.33 - 1e-9))
     np.testing.assert_array_equal(yaw.time, reference.time[first : k + 1])
-    np.testing.assert_array_equal(yaw.wanted, reference.columns["alpha_h"][first : k + 1])
-    np.testing.assert_array_equal(yaw.shown, source.columns["alpha_h"][first : k + 1])
+    np.testing.assert_array_equal(yaw.references, reference.columns["alpha_h"][first : k + 1])
+    np.testing.assert_array_equal(yaw.outputs, source.columns["alpha_h"][first : k + 1])
 
 
 def test_words(finished: Path) -> None:
     run = followed(finished)
-    assert (run.state, run.ended, run.total, run.latest) == ("completed", True, 6.0, 5.98)
+    assert (run.state, run.has_ended, run.total, run.latest) == ("completed", True, 6.0, 5.98)
     early, late = run.at(2.0, 1.0), run.at(5.0, 1.0, events=2)
     assert early.solver is not None and late.solver is not None
     assert (early.solver.mode, early.solver.reasons) == ("normal", "")
@@ -147,7 +147,7 @@ def test_it_follows_a_run_that_goes_on(tmp_path: Path) -> None:
         pytest.skip("this system does not tell who writes a file")
     assert not run.at(0.0, 2.0).axes
     for second in range(6):
-        assert run.going_on and run.state == "running" and not run.ended
+        assert run.going_on and run.state == "running" and not run.has_ended
         write_seconds(log, second, second + 1)
         while run.look():
             pass
@@ -159,7 +159,7 @@ def test_it_follows_a_run_that_goes_on(tmp_path: Path) -> None:
     log.close("interrupted")
     while run.look():
         pass
-    assert (run.state, run.ended) == ("interrupted", True)
+    assert (run.state, run.has_ended) == ("interrupted", True)
 
 
 def test_a_run_whose_writer_is_gone_has_died(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_a_run_whose_writer_is_gone_has_died(tmp_path: Path) -> None:
     run = followed(log.path)
     if run.state == "unfinished":
         pytest.skip("this system does not tell who writes a file")
-    assert (run.state, run.ended, run.latest) == ("died", True, pytest.approx(1.98))
+    assert (run.state, run.has_ended, run.latest) == ("died", True, pytest.approx(1.98))
 
 
 def test_without_a_reference_the_measured_angles_are_shown(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_without_a_reference_the_measured_angles_are_shown(tmp_path: Path) -> No
 
 def test_replay_reads_no_further_than_it_has_to(finished: Path) -> None:
     run = RunFollower(finished)
-    assert run.state == "completed" and not run.ended
+    assert run.state == "completed" and not run.has_ended
     run.look_until(0.5)
     assert run.latest >= 0.5
 

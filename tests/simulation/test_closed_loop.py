@@ -160,7 +160,7 @@ def test_an_interrupted_loop_keeps_what_is_done() -> None:
     loop = started(experiment(Scripted(stop_at_30)))
     with pytest.raises(KeyboardInterrupt):
         loop.run()
-    assert loop.done == 30
+    assert loop.completed_samples == 30
     assert len(loop.history.times("/command")) == 30
     assert len(loop.history.columns("/command")["u_v"]) == 30
 

@@ -100,11 +100,11 @@ def test_a_controller_that_fails_degrades_and_lands_and_gets_another_chance() ->
     watched = Watched()
     failed = Command(np.zeros(2), Status.FAILED, fallback="hold")
     for _ in range(80):
-        watched.run.heard(failed)
+        watched.run.note_command(failed)
         watched.sample()
     assert watched.run.mode is Mode.DEGRADED
     for _ in range(30):
-        watched.run.heard(failed)
+        watched.run.note_command(failed)
         watched.sample()
     assert watched.run.mode is Mode.LANDING
     watched.seconds(0.6)  # it is not asked while the rig is landed

@@ -77,7 +77,7 @@ def test_estimates_of_van_der_pol_cover_as_much_of_its_cycle_as_is_known(found, 
     assert tuple(e.method for e in found) == METHODS
     for estimate in found:
         assert estimate.proved
-        y = estimate.drawn(2000, 0)
+        y = estimate.draw(2000, 0)
         assert len(y) == 2000
         assert region.contains_points(y).all(), estimate.method
     covered = {e.method: math.exp(e.log_volume) / whole for e in found}
@@ -108,7 +108,7 @@ def test_a_wrong_estimate_is_caught_and_a_short_time_no_failure_of_a_right_one(v
 
 def test_no_level_above_the_sampled_one_is_proved(van_der_pol):
     candidate = quadratic(van_der_pol, from_lyapunov_equation(van_der_pol))
-    rays = Rays.drawn(candidate.P, np.array([3.0, 3.0]), 200, 0)
+    rays = Rays.draw(candidate.P, np.array([3.0, 3.0]), 200, 0)
     level = sampled_level(candidate, rays)
     value, rate = candidate.at(level.at[None])
     assert value[0] == pytest.approx(level.level, rel=1e-3)
@@ -282,7 +282,7 @@ def test_a_kink_is_covered_and_gives_no_integral():
     assert [e.proved for e in found] == [True, True]
     for estimate, (count, failed) in zip(found, failures(system, found, 60, 60.0, 0), strict=True):
         assert (count, failed) == (60, 0)
-        y = estimate.drawn(3000, 2)
+        y = estimate.draw(3000, 2)
         assert np.all(estimate.candidate.at(y)[1] < 0.0)
 
 

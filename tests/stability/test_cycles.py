@@ -68,7 +68,7 @@ def test_orbits_around_a_centre_are_a_continuum_and_those_at_a_fold_are_not():
         a = orbit.path[:, 0].max()
         assert orbit.period == pytest.approx(4 * ellipk(np.sin(a / 2) ** 2), rel=1e-4)
     u = np.array([-0.25 + 1e-6])
-    pair = [NORMAL_FORM.closed(circle(np.sqrt(0.5 + s * 1e-3)), np.pi, u) for s in (-1, 1)]
+    pair = [NORMAL_FORM.find_orbit(circle(np.sqrt(0.5 + s * 1e-3)), np.pi, u) for s in (-1, 1)]
     assert all(abs(orbit.largest - 1) < 0.02 for orbit in pair)
     assert continuum(pair) == []
 
@@ -96,7 +96,7 @@ def test_cycles_of_the_normal_form(r2, off):
     if abs(r2 - 0.5) < 0.03:
         return  # at the fold two cycles meet
     u = np.array([r2**2 - r2])
-    orbit = NORMAL_FORM.closed(circle(np.sqrt(r2) * (1 + off)), np.pi * (1 + off), u)
+    orbit = NORMAL_FORM.find_orbit(circle(np.sqrt(r2) * (1 + off)), np.pi * (1 + off), u)
     assert orbit is not None
     assert orbit.period == pytest.approx(np.pi, rel=1e-8)
     assert np.hypot(*orbit.path.T) == pytest.approx(np.full(len(orbit.path), np.sqrt(r2)), rel=1e-6)
@@ -121,13 +121,13 @@ def test_a_branch_from_its_hopf_point_goes_around_the_fold_and_from_a_cycle_ends
     # From a cycle it ends at the Hopf point.
     u = np.array([0.25 - 0.5 + 0.05])
     small = (1 - np.sqrt(1 + 4 * u[0])) / 2
-    first = NORMAL_FORM.closed(circle(np.sqrt(small)), np.pi, u)
+    first = NORMAL_FORM.find_orbit(circle(np.sqrt(small)), np.pi, u)
     branch = follow_branch(NORMAL_FORM, first, 0, 60)
-    assert "Hopf" in branch.ended
+    assert "Hopf" in branch.stop_reason
     assert abs(branch.orbits[-1].u[0]) < 0.02 < abs(branch.orbits[0].u[0])
     assert not any(orbit.stable for orbit in branch.orbits)
     # From a guess that belongs to no cycle none comes.
-    assert NORMAL_FORM.closed(circle(0.1), np.pi, np.array([-1.0])) is None
+    assert NORMAL_FORM.find_orbit(circle(0.1), np.pi, np.array([-1.0])) is None
 
 
 SHORT = {"starts": 6, "duration": 40.0, "orbits": 45}
@@ -186,7 +186,7 @@ def test_nothing_is_proved_of_what_cycles_nor_of_what_that_drives_but_where_area
         (("x", "y"), False),
         (("z",), False),
     ]
-    assert proof.blocks[1].driven
+    assert proof.blocks[1].is_driven
     assert not absence(van_der_pol(), np.zeros(2), np.zeros(1), 3 * np.ones(2)).proved
     # Within |x| < 1 the divergence 1 − x² is positive: no cycle lies there.
     inner = absence(van_der_pol(), np.zeros(2), np.zeros(1), 0.9 * np.ones(2))

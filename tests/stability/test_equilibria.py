@@ -55,13 +55,13 @@ NEWTONIAN = Newtonian()
 def prover_of(model: Model, over: str, held: dict[str, float] | None = None) -> tuple[Prover, int]:
     system = rest_system(model, {over}, held)
     box, scale = bounds_of(system, {})
-    return Prover(system, box, scale), system.given_index(over)
+    return Prover(system, box, scale), system.known_index(over)
 
 
 def proofs_at(one: tuple[Prover, int], values: Iterable[float]) -> list[Proof]:
     """Proofs at some values of one input, the others and all torques zero."""
     prover, index = one
-    rows = np.zeros((len(list(values)), len(prover.system.given)))
+    rows = np.zeros((len(list(values)), len(prover.system.knowns)))
     rows[:, index] = list(values)
     return prover.at(rows)
 
@@ -183,7 +183,7 @@ def test_curves_over_u_v_agree_with_proofs_up_to_the_fold_where_gravity_is_exhau
 @given(st.floats(-2.4, 2.4), st.floats(1e-5, 0.02))
 def test_a_number_over_an_interval_is_never_wrong(centre: float, width: float) -> None:
     prover, index = SHARED
-    lower = np.zeros((1, len(prover.system.given)))
+    lower = np.zeros((1, len(prover.system.knowns)))
     upper = lower.copy()
     lower[0, index], upper[0, index] = centre - width, centre + width
     (count,) = prover.counts(lower, upper)
@@ -304,9 +304,9 @@ def test_settings_hold_the_pitch_over_the_tail_rotor_and_slivers_are_told_as_unk
         "u_h", (-1.0, 1.0), {}, {"alpha_v": 0.0}
     )
     given_ = setting_of(NEWTONIAN, "u_h", (-1.0, 1.0), {"u_v": 1.0})
-    assert (given_.inputs, given_.held) == ({"u_v": 1.0}, {})
+    assert (given_.inputs, given_.held_angles) == ({"u_v": 1.0}, {})
     prover, index = SHARED
-    pieces = over_range(prover, np.zeros(len(prover.system.given)), index, (2.0, 2.4), 0.4)
+    pieces = over_range(prover, np.zeros(len(prover.system.knowns)), index, (2.0, 2.4), 0.4)
     assert any(piece.count is None for piece in pieces)
 
 

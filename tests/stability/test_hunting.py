@@ -157,7 +157,7 @@ def test_the_predicted_cycle_attracts_and_stiction_hunts_as_predicted_above_its_
     run = axis_run(RIG, LOOP, POINT, "pitch", 0.03, 120.0)
     assert run.hunts and cycle.swing == pytest.approx(run.swing, rel=0.03)
     assert cycle.period == pytest.approx(run.period, rel=0.04)
-    assert cycle.stuck == pytest.approx(run.stuck_share, abs=0.05)
+    assert cycle.stuck_share == pytest.approx(run.stuck_share, abs=0.05)
     # The threshold of the map, tried in simulation: a stick at an error is where a run begins.
     below, above = (
         axis_run(RIG, LOOP, POINT, "pitch", share * prediction.threshold, 160.0)
@@ -257,6 +257,6 @@ def test_one_harmonic_balances_a_negative_damping_hardly_feels_friction_or_stick
     loop = spring_and_relay(1.0)
     answer = HarmonicBalance(loop, FrictionLaw(1e-6)).answer(1.0, 3.0)
     assert answer.ratio == pytest.approx(1 / 3.0j, abs=2e-3)
-    assert answer.swing == pytest.approx(2 / 9.0, rel=2e-3) and answer.stuck == 0.0
+    assert answer.swing == pytest.approx(2 / 9.0, rel=2e-3) and answer.stuck_share == 0.0
     stuck = HarmonicBalance(loop, FrictionLaw(1.0, 0.5, 0.1)).answer(1.4, 3.0)
-    assert stuck.ratio == 0 and stuck.swing == 0 and stuck.stuck == 1.0
+    assert stuck.ratio == 0 and stuck.swing == 0 and stuck.stuck_share == 1.0

@@ -201,7 +201,7 @@ def _enclosures(name: str) -> tuple[Enclosure, Enclosure]:
 def test_a_true_claim_is_proved_up_to_its_edge_and_a_false_one_has_a_state_where_it_fails() -> None:
     f = of(x[0] ** 2 + x[1] ** 2 - 2.001, x)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0])
-    assert proof.holds and len(proof.left.lower) == 0 and proof.point is None
+    assert proof.holds and len(proof.undecided.lower) == 0 and proof.point is None
     f = of(x[0] ** 2 + x[1] ** 2 - 1.99, x)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0])
     assert proof.status == "counterexample"
@@ -214,9 +214,9 @@ def test_the_budget_ends_the_search_and_tells_what_is_left() -> None:
     f = of(2 * x[0] * x[1] - x[0] ** 2 - x[1] ** 2 - 1e-9, x)
     proof = prove_negative(f, [-1.0, -1.0], [1.0, 1.0], budget=300)
     assert proof.status == "undecided" and proof.examined <= 300
-    assert len(proof.left.lower) > 0
+    assert len(proof.undecided.lower) > 0
     # The claim is hard along the diagonal: what is left lies near it.
-    middle = proof.left.middle
+    middle = proof.undecided.middle
     assert np.all(np.abs(middle[:, 0] - middle[:, 1]) < 0.5)
 
 

@@ -400,7 +400,7 @@ def test_crossings_are_on_the_axis_between_the_sides_and_at_the_published_angle(
     for side in ("lower", "mean", "upper"):
         path, _, (found,) = locus({"alpha_v": 0.4}, "k_g", RANGE, side)
         values[side] = found.value
-        a = path.linear.a(found.place.point.x, found.place.point.u, side, found.place.held.p)
+        a = path.linear.a(found.place.point.x, found.place.point.u, side, found.place.condition.p)
         pair = max(np.linalg.eigvals(a), key=lambda v: v.real)
         assert abs(pair.real) < 1e-9
         assert found.frequency == pytest.approx(abs(pair.imag))
@@ -444,7 +444,7 @@ def test_the_crossing_over_k_g_is_of_the_gyroscopic_moment_in_a_loop_over_pitch_
     thrust = p["k_fvp"] * found.place.point.x[path.model.state_index("omega_v")] ** 2
     assert first.change == pytest.approx(thrust * np.cos(0.4) / geometry(p)["J_v"])
     # The strongest loop through that moment.
-    a = path.linear.a(found.place.point.x, found.place.point.u, "mean", found.place.held.p)
+    a = path.linear.a(found.place.point.x, found.place.point.u, "mean", found.place.condition.p)
     row, column = (path.model.state_index(name) for name in ("S_v", "S_h"))
     strongest = loops_through(a, row, column, 1j * found.frequency)[0]
     words = {state_words(path.model, k) for k in strongest.states}

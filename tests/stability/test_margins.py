@@ -438,7 +438,7 @@ def test_pid_has_the_margins_that_it_was_tuned_with():
     analyser = Analyser(lowest=0.2, ratio=1.1, amplitude=0.001)
     found = MarginResult(measured(pid, analyser=analyser)).loops[MODEL.controlled.index("alpha_h")]
     design = PidDesign(
-        given={"pitch": pid.pitch, "yaw": pid.yaw},
+        requested_gains={"pitch": pid.pitch, "yaw": pid.yaw},
         operating_points=pid.operating_points,
         max_sensitivity=pid.max_sensitivity,
         smoothness=pid.smoothness,
@@ -596,7 +596,7 @@ class TestWhatGoesWrong:
         assert large(0, np.array([1.0, 0.5])) == pytest.approx([1.0, 1.5])
         assert large(0, np.array([1.0, -1.0])) == pytest.approx([1.0, -2.5])
         small = Impairment("gain", "u_v")
-        assert small.shown(4.0) == 0.25
+        assert small.display_size(4.0) == 0.25
         assert small.path(MODEL, POINT, 0.02, 4.0)(0, np.ones(2)) == pytest.approx([0.25, 1.0])
         changed = Impairment("gain", "u_v", up=True, of_changes=True)
         changes = changed.path(MODEL, POINT, 0.02, 2.0)
@@ -714,7 +714,7 @@ PITCH = MODEL.state_index("alpha_v")
 def test_the_loop_rests_at_its_point_comes_back_to_it_goes_to_another_and_repeats_itself():
     run = run_loop(MODEL, LOOP, POINT, 2.0)
     assert run.time.shape == (100,) and run.x.shape == (100, 6) and run.u.shape == (100, 2)
-    assert np.abs(run.x - POINT.x).max() < 1e-6 and not run.ended and not run.failures
+    assert np.abs(run.x - POINT.x).max() < 1e-6 and not run.stop_reason and not run.failures
     assert run.statuses == {"ok": 100}
     run = run_loop(MODEL, LOOP, POINT, 20.0, offset={"alpha_v": 0.1})
     assert run.x[0, PITCH] == pytest.approx(0.1, abs=1e-9)
@@ -740,6 +740,8 @@ def test_what_reaches_the_motors_and_the_rig_may_be_unknown_and_a_run_may_end():
         return u
 
     by_path = run_loop(MODEL, LOOP, POINT, 2.0, path=enough)
-    assert by_path.ended == "seen" and by_path.x.shape == (20, 6) and by_path.u.shape == (20, 2)
+    assert (
+        by_path.stop_reason == "seen" and by_path.x.shape == (20, 6) and by_path.u.shape == (20, 2)
+    )
     at_once = run_loop(MODEL, LOOP, POINT, 2.0, until=lambda x: "here")
-    assert at_once.ended == "here" and at_once.x.shape == (0, 6) and at_once.u.shape == (0, 2)
+    assert at_once.stop_reason == "here" and at_once.x.shape == (0, 6) and at_once.u.shape == (0, 2)

@@ -96,7 +96,9 @@ def test_a_placed_point_has_the_coordinates_asked_for_and_the_others_as_told(mod
         c[:, 1] += 150.0
     x = section.place(c)
     assert section.coordinates.values(x, section.point.u) == pytest.approx(c, abs=1e-8)
-    assert x[:, section.held] == pytest.approx(np.tile(section.point.x[list(section.held)], (8, 1)))
+    assert x[:, section.held_states] == pytest.approx(
+        np.tile(section.point.x[list(section.held_states)], (8, 1))
+    )
     rates = section.coordinates.field.rates(x, section.point.u)
     assert np.abs(rates[:, section.settled]).max(initial=0.0) < 1e-6
 
@@ -247,7 +249,8 @@ def test_of_both_axes_rests_beside_the_section_and_a_turn_away_and_the_modes_tha
     assert upper.kind == "saddle" and not upper.in_section
     section = section_of(BOTH, ("alpha_h", "rate_h"), {"alpha_v": 0.0})
     (rest,) = search(section, np.array([[-1.0, 1.0], [-1.0, 1.0]]))
-    assert period(rest.eigenvalues[rest.shown][0]) == pytest.approx(14.15, abs=0.1)  # not pitch
+    visible = rest.eigenvalues[rest.is_visible][0]
+    assert period(visible) == pytest.approx(14.15, abs=0.1)  # not pitch
     # The same rest a turn away has the same eigenvalues.
     section = section_of(BOTH, None, {})
     rests = search(section, np.array([[-4.5, 4.0], [-1.0, 1.0]]))
@@ -446,7 +449,7 @@ def test_trajectories_end_on_the_sticking_set_and_a_rotor_sticks_while_its_curre
     sets = sticking_sets(section, window, rests)
     found = trajectories(section, default_starts(section, window, 12), 30.0, 0.05)
     (end,) = ends_of(section, window, rests, found, sets, dry_friction=True)
-    assert end.what == "held" and len(end.members) == 12 and end.held is sets[0]
+    assert end.what == "held" and len(end.members) == 12 and end.sticking_set is sets[0]
     low, high = sets[0].reach
     finals = np.array([trajectory.c[-1] for trajectory in found])
     assert np.all((finals[:, 0] >= low - 1e-3) & (finals[:, 0] <= high + 1e-3))

@@ -24,7 +24,7 @@ from trms_cli.sweeps.record import (
     drive_sweep,
     has_driver,
     is_alive,
-    lost,
+    lost_status,
 )
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space, SweepPoint
 
@@ -52,7 +52,7 @@ class Unreliable:
     def submit(self, attempts):
         self.given += attempts
 
-    def ended(self, timeout_s):
+    def collect(self, timeout_s):
         if not self.given:
             return []
         attempt = self.given.pop(self.chance.randrange(len(self.given)))
@@ -158,7 +158,7 @@ class Scripted(Unreliable):
         super().__init__(folder, random.Random(0), [])
         self.script = script
 
-    def ended(self, timeout_s):
+    def collect(self, timeout_s):
         attempt = self.given.pop(0) if self.given else None
         return [] if attempt is None else [EndedAttempt(attempt, self.script(self, attempt))]
 
@@ -267,7 +267,7 @@ def test_who_lives():
 
 def test_a_lost_run_tells_what_is_known(tmp_path):
     before = {"begin": "then", "pid": 3, "host": "a", "state": "running"}
-    status = lost(SweepPoint(4, ("seed=1",)), 2, "killed", before)
+    status = lost_status(SweepPoint(4, ("seed=1",)), 2, "killed", before)
     assert status["state"] == "lost" and status["begin"] == "then"
     assert "died 2 times: killed" in status["error"]["problem"]
 

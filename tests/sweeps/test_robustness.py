@@ -116,7 +116,7 @@ def test_a_command_without_scores_is_told_by_its_figure_of_merit():
 
     summary, _, _ = told(work=work)
     assert list(summary["figures"]) == ["merit"]
-    assert Robustness(("rmse_alpha_h",)).told(Space((), (), PARAMETERS), [], {})["groups"] == []
+    assert Robustness(("rmse_alpha_h",)).summary(Space((), (), PARAMETERS), [], {})["groups"] == []
 
 
 @pytest.mark.parametrize(

@@ -267,7 +267,7 @@ def densify_outputs(function: ca.Function, name: str | None = None) -> ca.Functi
 def _plain(text: str, entries: Mapping[str, str]) -> str:
     """The generated file without what serves a library: its header, its queries, its prefixes."""
 
-    def kept(match: re.Match[str]) -> str:
+    def replacement(match: re.Match[str]) -> str:
         name = entries.get(match[1])
         if name is None:
             return ""
@@ -275,7 +275,7 @@ def _plain(text: str, entries: Mapping[str, str]) -> str:
 
     begin, end = text.index("#ifndef CASADI_SYMBOL_EXPORT"), text.rindex("#ifdef __cplusplus")
     body = _after_conditional(text[begin:end])
-    body = _FUNCTION.sub(kept, body)
+    body = _FUNCTION.sub(replacement, body)
     # A repetition of nothing is no valid C.
     body = body.replace("casadi_copy(0, 0, 0+ i*0);", ";")
     body = re.sub(

@@ -62,14 +62,14 @@ def main(argv: Sequence[str]) -> int:
         if removing:
             _remove(name, packages)
         else:
-            packages[name] = _found(name, folders)
+            packages[name] = _package_place(name, folders)
     if names:
         _keep(packages)
     _tell(packages, as_json=as_json)
     return EXIT_OK
 
 
-def _found(name: str, folders: Sequence[Path]) -> Path | None:
+def _package_place(name: str, folders: Sequence[Path]) -> Path | None:
     """Where a package lies; None for an installed one."""
     trust.check_name(name)
     place = trust.place_of(name, folders)

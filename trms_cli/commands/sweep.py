@@ -69,10 +69,10 @@ def main(argv: Sequence[str]) -> int:
 def sweep(request: ComposeRequest, primary: str, task: Task, *, as_json: bool = False) -> int:
     """Begin a sweep and drive it to its end, on the screen; 0 when every run ended well, else 1."""
     drive = partial(make_sweep, request.overrides, primary, task, config_dirs=request.config_dirs)
-    return _shown(drive, as_json=as_json)
+    return _show(drive, as_json=as_json)
 
 
-def _shown(drive: Callable[..., SweepOutcome], *, as_json: bool) -> int:
+def _show(drive: Callable[..., SweepOutcome], *, as_json: bool) -> int:
     from trms_cli.reporting.sweep_screen import on_screen
 
     return EXIT_OK if on_screen(drive, as_json=as_json).all_done else EXIT_WORSE
@@ -85,7 +85,7 @@ def resume_command(argv: Sequence[str]) -> int:
     """Go on where it stopped."""
     folder, settings, options = _read(argv, "resume", _OPTIONS)
     drive = partial(go_on, folder, settings=settings, retry_failed="--retry-failed" in options)
-    return _shown(drive, as_json="--json" in options)
+    return _show(drive, as_json="--json" in options)
 
 
 def status_command(argv: Sequence[str]) -> int:

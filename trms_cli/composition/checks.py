@@ -398,7 +398,7 @@ class DeclaredKeys:
         in_group = first in self.declared.defaults
         return value_at(self._group(first) if in_group else self.declared.body.get(first), rest)
 
-    def _chosen(self, group: str, place: str = "", default: Any = None) -> list[str]:
+    def _option_names(self, group: str, place: str = "", default: Any = None) -> list[str]:
         text = self._typed.get(f"{group}@{place}" if place else group)
         if text is not None:
             names = [name for name in re.split(r"[\[\],]", text) if name]
@@ -407,7 +407,7 @@ class DeclaredKeys:
 
     def _group(self, group: str) -> dict[str, Any]:
         node: dict[str, Any] = {}
-        for name in self._chosen(group, default=self.declared.defaults[group]):
+        for name in self._option_names(group, default=self.declared.defaults[group]):
             node = _merged(node, self._option(group, name, group))
         return node
 
@@ -419,7 +419,7 @@ class DeclaredKeys:
             return {}
         inside: dict[str, Any] = {}
         for inner_group, inner_place, default in defaults_list(content):
-            for inner in self._chosen(inner_group, f"{place}.{inner_place}", default):
+            for inner in self._option_names(inner_group, f"{place}.{inner_place}", default):
                 node = self._option(inner_group, inner, f"{place}.{inner_place}")
                 for step in reversed(inner_place.split(".")):
                     node = {step: node}
@@ -431,7 +431,7 @@ class DeclaredKeys:
         """Groups that the chosen options include at a place: ``(signal, ref.alpha_v)``."""
         pairs = []
         for group, default in self.declared.defaults.items():
-            for name in self._chosen(group, default=default):
+            for name in self._option_names(group, default=default):
                 option = self._groups.get(group, {}).get(name)
                 content = read_yaml(option.file) if option is not None else None
                 if isinstance(content, dict):

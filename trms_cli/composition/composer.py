@@ -242,13 +242,13 @@ class Composer:
     def _base(self, choices: tuple[str, ...]) -> _Base:
         base = self._bases.get(choices)
         if base is None:
-            base = self._bases[choices] = self._made(choices)
+            base = self._bases[choices] = self._make_base(choices)
             while len(self._bases) > _MOST_BASES:
                 self._bases.popitem(last=False)
         self._bases.move_to_end(choices)
         return base
 
-    def _made(self, choices: tuple[str, ...]) -> _Base:
+    def _make_base(self, choices: tuple[str, ...]) -> _Base:
         from hydra.errors import HydraException
         from omegaconf import OmegaConf
         from omegaconf.errors import OmegaConfBaseException
@@ -310,7 +310,7 @@ def _typed(text: str, name: str) -> Any:
         return float(text)
     if "$" in text or "?" in text:
         raise _Unusual
-    value = _parsed(text, name)
+    value = _parse_value(text, name)
     if isinstance(value, list):
         if not all(isinstance(item, (str, int, float, bool, type(None))) for item in value):
             raise _Unusual
@@ -319,7 +319,7 @@ def _typed(text: str, name: str) -> Any:
 
 
 @functools.lru_cache(maxsize=1024)
-def _parsed(text: str, name: str) -> Any:
+def _parse_value(text: str, name: str) -> Any:
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 

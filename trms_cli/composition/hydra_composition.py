@@ -199,11 +199,11 @@ class _Measure:
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         self._config = config
-        self._known: dict[tuple[str, ...], int] = {}
+        self._sizes: dict[tuple[str, ...], int] = {}
 
     def node(self, node: Any, key: tuple[str, ...], depth: int) -> int:
-        if key in self._known:
-            return self._known[key]
+        if key in self._sizes:
+            return self._sizes[key]
         if isinstance(node, str):
             size = self.text(node, key, depth) if "${" in node else 1 + len(node)
         elif isinstance(node, Mapping):
@@ -219,7 +219,7 @@ class _Measure:
                 where=".".join(key) or "the configuration",
                 remedy="refer to each key once",
             )
-        self._known[key] = size
+        self._sizes[key] = size
         return size
 
     def text(self, text: str, key: tuple[str, ...], depth: int) -> int:
@@ -282,7 +282,7 @@ def explain_errors(
     except OmegaConfBaseException as error:
         raise _unresolvable(error) from error
     except HydraException as error:
-        raise _refused(error, overrides, declared, compose) from error
+        raise _override_error(error, overrides, declared, compose) from error
     except yaml.YAMLError as error:
         raise yaml_error(error) from error
 
@@ -322,7 +322,7 @@ def _unresolvable(error: Any) -> ConfigurationError:
     )
 
 
-def _refused(
+def _override_error(
     error: Exception, overrides: Sequence[str], declared: Primary, compose: Compose
 ) -> ConfigurationError:
     message = str(error)

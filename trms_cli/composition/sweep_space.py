@@ -92,7 +92,7 @@ def divide_overrides(
         else:
             runs.append(text)
     return SweepOverrides(
-        (*_added(runs, primary, groups, config_dirs), *runs), tuple(settings), out
+        (*_additions(runs, primary, groups, config_dirs), *runs), tuple(settings), out
     )
 
 
@@ -116,7 +116,7 @@ def sampler_and_launcher(settings: Settings) -> tuple[Any, Any]:
     return build(settings.sampler, "sampler"), build(settings.launcher, "launcher")
 
 
-def _added(
+def _additions(
     typed: Sequence[str], primary: str, groups: catalogue.Groups, config_dirs: Sequence[Path]
 ) -> list[str]:
     """What is laid under the typed overrides of the runs."""
@@ -520,12 +520,12 @@ def _prior(
         key,
         parameter.value,
         sd,
-        max(_cut(parameter.value - DRAW_LIMIT_SD * sd), parameter.lower),
-        min(_cut(parameter.value + DRAW_LIMIT_SD * sd), parameter.upper),
+        max(_round_bound(parameter.value - DRAW_LIMIT_SD * sd), parameter.lower),
+        min(_round_bound(parameter.value + DRAW_LIMIT_SD * sd), parameter.upper),
     )
 
 
-def _cut(bound: float) -> float:
+def _round_bound(bound: float) -> float:
     """Where a tail is cut, without the digits that a product leaves: 0.06290000000000001."""
     return float(f"{bound:.{_DIGITS}g}")
 

@@ -308,12 +308,12 @@ class FeedbackLinearisationState:
     lower: FloatArray  #: Of the inputs, (n_u,), V
     upper: FloatArray  #: (n_u,), V
     period: float  #: T, s
-    started: bool = False  #: Whether there was a sample yet
+    has_started: bool = False  #: Whether there was a sample yet
     target: Target | None = None  #: The steady state of the present reference
 
     def reachable(self, reference: FloatArray, goal: FloatArray) -> FloatArray:
         """What the axes are to go for (n_a,): as wanted, or the closest that can be held."""
-        if self.target is None or self.target.asked != tuple(reference.tolist()):
+        if self.target is None or self.target.reference != tuple(reference.tolist()):
             target = self.steady.solve(reference, None, self.target)
             if target.converged:
                 self.target = target
@@ -385,8 +385,8 @@ class FeedbackLinearisation(PresentReference):
         mobility = mobility.reshape(len(axes), len(axes))  # of a single axis it comes as a vector
         moments = arms * thrusts
         angles = x[[axis.state for axis in axes]]
-        if not state.started:
-            state.started = True
+        if not state.has_started:
+            state.has_started = True
             state.guide[:, 0] = angles
         ahead = state.forecast.update(reference)
         goal = np.array(

@@ -393,7 +393,7 @@ class LinearMpcState:
         self._free = np.zeros((len(self.blocks) + 1, self.discrete.n_x))
         self.plan = np.zeros((model.n_u, int(self.blocks[-1]) + 1))
         self.age: int | None = None
-        self._started = False
+        self._has_started = False
 
     def _condensed(self, A: FloatArray, B: FloatArray) -> CondensedProblem:
         return CondensedProblem(A, B, self.blocks, self._cost, self._root, self._limited)
@@ -406,11 +406,11 @@ class LinearMpcState:
         if not are_finite(x, w, sample.reference):
             return NOT_FINITE
         n_x = self.model.n_x
-        if self._started and len(self._full) > n_x:
+        if self._has_started and len(self._full) > n_x:
             at = self._full, sample.previous_command, self.model.parameters.values
             after = self._step.evaluate(*at, self._disturbance)[0]
             self._full[n_x:] = after[n_x:]
-        self._started = True
+        self._has_started = True
         self._full[:n_x] = x
         self._last = sample.previous_command
         if self.config.disturbance_compensation:

@@ -63,7 +63,7 @@ class LqrState:
     lower: FloatArray  #: Of the inputs, (n_u,), V
     upper: FloatArray  #: (n_u,), V
     period: float  #: T, s
-    started: bool = False  #: Whether there was a sample yet
+    has_started: bool = False  #: Whether there was a sample yet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,13 +153,13 @@ class Lqr(PresentReference):
         message = self._aim(state, reference, w)
         x, x_s, target = estimate.x, state.target.x, state.target
         if state.advance_memory is not None:
-            if state.started:
+            if state.has_started:
                 state.memory[:] = state.advance_memory.evaluate(state.memory, previous)[0]
             x = np.concatenate([x, state.memory])
             x_s = np.concatenate([x_s, state.target_memory])
         law = state.regulator
-        if not state.started:
-            state.started = True
+        if not state.has_started:
+            state.has_started = True
             state.integral = -law.M @ x
         xi = state.integral + law.M @ x_s
         v = target.u - law.K @ (x - x_s) - law.K_i @ xi

@@ -371,7 +371,7 @@ class TerminalRegions:
         self._grid = self.cell * np.concatenate(
             [newton.horizon.scale, np.maximum(model.input_bounds()[1], 1e-3)]
         )
-        self._known: dict[tuple[float, ...], TerminalRegion | None] = {}
+        self._regions: dict[tuple[float, ...], TerminalRegion | None] = {}
         self._target: Target | None = None
         self._centre = np.zeros(0)
         #: Of the present target, None where there is none.
@@ -384,9 +384,9 @@ class TerminalRegions:
         if target is not self._target:
             self._target, self._centre = target, self._design.centre(target)
             key = tuple(np.round(np.concatenate([target.x, target.u]) / self._grid).tolist())
-            if key not in self._known:
-                self._known[key] = self._design.at(self._centre, disturbance)
-            self.region = self._known[key]
+            if key not in self._regions:
+                self._regions[key] = self._design.at(self._centre, disturbance)
+            self.region = self._regions[key]
         if self.region is None:
             engine = self._equality
         else:
@@ -545,7 +545,9 @@ class NewtonMpcState:
             return
         newton.plan[:] = newton.plan @ self._shift + tail[:, None] * self._beyond
         foreseen = count > len(sample.reference)
-        if not foreseen and (previous_target is None or target.asked != previous_target.asked):
+        if not foreseen and (
+            previous_target is None or target.reference != previous_target.reference
+        ):
             # A new reference may lie behind a point where the linearisation sees no way to it
             # (a tail rotor at rest has no thrust slope), or where a local minimum lies.
             self.other_start = np.broadcast_to(steady, newton.plan.shape)

@@ -174,7 +174,7 @@ class Layout:
     inputs: IntArray  #: (n_blocks, n_u) array
     #: (N, n_limited) array; violations of the soft limits from the second stage on
     beyond: IntArray
-    missed: IntArray  #: (2 n_x,) array; v⁺ and v⁻; empty without terminal equality
+    terminal_slack: IntArray  #: (2 n_x,) array; v⁺ and v⁻; empty without terminal equality
     size: int
     remembers: bool
 
@@ -222,9 +222,9 @@ class Ocp:
         guess = layout.unknowns(along, plan[:, horizon.blocks], arguments["u_previous"])
         guess[layout.inputs] = plan.T
         n_x = horizon.model.n_x
-        if layout.missed.size:
-            missed = (trajectory[:n_x, -1] - arguments["x_s"]) / arguments["scale"]
-            guess[layout.missed] = np.concatenate([missed, -missed]).clip(min=0.0)
+        if layout.terminal_slack.size:
+            slack = (trajectory[:n_x, -1] - arguments["x_s"]) / arguments["scale"]
+            guess[layout.terminal_slack] = np.concatenate([slack, -slack]).clip(min=0.0)
         if layout.beyond.size:
             rows = [horizon.model.state_index(name) for name in horizon.limited]
             value, limits = trajectory[rows].T, arguments["limits"]
@@ -268,7 +268,7 @@ class _Builder:
     def _layout(self, remembers: bool) -> Layout:
         n_s = self.discrete.n_x + (self.n_u if remembers else 0)
         n_limited = len(self.horizon.limited)
-        n_missed = 2 * self.model.n_x if self.horizon.terminal is not None else 0
+        n_slack = 2 * self.model.n_x if self.horizon.terminal is not None else 0
         position = 0
 
         def next_ones(count: int) -> IntArray:
@@ -283,9 +283,9 @@ class _Builder:
                 inputs.append(next_ones(self.n_u))
             if k > 0:
                 beyond.append(next_ones(n_limited))
-        missed = next_ones(n_missed)
+        slack = next_ones(n_slack)
         return Layout(
-            np.array(states), np.array(inputs), np.array(beyond), missed, position, remembers
+            np.array(states), np.array(inputs), np.array(beyond), slack, position, remembers
         )
 
     def _picked(self, positions: IntArray) -> ca.MX:
@@ -356,11 +356,11 @@ class _Builder:
         total += ca.dot(at["rho"], ca.sum2(periods * deviation**2))
         if moves is not None:
             total += ca.dot(at["s"], ca.sum2(moves**2))
-        if layout.missed.size:
-            missed = self.x[layout.missed.tolist()]
-            half = layout.missed.size // 2
-            total += prices[0] * ca.sum1(missed)
-            total += prices[1] * ca.sumsqr(missed[:half] - missed[half:])
+        if layout.terminal_slack.size:
+            slack = self.x[layout.terminal_slack.tolist()]
+            half = layout.terminal_slack.size // 2
+            total += prices[0] * ca.sum1(slack)
+            total += prices[1] * ca.sumsqr(slack[:half] - slack[half:])
         if layout.beyond.size:
             beyond = self.x[layout.beyond.ravel().tolist()]
             total += prices[2] * ca.sum1(beyond) + prices[3] * ca.sumsqr(beyond)
@@ -396,11 +396,11 @@ class _Builder:
             lower, upper = (ca.repmat(at["limits"][:, i], 1, n) for i in (0, 1))
             add(value - beyond - upper, -np.inf, 0.0, stages + 1)
             add(value + beyond - lower, 0.0, np.inf, stages + 1)
-        if layout.missed.size:
-            half = layout.missed.size // 2
-            missed = self.x[layout.missed.tolist()]
+        if layout.terminal_slack.size:
+            half = layout.terminal_slack.size // 2
+            slack = self.x[layout.terminal_slack.tolist()]
             residual = (states[: model.n_x, n] - at["x_s"]) / at["scale"]
-            add(residual - missed[:half] + missed[half:], 0.0, 0.0, np.array([n]))
+            add(residual - slack[:half] + slack[half:], 0.0, 0.0, np.array([n]))
         stage = np.concatenate([np.repeat(k, values.shape[0]) for values, _, _, k in kinds])
         order = np.argsort(stage, kind="stable")
         g = ca.vertcat(*(ca.vec(values) for values, *_ in kinds))[order.tolist()]
@@ -415,12 +415,12 @@ class _Builder:
         """Unknowns of each stage besides its state."""
         sizes = np.append(self.n_u * self.begins.astype(np.int64), 0)
         sizes[1:] += len(self.horizon.limited)
-        sizes[-1] += self.layout.missed.size
+        sizes[-1] += self.layout.terminal_slack.size
         return sizes
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
         lower[self.layout.inputs], upper[self.layout.inputs] = self.model.input_bounds()
         lower[self.layout.beyond.ravel()] = 0.0
-        lower[self.layout.missed] = 0.0
+        lower[self.layout.terminal_slack] = 0.0
         return lower, upper

@@ -138,7 +138,7 @@ class Pid(PresentReference):
     def init(self, setup: ControlSetup) -> PidState:
         model, T = setup.model, setup.sample_time
         designs = PidDesign(
-            given={"pitch": self.pitch, "yaw": self.yaw},
+            requested_gains={"pitch": self.pitch, "yaw": self.yaw},
             operating_points=self.operating_points,
             max_sensitivity=self.max_sensitivity,
             smoothness=self.smoothness,

@@ -96,7 +96,8 @@ class AxisDesign:
 class PidDesign:
     """What is asked of a design."""
 
-    given: Mapping[str, Literal["auto"] | Gains]  #: dict of str to "auto" or Gains; by axis
+    #: dict of str to "auto" or Gains; by axis
+    requested_gains: Mapping[str, Literal["auto"] | Gains]
     operating_points: Sequence[Mapping[str, float]]  #: Controlled angles, rad
     max_sensitivity: float  #: largest gain of the sensitivity function
     smoothness: Mapping[str, float]  #: By axis, s
@@ -155,7 +156,7 @@ class PidDesign:
                 for plant, (_, B, C) in zip(plants, systems, strict=True)
             ]
             following = list(model.axes)[len(designs) :]
-            if any(self.given[other] == "auto" for other in following):
+            if any(self.requested_gains[other] == "auto" for other in following):
                 self._require_stable(name, systems)
         return designs
 
@@ -165,7 +166,7 @@ class PidDesign:
         for i, angles in enumerate(self.operating_points):
             where = f"controller.operating_points[{i}]"
             points.append(linearisation.at(angles, where))
-            if any(self.given[name] == "auto" for name in model.axes):
+            if any(self.requested_gains[name] == "auto" for name in model.axes):
                 require_drivable(points[-1], where)
         return points
 
@@ -175,7 +176,7 @@ class PidDesign:
         return Filters(self.derivative_filter)
 
     def _gains(self, name: str, plants: Sequence[AxisPlant], filters: Filters) -> Gains:
-        gains = self.given[name]
+        gains = self.requested_gains[name]
         if isinstance(gains, Gains):
             return gains
         return tune_gains(

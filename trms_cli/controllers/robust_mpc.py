@@ -122,7 +122,7 @@ class RobustMpc(RegulationDesign):
         if not self.disturbance_compensation:
             w = np.zeros_like(w)
         aim = regulation.aim(sample, state.aim, w)
-        if aim.moved and aim is not state.aim:
+        if aim.is_new and aim is not state.aim:
             state.law = None
         state.aim = aim
         z = regulation.deviation(x, aim.target)

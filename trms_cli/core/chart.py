@@ -106,7 +106,7 @@ class Curve:
     width: float = 1.4  #: Points
     arrow: bool = False  #: Whether an arrowhead on it tells its direction
     z: Values | None = None  #: (n,) or None; in a panel of three axes
-    held: bool = False  #: Whether each value holds until the next, as a command does
+    is_step: bool = False  #: Whether each value holds until the next, as a command does
     opacity: float = 1.0  #: 0 to 1
     filled: bool = False  #: Whether the area down to zero is shaded in its colour
 
@@ -123,9 +123,9 @@ class Points:
     names: Sequence[str] = ()  #: Written beside the points; empty for none
     size: float = 6.0  #: Points
     z: Values | None = None  #: (n,) or None; in a panel of three axes
-    told: Sequence[str] = ()  #: What a reader who points at one is told; empty: its place
+    tooltips: Sequence[str] = ()  #: What a reader who points at one is told; empty: its place
     opacity: float = 1.0  #: 0 to 1
-    joined: Literal["", "hv", "vh"] = ""  #: Steps from each point to the next, which way first
+    step_shape: Literal["", "hv", "vh"] = ""  #: Steps from each point to the next, which way first
     reach: tuple[Values, Values] | None = None  #: Whiskers along x, to the left and to the right
     values: Values | None = None  #: (n,) or None; colours on a scale, for the colour that is given
 
@@ -137,7 +137,7 @@ class Events:
     times: Values  #: (n,)
     label: str = ""
     colour: Colour = "alarm"
-    told: Sequence[str] = ()  #: What a reader who points at one is told
+    tooltips: Sequence[str] = ()  #: What a reader who points at one is told
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Fans:
     y: Values  #: (n,)
     label: str = "predictions"
     colour: Colour = "orange"
-    held: bool = False  #: Whether each value holds until the next
+    is_step: bool = False  #: Whether each value holds until the next
 
     @property
     def starts(self) -> list[int]:
@@ -332,7 +332,11 @@ def as_data(chart: Chart) -> dict[str, Any]:
 _KINDS = {kind: kind.__name__.lower() for kind in Mark.__args__}
 
 
-#: Left out of the document where they are not set.
+#: What a field is called in JSON, where that is not its own name.
+_KEYS = {"is_step": "held", "tooltips": "told", "step_shape": "joined"}
+
+
+#: Keys that are left out of the document where they are not set.
 _SILENT = (
     "held", "filled", "linked", "ticks", "categories", "row_height", "together", "told", "joined",
     "reach", "values", "note", "caption", "half", "variants",
@@ -348,15 +352,14 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if hasattr(value, "__dataclass_fields__"):
         kind = {"kind": _KINDS[type(value)]} if type(value) in _KINDS else {}
-        named = [f.name for f in fields(value)]
-        attributes = {name: getattr(value, name) for name in named}
+        attributes = {_KEYS.get(f.name, f.name): getattr(value, f.name) for f in fields(value)}
         return kind | {
-            name: _plain(item) for name, item in attributes.items() if not _is_silent(name, item)
+            key: _plain(item) for key, item in attributes.items() if not _is_silent(key, item)
         }
     return value
 
 
-def _is_silent(name: str, item: Any) -> bool:
-    if name == "opacity":
+def _is_silent(key: str, item: Any) -> bool:
+    if key == "opacity":
         return bool(item == 1.0)
-    return name in _SILENT and not (len(item) if hasattr(item, "__len__") else item)
+    return key in _SILENT and not (len(item) if hasattr(item, "__len__") else item)

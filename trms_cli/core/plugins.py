@@ -168,7 +168,7 @@ def _checked_arguments(target: Any, arguments: Mapping[str, Any], where: str) ->
             )
     for name, parameter in parameters.items():
         if parameter.default is parameter.empty and name not in arguments:
-            raise _refused(Refusal("", None, "", unknown=name), _join(where, name))
+            raise _refusal_error(Refusal("", None, "", unknown=name), _join(where, name))
     return {
         key: _converted(value, hints.get(key, Any), _join(where, key))
         for key, value in arguments.items()
@@ -185,7 +185,7 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
         return msgspec.convert(value, hint, strict=True)
     except msgspec.ValidationError as error:
         reason = refusal(error, value, hint)
-        raise _refused(reason, where + reason.path) from None
+        raise _refusal_error(reason, where + reason.path) from None
     except TypeError:
         # A type that is no data (a protocol, an array, a model): a plain value cannot be one.
         if isinstance(value, (str, int, float, bool, list, Mapping)):
@@ -236,17 +236,19 @@ def _built_inside(value: Any, where: str) -> Any:
     return value
 
 
-def _refused(reason: Refusal, where: str) -> ConfigurationError:
-    if reason.unknown and reason.known:
-        problem, remedy = f"unknown key {reason.unknown!r}", nearest(reason.unknown, reason.known)
+def _refusal_error(reason: Refusal, where: str) -> ConfigurationError:
+    if reason.unknown and reason.alternatives:
         return ConfigurationError(
-            f"{problem} (given: {reason.given!r})", where=where, remedy=remedy
+            f"unknown key {reason.unknown!r} (given: {reason.value!r})",
+            where=where,
+            remedy=nearest(reason.unknown, reason.alternatives),
         )
     if reason.unknown:
         problem = f"{reason.unknown!r} is required and not given"
         return ConfigurationError(problem, where=where, remedy=f"set {where}=…")
-    remedy = nearest(reason.given, reason.known) if reason.known else f"expected {reason.allowed}"
-    return ConfigurationError(f"{reason.given!r} given", where=where, remedy=remedy)
+    alternatives = reason.alternatives
+    remedy = nearest(reason.value, alternatives) if alternatives else f"expected {reason.expected}"
+    return ConfigurationError(f"{reason.value!r} given", where=where, remedy=remedy)
 
 
 def _join(where: str, key: str) -> str:
@@ -257,10 +259,10 @@ class Refusal(NamedTuple):
     """Why a value does not fit a type."""
 
     path: str  #: from the value to the part that is wrong: ``.kp``, ``[1]``
-    given: Any  #: that part
-    allowed: str  #: in words
+    value: Any  #: that part
+    expected: str  #: in words
     unknown: str = ""  #: a key that the type has not
-    known: tuple[str, ...] = ()  #: the keys or words that could have been given instead
+    alternatives: tuple[str, ...] = ()  #: the keys or words that could have been given instead
 
 
 def words(hint: Any) -> str:
@@ -316,7 +318,7 @@ def refusal(error: msgspec.ValidationError, value: Any, hint: Any) -> Refusal:
         for word in typing.get_args(member)
     )
     alternatives = literals if isinstance(value, str) and len(_members(hint)) == 1 else ()
-    return Refusal(path, value, words(hint), known=alternatives)
+    return Refusal(path, value, words(hint), alternatives=alternatives)
 
 
 def _refused_key(value: Mapping[str, Any], hint: Any) -> Any:

@@ -42,7 +42,7 @@ class _Kept:
 
     result: Any
     #: Held, so that no other object takes their place as long as the key is there
-    named: tuple[object, ...]
+    references: tuple[object, ...]
 
 
 _kept: OrderedDict[bytes, _Kept] = OrderedDict()
@@ -89,7 +89,7 @@ def _content(value: object) -> tuple[bytes, tuple[object, ...]] | None:
     except Exception:
         # Whatever an object has against being pickled: it costs time, never the run.
         return None
-    return hashlib.sha256(stream.getbuffer()).digest(), tuple(pickler.named)
+    return hashlib.sha256(stream.getbuffer()).digest(), tuple(pickler.references)
 
 
 class _ContentPickler(pickle.Pickler):
@@ -101,20 +101,20 @@ class _ContentPickler(pickle.Pickler):
 
     def __init__(self, stream: io.BytesIO) -> None:
         super().__init__(stream, protocol=5)
-        self.named: list[object] = []
+        self.references: list[object] = []
 
     def persistent_id(self, value: Any) -> Any:
         """A name for what is not written out, None for all else."""
         if isinstance(value, type):
-            self.named.append(value)
+            self.references.append(value)
             return "class", id(value)
         if isinstance(value, ca.Function):
-            self.named.append(value)
+            self.references.append(value)
             return "casadi", hash(value)  # the same for each handle of one function
         if isinstance(value, FunctionType):
             if value.__closure__ is not None:
                 raise pickle.PicklingError(f"{value.__qualname__} holds what may change")
-            self.named.append(value)
+            self.references.append(value)
             return "function", id(value)
         return None
 

@@ -189,7 +189,7 @@ def check_allowed(target: str, where: str) -> None:
     package, *rest = target.split(".")
     if package == _OWN:
         if "__main__" in rest:
-            raise _refused(target, where)
+            raise _plugin_error(target, where)
         return
     if package in allowed_for_now():
         return
@@ -231,7 +231,7 @@ def check_own(plugin: Any, target: str, where: str) -> None:
             + (f": {home} is another package" if home not in ("None", package) else ""),
         )
     if package == _OWN and not _is_plugin(plugin):
-        raise _refused(target, where)
+        raise _plugin_error(target, where)
 
 
 def import_trusted(module: str) -> ModuleType:
@@ -252,7 +252,7 @@ def _is_plugin(plugin: Any) -> bool:
     return dataclasses.is_dataclass(plugin) and plugin.__dataclass_params__.frozen  # type: ignore[attr-defined]
 
 
-def _refused(target: str, where: str) -> ConfigurationError:
+def _plugin_error(target: str, where: str) -> ConfigurationError:
     return ConfigurationError(
         f"{target!r} is no plugin",
         where=where,

@@ -38,7 +38,7 @@ class EffectContext:
     own: ca.SX  #: The effect's own states (or, on the input path, its memory)
     sizes: Mapping[str, ca.SX]  #: The effect's own parameters by their short names
     #: The effect's memory on the sensor path
-    shown: ca.SX = field(default_factory=lambda: ca.SX.zeros(0))
+    sensor_memory: ca.SX = field(default_factory=lambda: ca.SX.zeros(0))
 
     def axis(self, name: str) -> RigAxis:
         """The axis by name; see :func:`axis_of`."""
@@ -199,7 +199,7 @@ class Effect(ABC):
         before, after : (n_y, 1)
             What the sensors beneath read at the beginning and the end of the part.
         """
-        return at.shown
+        return at.sensor_memory
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
         """The measured outputs with what the sensors remember; see :meth:`Model.reading`."""
@@ -248,7 +248,7 @@ class SensorEffect(Effect):
         """
         return None
 
-    def added(self, at: EffectContext, y: ca.SX, value: ca.SX) -> ca.SX:
+    def add_to_channel(self, at: EffectContext, y: ca.SX, value: ca.SX) -> ca.SX:
         """The measured outputs with something added to the channel."""
         y = ca.SX(y)
         y[self.row(at.model)] += value

@@ -45,7 +45,7 @@ class ExtendedModel(Model):
         self.take_over(base)
         self.states = (*base.states, *_prefixed(effect.states(), name))
         self._sizes = tuple(parameter.name for parameter in own)
-        self.parameters = base.parameters.joined(
+        self.parameters = base.parameters.concatenate(
             replace(parameter, name=f"{name}.{parameter.name}") for parameter in own
         )
 
@@ -120,7 +120,9 @@ class ExtendedModel(Model):
         # A part that begins a step still reads by the memory of the last one.
         y_before = self.base.reading(base_memory, first.x, u, first.p, step, window[0] or 1.0)
         y_after = self.base.reading(beneath, last.x, u, first.p, step, window[1])
-        own = self.effect.sensor_path(replace(last, shown=own), y_before, y_after, window, step)
+        own = self.effect.sensor_path(
+            replace(last, sensor_memory=own), y_before, y_after, window, step
+        )
         return ca.vertcat(beneath, own)
 
     def reading(
@@ -129,7 +131,7 @@ class ExtendedModel(Model):
         at = self._context(x, u, p)
         base_memory, own = self._sensors(memory, step)
         y = self.base.reading(base_memory, at.x, u, at.p, step, since)
-        return self.effect.reading(replace(at, shown=own), y, step, since)
+        return self.effect.reading(replace(at, sensor_memory=own), y, step, since)
 
     def noise_sd(self, p: ca.SX, step: float) -> ca.SX:
         at = self._context(ca.SX.zeros(self.n_x), ca.SX.zeros(self.n_u), p)

@@ -53,7 +53,7 @@ class FlexibleMode(SensorEffect):
         row = self.row(at.model)
         duration = (window[1] - window[0]) * step
         axis_rate = (after[row] - before[row]) / duration
-        deflection, slope = at.shown[0], at.shown[1] - axis_rate
+        deflection, slope = at.sensor_memory[0], at.sensor_memory[1] - axis_rate
         # δ̈ + 2 ζ ω₀ δ̇ + ω₀² δ = 0 from here to the end of the part.
         zeta, natural = at.sizes["damping"], 2 * math.pi * at.sizes["frequency"]
         damped = natural * ca.sqrt(1 - zeta**2)
@@ -66,4 +66,4 @@ class FlexibleMode(SensorEffect):
         )
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
-        return self.added(at, y, at.sizes["share"] * at.shown[0])
+        return self.add_to_channel(at, y, at.sizes["share"] * at.sensor_memory[0])

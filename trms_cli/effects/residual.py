@@ -138,7 +138,7 @@ class ResidualReading(Residual, SensorEffect):
         super().check(model)
 
     def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
-        return self.added(at, y, self.value(at))
+        return self.add_to_channel(at, y, self.value(at))
 
 
 def term_names(model: Model, place: str) -> tuple[str, ...]:

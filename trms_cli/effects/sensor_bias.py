@@ -28,4 +28,4 @@ class SensorBias(SensorEffect):
         return recorded - sizes["bias"]
 
     def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
-        return self.added(at, y, at.sizes["bias"])
+        return self.add_to_channel(at, y, at.sizes["bias"])

@@ -46,9 +46,9 @@ class SensorDelay(SensorEffect):
         self, at: EffectContext, before: ca.SX, after: ca.SX, window: Window, step: float
     ) -> ca.SX:
         if window[0] > 0:
-            return at.shown
+            return at.sensor_memory
         row = self.row(at.model)
-        return ca.vertcat(before[row], at.shown[:-1, 0])
+        return ca.vertcat(before[row], at.sensor_memory[:-1, 0])
 
     def inverse(
         self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
@@ -69,8 +69,8 @@ class SensorDelay(SensorEffect):
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
         row = self.row(at.model)
         # Ages of the remembered angles in steps: now, the last sample, the one before …
-        ages = [0.0, *(since + k for k in range(at.shown.shape[0]))]
-        angles = [y[row], *ca.vertsplit(at.shown)]
+        ages = [0.0, *(since + k for k in range(at.sensor_memory.shape[0]))]
+        angles = [y[row], *ca.vertsplit(at.sensor_memory)]
         y = ca.SX(y)
         y[row] = _at_age(at.sizes["delay"] / step, ages, angles)
         return y

@@ -35,8 +35,8 @@ class TachoLag(SensorEffect):
         row = self.row(at.model)
         duration = (window[1] - window[0]) * step
         return first_order_ramp(
-            at.shown, after[row] - before[row], at.sizes["time_constant"], duration
+            at.sensor_memory, after[row] - before[row], at.sizes["time_constant"], duration
         )
 
     def reading(self, at: EffectContext, y: ca.SX, step: float, since: float) -> ca.SX:
-        return self.added(at, y, at.shown[0])
+        return self.add_to_channel(at, y, at.sensor_memory[0])

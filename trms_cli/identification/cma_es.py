@@ -63,8 +63,8 @@ class CmaSearch:
     def __init__(self, start: FloatArray, seed: int, settings: CmaEs) -> None:
         self._generator = np.random.default_rng(seed)
         self._settings, self._individuals = settings, settings.individuals
-        self._left = settings.restarts
-        self.ended = ""
+        self._remaining_restarts = settings.restarts
+        self.stop_reason = ""
         self._strategy = self._new(start)
 
     def ask(self) -> FloatArray:
@@ -80,13 +80,13 @@ class CmaSearch:
             reasons = self._strategy.stop()
         if not reasons:
             return
-        if self._left > 0:
-            self._left -= 1
+        if self._remaining_restarts > 0:
+            self._remaining_restarts -= 1
             self._individuals = 2 * self._strategy.popsize
             self._strategy = self._new(self._generator.uniform(0.1, 0.9, len(points[0])))
             return
         reason = next(iter(reasons))
-        self.ended = f"converged: {_WORDS.get(reason, reason)}"
+        self.stop_reason = f"converged: {_WORDS.get(reason, reason)}"
 
     def _new(self, start: FloatArray) -> Any:
         import cma

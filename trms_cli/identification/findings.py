@@ -293,7 +293,8 @@ def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
     ]
     if absent:
         yield f"absent: {wording.listing(absent)} of size zero; these data show none of it"
-    far = {name: _moved(p) for name, p in parameters.items() if _moved(p) > _FAR}
+    deviations = {name: _prior_deviations(p) for name, p in parameters.items()}
+    far = {name: deviation for name, deviation in deviations.items() if deviation > _FAR}
     if far:
         listed = wording.listing([f"{name} ({deviation:.0f})" for name, deviation in far.items()])
         yield (
@@ -319,7 +320,7 @@ def doubts_of(document: Mapping[str, Any]) -> Iterator[str]:
         yield f"worse than before on what was held out: {listed}; ask what the model lacks"
 
 
-def _moved(parameter: Mapping[str, Any]) -> float:
+def _prior_deviations(parameter: Mapping[str, Any]) -> float:
     """By how many prior deviations a parameter moved, 0 where it has no prior."""
     if parameter["prior_sd"] is None or parameter["value"] is None:
         return 0.0
@@ -405,7 +406,7 @@ def convergence_chart(history: Sequence[Sequence[float | None]]) -> Chart:
         )
     y = Axis("cost above its least", log=bool(np.any(is_finite)))
     panels = [
-        Panel(Axis(label, unit), y, [Curve(points[:, i], above, held=True)])
+        Panel(Axis(label, unit), y, [Curve(points[:, i], above, is_step=True)])
         for i, (label, unit) in enumerate((("simulations", ""), ("time", "s")))
     ]
     return Chart("convergence", panels, caption, width=_WIDTH, height=2.6)

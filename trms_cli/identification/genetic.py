@@ -53,7 +53,7 @@ class Genetic:
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Search; see :class:`trms_cli.identification.problem.Method`."""
         box, generator = Box(problem, self.spread), np.random.default_rng([problem.seed, 0])
-        first = box.drawn(self.individuals, generator)
+        first = box.draw(self.individuals, generator)
         if self.first == "even":
             first[1:] = generator.uniform(size=first[1:].shape)
         search = GeneticSearch(first, problem.seed, self)
@@ -65,7 +65,7 @@ class Genetic:
 class GeneticSearch:
     """The search from a first generation, (individuals, n) in the unit box."""
 
-    ended = ""
+    stop_reason = ""
 
     def __init__(self, first: FloatArray, seed: int, settings: Genetic) -> None:
         from pymoo.algorithms.soo.nonconvex.ga import GA, comp_by_cv_and_fitness
@@ -108,16 +108,16 @@ class GeneticSearch:
         self._algorithm.setup(Problem(n_var=n, n_obj=1, xl=np.zeros(n), xu=np.ones(n)), seed=seed)
         # When to stop is decided outside.
         self._algorithm.termination = get_termination("n_gen", 10**9)
-        self._asked: Any = None
+        self._generation: Any = None
 
     def ask(self) -> FloatArray:
         """The next generation."""
-        self._asked = self._algorithm.ask()
-        return np.asarray(np.array(self._asked.get("X"), dtype=float))
+        self._generation = self._algorithm.ask()
+        return np.asarray(np.array(self._generation.get("X"), dtype=float))
 
     def tell(self, points: FloatArray, costs: FloatArray) -> None:
         """Its costs."""
-        self._asked.set("F", np.where(np.isfinite(costs), costs, _FAILED)[:, None])
-        for individual in self._asked:
+        self._generation.set("F", np.where(np.isfinite(costs), costs, _FAILED)[:, None])
+        for individual in self._generation:
             individual.evaluated.add("F")
-        self._algorithm.tell(infills=self._asked)
+        self._algorithm.tell(infills=self._generation)

@@ -57,7 +57,7 @@ class MultipleShooting:
         profile_names = _profiled(self.profiles, problem)
         windows = Windows(problem)
         settings = map_fit.MapSettings(
-            iterations=self.iterations, tolerance=self.tolerance, joined=_JOINED[self.continuity]
+            iterations=self.iterations, tolerance=self.tolerance, gap_sd=_JOINED[self.continuity]
         )
         watcher = _Watcher(progress, problem, self.starts, self.iterations, start_time)
         fits: list[map_fit.MapFit] = []
@@ -98,7 +98,7 @@ class _Watcher:
         self, progress: Progress, problem: FitProblem, starts: int, iterations: int, begun: float
     ) -> None:
         self._progress, self._starts, self._iterations = progress, starts, iterations
-        self._begun, self._start = begun, 0
+        self._begin_time, self._start = begun, 0
         points = (progress.saved() or {}).get("points", [])
         self._points: list[list[float]] = [p for p in points if len(p) == len(problem.free)]
         self.history: list[HistoryPoint] = []
@@ -117,7 +117,7 @@ class _Watcher:
         message = f"start {self._start + 1} of {self._starts}, step {iteration}"
         self.history.append(
             HistoryPoint(
-                self.evaluations + iteration, time.perf_counter() - self._begun, point.cost
+                self.evaluations + iteration, time.perf_counter() - self._begin_time, point.cost
             )
         )
         self._points[self._start :] = [point.theta.tolist(), *self._points[self._start + 1 :]]

@@ -208,7 +208,7 @@ class PopulationSearch(Protocol):
         """Their costs, shape (individuals,); infinite where a simulation failed."""
 
     @property
-    def ended(self) -> str:
+    def stop_reason(self) -> str:
         """Why the search would not go on by itself; empty while it does."""
 
 
@@ -222,7 +222,7 @@ class SearchResult:
     costs: list[tuple[float, float]] = field(default_factory=list)
     evaluations: int = 0  #: Simulations of a point, those of a journal included
     seconds: float = 0.0  #: Of computing, those of a journal included
-    ended: str = ""  #: Why it ended; empty when all generations were done
+    stop_reason: str = ""  #: Why it ended; empty when all generations were done
     stopped: bool = False  #: Whether the watch asked to stop
 
 
@@ -247,7 +247,7 @@ def evolve(
     """
     journal = journal or Journal()
     result = SearchResult(np.full(dimension, 0.5))
-    while result.evaluations < evaluations and not (result.ended or result.stopped):
+    while result.evaluations < evaluations and not (result.stop_reason or result.stopped):
         begin = perf_counter()
         points = search.ask()
         generation = journal.recorded(len(result.costs), points)
@@ -267,7 +267,7 @@ def evolve(
             journal.keep(points, costs, result.seconds)
         else:
             result.seconds = generation.seconds
-        result.ended = search.ended
+        result.stop_reason = search.stop_reason
         if watch is not None and generation is None:
             result.stopped = not watch(result)
     return result
@@ -324,7 +324,7 @@ class Box:
         """The point of parameters, (…, n), moved into the box."""
         return np.asarray(np.clip((theta - self.lower) / (self.upper - self.lower), 0.0, 1.0))
 
-    def drawn(self, number: int, generator: np.random.Generator) -> FloatArray:
+    def draw(self, number: int, generator: np.random.Generator) -> FloatArray:
         """Points drawn from the priors, evenly where there is none, shape (number, n).
 
         The first is the start.
@@ -392,7 +392,8 @@ def search_fit(
         evaluations=result.evaluations,
         seconds=result.seconds,
         details={
-            "ended": result.ended or ("stopped" if result.stopped else "the budget was spent"),
+            "ended": result.stop_reason
+            or ("stopped" if result.stopped else "the budget was spent"),
             "generations": len(result.costs),
             "median_cost": [None if np.isinf(m) else m for _, m in result.costs],
         },
@@ -404,7 +405,7 @@ def _outcome(result: SearchResult) -> FitOutcome:
         return FitOutcome.FAILED
     if result.stopped:
         return FitOutcome.INTERRUPTED
-    return FitOutcome.CONVERGED if result.ended else FitOutcome.BUDGET_SPENT
+    return FitOutcome.CONVERGED if result.stop_reason else FitOutcome.BUDGET_SPENT
 
 
 def _about(

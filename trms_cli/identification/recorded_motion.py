@@ -113,7 +113,7 @@ class RecordedMotions:
                 value, first, second = _derivatives(dataset.output(axis.angle), dataset.sample_time)
                 angle[:, i], rate[:, i] = value, first
                 measured[axis.angle] = second
-        states = self._driven(dataset, angle, rate)
+        states = self._driven_states(dataset, angle, rate)
         u = dataset.commands.T
         # Momenta belong to the rotor speeds that are used.
         states[self._momenta] = self._mapped(self._momentum_of, states, u, rate.T)
@@ -142,7 +142,7 @@ class RecordedMotions:
         }
         return RecordedMotion(modelled, measured, passive, thrust)
 
-    def _driven(self, dataset: Dataset, angle: FloatArray, rate: FloatArray) -> FloatArray:
+    def _driven_states(self, dataset: Dataset, angle: FloatArray, rate: FloatArray) -> FloatArray:
         """States (n_x, n) with the rotors simulated and the axes where they were measured."""
         model = self.model
         substeps = min(max(1, round(dataset.sample_time / _STEP)), _MOST_SUBSTEPS)

@@ -57,7 +57,7 @@ def remarks(verbose: bool) -> Iterator[None]:
         warnings.warn(text.strip(), TrmsNote, stacklevel=6)
 
 
-def done(
+def call_command(
     command: str,
     arguments: Arguments,
     task: Callable[[Composition, Listener], Done],
@@ -74,10 +74,12 @@ def done(
     def whole(listener: Listener) -> Done:
         return task(with_objects(compose(arguments.argv, command), arguments.objects), listener)
 
-    return done_by(command, words_of(command, arguments), whole, arguments.objects, verbose=verbose)
+    return call_task(
+        command, words_of(command, arguments), whole, arguments.objects, verbose=verbose
+    )
 
 
-def done_by(
+def call_task(
     command: str,
     words: str,
     task: Callable[[Listener], Done],
@@ -85,7 +87,7 @@ def done_by(
     *,
     verbose: bool,
 ) -> Done:
-    """Let a task do its work as a call in `words`; see :func:`done`."""
+    """Let a task do its work as a call in `words`; see :func:`call_command`."""
     listener = Screen(command) if verbose else Listener(command)
     with turn(words, list(objects.values())), remarks(verbose):
         result = task(listener)

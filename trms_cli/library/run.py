@@ -14,7 +14,7 @@ from trms_cli.composition.arguments import Arguments, arguments_of, path_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.wording import named_files
 from trms_cli.library import html
-from trms_cli.library.call import done, done_by, words_of
+from trms_cli.library.call import call_command, call_task, words_of
 from trms_cli.library.result import Paths, Result, frame_of
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Run(Result):
 
     log: Path  #: The MCAP log; all that follows comes from it
     #: What it was asked for by, where it was run from Python just now
-    asked: Arguments | None = field(default=None, kw_only=True)
+    arguments: Arguments | None = field(default=None, kw_only=True)
 
     FILES: ClassVar[Mapping[str, str]] = {"real": ".", "file": "."}
 
@@ -142,9 +142,9 @@ class Run(Result):
         """
         folders = changes.pop("config_dir", ())
         more = arguments_of("run", overrides, changes, out=out, config_dir=folders)
-        if self.asked is not None and (self.asked.objects or more.objects):
-            mine = tuple(word for word in self.asked.words if not word.startswith("out="))
-            before = Arguments(mine, self.asked.objects, self.asked.config_dirs)
+        if self.arguments is not None and (self.arguments.objects or more.objects):
+            mine = tuple(word for word in self.arguments.words if not word.startswith("out="))
+            before = Arguments(mine, self.arguments.objects, self.arguments.config_dirs)
             return run_as(before.with_more(more), verbose)
         return _repeated(self, more, verbose)
 
@@ -311,11 +311,11 @@ def run_as(arguments: Arguments, verbose: bool) -> Run:
     """Run what the arguments of a call ask for."""
     from trms_cli.library.tasks.run import perform
 
-    return _run_of(done("run", arguments, perform, verbose=verbose), arguments)
+    return _run_of(call_command("run", arguments, perform, verbose=verbose), arguments)
 
 
 def _run_of(result: Done, arguments: Arguments | None = None) -> Run:
-    return Run(result.folder, result.folder / "run.mcap", text=result.text, asked=arguments)
+    return Run(result.folder, result.folder / "run.mcap", text=result.text, arguments=arguments)
 
 
 def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
@@ -331,7 +331,7 @@ def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
         return perform(with_objects(composition, more.objects), listener)
 
     words = words_of("run", Arguments(("--from", str(run.log), *more.argv)))
-    return _run_of(done_by("run", words, again, more.objects, verbose=verbose))
+    return _run_of(call_task("run", words, again, more.objects, verbose=verbose))
 
 
 def _with_experiment(

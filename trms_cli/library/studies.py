@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from trms_cli.composition.arguments import Arguments, arguments_of, text_of
 from trms_cli.core.findings import Findings, Section, Table
 from trms_cli.library import html
-from trms_cli.library.call import done, done_by, words_of
+from trms_cli.library.call import call_command, call_task, words_of
 from trms_cli.library.result import Paths, Result, frame_of, load_pandas
 from trms_cli.library.tasks.task import Done, Listener
 
@@ -377,7 +377,7 @@ def validate(
         return task(compositions, listener, names)
 
     words = words_of("validate", whole)
-    result = done_by("validate", words, together, {}, verbose=verbose)
+    result = call_task("validate", words, together, {}, verbose=verbose)
     return Validation(result.folder, text=result.text)
 
 
@@ -568,5 +568,5 @@ def excite(
 def _performed(
     kind: type[_R], command: str, arguments: Arguments, task: Callable[..., Done], verbose: bool
 ) -> _R:
-    result = done(command, arguments, task, verbose=verbose)
+    result = call_command(command, arguments, task, verbose=verbose)
     return kind(result.folder, text=result.text)

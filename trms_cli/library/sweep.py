@@ -103,7 +103,7 @@ class Sweep(Result):
         from trms_cli.library.tasks.sweep import go_on
 
         drive = partial(go_on, self.folder, settings=settings, retry_failed=retry_failed)
-        _driven(f"Python: resume({str(self.folder)!r})", drive, verbose=verbose)
+        _drive(f"Python: resume({str(self.folder)!r})", drive, verbose=verbose)
         return self
 
     @property
@@ -185,13 +185,13 @@ def sweep(
     from trms_cli.library.tasks.sweep import make_sweep
 
     steering = {"sampler": sampler, "launcher": launcher, "retries": retries}
-    arguments = _asked(overrides, keys, steering, workers, config_dir)
+    arguments = _sweep_arguments(overrides, keys, steering, workers, config_dir)
     if out is not None:
         words = (*arguments.words, f"out={text_of(str(path_of(out, 'out')))}")
         arguments = Arguments(words, {}, arguments.config_dirs)
     line = words_of("run", Arguments(("-m", *arguments.words), {}, arguments.config_dirs))
     drive = partial(make_sweep, arguments.words, "run", job, config_dirs=arguments.config_dirs)
-    return Sweep(_near(_driven(line, drive, verbose=verbose).folder))
+    return Sweep(_near(_drive(line, drive, verbose=verbose).folder))
 
 
 def load(path: str | PathLike[str]) -> Result:
@@ -232,7 +232,7 @@ def load(path: str | PathLike[str]) -> Result:
     )
 
 
-def _driven(words: str, drive: Callable[..., SweepOutcome], *, verbose: bool) -> SweepOutcome:
+def _drive(words: str, drive: Callable[..., SweepOutcome], *, verbose: bool) -> SweepOutcome:
     """Drive a sweep to its end, as a call in `words`: shown as by the command, or in silence."""
     from trms_cli.reporting.sweep_screen import on_screen
 
@@ -240,7 +240,7 @@ def _driven(words: str, drive: Callable[..., SweepOutcome], *, verbose: bool) ->
         return on_screen(drive) if verbose else drive()
 
 
-def _asked(
+def _sweep_arguments(
     overrides: Sequence[str],
     keys: Mapping[str, Any],
     steering: Mapping[str, Any],

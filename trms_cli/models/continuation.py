@@ -182,7 +182,7 @@ class ImplicitCurve:
     def through(self, seed: FloatArray) -> SolutionCurve:
         """The whole curve through a point, its varied unknown rising from first to last."""
         forward = self._traced(seed, self.tangent(seed))
-        if forward.closed:
+        if forward.is_closed:
             return SolutionCurve(
                 np.array(forward.y), ("closed", "closed"), tuple(forward.crossings)
             )
@@ -231,7 +231,7 @@ class ImplicitCurve:
             sign = orientation
             trace.y.append(y)
             if len(trace.y) > 10 and self._returned(trace.y, seed):
-                trace.closed = True
+                trace.is_closed = True
                 return trace
             if len(trace.y) >= _MOST_POINTS:
                 trace.end = "where it was left, after many points"
@@ -297,7 +297,7 @@ class _Trace:
     y: list[FloatArray]
     crossings: list[int]
     end: str = ""
-    closed: bool = False
+    is_closed: bool = False
 
 
 def _newton(

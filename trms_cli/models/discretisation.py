@@ -275,14 +275,14 @@ class _Layout:
 
     @property
     def n_sensors(self) -> int:
-        return len(self._shown)
+        return len(self._sensor_memory)
 
     @property
     def states(self) -> tuple[Signal, ...]:
-        return (*self.model.states, *self._shown, *self.model.memory(self.step_length))
+        return (*self.model.states, *self._sensor_memory, *self.model.memory(self.step_length))
 
     @property
-    def _shown(self) -> tuple[Signal, ...]:
+    def _sensor_memory(self) -> tuple[Signal, ...]:
         return self.model.sensor_memory(self.step_length) if self.sensors else ()
 
     def split(self, full: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -27,8 +27,8 @@ class DrivenModel(Model):
             index_of(base.states, name, f"a state of model {base.name!r}")
             index_of(base.outputs, name, f"an output of model {base.name!r}")
         self.base = base
-        self.driven = tuple(driven)
-        self._kept = [i for i, name in enumerate(base.state_names) if name not in driven]
+        self.driven_states = tuple(driven)
+        self._state_rows = [i for i, name in enumerate(base.state_names) if name not in driven]
         self._place = [base.state_index(name) for name in driven]
         self._outputs = [i for i, name in enumerate(names(base.outputs)) if name not in driven]
         if not self._outputs:
@@ -38,20 +38,22 @@ class DrivenModel(Model):
                 remedy=f"drive it by fewer of {', '.join(driven)}",
             )
         self.take_over(base)
-        self.states = tuple(base.states[i] for i in self._kept)
+        self.states = tuple(base.states[i] for i in self._state_rows)
         self.inputs = (*base.inputs, *(base.states[i] for i in self._place))
         self.outputs = tuple(base.outputs[i] for i in self._outputs)
         self.controlled = tuple(name for name in base.controlled if name not in driven)
         self.input_limits = dict(base.input_limits) | dict.fromkeys(driven, np.inf)
 
     def rest(self) -> FloatArray:
-        return self.base.rest()[self._kept]
+        return self.base.rest()[self._state_rows]
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        return self.base.dynamics(self._whole(x, u), u[: self.base.n_u, 0], p, w)[self._kept]
+        return self.base.dynamics(self._whole(x, u), u[: self.base.n_u, 0], p, w)[self._state_rows]
 
     def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        return self.base.transition(self._whole(x, u), u[: self.base.n_u, 0], p, w)[self._kept]
+        return self.base.transition(self._whole(x, u), u[: self.base.n_u, 0], p, w)[
+            self._state_rows
+        ]
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         y = self.base.measurement(self._whole(x, u), u[: self.base.n_u, 0], p)
@@ -72,7 +74,7 @@ class DrivenModel(Model):
 
     def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
         after = self.base.impulse(self._whole(x, u), u[: self.base.n_u, 0], p, w, duration)
-        return after[self._kept]
+        return after[self._state_rows]
 
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
         return self.base.sensor_memory(step)
@@ -98,12 +100,12 @@ class DrivenModel(Model):
         return self.base.reading(memory, self._whole(x, u), own, p, step, since)[self._outputs]
 
     def noise_sd(self, p: ca.SX, step: float) -> ca.SX:
-        return self.base.noise_sd(p, step)[self._kept]
+        return self.base.noise_sd(p, step)[self._state_rows]
 
     def _whole(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """The base model's states from those left and the prescribed inputs."""
         whole = ca.SX.zeros(self.base.n_x)
-        for i, row in enumerate(self._kept):
+        for i, row in enumerate(self._state_rows):
             whole[row] = x[i]
         for i, row in enumerate(self._place):
             whole[row] = u[self.base.n_u + i]

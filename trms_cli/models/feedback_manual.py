@@ -79,13 +79,13 @@ class FeedbackManual(BeamRig):
     def impulse(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, duration: float) -> ca.SX:
         if not self.dry_friction:
             return x
-        c = self.named(p)
+        c = self.parameters_by_name(p)
         for axis, torque in (("pitch", c["B_2psi"]), ("yaw", c["B_2phi"])):
             x = apply_dry_friction(self, (x, u, p, w), axis, torque, duration)
         return x
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        c = self.named(p)
+        c = self.parameters_by_name(p)
         tau_h, rate_h, tau_v, rate_v, alpha_v, lagged = x[0], x[1], x[3], x[4], x[5], x[6]
         psi = alpha_v + c["psi_0"]
         main = c["a_1"] * tau_v * ca.fabs(tau_v) + c["b_1"] * tau_v

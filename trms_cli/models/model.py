@@ -215,7 +215,7 @@ class Model(ABC):
         upper = np.array([self.input_limits[signal.name] for signal in self.inputs])
         return -upper, upper
 
-    def named(self, p: ca.SX) -> dict[str, ca.SX]:
+    def parameters_by_name(self, p: ca.SX) -> dict[str, ca.SX]:
         """The parameters (n_p, 1) by name."""
         return {name: p[i] for i, name in enumerate(self.parameters.names)}
 

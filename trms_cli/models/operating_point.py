@@ -287,7 +287,7 @@ class TrimSolver:
         self._angles = [model.state_index(name) for name in model.controlled if name in model.stops]
         self._robust: tuple[bytes, SteadyState] | None = None
 
-    def held(self, at: Mapping[str, float], where: str = "at") -> TrimCondition:
+    def condition(self, at: Mapping[str, float], where: str = "at") -> TrimCondition:
         """What a request holds.
 
         Raises ConfigurationError for a name that is no input and no controlled state, or names of
@@ -304,7 +304,7 @@ class TrimSolver:
 
         Raises TrmsError for a wrong request, and where there is none.
         """
-        condition = self.held(at, where)
+        condition = self.condition(at, where)
         if self.model.sample_time is None:
             point = operating_point(self.model, at, where)
             return self.solve(condition, point) or point

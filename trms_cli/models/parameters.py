@@ -106,7 +106,7 @@ class ParameterSet:
             changed[name] = replace(old, value=float(value))
         return ParameterSet(changed.values(), self.name)
 
-    def drawn(self, seed: int, scale: float = 1.0) -> ParameterSet:
+    def draw(self, seed: int, scale: float = 1.0) -> ParameterSet:
         """A draw from the priors: ``value·(1 + scale·prior_sd·n)``, n normal and truncated.
 
         ``scale``: multiplies every prior standard deviation.
@@ -124,7 +124,7 @@ class ParameterSet:
             )
         return ParameterSet(draws, self.name)
 
-    def joined(self, others: Iterable[Parameter]) -> ParameterSet:
+    def concatenate(self, others: Iterable[Parameter]) -> ParameterSet:
         """This set followed by further parameters."""
         return ParameterSet([*self, *others], self.name)
 

@@ -81,7 +81,7 @@ class QuanserAero(BeamRig):
         Rigid friction is the limit v_s → 0. It has no slope at rest: a filter that is linearised
         there could not learn from a measurement that a torque has set the axis in motion.
         """
-        c = self.named(p)
+        c = self.parameters_by_name(p)
         inertia = self.quantities(x, u, p)
         for axis, size in (("pitch", c["F_1"]), ("yaw", c["F_2"])):
             # An axis below v_s keeps 1/(1 + r) of the rate that it would have without friction.
@@ -102,7 +102,7 @@ class QuanserAero(BeamRig):
         return ca.fmin(ca.fmax(u, lower), upper)
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        c = self.named(p)
+        c = self.parameters_by_name(p)
         omega_h, rate_h, omega_v, rate_v, alpha_v = x[0], x[1], x[3], x[4], x[5]
         drive = self._within_limits(u)
         square_v, square_h = omega_v * ca.fabs(omega_v), omega_h * ca.fabs(omega_h)

@@ -88,7 +88,7 @@ class SingleRotor(Model):
         self.stiff = currents == "dynamic"
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-        c, omega = self.named(p), x[-1]
+        c, omega = self.parameters_by_name(p), x[-1]
         volt = self._circuit.voltage(u[0], c)
         if self.n_x == 1:
             current = self._motor.steady_current(volt, omega, c)
@@ -99,11 +99,11 @@ class SingleRotor(Model):
         )
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        thrust = self._motor.thrust(x[-1], self.named(p))
+        thrust = self._motor.thrust(x[-1], self.parameters_by_name(p))
         return ca.vertcat(x[-1], thrust) if len(self.outputs) > 1 else x[-1]
 
     def quantities(self, x: ca.SX, u: ca.SX, p: ca.SX) -> dict[str, ca.SX]:
-        c, rotor = self.named(p), next(iter(self.rotors))
+        c, rotor = self.parameters_by_name(p), next(iter(self.rotors))
         volt = self._circuit.voltage(u[0], c)
         current = x[0] if self.n_x == 2 else self._motor.steady_current(volt, x[-1], c)
         return {

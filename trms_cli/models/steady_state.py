@@ -63,7 +63,7 @@ class Target:
     #: Whether ``residual`` is below the tolerance. Otherwise there is no steady state near.
     converged: bool
     active: tuple[int, ...]  #: Bound that each input is at: −1, 0 for none, 1
-    asked: tuple[float, ...]  #: The reference that it was solved for, rad
+    reference: tuple[float, ...]  #: The reference that it was solved for, rad
     #: (n_s,) array; of the dynamics, in rad² over their units: zero where the reference is reached.
     #: One for each unknown of :mod:`trms_cli.models.rest`.
     multiplier: FloatArray
@@ -150,7 +150,7 @@ class SteadyState:
                 # disturbance that kept the reference out of reach has gone.
                 if not target.projected:
                     return target
-                beside = (abs(a - b) < _BESIDE for a, b in zip(goal, guess.asked, strict=True))
+                beside = (abs(a - b) < _BESIDE for a, b in zip(goal, guess.reference, strict=True))
                 if guess.projected and all(beside):
                     return self._within_reach(goal) or target
         return self._from_afar(goal)

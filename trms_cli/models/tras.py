@@ -163,7 +163,7 @@ class Tras(BeamRig):
         return -float(np.arctan2(gravity, swing))
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        c = self.named(p)
+        c = self.parameters_by_name(p)
         omega_h, rate_h, omega_v, rate_v, alpha_v = x[0], x[1], x[3], x[4], x[5]
         u_v, u_h = u[0], u[1]
         pitch_moment, yaw_moment, main_motor, tail_motor = w[0], w[1], w[2], w[3]

@@ -134,7 +134,9 @@ class TwinRotor(BeamRig):
             "v": interface_of("v", main_interface, main_voltage_limit, "model.main_"),
             "h": interface_of("h", tail_interface, tail_voltage_limit, "model.tail_"),
         }
-        self.parameters = _used(content, self._circuits, self.UNUSED).replaced(parameters or {})
+        self.parameters = _parameter_set(content, self._circuits, self.UNUSED).replaced(
+            parameters or {}
+        )
         self.states = tuple(STATES[name] for name in states)
         self.inputs = tuple(INPUTS[name] for name in self.rotors.values())
         measured = ("alpha_v", "alpha_h", "omega_v", "omega_h")
@@ -146,7 +148,7 @@ class TwinRotor(BeamRig):
         """The equations of the beam."""
 
     def _equations(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> tuple[ca.SX, dict[str, ca.SX]]:
-        c = self.named(p)
+        c = self.parameters_by_name(p)
         state = {name: x[i] for i, name in enumerate(self.state_names)}
         command = {name: u[i] for i, name in enumerate(names(self.inputs))}
         torque = {name: w[i] for i, name in enumerate(names(self.disturbances))}
@@ -205,7 +207,7 @@ class TwinRotor(BeamRig):
         return ca.vertcat(*(rows[name] for name in self.state_names)), quantities
 
 
-def _used(
+def _parameter_set(
     content: ParameterFile, circuits: Mapping[str, InterfaceCircuit], unused: tuple[str, ...]
 ) -> ParameterSet:
     """The parameters of a set that these equations have."""

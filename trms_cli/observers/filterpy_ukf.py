@@ -60,7 +60,7 @@ class _FilterpyStep:
         self._measure = BufferedFunction(call_memoised(measurement_stage, augmented.alone()))
         self._points = MerweScaledSigmaPoints(n, points.alpha, points.beta, points.kappa)
         self._filter = UnscentedKalmanFilter(
-            n, n_y, sample_time, self._measured, self._moved, self._points
+            n, n_y, sample_time, self._measured, self._transition, self._points
         )
         self._n, self._n_s, self._equations = n, augmented.n_s, augmented.equations
 
@@ -109,7 +109,7 @@ class _FilterpyStep:
         for output, result in zip(self.outputs, results, strict=True):
             output[...] = result
 
-    def _moved(self, point: FloatArray, _: float) -> FloatArray:
+    def _transition(self, point: FloatArray, _: float) -> FloatArray:
         self._advance.inputs[0][:] = point
         self._advance()
         return self._advance.outputs[0][: self._n].copy()

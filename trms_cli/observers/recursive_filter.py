@@ -123,7 +123,7 @@ class FilterState:
     gate: Gate
     #: (n, n) array or None; covariance after every sample, of a filter with a steady gain
     settled: FloatArray | None = None
-    started: bool = False  #: Whether there was a sample yet
+    has_started: bool = False  #: Whether there was a sample yet
     recoveries: int = 0  #: How often the covariance had to be inflated to the prior
 
 
@@ -194,8 +194,8 @@ class GatedFilter(FilterOptions, ABC):
             y[:] = 0.0
             np.copyto(y, measurement, where=state.present)
         # At time zero there is nothing to predict over: the prior meets the first measurement.
-        advance[0] = state.started
-        state.started = True
+        advance[0] = state.has_started
+        state.has_started = True
         function()
         m_next, covariance_next, memory_next, health = function.outputs[:4]
         healthy = math.isfinite(health[0])

@@ -85,7 +85,7 @@ class StoppedSteps(DrivenModel):
         super().__init__(base, ())
         copies = copied_states(base)
         #: Rows of an angle and of what is remembered of it, by the angle's range.
-        self._held = [
+        self._stop_rows = [
             (row, [i for i in range(base.n_x) if root_of(copies, i) == ("x", row)], limit)
             for row, limit in (
                 (base.state_index(name), limit) for name, limit in base.stops.items()
@@ -96,7 +96,7 @@ class StoppedSteps(DrivenModel):
     def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         free = self.base.transition(x, u, p, w)
         after = ca.SX(free)
-        for angle, rows, limit in self._held:
+        for angle, rows, limit in self._stop_rows:
             stop = ca.sign(free[angle]) * limit
             for row in rows:
                 after[row] = ca.if_else(ca.fabs(free[angle]) >= limit, stop, free[row])
@@ -152,7 +152,7 @@ class SimulatedRig:
                 remedy="choose a rig with equations: model@plant.model=newtonian",
             )
         if self.prior_seed is not None:
-            parameters = parameters.drawn(self.prior_seed, self.prior_scale)
+            parameters = parameters.draw(self.prior_seed, self.prior_scale)
         return parameters.replaced(self.parameters)
 
 
@@ -183,7 +183,7 @@ class SimulatedRun:
                     remedy=f"the mechanical stops are at ±{stop:g} rad "
                     "(plant.mechanical_stops=false takes them away)",
                 )
-            start[_known(name, names(model.states), "initial")] = value
+            start[_position(name, names(model.states), "initial")] = value
         if model.sample_time is not None:
             start = _remembering(rig.model, start, self.first_command, rig.initial)
         # The buffers' arrays are fixed for life; the step writes beside its input and is copied
@@ -203,7 +203,7 @@ class SimulatedRun:
         self._any_rounded = bool(self._rounded.any())
         self._all_rounded = bool(self._rounded.all())
         self.faults = _broken(rig.faults, setup, channels, names(model.inputs))
-        self._driven, self._pushes = _noise_on_states(model, self.parameters, setup)
+        self._noisy_states, self._pushes = _noise_on_states(model, self.parameters, setup)
         self.known_disturbances: Mapping[str, FloatArray]
         self._w, self.known_disturbances = self._torques(rig, setup)
         self._pushed = bool(self._w.any())
@@ -237,8 +237,8 @@ class SimulatedRun:
             step.inputs[3][:] = self._w[self._sample]
         step()
         self._full[:] = step.outputs[0]
-        if self._driven.size:
-            self._full[self._driven] += self._pushes[self._sample]
+        if self._noisy_states.size:
+            self._full[self._noisy_states] += self._pushes[self._sample]
         self._sample += 1
         # One sum is the cheapest test of all states at once, and of a few numbers Python's.
         if not math.isfinite(sum(self._full.tolist())):
@@ -330,10 +330,10 @@ def _selected(
 def _vector(values: Mapping[str, float], signals: tuple[Signal, ...], where: str) -> FloatArray:
     vector = np.zeros(len(signals))
     for name, value in values.items():
-        vector[_known(name, names(signals), where)] = value
+        vector[_position(name, names(signals), where)] = value
     return vector
 
 
-def _known(name: str, valid_names: tuple[str, ...], where: str) -> int:
+def _position(name: str, valid_names: tuple[str, ...], where: str) -> int:
     require_known(name, valid_names, f"unknown name {name!r}", f"{where}.{name}")
     return valid_names.index(name)

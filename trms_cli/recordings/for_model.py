@@ -149,7 +149,7 @@ class Selection:
             gridded.time,
             inputs,
             outputs,
-            _held(commands, names(inputs), gridded)[acting],
+            _hold_commands(commands, names(inputs), gridded)[acting],
             np.column_stack([gridded.channels[name] for name in channels]),
             references,
             self.sensors.declared_noise(channels),
@@ -224,7 +224,9 @@ def _listed(items: Sequence[str]) -> str:
     return ", ".join(items) or "nothing"
 
 
-def _held(commands: FloatArray, inputs: Sequence[str], gridded: GriddedRecording) -> FloatArray:
+def _hold_commands(
+    commands: FloatArray, inputs: Sequence[str], gridded: GriddedRecording
+) -> FloatArray:
     """Commands with the last value held where none is recorded."""
     commands = commands.copy()
     for column, name in zip(commands.T, inputs, strict=True):

@@ -141,7 +141,7 @@ class TopicTable:
     def __len__(self) -> int:
         return len(self.time)
 
-    def held(self, times_ns: np.ndarray) -> dict[str, np.ndarray]:
+    def last_values(self, times_ns: np.ndarray) -> dict[str, np.ndarray]:
         """Columns of numbers at some times [ns], the last value held; NaN before the first."""
         latest = np.searchsorted(self.time_ns, times_ns, side="right") - 1
         return {
@@ -450,7 +450,7 @@ class LogPiece:
         str, TopicTable
     ]  #: New messages by topic; topics without new ones are data_file.absent
     #: For each chunk its latest log time and publish time [ns]: how far the run was by when
-    written: tuple[tuple[int, int], ...] = ()
+    progress: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass
@@ -478,13 +478,13 @@ class LogTail:
         self.units: dict[str, dict[str, str]] = {}  # of the wanted columns, by topic
         self.finished = False  # the file has its end; nothing comes after it
         self.problems: list[str] = []  # what was damaged, as sentences
-        self._wanted = wanted
+        self._column_filter = wanted
         self._offset = 0
         self._schemas: dict[int, Schema] = {}
         self._kinds: dict[int, tuple[str, dict[str, str]]] = {}  # topic, JSON type by column
         self._rows: dict[int, _Rows] = {}
         self._published = 0
-        self._written: list[tuple[int, int]] = []
+        self._progress: list[tuple[int, int]] = []
         try:
             self._descriptor = os.open(self.path, os.O_RDONLY)
         except FileNotFoundError as error:
@@ -521,8 +521,8 @@ class LogTail:
         self._offset += size
         if not size:
             return None
-        written, self._written = tuple(self._written), []
-        return LogPiece(self._tables(), written)
+        progress, self._progress = tuple(self._progress), []
+        return LogPiece(self._tables(), progress)
 
     def has_writer(self) -> bool | None:
         """Whether a program has the file open for writing; None where the system does not tell.
@@ -613,7 +613,7 @@ class LogTail:
             return
         for opcode, body, _ in records(memoryview(data)):
             self._take(opcode, body)
-        self._written.append((chunk.message_end_time, self._published))
+        self._progress.append((chunk.message_end_time, self._published))
 
     def _add_channel(self, channel: Channel) -> None:
         if channel.message_encoding != "json" or channel.id in self._kinds:
@@ -622,7 +622,7 @@ class LogTail:
         if schema.name.startswith(VIEWER_SCHEMAS):
             return  # it is there for viewers, and holds no samples
         properties = orjson.loads(schema.data)["properties"]
-        columns = {n: p for n, p in properties.items() if self._wanted(channel.topic, n)}
+        columns = {n: p for n, p in properties.items() if self._column_filter(channel.topic, n)}
         if columns:
             self.units[channel.topic] = {n: p.get("unit", "") for n, p in columns.items()}
             self._kinds[channel.id] = channel.topic, {n: p["type"] for n, p in columns.items()}

@@ -44,7 +44,7 @@ def recording_of(log: LoggedRun) -> Recording:
         table = log.tables.get(topic)
         if table is None or not len(table):
             continue
-        for key, column in table.held(measurement.time_ns).items():
+        for key, column in table.last_values(measurement.time_ns).items():
             name = REFERENCE_OF_AXIS.get(key, key) if topic == "/reference" else key
             if find_channel(name) is not None:
                 channels[name], units[name] = column, table.units[key]

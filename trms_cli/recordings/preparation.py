@@ -186,7 +186,7 @@ def resample(recording: Recording, step: float) -> Recording:
         if name in inputs:
             channels[name] = _mean_held(recording.time, values, time, step, hole)
         elif name in held_names:
-            channels[name] = _held(recording.time, values, time, hole)
+            channels[name] = _last_values(recording.time, values, time, hole)
         else:
             channels[name] = _measured(recording.time, values, time, old, step, hole)
     lowered = step > old * (1 + _SAME)
@@ -203,7 +203,7 @@ def resample(recording: Recording, step: float) -> Recording:
     return recording.with_remarks(remark, time=time, channels=channels)
 
 
-def _held(at: np.ndarray, values: np.ndarray, time: np.ndarray, hole: float) -> np.ndarray:
+def _last_values(at: np.ndarray, values: np.ndarray, time: np.ndarray, hole: float) -> np.ndarray:
     """The last value at each time; missing in a hole, from its last row's own step on."""
     row = np.searchsorted(at, time + _SAME * hole, side="right") - 1
     nearest = np.minimum(row + 1, len(at) - 1)
@@ -235,7 +235,7 @@ def _mean_held(
     row = np.clip(np.searchsorted(edges, time + _SAME * step, side="right") - 1, 0, None)
     last = np.clip(np.searchsorted(edges, end - _SAME * step, side="right") - 1, 0, None)
     mean = np.where((row == last) & np.isfinite(mean), level[row], mean)
-    return np.where(np.isnan(_held(at, np.zeros(len(at)), time, hole)), np.nan, mean)
+    return np.where(np.isnan(_last_values(at, np.zeros(len(at)), time, hole)), np.nan, mean)
 
 
 def _measured(

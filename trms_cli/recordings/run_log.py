@@ -132,7 +132,7 @@ class RunLog:
             "start": _now(),
             **{str(key): str(value) for key, value in run_metadata.items()},
         }
-        self._closed = False
+        self._is_closed = False
         self._stream = self._create()
         self._writer = ChunkWriter(self._stream, LIBRARY)
         # All of this before any sample, so that a killed run still tells what it was.
@@ -183,7 +183,7 @@ class RunLog:
 
     def flush(self) -> None:
         """Pass everything so far to the operating system; a killed process keeps it."""
-        if self._closed or not self._rows:
+        if self._is_closed or not self._rows:
             return
         with _DeferredInterrupt():  # Ctrl-C amid a record would spoil the chunk
             # Readers and `mcap doctor` want log times that never run back.
@@ -203,7 +203,7 @@ class RunLog:
         ``outcome``: how the run ended. ``score``: becomes the ``trms.score`` record; each value is
         written as JSON text.
         """
-        if self._closed:
+        if self._is_closed:
             return
         self.flush()
         with _DeferredInterrupt():
@@ -214,7 +214,7 @@ class RunLog:
                 self._writer.add_metadata(SCORE_METADATA, texts)
             self._writer.finish()
             self._flush_stream()
-            self._closed = True
+            self._is_closed = True
             self._stream.close()
 
     def __enter__(self) -> Self:
@@ -261,7 +261,7 @@ class RunLog:
             raise self._abandon(error) from error
 
     def _abandon(self, error: OSError) -> RecordingError:
-        self._closed = True
+        self._is_closed = True
         self._rows.clear()
         self._stream.close()
         if self.safe_until_s is None:
@@ -335,7 +335,7 @@ class _DeferredInterrupt:
     """Holds Ctrl-C back until the block is done, then delivers it."""
 
     def __enter__(self) -> None:
-        self._caught: tuple[int, FrameType | None] | None = None
+        self._pending_signal: tuple[int, FrameType | None] | None = None
         self._previous: Any = None
         if threading.current_thread() is threading.main_thread():
             self._previous = signal.getsignal(signal.SIGINT)
@@ -343,14 +343,14 @@ class _DeferredInterrupt:
                 signal.signal(signal.SIGINT, self._keep)
 
     def _keep(self, number: int, frame: FrameType | None) -> None:
-        self._caught = (number, frame)
+        self._pending_signal = (number, frame)
 
     def __exit__(self, *_: object) -> None:
         if self._previous is None:
             return
         signal.signal(signal.SIGINT, self._previous)
-        if self._caught and callable(self._previous):
-            self._previous(*self._caught)
+        if self._pending_signal and callable(self._previous):
+            self._previous(*self._pending_signal)
 
 
 def _now() -> str:

@@ -41,7 +41,7 @@ class Multilevel:
                 remedy="give shortest ≤ longest",
             )
 
-    def _drawn(self, until: float) -> tuple[Array, Array]:
+    def _draw_levels(self, until: float) -> tuple[Array, Array]:
         """Levels, and the times at which they end, until after a time since the start."""
         levels, ends, end, block = [], [], 0.0, 0
         while end <= until + EDGE:
@@ -60,6 +60,6 @@ class Multilevel:
 
     def sample(self, times: Array) -> Array:
         elapsed = np.asarray(times, dtype=float) - self.start
-        levels, ends = self._drawn(float(np.max(elapsed, initial=0.0)))
+        levels, ends = self._draw_levels(float(np.max(elapsed, initial=0.0)))
         wave = self.amplitude * levels[np.searchsorted(ends, elapsed + EDGE, side="right")]
         return self.offset + np.where(has_started(times, self.start), wave, 0.0)

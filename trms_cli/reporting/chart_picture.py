@@ -362,7 +362,9 @@ def draw_mark(axes: Any, mark: charts.Mark) -> Handle | None:
         case charts.Fans():
             return _curve(
                 axes,
-                charts.Curve(mark.x, mark.y, mark.label, mark.colour, width=0.6, held=mark.held),
+                charts.Curve(
+                    mark.x, mark.y, mark.label, mark.colour, width=0.6, is_step=mark.is_step
+                ),
             )
         case charts.Boxes():
             _boxes(axes, mark)
@@ -402,12 +404,12 @@ def _curve(axes: Any, mark: charts.Curve) -> Handle:
         axes.plot(mark.x, mark.y, mark.z, **look)
     else:
         x, y = thin_every(mark.x, mark.y)
-        axes.plot(x, y, drawstyle="steps-post" if mark.held else "default", **look)
+        axes.plot(x, y, drawstyle="steps-post" if mark.is_step else "default", **look)
         if mark.filled:
             axes.fill_between(
                 x,
                 y,
-                step="post" if mark.held else None,
+                step="post" if mark.is_step else None,
                 alpha=mark.opacity,
                 color=look["color"],
                 linewidth=0,
@@ -461,8 +463,8 @@ def _points(axes: Any, mark: charts.Points) -> Handle:
         "linestyle": "none",
         "alpha": mark.opacity,
     }
-    if mark.joined:
-        step_style = "steps-post" if mark.joined == "hv" else "steps-pre"
+    if mark.step_shape:
+        step_style = "steps-post" if mark.step_shape == "hv" else "steps-pre"
         axes.plot(mark.x, mark.y, color=colour, linewidth=1.0, drawstyle=step_style, zorder=4)
     if mark.reach is not None:
         axes.errorbar(mark.x, mark.y, xerr=mark.reach, color=colour, linestyle="none", zorder=4)

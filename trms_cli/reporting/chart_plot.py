@@ -133,7 +133,7 @@ class _Drawing:
     traces: list[dict[str, Any]] = field(default_factory=list)
     shapes: list[dict[str, Any]] = field(default_factory=list)
     notes: list[dict[str, Any]] = field(default_factory=list)
-    named: set[str] = field(default_factory=set)
+    labels: set[str] = field(default_factory=set)
     more: dict[str, Any] = field(default_factory=dict)
     fans: dict[str, Any] = field(default_factory=dict)
 
@@ -153,13 +153,13 @@ class _Drawing:
             "yaxis": _axis(self.panel.y),
             "shapes": self.shapes,
             "annotations": self.notes,
-            "showlegend": bool(self.named),
+            "showlegend": bool(self.labels),
         } | self.more
         if self.panel.equal:
             layout["yaxis"] |= {"scaleanchor": "x"}
         if self.panel.y.categories:
             layout["yaxis"] |= {"range": [len(self.panel.y.categories) - 0.3, -0.7]}
-        pixels = max(round(_PIXELS * height), 220) + 20 * math.ceil(len(self.named) / 3)
+        pixels = max(round(_PIXELS * height), 220) + 20 * math.ceil(len(self.labels) / 3)
         return Plot(
             self.panel.title,
             self.traces,
@@ -174,9 +174,9 @@ class _Drawing:
     def _draw(self, mark: charts.Mark) -> None:
         match mark:
             case charts.Curve():
-                x, y = _kept(mark.x, mark.y)
+                x, y = _thin(mark.x, mark.y)
                 trace = self._line(
-                    x, y, mark, mark.width, held=mark.held, arrows=_third(x, y, mark)
+                    x, y, mark, mark.width, is_step=mark.is_step, arrows=_third(x, y, mark)
                 )
                 trace |= {"opacity": mark.opacity} if mark.opacity < 1.0 else {}
                 if mark.filled:
@@ -241,11 +241,11 @@ class _Drawing:
     def _legend(self, mark: charts.Mark) -> dict[str, Any]:
         """Its name, which stands in the legend once; a click hides all of that name."""
         label = getattr(mark, "label", "")
-        first = bool(label) and label not in self.named
+        first = bool(label) and label not in self.labels
         if isinstance(mark, charts.Band) and label in self.curves:
             first = False  # the curve stands for both
         elif label:
-            self.named.add(label)
+            self.labels.add(label)
         text = plot_text(label)
         group = {"name": text} | ({"legendgroup": text} if label else {})
         return group if first else group | {"showlegend": False}
@@ -257,7 +257,7 @@ class _Drawing:
         mark: Any,
         width: float,
         *,
-        held: bool = False,
+        is_step: bool = False,
         arrows: Sequence[int] = (),
     ) -> dict[str, Any]:
         dash = _DASHES[getattr(mark, "style", "solid")]
@@ -269,7 +269,7 @@ class _Drawing:
             "line": {"color": f"@{mark.colour}", "width": width + 0.2, "dash": dash},
             "hovertemplate": self.hover,
         } | self._legend(mark)
-        if held:
+        if is_step:
             trace["line"]["shape"] = "hv"
         if len(arrows):
             sizes = np.zeros(len(x))
@@ -287,7 +287,7 @@ class _Drawing:
 
     def _points(self, mark: charts.Points) -> None:
         x, y = np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float)
-        if self.panel.x.linked and not mark.told:
+        if self.panel.x.linked and not mark.tooltips:
             x, y = thin_samples(x, y, _MOST_DOTS)
         marker: dict[str, Any] = {
             "color": f"@{mark.colour}",
@@ -312,12 +312,12 @@ class _Drawing:
                 "textposition": "top right",
                 "cliponaxis": False,
             }
-        if mark.told:
-            trace |= {"text": [plot_text(text) for text in mark.told]}
+        if mark.tooltips:
+            trace |= {"text": [plot_text(text) for text in mark.tooltips]}
             place = "%{x:.4g}" if self.panel.y.categories else "%{x:.4g}, %{y:.4g}"
             trace["hovertemplate"] = f"%{{text}}: {place}<extra></extra>"
-        if mark.joined:
-            line = {"color": f"@{mark.colour}", "width": 1.2, "shape": mark.joined}
+        if mark.step_shape:
+            line = {"color": f"@{mark.colour}", "width": 1.2, "shape": mark.step_shape}
             trace |= {"mode": "lines+markers", "line": line}
         if mark.reach is not None:
             left, right = (np.asarray(ends, dtype=float).tolist() for ends in mark.reach)
@@ -357,8 +357,8 @@ class _Drawing:
                 "y": pack_array(np.full(len(mark.times), 0.97)),
                 "yaxis": "y2",
                 "marker": {"color": f"@{mark.colour}", "size": 9, "symbol": "triangle-down"},
-                "text": [plot_text(text) for text in mark.told],
-                "hovertemplate": "%{text}" if mark.told else "%{x:.4g}",
+                "text": [plot_text(text) for text in mark.tooltips],
+                "hovertemplate": "%{text}" if mark.tooltips else "%{x:.4g}",
             }
             | self._legend(mark)
         )
@@ -370,7 +370,7 @@ class _Drawing:
             np.asarray(mark.y, dtype=float),
             charts.Curve((), (), mark.label, "ink"),
             0.4,
-            held=mark.held,
+            is_step=mark.is_step,
         )
         name = plot_text(f"chosen {mark.label.removesuffix('s')}")
         line = every["line"] | {"color": "@vermilion", "width": 3.0}
@@ -469,7 +469,7 @@ class _Drawing:
         if mark.y is not None:
             ends = {"xref": "paper", "x0": 0, "x1": 1, "yref": "y", "y0": mark.y, "y1": mark.y}
             self.shapes.append({"type": "line", "layer": "below", "line": look} | ends)
-        if mark.label and mark.label not in self.named:
+        if mark.label and mark.label not in self.labels:
             # a shape has no name: an empty curve of the same look has it
             nothing = {"type": "scatter", "mode": "lines", "x": [None], "y": [None], "line": look}
             self.traces.append(nothing | self._legend(mark))
@@ -506,7 +506,7 @@ def _place(value: float, axis: charts.Axis) -> float:
     return math.log10(value) if axis.log and value > 0 else value
 
 
-def _kept(x: Any, y: Any) -> tuple[FloatArray, FloatArray]:
+def _thin(x: Any, y: Any) -> tuple[FloatArray, FloatArray]:
     """A series with its peaks where x rises, else every k-th point of it."""
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if len(x) > MOST_POINTS and np.any(np.diff(x) < 0):
@@ -565,7 +565,7 @@ def _stream_lines(flow: charts.Flow) -> tuple[FloatArray, FloatArray, list[int]]
         )
     )
     xs, ys, arrows, count = [], [], [], 0
-    for line in _joined(streams.lines.get_segments()):
+    for line in _join_segments(streams.lines.get_segments()):
         xs += [line[:, 0], [np.nan]]
         ys += [line[:, 1], [np.nan]]
         arrows.append(count + len(line) // 2)
@@ -573,7 +573,7 @@ def _stream_lines(flow: charts.Flow) -> tuple[FloatArray, FloatArray, list[int]]
     return np.concatenate([[], *xs]), np.concatenate([[], *ys]), arrows
 
 
-def _joined(segments: Sequence[Any]) -> Iterator[FloatArray]:
+def _join_segments(segments: Sequence[Any]) -> Iterator[FloatArray]:
     """Pieces that follow one another as lines."""
     line: list[Any] = []
     for segment in segments:

@@ -385,7 +385,7 @@ def names_of(logs: Sequence[PlottedLog]) -> list[str]:
     """What tells logs apart: the options and values in which they differ, else their folders."""
     if len(logs) == 1:
         return [name_of(logs[0].path)]
-    settings = [_told(log) for log in logs]
+    settings = [_run_settings(log) for log in logs]
     keys = dict.fromkeys(key for one in settings for key in one)
     differing = [key for key in keys if len({one.get(key) for one in settings}) > 1]
     names = []
@@ -404,7 +404,7 @@ def names_of(logs: Sequence[PlottedLog]) -> list[str]:
     return places
 
 
-def _told(log: PlottedLog) -> dict[str, str]:
+def _run_settings(log: PlottedLog) -> dict[str, str]:
     """Options and typed values of a run; empty for a log without such words."""
     try:
         choices = named_files(json.loads(log.run.get("choices", "{}")), log.config)

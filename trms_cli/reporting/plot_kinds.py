@@ -98,7 +98,7 @@ def inputs(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     panels = []
     for name in names:
         marks, samples, unit = curves_of(
-            runs, lambda run, name: run.signal("/command", name), name, look, held=True
+            runs, lambda run, name: run.signal("/command", name), name, look, is_step=True
         )
         limits, lines = with_limits(runs, [name], axis_range(samples), of_commands=True)
         label = f"{label_of(name)}\ncommand" if label_of(name) != name else name

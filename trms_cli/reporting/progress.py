@@ -88,7 +88,7 @@ class _Bar:
         if perf_counter() - self.begin < self._PATIENCE:
             return
         if self._bar is None:
-            self._bar = self._made()
+            self._bar = self._make()
             blank: dict[str, Any] = dict.fromkeys(self._columns, "")
             self._task = self._bar.add_task("", total=self._total, **blank)
             self._bar.start()
@@ -105,7 +105,7 @@ class _Bar:
             self._bar.stop()
             self._bar = None
 
-    def _made(self) -> Any:
+    def _make(self) -> Any:
         from rich import progress
         from rich.console import Console
 
@@ -146,7 +146,7 @@ class FitProgress:
         self._visible = sys.stderr.isatty() and not quiet
         self._bar = _Bar(self._COLUMNS)
         self._state: Mapping[str, Any] | None = None
-        self._written = 0.0
+        self._write_time = 0.0
         self._before: dict[int, Any] = {}
         self.exit_code: int | None = None  #: once somebody asked to stop
 
@@ -175,7 +175,7 @@ class FitProgress:
     def save(self, state: Mapping[str, Any]) -> None:
         """Keep a state; it is on the disk a moment later."""
         self._state = state
-        if perf_counter() - self._written > self._PAUSE:
+        if perf_counter() - self._write_time > self._PAUSE:
             self._write()
 
     def saved(self) -> Mapping[str, Any] | None:
@@ -208,7 +208,7 @@ class FitProgress:
         except OSError as error:
             draft.unlink(missing_ok=True)
             note(f"note   the state of the fit cannot be kept: {error}")
-        self._state, self._written = None, perf_counter()
+        self._state, self._write_time = None, perf_counter()
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         terminated = number == signal.SIGTERM

@@ -263,7 +263,7 @@ def _ratios(standings: Sequence[Standing]) -> list[Panel]:
         "",
         "dot",
         "blue",
-        told=names,
+        tooltips=names,
         reach=(below, above),
     )
     return [

@@ -65,7 +65,7 @@ def spread_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
                     beside,
                     colour=colours[place],
                     size=3,
-                    told=[name for _, _, name in dots],
+                    tooltips=[name for _, _, name in dots],
                     opacity=0.55,
                 )
             )
@@ -93,7 +93,7 @@ def spread_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
         ]
         return Panel(Axis(sweep.title(figure)), Axis("runs"), marks, "distribution")
 
-    return [_chosen(sweep, figures, boxes), _chosen(sweep, figures, counts)]
+    return [_variant_panel(sweep, figures, boxes), _variant_panel(sweep, figures, counts)]
 
 
 def key_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
@@ -109,12 +109,15 @@ def key_panels(sweep: SweepReport, figures: Sequence[str]) -> list[Panel]:
         and 1 < _distinct(sweep, key) <= _MOST_CATEGORIES
     ]
     panels = [
-        _chosen(sweep, figures, partial(_scatter, sweep, key)) for key in number_keys[:_MOST_KEYS]
+        _variant_panel(sweep, figures, partial(_scatter, sweep, key))
+        for key in number_keys[:_MOST_KEYS]
     ]
     for key in others[:_MOST_KEYS]:
-        panels.append(_chosen(sweep, figures, partial(_categories, sweep, key)))
+        panels.append(_variant_panel(sweep, figures, partial(_categories, sweep, key)))
     if len(number_keys) >= 2:
-        panels.append(_chosen(sweep, figures, partial(_map, sweep, number_keys[0], number_keys[1])))
+        panels.append(
+            _variant_panel(sweep, figures, partial(_map, sweep, number_keys[0], number_keys[1]))
+        )
     return panels
 
 
@@ -153,7 +156,7 @@ def _history(sweep: SweepReport) -> list[Panel]:
     several = len(sweep.objectives) > 1
     words = "volume dominated by the front" if several else sweep.title(sweep.objectives[0].figure)
     values = [math.nan if value is None else float(value) for value in sweep.history]
-    curve = Curve(range(1, len(values) + 1), values, held=True)
+    curve = Curve(range(1, len(values) + 1), values, is_step=True)
     return [Panel(Axis("trials"), Axis(words), [curve], "the best so far")]
 
 
@@ -161,7 +164,7 @@ def _pareto(
     sweep: SweepReport, front: Sequence[SweepRun], one: Objective, other: Objective, half: bool
 ) -> Panel:
     both = {one.figure, other.figure}
-    candidates = [run for run in sweep.tried if not run.failed and both <= set(run.figures)]
+    candidates = [run for run in sweep.candidates if not run.failed and both <= set(run.figures)]
     best = sorted(
         (run for run in front if both <= set(run.figures)), key=lambda run: run.figures[one.figure]
     )
@@ -171,14 +174,14 @@ def _pareto(
     ) -> Mark:
         x, y = (_numbers(runs, objective.figure) for objective in (one, other))
         names = [run.name for run in runs]
-        return Points(x, y, label, colour=colour, size=size, told=names, **more)
+        return Points(x, y, label, colour=colour, size=size, tooltips=names, **more)
 
     # Between two runs of the front nothing is known to be had: steps, not a slope. With three
     # objectives the front is a surface, and a line over it would say nothing.
     steps = ("vh" if one.largest else "hv") if len(sweep.objectives) == 2 else ""
     marks = [
         dots(candidates, "trials" if sweep.trials else "runs", "grey", 4.5),
-        dots(best, "Pareto front", "vermilion", 6.5, joined=steps),
+        dots(best, "Pareto front", "vermilion", 6.5, step_shape=steps),
     ]
     across, up = (
         Axis(f"{sweep.title(o.figure)}, {'largest' if o.largest else 'least'} sought")
@@ -209,7 +212,7 @@ def _scatter(sweep: SweepReport, key: str, figure: str) -> Panel:
             colour=_colour(number),
             size=size,
             opacity=0.7,
-            told=[run.name for run in runs],
+            tooltips=[run.name for run in runs],
         )
         for number, (name, runs) in enumerate(groups)
     ]
@@ -279,7 +282,7 @@ def _rings(
                 y,
                 marker="unstable" if place else "dot",
                 size=5.7 + 4.3 * place,
-                told=labels,
+                tooltips=labels,
                 values=_numbers(own, figure),
             )
         )
@@ -303,7 +306,9 @@ def _cells(
         return total / count
 
 
-def _chosen(sweep: SweepReport, figures: Sequence[str], draw: Callable[[str], Panel]) -> Panel:
+def _variant_panel(
+    sweep: SweepReport, figures: Sequence[str], draw: Callable[[str], Panel]
+) -> Panel:
     """A panel that shows the first figure, and any that the reader chooses."""
     panel = draw(figures[0])
     if len(figures) < 2:
@@ -409,7 +414,7 @@ def _lead(sweep: SweepReport, ranking: Ranking | None) -> list[str]:
     outcomes = Counter(run.outcome for run in sweep.runs)
     completed = outcomes.pop("completed", 0)
     others = ", ".join(f"**{count} {outcome}**" for outcome, count in outcomes.most_common())
-    total = max(sweep.asked or 0, len(sweep.runs))
+    total = max(sweep.planned_count or 0, len(sweep.runs))
     never = total - len(sweep.runs)
     if never:
         shortfall = f"**{never} not begun**: the sweep stopped before its end"
@@ -450,7 +455,7 @@ def _best(sweep: SweepReport) -> tuple[SweepRun, float, str] | None:
     if name is None:
         return None
     # A run that ended early has had less time to err.
-    candidates = [r for r in sweep.tried if r.outcome == "completed" and name in r.figures]
+    candidates = [r for r in sweep.candidates if r.outcome == "completed" and name in r.figures]
     if not candidates:
         return None
     run = min(candidates, key=lambda each: each.figures[name])
@@ -460,7 +465,7 @@ def _best(sweep: SweepReport) -> tuple[SweepRun, float, str] | None:
 def _where(sweep: SweepReport, run: SweepRun) -> str:
     filled_keys = [key for key in sweep.keys if run.values.get(key) not in (None, "")]
     setting_keys = [key for key in filled_keys if key not in sweep.drawn_keys]
-    parts = [f"{key} {_shown(run.values[key])}" for key in setting_keys[:_MOST_NAMED]]
+    parts = [f"{key} {_value_text(run.values[key])}" for key in setting_keys[:_MOST_NAMED]]
     if len(setting_keys) > _MOST_NAMED:
         parts.append(f"and {len(setting_keys) - _MOST_NAMED} more")
     if len(filled_keys) > len(setting_keys):
@@ -641,7 +646,7 @@ def _example(sweep: SweepReport) -> str:
     return "outcome=failed"
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -118,7 +118,7 @@ def command_panel(run: RunSignals) -> draw.Panel | None:
         spans = list(run.saturated(name))[:_MOST_SPANS]
         marks += [draw.Span(*span, colour=colour, opacity=0.18) for span in spans]
         time = run.time("/command")
-        marks.append(draw.Curve(time, values, symbol_label(name), colour, width=1.0, held=True))
+        marks.append(draw.Curve(time, values, symbol_label(name), colour, width=1.0, is_step=True))
         samples.append(values)
     limits, lines = with_limits([run], names, axis_range(samples), of_commands=True)
     axis = draw.Axis("command", run.unit("/command", names[0]), limits)
@@ -294,7 +294,7 @@ def solver_panel(run: RunSignals) -> draw.Panel | None:
     marks: list[draw.Mark] = _not_normal(run, named=True)
     marks.append(draw.Points(time, times, "", "dot", "grey", size=1.6))
     for rows, label, marker, colour in (
-        (run.missed(), "deadline missed", "cross", "alarm"),
+        (run.deadline_misses(), "deadline missed", "cross", "alarm"),
         (run.fell_back(), "fall-back", "down", "vermilion"),
     ):
         if rows.any():
@@ -303,7 +303,7 @@ def solver_panel(run: RunSignals) -> draw.Panel | None:
     marks += [draw.Line(y=deadline, colour="alarm")] if deadline is not None else []
     top = 3 * max(deadline, float(finite_times.max())) if deadline is not None else None
     axis = step_axis((0.5 * float(finite_times.min()), top))
-    failed, missed = int(run.fell_back().sum()), int(run.missed().sum())
+    failed, missed = int(run.fell_back().sum()), int(run.deadline_misses().sum())
     note = f"median {np.median(finite_times):.3g} ms"
     words = (
         f"Median {np.median(finite_times):.3g} ms, "
@@ -356,7 +356,7 @@ def histogram(
         label,
         colour,
         width=0.6,
-        held=True,
+        is_step=True,
         opacity=opacity,
         filled=True,
     )
@@ -416,10 +416,10 @@ def _fan_panel(run: RunSignals, name: str, step: int) -> draw.Panel | None:
     reference = run.signal("/reference", name)
     marks: list[draw.Mark] = []
     if happened is not None:
-        look: dict[str, Any] = {"width": 3.0, "opacity": 0.5, "held": is_input}
+        look: dict[str, Any] = {"width": 3.0, "opacity": 0.5, "is_step": is_input}
         marks.append(draw.Curve(happened.time, happened.values, "what happened", **look))
     marks += [reference_curve(reference)] if reference is not None else []
-    marks.append(draw.Fans(times, np.concatenate(xs), np.concatenate(ys), held=is_input))
+    marks.append(draw.Fans(times, np.concatenate(xs), np.concatenate(ys), is_step=is_input))
     samples = [each.values for each in (happened, reference) if each is not None]
     label = symbol_label(name) if is_input else label_of(name)
     axis = draw.Axis(
@@ -440,7 +440,7 @@ def score_note(score: Mapping[str, Any]) -> str:
 
 def reference_curve(reference: TimeSeries, **look: Any) -> draw.Curve:
     usual: dict[str, Any] = {"label": "reference", "colour": "ink", "style": "dashed"}
-    return draw.Curve(reference.time, reference.values, **(usual | look), width=1.0, held=True)
+    return draw.Curve(reference.time, reference.values, **(usual | look), width=1.0, is_step=True)
 
 
 def with_band(
@@ -500,14 +500,14 @@ def iteration_panels(runs: Runs, look: Look = draw.curve_look) -> list[draw.Pane
     if not any(np.any(count > 1) for count in counts):
         return []
     marks, _, _ = curves_of(
-        runs, lambda run, name: run.signal("/controller", name), "iterations", look, held=True
+        runs, lambda run, name: run.signal("/controller", name), "iterations", look, is_step=True
     )
     axis = draw.Axis("iterations", limits=(0.0, None))
     return [draw.Panel(time_axis(*runs), axis, marks, "iterations of the solver", row_height=0.6)]
 
 
 def curves_of(
-    runs: Runs, pick: Pick, name: str, look: Look, *, held: bool = False
+    runs: Runs, pick: Pick, name: str, look: Look, *, is_step: bool = False
 ) -> tuple[list[draw.Mark], list[FloatArray], str]:
     """A curve a run of one of its signals, their values, and their unit."""
     marks: list[draw.Mark] = []
@@ -522,5 +522,5 @@ def curves_of(
         if len(runs) == 1:  # the colour says which axis it is
             own = {"colour": draw.signal_colour(name), "style": "solid"}
             label = f"{label_of(name)}, {signal.source}" if signal.source else ""
-        marks.append(draw.Curve(signal.time, signal.values, label, **own, held=held))
+        marks.append(draw.Curve(signal.time, signal.values, label, **own, is_step=is_step))
     return marks, samples, unit

@@ -213,20 +213,20 @@ def split_columns(
     whole = [
         max(map(_longest_line, [head, *own])) for head, own in zip(columns, cells, strict=True)
     ]
-    if _taken(whole) <= width:
+    if _total_width(whole) <= width:
         return [dict(enumerate(whole))]
     # heads fold at their spaces, names anywhere; figures never
     folded = [
         max(_longest_word(head), *map(_least, own), 1)
         for head, own in zip(columns, cells, strict=True)
     ]
-    if _taken(folded) <= width:
-        return [dict(enumerate(_grown(folded, whole, width)))]
+    if _total_width(folded) <= width:
+        return [dict(enumerate(_grow_widths(folded, whole, width)))]
     head_columns = list(range(min(heads, len(columns))))
-    head_width = _taken([folded[i] for i in head_columns])
+    head_width = _total_width([folded[i] for i in head_columns])
     parts: list[list[int]] = [[]]
     for i in range(len(head_columns), len(columns)):
-        part_width = _taken([folded[j] for j in [*head_columns, *parts[-1], i]])
+        part_width = _total_width([folded[j] for j in [*head_columns, *parts[-1], i]])
         if part_width > width and parts[-1]:
             parts.append([])
         parts[-1].append(i)
@@ -234,7 +234,7 @@ def split_columns(
     for part in parts:
         indices = [*head_columns, *part]
         room = max(width, head_width)
-        grown = _grown([folded[i] for i in indices], [whole[i] for i in indices], room)
+        grown = _grow_widths([folded[i] for i in indices], [whole[i] for i in indices], room)
         result.append(dict(zip(indices, grown, strict=True)))
     return result
 
@@ -284,7 +284,7 @@ def _lines(table: Table, rows: Sequence[Sequence[str]], part: dict[int, int]) ->
     if any(table.columns):
         styles = ["bold cyan" if i < table.heads else "bold" for i in part]
         lines += line_block(table.columns, styles, at_foot=True)
-        lines.append([("─" * _taken(list(part.values())), "dim")])
+        lines.append([("─" * _total_width(list(part.values())), "dim")])
     for row, texts in zip(table.rows, rows, strict=False):
         judgements = [cell.judgement if isinstance(cell, Datum) else "" for cell in row]
         lines += line_block(texts, [_COLOURS[judgements[i]] for i in part], at_foot=False)
@@ -316,14 +316,14 @@ def _longest_word(text: str) -> int:
     return min(max(map(len, text.split()), default=0), _NARROWEST)
 
 
-def _taken(widths: Sequence[int]) -> int:
+def _total_width(widths: Sequence[int]) -> int:
     return sum(widths) + _GAP * max(len(widths) - 1, 0)
 
 
-def _grown(least: Sequence[int], most: Sequence[int], width: int) -> list[int]:
+def _grow_widths(least: Sequence[int], most: Sequence[int], width: int) -> list[int]:
     """Widths from the least towards the most, the narrowest share of its wish first."""
     widths = list(least)
-    room = width - _taken(widths)
+    room = width - _total_width(widths)
     while room > 0:
         hungry = [i for i in range(len(widths)) if widths[i] < most[i]]
         if not hungry:

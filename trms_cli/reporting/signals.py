@@ -210,15 +210,15 @@ class RunSignals:
         time = self.time("/controller")
         return float(f"{1e3 * np.median(np.diff(time)):.4g}") if len(time) > 1 else None
 
-    def missed(self) -> npt.NDArray[np.bool_]:
+    def deadline_misses(self) -> npt.NDArray[np.bool_]:
         """Which control steps took longer than their deadline, (n,)."""
-        return self._told("deadline_missed") > 0
+        return self._controller_column("deadline_missed") > 0
 
     def fell_back(self) -> npt.NDArray[np.bool_]:
         """On which control steps a fall-back acted, or the solver failed, (n,)."""
         failed = self.column("/controller", "status")
         failed = np.asarray(failed, dtype=object) == "failed" if len(failed) else False
-        result: npt.NDArray[np.bool_] = (self._told("fallback") > 0) | failed
+        result: npt.NDArray[np.bool_] = (self._controller_column("fallback") > 0) | failed
         return result
 
     @property
@@ -246,7 +246,7 @@ class RunSignals:
             if topic != "/event" and len(times):
                 yield times.tolist()
 
-    def _told(self, name: str) -> FloatArray:
+    def _controller_column(self, name: str) -> FloatArray:
         values = self.numbers("/controller", name)
         return values if len(values) else np.zeros(len(self.time("/controller")))
 

@@ -75,8 +75,8 @@ def _plane(summary: Mapping[str, Any], one: Mapping[str, Any], other: Mapping[st
     first = [before] if before is not None and before["figures"] else []
     plane = len(summary["objectives"]) == 2
     marks = [
-        *_tried(summary, x, y),
-        _points(front, x, y, "front", "dot", "blue", 5.5, joined="hv" if plane else ""),
+        *_trial_marks(summary, x, y),
+        _points(front, x, y, "front", "dot", "blue", 5.5, step_shape="hv" if plane else ""),
         *_again(front, one["name"], other["name"], "front, fresh conditions", "unstable", "green"),
     ]
     if first:
@@ -96,8 +96,8 @@ def _search(summary: Mapping[str, Any]) -> Chart:
     trials, before = summary["trials"], baseline_of(summary)
     so_far = [math.nan if best is None else best for best in summary["history"]]
     marks: list[Mark] = [
-        *_tried(summary, number, value),
-        Curve([number(trial) for trial in trials], so_far, "best so far", held=True),
+        *_trial_marks(summary, number, value),
+        Curve([number(trial) for trial in trials], so_far, "best so far", is_step=True),
     ]
     if before is not None and before["figures"]:
         marks.append(Line(y=value(before), colour="vermilion", style="dashed"))
@@ -120,7 +120,7 @@ def _ran(summary: Mapping[str, Any]) -> list[Trial]:
     return [trial for trial in summary["trials"] if trial["figures"]]
 
 
-def _tried(summary: Mapping[str, Any], x: Pick, y: Pick) -> list[Mark]:
+def _trial_marks(summary: Mapping[str, Any], x: Pick, y: Pick) -> list[Mark]:
     ran = _ran(summary)
     beyond = [trial for trial in ran if not trial["allowed"]]
     within = [trial for trial in ran if trial["allowed"]]
@@ -140,7 +140,7 @@ def _points(
 ) -> Mark:
     names = [f"trial {trial['trial']}" for trial in trials]
     places = [x(trial) for trial in trials], [y(trial) for trial in trials]
-    return Points(*places, label, marker, colour, size=size, told=names, **how)
+    return Points(*places, label, marker, colour, size=size, tooltips=names, **how)
 
 
 def _again(

@@ -97,7 +97,7 @@ class SweepReport:
     #: After each trial the best value so far; of several objectives the volume that the front
     #: dominates
     history: Sequence[float | None] = ()
-    asked: int | None = None  #: How many runs there were to be; None where nobody said
+    planned_count: int | None = None  #: How many runs there were to be; None where nobody said
     draws: Draws | None = None  #: Of a sweep over drawn values
     left_out: Sequence[tuple[str, str]] = ()  #: Files that could not be read, with the reason
     facts: Mapping[str, str] = field(default_factory=dict)
@@ -132,7 +132,7 @@ class SweepReport:
         return [run for run in self.runs if run.entrant == entrant and not run.failed]
 
     @property
-    def tried(self) -> Sequence[SweepRun]:
+    def candidates(self) -> Sequence[SweepRun]:
         """What an optimisation chooses between: trials, or runs where each is one."""
         return self.trials or self.runs
 
@@ -141,14 +141,14 @@ class SweepReport:
 
         As the sweep names them, of those that are here; else worked out.
         """
-        named = {run.number: run for run in self.tried if run.number is not None}
+        named = {run.number: run for run in self.candidates if run.number is not None}
         front_runs = [named[number] for number in self.pareto if number in named]
         if front_runs:
             return front_runs
         signs = [-1.0 if objective.largest else 1.0 for objective in self.objectives]
         candidates = [
             run
-            for run in self.tried
+            for run in self.candidates
             if not run.failed and all(o.figure in run.figures for o in self.objectives)
         ]
         if not candidates or not signs:

@@ -101,11 +101,13 @@ def line_of(progress: SweepProgress) -> str:
     if progress.retried:
         parts.append(f"{progress.retried} tried again")
     if progress.total is not None:
-        parts.append(f"{max(0, progress.total - progress.ended)} left")
-    if progress.rate > 0 and progress.ended > progress.before + 1:
+        parts.append(f"{max(0, progress.total - progress.ended_count)} left")
+    if progress.rate > 0 and progress.ended_count > progress.before + 1:
         parts.append(rate(progress.rate))
         if progress.total is not None:
-            parts.append(f"{wording.seconds((progress.total - progress.ended) / progress.rate)}")
+            parts.append(
+                f"{wording.seconds((progress.total - progress.ended_count) / progress.rate)}"
+            )
     parts.append(f"{progress.workers} worker{'s' if progress.workers != 1 else ''}")
     return " · ".join(parts)
 

@@ -81,7 +81,7 @@ def _entry(head: LogHead) -> IndexEntry:
         **choices_of_run(named_files(choices, head.config)),
         "recording": run.get("recording.file"),
         "loop": run.get("loop"),
-        "seed": _parsed(run.get("seed", "")),
+        "seed": _parse(run.get("seed", "")),
         "sample_time": _sample_time(head.config),
         "took": None if begin is None or end is None else (end - begin).total_seconds(),
         "git": run.get("git"),
@@ -99,8 +99,8 @@ def choices_of_run(choices: Mapping[str, Any]) -> dict[str, str | None]:
     """The columns of what was choices_of_run, from the option of each group."""
     options = {group: _text(choices.get(group)) for group in _GROUPS}
     return options | {
-        "effects": _joined(choices.get("effect")),
-        "faults": _joined(choices.get("fault")),
+        "effects": _join(choices.get("effect")),
+        "faults": _join(choices.get("fault")),
     }
 
 
@@ -160,11 +160,11 @@ def typed_overrides(overrides: list[str]) -> dict[str, Any]:
     for word in overrides:
         key, equals, value = word.lstrip("+").partition("=")
         if equals and not key.startswith("hydra"):
-            values[key] = _parsed(value)
+            values[key] = _parse(value)
     return values
 
 
-def _parsed(text: str) -> Any:
+def _parse(text: str) -> Any:
     """A number, truth value, null or text, as it was typed."""
     for kind in (int, float):
         try:
@@ -180,14 +180,14 @@ def _strings(value: Any) -> list[str]:
     return [str(word) for word in value] if isinstance(value, list) else []
 
 
-def _joined(value: Any) -> str:
+def _join(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "+".join(map(str, value))
     return "" if value is None else str(value)
 
 
 def _text(value: Any) -> str | None:
-    return None if value is None else _joined(value)
+    return None if value is None else _join(value)
 
 
 def _moment(text: str | None) -> datetime | None:

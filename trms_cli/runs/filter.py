@@ -194,7 +194,7 @@ class _Translation:
         """A node that is true or false."""
         if isinstance(node, ast.BoolOp):
             word = " AND " if isinstance(node.op, ast.And) else " OR "
-            return _joined([self.condition(value) for value in node.values], word)
+            return _join([self.condition(value) for value in node.values], word)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             return _negated(self.condition(node.operand))
         if isinstance(node, ast.Compare):
@@ -207,7 +207,7 @@ class _Translation:
         if value.kind == "truth":
             return Sql(f"({value.sql.text} IS 1)", value.sql.values)
         self._refuse(
-            f"{self._said(node)} is neither true nor false",
+            f"{self._source_text(node)} is neither true nor false",
             node,
             "compare it: with == != < <= > >=, in, like or contains",
         )
@@ -217,7 +217,7 @@ class _Translation:
         for operator, right in zip(node.ops, node.comparators, strict=True):
             parts.append(self._compared(left, operator, right))
             left = right
-        return _joined(parts, " AND ")
+        return _join(parts, " AND ")
 
     def _compared(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> Sql:
         if isinstance(operator, ast.In | ast.NotIn):
@@ -236,7 +236,7 @@ class _Translation:
         for side in (a, b):
             if side.kind in (None, "truth"):
                 self._refuse(
-                    f"{self._said(side.node)} is neither less nor more than anything",
+                    f"{self._source_text(side.node)} is neither less nor more than anything",
                     side.node,
                     "compare it with == or !=",
                 )
@@ -264,14 +264,14 @@ class _Translation:
                 b = self._value(element, beside=left)
                 self._require_same_kind(a, b)
                 parts.append(Sql(f"{a.sql.text} IS {b.sql.text}", a.sql.values + b.sql.values))
-            return _joined(parts, " OR ") if parts else Sql("0")
+            return _join(parts, " OR ") if parts else Sql("0")
         return self._contained(self._value(left), self._value(right))
 
     def _contained(self, part: _Value, whole: _Value) -> Sql:
         for side in (part, whole):
             if side.kind not in ("text", "any"):
                 self._refuse(
-                    f"{self._said(side.node)} is no text",
+                    f"{self._source_text(side.node)} is no text",
                     side.node,
                     "a text contains a text: effects contains 'friction'; one of several values: "
                     "seed in (1, 2, 3)",
@@ -296,7 +296,9 @@ class _Translation:
     def _like(self, node: ast.BinOp) -> Sql:
         value, pattern = self._value(node.left), node.right
         if value.kind not in ("text", "any"):
-            self._refuse(f"{self._said(node.left)} is no text", node.left, "like goes with text")
+            self._refuse(
+                f"{self._source_text(node.left)} is no text", node.left, "like goes with text"
+            )
         if not (isinstance(pattern, ast.Constant) and isinstance(pattern.value, str)):
             self._refuse("like takes a text", pattern, "controller like '*mpc'")
         glob = pattern.value.replace("%", "*").replace("[", "[[]")
@@ -326,7 +328,7 @@ class _Translation:
                 "a condition is not compared with anything", node, "join conditions by and, or, not"
             )
         self._refuse(
-            f"{self._said(node)} is not understood in a filter",
+            f"{self._source_text(node)} is not understood in a filter",
             node,
             "there are columns, numbers, 'texts', None, + - * /, comparisons, in, like, contains, "
             "and, or, not and brackets; nothing is called",
@@ -344,12 +346,12 @@ class _Translation:
             return _Value(Sql("?", (number,)), "number", node)
         if isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value):
             return _Value(Sql("?", (value,)), "text", node)
-        self._refuse(f"{self._said(node)} is no value of a column", node)
+        self._refuse(f"{self._source_text(node)} is no value of a column", node)
 
     def _column(self, node: ast.Name | ast.Attribute, beside: ast.expr | None) -> _Value:
         name = dotted_name(node)
         if name is None:
-            self._refuse(f"{self._said(node)} is no column", node)
+            self._refuse(f"{self._source_text(node)} is no column", node)
         if name.lower() in _CONSTANTS:
             return self._constant(node, _CONSTANTS[name.lower()])
         entry = column_sql(name, self._extra)
@@ -373,7 +375,9 @@ class _Translation:
             sql = f"CASE WHEN typeof({text}) IN ('integer', 'real') THEN CAST({text} AS REAL) END"
             return Sql(f"({sql})", value.sql.values * 2)
         if value.kind not in ("number", "whole"):
-            self._refuse(f"{self._said(node)} is no number", node, "numbers can be reckoned with")
+            self._refuse(
+                f"{self._source_text(node)} is no number", node, "numbers can be reckoned with"
+            )
         return Sql(f"CAST({value.sql.text} AS REAL)", value.sql.values)
 
     def _require_same_kind(self, a: _Value, b: _Value) -> None:
@@ -381,7 +385,7 @@ class _Translation:
         if len(kinds) < 2:
             return
         words = {"text": "a text", "number": "a number", "truth": "true or false"}
-        said = [f"{self._said(v.node)} is {words[_broad(v.kind)]}" for v in (a, b)]
+        said = [f"{self._source_text(v.node)} is {words[_broad(v.kind)]}" for v in (a, b)]
         remedy = "compare like with like"
         if "truth" in kinds:
             remedy = "write it alone (complete), or with not (not complete)"
@@ -389,7 +393,7 @@ class _Translation:
             remedy = "a text is quoted, a number is not"
         self._refuse(", ".join(said), b.node, remedy)
 
-    def _said(self, node: ast.expr) -> str:
+    def _source_text(self, node: ast.expr) -> str:
         """A node as it was typed, in short."""
         begin = character(self._text, node.col_offset)
         end = character(self._text, node.end_col_offset or node.col_offset)
@@ -417,7 +421,7 @@ def _negated(condition: Sql) -> Sql:
     return Sql(f"(NOT {condition.text})", condition.values)
 
 
-def _joined(parts: list[Sql], word: str) -> Sql:
+def _join(parts: list[Sql], word: str) -> Sql:
     values = tuple(value for part in parts for value in part.values)
     return Sql(f"({word.join(part.text for part in parts)})", values)
 

@@ -43,9 +43,9 @@ class AxisMoment:
     error: float  #: Reference minus state (or measurement, where no state is known), now
     rmse: float  #: Of the error, from the run's beginning until now
     time: FloatArray  #: (n,) array; s, of the last samples
-    #: ``wanted``, ``shown``: (n,) array; the reference, and the state or measurement, on them
-    wanted: FloatArray
-    shown: FloatArray
+    #: ``references``, ``outputs``: (n,) array; the reference, and the state or measurement, on them
+    references: FloatArray
+    outputs: FloatArray
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class TopicSamples:
         column = self.texts.get(name)
         return column[count - 1] if column and count else ""
 
-    def held(self, name: str, time: FloatArray) -> FloatArray:
+    def last_values(self, name: str, time: FloatArray) -> FloatArray:
         """A column at other times: its last sample until then, NaN before the first one."""
         column = self.numbers.get(name)
         if column is None or not len(column):
@@ -221,7 +221,7 @@ class RunSamples:
         self._forgotten = 0
         self._squares: dict[str, RunningSum] = {}
         self._limited: dict[str, RunningSum] = {}
-        self._missed, self._fell_back = RunningSum(), RunningSum()
+        self._misses, self._fell_back = RunningSum(), RunningSum()
         self._limits: dict[str, tuple[float, float]] | None = None
         self._progress: list[tuple[int, int]] = []  # (log time, wall time) of chunks, ns
 
@@ -254,7 +254,7 @@ class RunSamples:
             if topic not in self._topics:
                 self._topics[topic] = TopicSamples(table.units)
             self._topics[topic].append(table.time, table.columns)
-        self._progress += [pair for pair in piece.written if pair[1] > _WALL]
+        self._progress += [pair for pair in piece.progress if pair[1] > _WALL]
         if "/reference" in piece.tables:
             self._add_errors(piece.tables["/reference"].time, piece.tables["/reference"].columns)
         if "/command" in piece.tables:
@@ -276,7 +276,7 @@ class RunSamples:
         for name, reference in references.items():
             source = self._source(name)
             if source is not None:
-                error = reference - source.held(name, time)
+                error = reference - source.last_values(name, time)
                 self._squares.setdefault(name, RunningSum()).append(error**2)
 
     def _add_words(self, words: dict[str, np.ndarray]) -> None:
@@ -286,7 +286,7 @@ class RunSamples:
         if "status" in words:
             fell_back |= words["status"] == "failed"
         self._fell_back.append(fell_back.astype(float))
-        self._missed.append(np.nan_to_num(words.get("deadline_missed", nothing)))
+        self._misses.append(np.nan_to_num(words.get("deadline_missed", nothing)))
 
     def _limits_of(self, name: str) -> tuple[float, float]:
         """Lower and upper limit of a command; infinite where the log has none."""
@@ -334,8 +334,8 @@ class RunSamples:
         first = int(np.searchsorted(base.time.values, time - span - 1e-9))
         times = base.time.values[first:last].copy()
         none = np.full(len(times), np.nan)
-        outputs = none if source is None else source.held(name, times)
-        references = none if reference is None else reference.held(name, times)
+        outputs = none if source is None else source.last_values(name, times)
+        references = none if reference is None else reference.last_values(name, times)
         rmse = math.sqrt(self._squares[name].mean_until(last)) if name in self._squares else NAN
         return AxisMoment(
             name=name,
@@ -347,8 +347,8 @@ class RunSamples:
             error=float(references[-1] - outputs[-1]) if len(times) else NAN,
             rmse=rmse,
             time=times,
-            wanted=references,
-            shown=outputs,
+            references=references,
+            outputs=outputs,
         )
 
     def _inputs(self, time: float) -> list[Input]:
@@ -379,7 +379,7 @@ class RunSamples:
             p99_ms=1e3 * float(np.percentile(present, 99)) if present.size else NAN,
             deadline_ms=1e3 * float(np.median(np.diff(last))) if count > 1 else NAN,
             steps=count,
-            misses=int(self._missed.until(count)[0]),
+            misses=int(self._misses.until(count)[0]),
             fallbacks=int(self._fell_back.until(count)[0]),
             iterations=words.number("iterations", count),
             status=words.text("status", count),
@@ -434,11 +434,11 @@ class RunFollower(RunSamples):
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.path = path
-        self.ended = False  #: Nothing more will come, and all that there is has been read
-        self.heard = monotonic()  #: Wall time when the log last grew
+        self.has_ended = False  #: Nothing more will come, and all that there is has been read
+        self.last_growth = monotonic()  #: Wall time when the log last grew
         #: What the run says of itself, its configuration, and what of the log is damaged
-        self.tail = LogTail(path, _wanted)
-        self._asked = -math.inf
+        self.tail = LogTail(path, _is_wanted)
+        self._last_check = -math.inf
         self._last, outcome = _last_words(path)
         #: ``running``; ``completed``, ``interrupted`` or ``failed``, as the run said at its end;
         #: ``died``: no end, and nobody writes; ``unfinished``: no end, and the system does not
@@ -471,21 +471,21 @@ class RunFollower(RunSamples):
 
     def look(self) -> bool:
         """Take what is new; whether there was anything. The state is right once there is not."""
-        if self.ended:
+        if self.has_ended:
             return False
         piece = self.tail.read()
         if piece is None and not self.tail.finished:
             now = monotonic()
-            if now - self._asked < _WRITER_EVERY:
+            if now - self._last_check < _WRITER_EVERY:
                 return False
-            self._asked = now
+            self._last_check = now
             state = self._of_writer()
             if state != "died":
                 self.state = state
                 return False
             piece = self.tail.read()  # what came between the two
             if piece is None and not self.tail.finished:
-                self.state, self.ended = state, True
+                self.state, self.has_ended = state, True
                 return False
         if piece is not None:
             self._check_origin()
@@ -495,9 +495,9 @@ class RunFollower(RunSamples):
                 raise RecordingError(
                     f"its messages are not as trms writes them ({error})", where=str(self.path)
                 ) from error
-            self.heard = monotonic()
+            self.last_growth = monotonic()
         if self.tail.finished:
-            self.ended, self.state = True, str(self.tail.run.get("outcome") or "completed")
+            self.has_ended, self.state = True, str(self.tail.run.get("outcome") or "completed")
         return piece is not None
 
     def look_until(self, time: float, budget: float = math.inf) -> bool:
@@ -530,7 +530,7 @@ class RunFollower(RunSamples):
         return {True: "running", False: "died", None: "unfinished"}[self.tail.has_writer()]
 
 
-def _wanted(topic: str, column: str) -> bool:
+def _is_wanted(topic: str, column: str) -> bool:
     if topic in _WHOLE:
         return True
     if topic == "/controller":

@@ -54,7 +54,7 @@ def find_runs(
     ConfigurationError
         If there is no such folder or column.
     """
-    return _found(
+    return _query(
         filter,
         folders,
         everywhere=everywhere,
@@ -67,7 +67,7 @@ def find_runs(
 
 def runs_table(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any) -> Any:
     """Runs as a ``pyarrow.Table``, units in the metadata of its fields; as :func:`find_runs`."""
-    return table_of(_found(filter, folders, **how))
+    return table_of(_query(filter, folders, **how))
 
 
 def runs_frame(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any) -> Any:
@@ -89,7 +89,7 @@ def runs_frame(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any
             "runs_table(…) an Arrow table",
         )
     pandas = import_module("pandas")
-    result = _found(filter, folders, **how)
+    result = _query(filter, folders, **how)
     frame = table_of(result).to_pandas()
     if "time" in frame:
         frame["time"] = pandas.to_datetime(frame["time"], utc=True)
@@ -106,7 +106,7 @@ def table_of(result: QueryResult) -> Any:
     return arrow_table(result.runs, kinds, {name: column.unit for name, column in columns.items()})
 
 
-def _found(
+def _query(
     filter: str, folders: Path | Sequence[Path], *, columns: Sequence[str] = (), **how: Any
 ) -> QueryResult:
     several = (folders,) if isinstance(folders, (str, os.PathLike)) else tuple(folders)

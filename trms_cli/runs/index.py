@@ -56,7 +56,7 @@ class LogReading:
     """A log that has been looked at."""
 
     log: str  #: Its absolute path
-    seen: FileStamp
+    stamp: FileStamp
     entry: IndexEntry | None = None  #: None for what is no run
     problem: str = ""  #: Why it cannot be read; "" if it can
 
@@ -126,7 +126,7 @@ class RunIndex:
             raise
         self._connection.execute("COMMIT")
 
-    def known(self, roots: Sequence[str] | None) -> dict[str, FileStamp]:
+    def stamps(self, roots: Sequence[str] | None) -> dict[str, FileStamp]:
         """The logs under folders (None: all) that the index has, and when they were looked at."""
         scope = scope_sql(roots)
         rows = self._connection.execute(
@@ -149,7 +149,7 @@ class RunIndex:
         columns = ", ".join(f'"{name}"' for name in names)
         marks = ", ".join("?" * len(names))
         statement = f"INSERT OR REPLACE INTO runs ({columns}) VALUES ({marks})"
-        logs = [(a.log, a.seen.mtime_ns, a.seen.size, a.kind, a.problem) for a in readings]
+        logs = [(a.log, a.stamp.mtime_ns, a.stamp.size, a.kind, a.problem) for a in readings]
         rows = [_row(a.entry) for a in readings if a.entry is not None]
         with self._writing():
             self._connection.executemany("DELETE FROM runs WHERE log = ?", [(a[0],) for a in logs])
@@ -191,7 +191,7 @@ class RunIndex:
         try:
             return int(self._connection.execute(statement, condition.values).fetchone()[0])
         except sqlite3.OperationalError as error:
-            raise _refused(error) from error
+            raise _query_error(error) from error
 
     def select(
         self,
@@ -227,7 +227,7 @@ class RunIndex:
                 for row in rows
             ]
         except sqlite3.OperationalError as error:
-            raise _refused(error) from error
+            raise _query_error(error) from error
 
     def unreadable(self, roots: Sequence[str] | None) -> list[tuple[str, str]]:
         """Logs under folders that cannot be read, with the reason."""
@@ -240,7 +240,7 @@ class RunIndex:
         return [(log, problem) for log, problem in rows]
 
 
-def _refused(error: sqlite3.Error) -> RecordingError:
+def _query_error(error: sqlite3.Error) -> RecordingError:
     return RecordingError(
         f"the index does not answer ({error})", where="trms runs", remedy="ask for less"
     )

@@ -65,7 +65,7 @@ class _Walk:
 
     logs: dict[str, FileStamp] = field(default_factory=dict)
     odd: list[tuple[str, str]] = field(default_factory=list)
-    left: int | None = None  # entries that may still be looked at
+    remaining: int | None = None  # entries that may still be looked at
     remarks: list[str] = field(default_factory=list)
 
 
@@ -93,8 +93,8 @@ def _find(question: Query, tell: Tell) -> QueryResult:
     bounded = roots == []
     if bounded:
         roots = [_folder(os.curdir)]
-    walk = _Walk(left=MOST_ENTRIES if bounded else None)
-    with _opened(walk.remarks) as index:
+    walk = _Walk(remaining=MOST_ENTRIES if bounded else None)
+    with _open_index(walk.remarks) as index:
         for paths in new_runs():
             index.expect(paths)
         if question.rebuild:
@@ -130,12 +130,12 @@ def refresh(
 ) -> None:
     """Make the index say of folders what lies in them; None: of all logs that it knows."""
     walk = walk or _Walk()
-    earlier_stamps = index.known(roots)
+    earlier_stamps = index.stamps(roots)
     for root in roots or ():
         _look_through(root, walk)
     stamps, absent_logs = walk.logs, []
     for log in earlier_stamps.keys() - stamps.keys():  # in folders that were passed over, or gone
-        stamp = _seen(log)
+        stamp = _stamp_of(log)
         if stamp is None:
             absent_logs.append(log)
         else:
@@ -151,7 +151,7 @@ def refresh(
             batch = []
     if batch:
         index.put(batch)
-    index.forget(log for log in absent_logs if _seen(log) is None)
+    index.forget(log for log in absent_logs if _stamp_of(log) is None)
 
 
 def _look(log: str, stamp: FileStamp) -> LogReading:
@@ -165,7 +165,7 @@ def _look(log: str, stamp: FileStamp) -> LogReading:
 def _look_through(root: str, walk: _Walk) -> None:
     """Find the logs in a folder, or the one that it is."""
     if os.path.isfile(root):
-        stamp = _seen(root)
+        stamp = _stamp_of(root)
         if stamp is not None:
             walk.logs[root] = stamp
         return
@@ -175,9 +175,9 @@ def _look_through(root: str, walk: _Walk) -> None:
         try:
             with os.scandir(folder) as entries:
                 for entry in entries:
-                    if walk.left is not None:
-                        walk.left -= 1
-                        if walk.left < 0:
+                    if walk.remaining is not None:
+                        walk.remaining -= 1
+                        if walk.remaining < 0:
                             walk.remarks.append(
                                 f"only {MOST_ENTRIES} files of {root} were looked at: "
                                 "name the folder of the runs with --in"
@@ -191,7 +191,7 @@ def _look_through(root: str, walk: _Walk) -> None:
 
 def logs_in(folder: Path) -> dict[str, FileStamp]:
     """The logs under a folder, as far as the working folder is looked through."""
-    walk = _Walk(left=MOST_ENTRIES)
+    walk = _Walk(remaining=MOST_ENTRIES)
     _look_through(str(folder), walk)
     return {log: stamp for log, stamp in walk.logs.items() if log.endswith(_SUFFIX)}
 
@@ -201,7 +201,7 @@ def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
         if not entry.name.startswith(".") and entry.name not in _PASSED_OVER:
             waiting.append(entry.path)
     elif entry.name == STATUS_NAME:
-        stamp = _seen(entry.path)
+        stamp = _stamp_of(entry.path)
         if stamp is not None:
             walk.logs[entry.path] = stamp
     elif entry.name.endswith(_SUFFIX) and not entry.name.startswith(".") and entry.is_file():
@@ -215,7 +215,7 @@ def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
         walk.logs[entry.path] = FileStamp(status.st_mtime_ns, status.st_size)
 
 
-def _seen(log: str) -> FileStamp | None:
+def _stamp_of(log: str) -> FileStamp | None:
     """A file's time and size; None if there is no such file, or its word does not count.
 
     The status of a job counts only where the job has left no log.
@@ -253,7 +253,7 @@ def _column(name: str, more: Sequence[str] | None, where: str) -> tuple[IndexCol
 
 
 @contextlib.contextmanager
-def _opened(remarks: list[str]) -> Iterator[RunIndex]:
+def _open_index(remarks: list[str]) -> Iterator[RunIndex]:
     """The index of this host, or one for this time where it cannot be kept."""
     file = index_file()
     try:

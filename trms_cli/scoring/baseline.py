@@ -87,9 +87,7 @@ def compare(score: Mapping[str, Any], baseline: Baseline) -> list[BaselineRow]:
         own = baseline.tolerances
         figure_tolerance = own.get(key) or own.get(key.rpartition(".")[2]) or entry.figure.tolerance
         allowed = (
-            figure_tolerance.allowed(old)
-            if figure_tolerance is not None and old is not None
-            else 0.0
+            figure_tolerance.limit(old) if figure_tolerance is not None and old is not None else 0.0
         )
         verdict = _verdict(new, old, allowed)
         rows.append(BaselineRow(key, old, new, allowed, entry.unit, verdict, entry.figure.judged))

@@ -31,7 +31,7 @@ class FigureTolerance:
     absolute: float = 0.0  #: In the figure's unit
     relative: float = 0.0  #: Fraction of the baseline
 
-    def allowed(self, baseline: float) -> float:
+    def limit(self, baseline: float) -> float:
         """In the figure's unit."""
         return self.absolute + self.relative * abs(baseline)
 

@@ -24,7 +24,7 @@ def answer(score: Mapping[str, Any], who: str) -> str:
     """``newton_mpc followed pitch to 0.134 rad and yaw to 0.19 rad (RMSE) over 80 s, …``."""
     errors = [
         f"{wording.signal(entry.of)} to {wording.quantity(entry.value, entry.unit)}"
-        for entry in _known(score, "channels", "rmse")
+        for entry in _present_entries(score, "channels", "rmse")
     ]
     duration = f"{finite(score.get('duration_s')) or 0:g} s"
     troubles = ", ".join(trouble_of(score)) or "nothing to report of a solver"
@@ -57,11 +57,11 @@ def measures_of(score: Mapping[str, Any]) -> list[Measure]:
         if entry.figure.key == "rmse":
             label = f"RMSE {wording.signal(entry.of)}"
             measures.append(Measure(label, entry.value, entry.unit))
-    if settling := _known(score, "channels", "settling_time_s"):
+    if settling := _present_entries(score, "channels", "settling_time_s"):
         slowest = max(settling, key=lambda entry: entry.value or 0)
         note = f"slowest step, of {wording.signal(slowest.of)}"
         measures.append(Measure("settling time", slowest.value, "s", note=note))
-    if effort := _known(score, "inputs", "effort"):
+    if effort := _present_entries(score, "inputs", "effort"):
         total = figures.total(entry.value for entry in effort)
         measures.append(Measure("effort ∫u²dt", total, effort[0].unit, note="both inputs added"))
     solver = part(score, "solver")
@@ -72,7 +72,9 @@ def measures_of(score: Mapping[str, Any]) -> list[Measure]:
     return measures
 
 
-def _known(score: Mapping[str, Any], group: figures.Group, key: str) -> list[figures.Entry]:
+def _present_entries(
+    score: Mapping[str, Any], group: figures.Group, key: str
+) -> list[figures.Entry]:
     entries = figures.entries(score, group)
     return [e for e in entries if e.figure.key == key and e.value is not None]
 

@@ -99,23 +99,23 @@ class TrackedChannel:
     """A channel that was to follow a reference, as the figures of channels take it."""
 
     time: Array  #: (n,) s
-    wanted: Array  #: (n,) reference
+    reference: Array  #: (n,)
     response: Array  #: (n,) what it did; NaN where no sample is
 
     @cached_property
     def error(self) -> Array:
         """(n,) reference minus response."""
-        return self.wanted - self.response
+        return self.reference - self.response
 
     @cached_property
     def steps(self) -> list[metrics.StepMetrics]:
         """Of the reference, in order; ``inf`` for what did not happen."""
-        return metrics.steps(self.time, self.wanted, self.response)
+        return metrics.steps(self.time, self.reference, self.response)
 
     @cached_property
     def steady_state_error(self) -> float:
         """Mean over the last part of each hold."""
-        return metrics.steady_state_error(self.time, self.wanted, self.response)
+        return metrics.steady_state_error(self.time, self.reference, self.response)
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def _channels(tables: Mapping[str, Columns]) -> dict[str, Any]:
             continue
         table, time = tables[source], reference.time
         signals = TrackedChannel(time, floats(reference, name), hold_at(table, name, time))
-        if np.all(np.isnan(signals.wanted)) or np.all(np.isnan(signals.response)):
+        if np.all(np.isnan(signals.reference)) or np.all(np.isnan(signals.response)):
             continue
         scored[name] = _computed("channels", signals) | {
             "unit": unit(table, name),

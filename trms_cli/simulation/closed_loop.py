@@ -112,7 +112,7 @@ class Loop:
     _controller_state: Any
     _supervisor: SupervisorRun
     _now_ns: int = 0
-    done: int = 0  #: Samples that are behind
+    completed_samples: int = 0  #: Samples that are behind
     _gate: CommandGate = field(init=False)
     _tell_control: Writer = field(init=False)
     _tell_prediction: Writer = field(init=False)
@@ -186,7 +186,7 @@ class Loop:
         u = plant.first_command.copy()
         landing = False
 
-        for k in range(self.done, e.samples):
+        for k in range(self.completed_samples, e.samples):
             now_ns = self._now_ns = round(k * e.sample_time * 1e9)
             if faults:
                 self._tell_of_faults(faults, k)
@@ -224,12 +224,12 @@ class Loop:
             if any(estimate.rejected.tolist()):
                 tell_rejected(history, now_ns, estimate, plant.outputs)
             plant.advance(u)
-            self.done = k + 1
-            if self.done % per_second == 0:
+            self.completed_samples = k + 1
+            if self.completed_samples % per_second == 0:
                 history.flush()
                 if progress is not None:
                     error = estimate.x[controlled] - self.references[k]
-                    progress(self.done * e.sample_time, float(np.abs(error).max()))
+                    progress(self.completed_samples * e.sample_time, float(np.abs(error).max()))
         history.flush()
 
     def _known_torques(self) -> tuple[FloatArray, FloatArray | None]:
@@ -257,7 +257,7 @@ class Loop:
         u = self._gate.applied(command, sample.previous_command)
         if self._gate.holds:  # whatever the controller says of it, it has failed
             command = replace(command, fallback="held")
-        self._supervisor.heard(command)
+        self._supervisor.note_command(command)
         self._log_control(command, spent, missed=spent > deadline)
         if command.prediction is not None:
             p = command.prediction

@@ -28,7 +28,7 @@ class Replay:
     observer: Observer
     history: History  #: Gets the rows, at the rig's own times
     _observer_state: Any
-    done: int = 0  #: Samples so far
+    completed_samples: int = 0  #: Samples so far
 
     @classmethod
     def start(
@@ -68,9 +68,9 @@ class Replay:
         log_measurement, log_estimate = history.writer("/measurement"), history.writer("/estimate")
         times_ns = log_times(rig)
         happenings = list(reversed(rig.happenings))
-        u = rig.commands[max(self.done - 1, 0)]
+        u = rig.commands[max(self.completed_samples - 1, 0)]
 
-        for k in range(self.done, len(rig)):
+        for k in range(self.completed_samples, len(rig)):
             now_ns, y = times_ns[k], rig.measurements[k]
             while happenings and happenings[-1].sample <= k:
                 event = happenings.pop()
@@ -84,12 +84,15 @@ class Replay:
             log_estimate(now_ns, estimate_row(estimate))
             if estimate.rejected.any():
                 tell_rejected(history, now_ns, estimate, rig.outputs)
-            self.done = k + 1
-            if self.done % per_second == 0:
+            self.completed_samples = k + 1
+            if self.completed_samples % per_second == 0:
                 history.flush()
                 if progress is not None:
                     surprise = np.abs(estimate.innovation[angles])
-                    progress(self.done * rig.sample_time, float(np.nanmax(surprise, initial=0.0)))
+                    progress(
+                        self.completed_samples * rig.sample_time,
+                        float(np.nanmax(surprise, initial=0.0)),
+                    )
         history.flush()
 
 

@@ -111,7 +111,7 @@ class SupervisorRun:
         """The command (n_u,) after ``u`` while landing, V."""
         return u
 
-    def heard(self, command: Command) -> None:
+    def note_command(self, command: Command) -> None:
         """Take in the controller's own words."""
 
     def reasons(self) -> str:
@@ -181,7 +181,7 @@ class WatchingRun(SupervisorRun):
         self._limit, self._frozen_limit = (config.innovation_limit**2, config.frozen_innovation**2)
         n = len(setup.outputs)
         self._last: list[float] = [math.nan] * n
-        self._missed, self._same = [0] * n, [0] * n
+        self._missing_counts, self._same = [0] * n, [0] * n
         self._frozen = [False] * n
         self._changes = [0] * n
         self._readings = [0] * n
@@ -198,7 +198,7 @@ class WatchingRun(SupervisorRun):
         self._active: dict[tuple[Reason, str], list[int]] = {}
 
     def screen(self, y: FloatArray) -> FloatArray:
-        missed, same, last = self._missed, self._same, self._last
+        missed, same, last = self._missing_counts, self._same, self._last
         for i, value in enumerate(y.tolist()):
             if value != value:
                 missed[i] += 1
@@ -226,7 +226,7 @@ class WatchingRun(SupervisorRun):
                 mean[i] += self._forget * (share - mean[i])
                 if self._same[i] >= self._frozen_after and not frozen[i]:
                     frozen[i] = self._should_move(i)
-            if self._missed[i] >= self._missing_after:
+            if self._missing_counts[i] >= self._missing_after:
                 reasons.append((Reason.MISSING, self._outputs[i]))
             elif frozen[i]:
                 reasons.append((Reason.FROZEN, self._outputs[i]))
@@ -287,7 +287,7 @@ class WatchingRun(SupervisorRun):
         move = np.clip(self._goal - u, -self._largest_move, self._largest_move)
         return np.asarray(u + move)
 
-    def heard(self, command: Command) -> None:
+    def note_command(self, command: Command) -> None:
         self._failing = command.status is Status.FAILED or bool(command.fallback)
         self._out_of_reach = command.out_of_reach
 

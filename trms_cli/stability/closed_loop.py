@@ -44,7 +44,7 @@ class LoopRun:
     u: FloatArray  #: (n, n_u) array; commands that the controller gave
     applied: FloatArray  #: (n, n_u) array; what reached the motors
     failures: int = 0  #: Control samples whose solve failed
-    ended: str = ""  #: Why it ended early; empty if it did not
+    stop_reason: str = ""  #: Why it ended early; empty if it did not
     #: Control samples by how their computation ended (:class:`Status` by its label)
     statuses: Mapping[str, int] = field(default_factory=dict)
 
@@ -157,13 +157,13 @@ def run_loop(
         prediction_every=0,
     )
     running = Loop.start(experiment, lambda plant: History({}, None))
-    ended = ""
+    stop_reason = ""
     try:
         running.run()
     except Enough as enough:
-        ended = str(enough)
+        stop_reason = str(enough)
     except (ArithmeticError, SimulationError) as error:
-        ended = str(error)
+        stop_reason = str(error)
     n = len(plant.applied)
     x = np.array(plant.visited, dtype=float).reshape(n, model.n_x)
     u, applied = (
@@ -172,4 +172,4 @@ def run_loop(
     )
     failures = sum(kind == "solver" for _, kind, *_ in running.history.events)
     time = np.arange(n, dtype=np.float64) * loop.sample_time
-    return LoopRun(time, x, u, applied, failures, ended, dict(counted.statuses))
+    return LoopRun(time, x, u, applied, failures, stop_reason, dict(counted.statuses))

@@ -16,7 +16,15 @@ from typing import Any
 
 from trms_cli.core.errors import TrmsError
 from trms_cli.sweeps.plugins import Attempt, EndedAttempt, Launcher, Proposals, Work, Workers
-from trms_cli.sweeps.record import SILENT_AFTER, Claim, Record, RunFolder, is_alive, lost, now
+from trms_cli.sweeps.record import (
+    SILENT_AFTER,
+    Claim,
+    Record,
+    RunFolder,
+    is_alive,
+    lost_status,
+    now,
+)
 from trms_cli.sweeps.space import RunResult, SweepPoint
 
 #: Problem of a result that ends the whole sweep: every other run would fail of it too.
@@ -54,7 +62,7 @@ class SweepProgress:
         self.results[result.number] = result
 
     @property
-    def ended(self) -> int:
+    def ended_count(self) -> int:
         """Runs that have ended, however."""
         return len(self.results)
 
@@ -62,7 +70,7 @@ class SweepProgress:
     def rate(self) -> float:
         """Runs that ended per second since this process began."""
         spent = time.monotonic() - self.begin
-        return (self.ended - self.before) / spent if spent > 0 else 0.0
+        return (self.ended_count - self.before) / spent if spent > 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -127,7 +135,7 @@ class Driver:
                 self._watched[point.number] = _Watched(Attempt(point, attempt))
             else:
                 self._waiting.append(Attempt(point, attempt + 1))
-        self.progress.before = self.progress.ended
+        self.progress.before = self.progress.ended_count
 
     def drive(self, launcher: Launcher) -> None:
         """Have all points run.
@@ -165,7 +173,7 @@ class Driver:
         if not self._handed and not self._watched:
             return bool(self._waiting)
         if self._handed:
-            for ended in crew.ended(_LOOK):
+            for ended in crew.collect(_LOOK):
                 self._settle(ended)
         else:
             time.sleep(_LOOK)
@@ -221,7 +229,7 @@ class Driver:
             self.progress.retried += 1
             self._waiting.append(Attempt(point, max(folder.last_attempt(), attempt.number) + 1))
             return
-        status = lost(point, tries, reason, folder.status())
+        status = lost_status(point, tries, reason, folder.status())
         folder.path.mkdir(exist_ok=True)
         folder.write(status)
         self._take(RunResult(point.number, "lost", problem=status["error"]["problem"]))
@@ -255,7 +263,7 @@ class Driver:
         until = time.monotonic() + _GRACE
         while self._handed and time.monotonic() < until:
             try:
-                attempts = crew.ended(_LOOK)
+                attempts = crew.collect(_LOOK)
             except TrmsError:
                 break  # no workers any more
             for ended in attempts:

@@ -199,7 +199,7 @@ class Job:
     overrides: tuple[str, ...]  #: What was typed for it
     objective: float  #: What the sweep minimises; NaN if it has none (yet)
     problem: str  #: Why it failed
-    changed: float  #: When it last said something, seconds since the epoch
+    last_change: float  #: When it last said something, seconds since the epoch
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ class SweepState:
         return sum(job.state in states for job in self.jobs)
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         """Nothing more will come: nobody drives it, or nothing runs and all has ended or died."""
         if self.state:
             return self.state != "running"
@@ -252,7 +252,7 @@ class SweepState:
         """Jobs that did not end well, the latest first."""
         states = ("failed", "lost", "interrupted", "gone")
         failed = [job for job in self.jobs if job.state in states]
-        return sorted(failed, key=lambda job: -job.changed)
+        return sorted(failed, key=lambda job: -job.last_change)
 
 
 class _Plan(NamedTuple):
@@ -290,7 +290,7 @@ class SweepFollower:
             total = None  # not the sweep that the plan is of
         if state:
             state = "running" if driven else "done" if state == "done" else "interrupted"
-        ends = [job.changed for job in jobs if job.state in record.ENDED]
+        ends = [job.last_change for job in jobs if job.state in record.ENDED]
         rate = rate_of(ends, latest=_RECENT, least=2)
         now = time.time()
         return SweepState(
@@ -348,7 +348,7 @@ def _job(file: Path, folder: Path, changed: int) -> Job | None:
         overrides=tuple(map(str, overrides)) if isinstance(overrides, list) else (),
         objective=math.nan if objective is None else objective,
         problem=record.problem_of(status),
-        changed=changed / 1e9,
+        last_change=changed / 1e9,
     )
 
 

@@ -88,7 +88,7 @@ class Workers(Protocol):
     def submit(self, attempts: Sequence[Attempt]) -> None:
         """Have runs made; returns at once."""
 
-    def ended(self, timeout_s: float) -> list[EndedAttempt]:
+    def collect(self, timeout_s: float) -> list[EndedAttempt]:
         """Those that have ended since the last call; waits up to `timeout_s` for the first.
 
         When a worker dies its attempts are among them, and the crew goes on with new workers (or

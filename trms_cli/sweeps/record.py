@@ -136,7 +136,9 @@ class RunFolder:
             _rename(self.path / name, aside)
 
 
-def lost(point: SweepPoint, attempt: int, reason: str, before: Mapping[str, Any]) -> dict[str, Any]:
+def lost_status(
+    point: SweepPoint, attempt: int, reason: str, before: Mapping[str, Any]
+) -> dict[str, Any]:
     """The status of a run whose worker died each time, the last one in `attempt` for a `reason`.
 
     `before` is the status that the last worker left, for what is known of it.

@@ -43,4 +43,4 @@ def read(data: bytes, folder: Path) -> None:
         with RunIndex(None) as index:
             index.put([LogReading(str(status), FileStamp(0, len(data)), entry)])
     sweep = SweepFollower(job.parent).now()
-    sweep.ended, sweep.best, sweep.failures, sweep.left_s  # noqa: B018
+    sweep.has_ended, sweep.best, sweep.failures, sweep.left_s  # noqa: B018

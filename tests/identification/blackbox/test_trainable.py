@@ -41,7 +41,7 @@ def stored(network, theta) -> Network:
     generator = np.random.default_rng(3)
     return Network(
         network.kind,
-        network.named(theta),
+        network.weights(theta),
         generator.standard_normal(N_Z),
         generator.uniform(0.5, 2.0, N_Z),
         generator.standard_normal(N_OUT),
@@ -114,7 +114,7 @@ def test_starting_weights_spread_the_units_and_follow_the_seed():
     network = Mlp(4, 2, (30,))
     theta = network.start(np.random.default_rng(0))
     assert np.array_equal(theta, network.start(np.random.default_rng(0)))
-    w = network.named(theta)
+    w = network.weights(theta)
     norms = np.linalg.norm(w["W1"], axis=1)
     assert norms == pytest.approx(0.5 * 0.7 * 30 ** (1 / 4))
     assert len(np.unique(np.sign(w["b1"]))) == 2

@@ -100,7 +100,7 @@ class TestSearch:
 class TestFinding:
     def test_cma_finds_the_bottom_and_says_so_and_restarts_spend_what_is_left(self):
         found = run(cma(), 4000)
-        assert found.ended.startswith("converged")
+        assert found.stop_reason.startswith("converged")
         assert found.best == pytest.approx(TARGET, abs=1e-3)
         once, twice = run(cma(), 9000), run(cma(restarts=1), 9000)
         assert once.evaluations < twice.evaluations < 9000

@@ -68,7 +68,7 @@ class TestBox:
     def test_draws_begin_at_the_start_and_follow_the_priors(self, rig):
         problem = rig.problem()
         box = Box(problem, 3.0)
-        drawn = box.values(box.drawn(4000, np.random.default_rng(0)))
+        drawn = box.values(box.draw(4000, np.random.default_rng(0)))
         assert drawn[0] == pytest.approx(problem.starts)
         assert drawn.mean(axis=0) == pytest.approx(problem.prior_means, rel=0.03)
         assert drawn.std(axis=0) == pytest.approx(problem.scales, rel=0.06)

@@ -71,7 +71,7 @@ class TestMarginals:
     def test_a_prior_is_drawn_as_prior_seed_draws_it(self, sampler):
         """The distribution is that of ``plant.prior_seed``, which is drawn 2000 times here."""
         table = ParameterSet([Parameter("k", 2.0, prior_sd=0.1)])
-        theirs = [float(table.drawn(seed).values[0]) for seed in range(2000)]
+        theirs = [float(table.draw(seed).values[0]) for seed in range(2000)]
         space = Space((), (), (PRIOR,))
         ours = [p.values[PRIOR.key] for p in points_of(sampler(samples=2000, seed=1), space)]
         assert stats.ks_2samp(ours, theirs).pvalue > 0.01

@@ -102,8 +102,8 @@ class TestConditions:
     def test_an_objective_is_the_mean_or_the_worst_unless_a_run_failed(self, how, expected):
         aims = Aims(("effort",), worst=how == "worst")
         results = [RunResult(i, "done", {"effort": value}) for i, value in enumerate((1.0, 2.0))]
-        assert aims.tried(results).figures["effort"] == expected
-        lost = aims.tried([*results, RunResult(2, "lost", problem="gone")])
+        assert aims.outcome(results).figures["effort"] == expected
+        lost = aims.outcome([*results, RunResult(2, "lost", problem="gone")])
         assert lost == TrialOutcome(problem="gone") and lost.failed
 
     def test_limits_hold_in_every_condition(self):
@@ -112,9 +112,9 @@ class TestConditions:
             RunResult(i, "done", {"rmse_alpha_h": 0.1, "solve_p99": value})
             for i, value in enumerate((5.0, 25.0))
         ]
-        assert aims.excess(aims.tried(slow)) == [pytest.approx(0.25)]
-        assert not aims.allowed(aims.tried(slow))
-        assert aims.allowed(aims.tried(slow[:1]))
+        assert aims.excess(aims.outcome(slow)) == [pytest.approx(0.25)]
+        assert not aims.is_feasible(aims.outcome(slow))
+        assert aims.is_feasible(aims.outcome(slow[:1]))
 
 
 class TestBaseline:

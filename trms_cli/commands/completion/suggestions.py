@@ -131,7 +131,7 @@ def _keys_starting(keys: DeclaredKeys, key: str) -> list[str]:
     if not path:
         names = [f"{name}=" for name in keys.declared.defaults]
         names += [f"{name}." for name in keys.declared.defaults if name != "experiment"]
-        names += [_shown(name, value) for name, value in keys.declared.body.items()]
+        names += [_suggestion(name, value) for name, value in keys.declared.body.items()]
         placed = [f"{group}@{place}=" for group, place in keys.places()] if last else []
         return _starting(last, [*names, *placed])
     if "@" in path[0]:
@@ -140,11 +140,11 @@ def _keys_starting(keys: DeclaredKeys, key: str) -> list[str]:
     if not isinstance(node, Mapping):
         return []
     stem = ".".join(path)
-    names = [_shown(str(name), value) for name, value in node.items() if name[:1] != "_"]
+    names = [_suggestion(str(name), value) for name, value in node.items() if name[:1] != "_"]
     return [f"{stem}.{name}" for name in _starting(last, names)]
 
 
-def _shown(name: str, value: Any) -> str:
+def _suggestion(name: str, value: Any) -> str:
     return f"{name}." if isinstance(value, Mapping) and value else f"{name}="
 
 

@@ -93,14 +93,14 @@ _GLANCE = 40
 
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
-    arguments = _given(argv)
+    arguments = _parse_arguments(argv)
     from trms_cli.reporting.progress import ReadingProgress
     from trms_cli.runs.columns import COLUMNS
     from trms_cli.runs.filter import names_in
     from trms_cli.runs.query import Query, find
 
     is_on_screen = not (arguments.json or arguments.csv or arguments.parquet)
-    extra, requested_columns = _asked(arguments.columns)
+    extra, requested_columns = _parse_columns(arguments.columns)
     usual = extra or not requested_columns
     if requested_columns == ["all"]:
         requested_columns = list(COLUMNS)
@@ -157,7 +157,7 @@ def _present(
     runs_screen.say_remarks(result, unreadable=not arguments.unreadable)
 
 
-def _given(argv: list[str]) -> Any:
+def _parse_arguments(argv: list[str]) -> Any:
     options = PlainOptions("trms runs", HELP)
     options.add_argument("filter", nargs="*", metavar="FILTER")
     options.add_argument("--in", action="append", default=[], dest="folders", metavar="FOLDER")
@@ -187,7 +187,7 @@ def _given(argv: list[str]) -> Any:
     return arguments
 
 
-def _asked(text: str) -> tuple[bool, list[str]]:
+def _parse_columns(text: str) -> tuple[bool, list[str]]:
     """Whether the columns named are to be added to the usual ones, and their names."""
     names = [name.strip() for name in text.removeprefix("+").split(",")]
     return text.startswith("+"), [name for name in names if name]

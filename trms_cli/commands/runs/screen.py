@@ -72,7 +72,7 @@ def print_runs(
         return
     names = list(result.columns)
     if mentioned_columns is not None:
-        names = _chosen(result, mentioned_columns)
+        names = _visible_columns(result, mentioned_columns)
         names += _settings(result, names)
     if sys.stdout.isatty():
         _print_table(result, names)
@@ -103,7 +103,7 @@ def say_remarks(result: QueryResult, *, unreadable: bool) -> None:
         sys.stderr.write(f"note   {logs} could not be read: {first}{more}\n")
 
 
-def _chosen(result: QueryResult, mentioned_columns: Sequence[str]) -> list[str]:
+def _visible_columns(result: QueryResult, mentioned_columns: Sequence[str]) -> list[str]:
     """The columns worth showing: those asked for, and the usual ones that say something."""
     requested_names = {ALIASES.get(name, name) for name in mentioned_columns}
     names_by_column: dict[str, str] = {}  # by the column's own name: an alias is shown once

@@ -50,7 +50,7 @@ examples
 
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
-    arguments = _given(argv)
+    arguments = _parse_arguments(argv)
     from trms_cli.sweeps.outcome import SweepFollower
 
     what = _target(arguments.what)
@@ -66,7 +66,7 @@ def main(argv: list[str]) -> int:
     return _watch_run(what, arguments)
 
 
-def _given(argv: list[str]) -> Any:
+def _parse_arguments(argv: list[str]) -> Any:
     options = PlainOptions("trms watch", HELP)
     options.add_argument("what", nargs="?", type=Path, metavar="LOG|FOLDER")
     options.add_argument("--speed", type=float)
@@ -150,7 +150,7 @@ def _begin(run: RunFollower, log: Path, begin: float | None) -> None:
         raise RecordingError("the file is empty", where=str(log), remedy="repeat the run")
     if begin is not None and begin > 0.0:
         run.look_until(begin)
-        if run.latest < begin and run.ended:
+        if run.latest < begin and run.has_ended:
             raise ConfigurationError(
                 f"{begin:g} s given; the run ends at {run.latest:g} s",
                 where="--from",
@@ -168,7 +168,7 @@ def _watch_sweep(sweep: SweepFollower, arguments: Any) -> int:
         return EXIT_OK
     show(player)
     now = player.now
-    return EXIT_WORSE if now.ended and (now.failures or now.stopped) else EXIT_OK
+    return EXIT_WORSE if now.has_ended and (now.failures or now.stopped) else EXIT_OK
 
 
 def _plain(arguments: Any) -> bool:

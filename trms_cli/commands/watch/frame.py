@@ -194,7 +194,7 @@ def about(
     rig = f" ({own})" if own else ""
     parts += [f"plant {choices.get('plant')}{rig}", f"model {choices.get('model')}"]
     extras = [
-        f"{word} {_joined(choices[group])}"
+        f"{word} {_join(choices[group])}"
         for group, word in (("effect", "effects"), ("fault", "faults"))
         if choices.get(group)
     ]
@@ -321,8 +321,11 @@ def _strip(axis: AxisMoment, view: View, width: int, rows: int, plain: bool) -> 
     columns = width - _MARGIN
     if columns < 8:
         return []
-    limits = scale(axis.wanted, axis.shown)
-    curves = (TerminalCurve(axis.wanted, _REFERENCE, "-"), TerminalCurve(axis.shown, _ANGLE, "*"))
+    limits = scale(axis.references, axis.outputs)
+    curves = (
+        TerminalCurve(axis.references, _REFERENCE, "-"),
+        TerminalCurve(axis.outputs, _ANGLE, "*"),
+    )
     cells = chart(axis.time, curves, _window(view, columns), limits, (columns, rows), plain=plain)
     middle = rows // 2
     labels = {0: _tick(limits[1]), middle: NAMES.get(axis.name, axis.name)[: _MARGIN - 2]}
@@ -432,7 +435,7 @@ def tail_of(text: str, width: int) -> str:
     return text if len(text) <= width else "…" + text[len(text) - width + 1 :]
 
 
-def _joined(value: Any) -> str:
+def _join(value: Any) -> str:
     return "+".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
 
 
@@ -484,7 +487,7 @@ class Player:
     @property
     def at_end(self) -> bool:
         """Whether all there will be has been shown."""
-        return self.run.ended and self.position >= self.run.latest - 1e-9
+        return self.run.has_ended and self.position >= self.run.latest - 1e-9
 
     def advance(self, seconds: float) -> None:
         """Let wall time pass."""
@@ -522,7 +525,7 @@ class Player:
         """Forward; beyond the latest sample of a run that goes on is to follow it."""
         self.run.look_until(target, 20 * _BUDGET)
         if target >= self.run.latest:
-            self.live, self.paused = not self.run.ended, False
+            self.live, self.paused = not self.run.has_ended, False
         self.position = min(target, self.run.latest)
 
     def view(self, *, keys: bool) -> View:
@@ -540,7 +543,7 @@ class Player:
             moment=run.at(self.position, self._span),
             state=run.state,
             replay=replay,
-            silent=monotonic() - run.heard,
+            silent=monotonic() - run.last_growth,
             span=self._span,
             keys=(LIVE_KEYS if self.live else REPLAY_KEYS) if keys else "",
             problem=run.tail.problems[-1] if run.tail.problems else "",
@@ -554,6 +557,6 @@ class Player:
         """The picture in a line."""
         return plain_line(self.view(keys=False))
 
-    def done(self, *, keys: bool) -> bool:
+    def is_over(self, *, keys: bool) -> bool:
         """Whether nothing more is to be shown; with keys a person may still look around."""
         return self.at_end and (not keys or (self.live and not self.paused))

@@ -38,7 +38,7 @@ class WatchScreen(Protocol):
     def line(self) -> str:
         """The picture in a line."""
 
-    def done(self, *, keys: bool) -> bool:
+    def is_over(self, *, keys: bool) -> bool:
         """Whether there is nothing more to wait for: neither news nor, with keys, a person."""
 
 
@@ -90,7 +90,7 @@ def _draw(player: WatchScreen, keyboard: Keyboard, live: Live, console: Console)
         if picture != last_picture:
             live.update(Group(*lines), refresh=True)
             last_picture = picture
-        if player.done(keys=keyboard.there):
+        if player.is_over(keys=keyboard.there):
             return
         if not all(map(player.press, keyboard.wait(max(0.01, _FRAME - (monotonic() - now))))):
             return
@@ -104,7 +104,7 @@ def _in_lines(player: WatchScreen, say: Callable[[str], object] = print) -> None
             now = monotonic()
             player.advance(now - before)
             before = now
-            line, is_over = player.line(), player.done(keys=False)
+            line, is_over = player.line(), player.is_over(keys=False)
             if line != said:
                 say(line)
                 sys.stdout.flush()

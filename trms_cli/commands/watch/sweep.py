@@ -42,7 +42,7 @@ def sweep_line(sweep: SweepState) -> str:
     parts.append(STOPPED if sweep.stopped else f"{sweep.count('running')} running")
     if not math.isnan(sweep.rate):
         parts.append(_per_time(sweep.rate))
-    if sweep.count("running") and not sweep.ended and not math.isnan(sweep.left_s):
+    if sweep.count("running") and not sweep.has_ended and not math.isnan(sweep.left_s):
         parts.append(f"{_duration(sweep.left_s)} left")
     if sweep.best:
         parts.append(f"best {sweep.best[0].objective:.4g} ({_what(sweep, sweep.best[0])})")
@@ -55,7 +55,7 @@ def _title(sweep: SweepState, width: int) -> Text:
         words, style = STOPPED, "bold red"
     elif sweep.count("gone") and not sweep.count("running"):
         words, style = "died: the process of a running job is gone", "bold red"
-    elif sweep.ended:
+    elif sweep.has_ended:
         words, style = "ended", "bold cyan"
     folder = tail_of(str(sweep.folder), max(20, width - len(words) - 8))
     return between(Text(f"sweep {folder}", "bold"), Text(words, style), width)
@@ -94,13 +94,13 @@ def _troubles(sweep: SweepState) -> list[str]:
 
 def _speed(sweep: SweepState) -> Text:
     parts = [] if math.isnan(sweep.rate) else [_per_time(sweep.rate)]
-    if not sweep.ended and not math.isnan(sweep.left_s):
+    if not sweep.has_ended and not math.isnan(sweep.left_s):
         parts.append(f"{_duration(sweep.left_s)} left")
-    if sweep.total is None and not sweep.ended:
+    if sweep.total is None and not sweep.has_ended:
         parts.append("how many there will be is not known")
     line = Text(" · ".join(parts))
-    last = max((job.changed for job in sweep.jobs), default=sweep.now)
-    if not sweep.ended and sweep.now - last > _SILENT:
+    last = max((job.last_change for job in sweep.jobs), default=sweep.now)
+    if not sweep.has_ended and sweep.now - last > _SILENT:
         line.append(f"  no word for {_duration(sweep.now - last)}", "yellow")
     return line
 
@@ -111,7 +111,7 @@ def _running(sweep: SweepState, room: int) -> list[Text]:
         return []
     lines = [Text("running", "bold")]
     for job in running[:room]:
-        since = _duration(max(0.0, sweep.now - job.changed))
+        since = _duration(max(0.0, sweep.now - job.last_change))
         lines.append(Text(f"  {job.name:>6}  {_what(sweep, job)}  for {since}"))
     return lines
 
@@ -188,5 +188,5 @@ class SweepPlayer:
     def line(self) -> str:
         return sweep_line(self.now)
 
-    def done(self, *, keys: bool) -> bool:
-        return self.now.ended
+    def is_over(self, *, keys: bool) -> bool:
+        return self.now.has_ended

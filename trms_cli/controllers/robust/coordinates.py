@@ -141,24 +141,24 @@ class Coordinates:
         substeps = max(1, int(np.ceil(period / _LONGEST_SUBSTEP)))
         self.discrete = discretise(model, period, substeps)
         sizes = typical_sizes(discretise(model, period, 4 * substeps))
-        self.kept = _remembered(self.discrete, sizes)
+        self.positions = _remembered(self.discrete, sizes)
         self.rotors = self._rotors(thrust_inputs)
         #: Momentum by angle, as positions in x, of the axes whose rate takes the momentum's place.
         self.rates = _rates(model, [rotor.state for rotor in self.rotors])
-        if len(self.kept) > _MOST_COORDINATES:
+        if len(self.positions) > _MOST_COORDINATES:
             raise ConfigurationError(
-                f"model {model.name!r} has {len(self.kept)} states to regulate; linear matrix "
+                f"model {model.name!r} has {len(self.positions)} states to regulate; linear matrix "
                 f"inequalities of more than {_MOST_COORDINATES} do not fit a control period",
                 where="controller",
                 remedy="choose newton_mpc, or a model with fewer states for the controller",
             )
-        names_of = [model.states[i].name for i in self.kept]
+        names_of = [model.states[i].name for i in self.positions]
         for angle, momentum in self.rates.items():
-            names_of[self.kept.index(momentum)] = f"d{model.states[angle].name}"
+            names_of[self.positions.index(momentum)] = f"d{model.states[angle].name}"
         for rotor in self.rotors:
             names_of[rotor.coordinate] = f"psi_{model.states[rotor.state].name}"
         self.names = tuple(names_of)
-        self.sizes = sizes[self.kept]
+        self.sizes = sizes[self.positions]
         for rotor in self.rotors:
             self.sizes[rotor.coordinate] = sizes[rotor.state] ** 2
         self._p = model.parameters.values
@@ -171,7 +171,7 @@ class Coordinates:
 
     @property
     def n(self) -> int:
-        return len(self.kept)
+        return len(self.positions)
 
     @property
     def m(self) -> int:
@@ -214,16 +214,18 @@ class Coordinates:
             if name in inputs:
                 speed = f"omega_{name.removeprefix('u_')}"
                 # A model without that speed (static rotors, momenta) keeps its command.
-                if speed in model.state_names and model.state_index(speed) in self.kept:
+                if speed in model.state_names and model.state_index(speed) in self.positions:
                     state = model.state_index(speed)
-                    rotors.append(ThrustRotor(inputs.index(name), state, self.kept.index(state)))
+                    rotors.append(
+                        ThrustRotor(inputs.index(name), state, self.positions.index(state))
+                    )
         return tuple(rotors)
 
     def _coordinates(self, x: ca.SX) -> ca.SX:
-        z = [x[i] for i in self.kept]
+        z = [x[i] for i in self.positions]
         rates = self._at_rest(x)
         for angle, momentum in self.rates.items():
-            z[self.kept.index(momentum)] = rates[angle]
+            z[self.positions.index(momentum)] = rates[angle]
         for rotor in self.rotors:
             omega = x[rotor.state]
             z[rotor.coordinate] = omega * ca.sqrt(omega**2 + self.epsilon**2)
@@ -238,7 +240,7 @@ class Coordinates:
     def _states(self, z: ca.SX) -> ca.SX:
         """x of z; what is left out is as at rest, and forgotten within the period."""
         x = [ca.SX(float(value)) for value in self.model.rest()]
-        for i, row in enumerate(self.kept):
+        for i, row in enumerate(self.positions):
             x[row] = z[i]
         for rotor in self.rotors:
             x[rotor.state] = _speed(z[rotor.coordinate], self.epsilon, ca.sqrt)
@@ -250,7 +252,7 @@ class Coordinates:
             x[row] = momenta[i]
         derivative = self._at_rest(ca.vertcat(*x))
         rates = ca.vertcat(*(derivative[angle] for angle in self.rates))
-        goal_rates = ca.vertcat(*(z[self.kept.index(row)] for row in self.rates.values()))
+        goal_rates = ca.vertcat(*(z[self.positions.index(row)] for row in self.rates.values()))
         zero = ca.SX.zeros(len(self.rates))
         offset, slope = (
             ca.substitute(part, momenta, zero) for part in (rates, ca.jacobian(rates, momenta))

@@ -64,8 +64,8 @@ class Aim:
     steady: steady_state.Target
     target: RegulationTarget  #: The same in the coordinates
     message: str
-    asked: FloatArray  #: (n_r,) array; the reference, rad
-    moved: bool = False  #: Whether it is another than that of the aim before
+    reference: FloatArray  #: (n_r,) array; the reference, rad
+    is_new: bool = False  #: Whether it is another than that of the aim before
 
 
 class Regulation:
@@ -114,7 +114,9 @@ class Regulation:
             design.thrust_band**2,
         )
         self.steady = SteadyState(model)
-        self._rows = [self.coordinates.kept.index(model.state_index(n)) for n in model.controlled]
+        self._rows = [
+            self.coordinates.positions.index(model.state_index(n)) for n in model.controlled
+        ]
         self._q = in_order(design.state_weights, model.controlled, 1.0, "state_weights")
         self._dq = in_order(design.rate_weights, model.controlled, 0.5, "rate_weights")
         self._r = in_order(design.input_weights, names(model.inputs), 0.05, "input_weights")
@@ -132,7 +134,7 @@ class Regulation:
         request = sample.reference[-1]
         if (
             previous is not None
-            and np.array_equal(request, previous.asked)
+            and np.array_equal(request, previous.reference)
             and np.array_equal(disturbance, previous.target.w)
         ):
             return previous
@@ -145,14 +147,18 @@ class Regulation:
                 last,
                 previous.target,
                 "nothing holds the rig at the estimated disturbance; the last target stays",
-                previous.asked,
+                previous.reference,
             )
         if steady.projected:
             message = "the reference is out of reach; the closest is the target"
         z = self.coordinates.forward(steady.x)
         target = RegulationTarget(z, self.coordinates.demand(z, steady.u), disturbance.copy())
         return Aim(
-            steady, target, message, request.copy(), last is None or steady.asked != last.asked
+            steady,
+            target,
+            message,
+            request.copy(),
+            last is None or steady.reference != last.reference,
         )
 
     def aim_at(self, reference: FloatArray) -> Aim:
@@ -260,7 +266,7 @@ class Regulation:
         """All that the frame and the motors let be; momenta within the configured range."""
         model, half = self.model, np.full(self.n, self.design.rate_range)
         angles = {axis.angle for axis in model.axes.values()} | set(model.controlled)
-        for i, row in enumerate(self.coordinates.kept):
+        for i, row in enumerate(self.coordinates.positions):
             name = model.states[row].name
             if name in angles and model.states[row].unit == "rad":
                 stop = model.stops.get(name, np.inf)

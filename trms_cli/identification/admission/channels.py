@@ -96,7 +96,7 @@ def input_issues(dataset: Dataset, model: Model) -> Iterator[Issue]:
             "record with commands within their limits, as `trms excite` designs them",
         )
     elif not any(moving):
-        has_motion = any(_moved(dataset, s.name) > _SEEN_WELL for s in dataset.outputs)
+        has_motion = any(_motion(dataset, s.name) > _SEEN_WELL for s in dataset.outputs)
         free = not commanded and has_motion
         yield Issue(
             "excitation",
@@ -168,7 +168,7 @@ def output_issues(dataset: Dataset, model: Model) -> Iterator[Issue]:
                 f"write the unit that it is in into the header, as {name}[deg]",
             )
             continue
-        motion = _moved(dataset, name)
+        motion = _motion(dataset, name)
         if motion < _SEEN:
             yield Issue(
                 "excitation",
@@ -188,7 +188,7 @@ def _without(dataset: Dataset, name: str) -> str:
     return f"leave it out: 'data.channels=[{', '.join(others)}]'"
 
 
-def _moved(dataset: Dataset, name: str) -> float:
+def _motion(dataset: Dataset, name: str) -> float:
     """Standard deviation of an output over that of its noise."""
     index = names(dataset.outputs).index(name)
     y: FloatArray = dataset.measurements[:, index]

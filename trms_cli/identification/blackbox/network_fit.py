@@ -158,7 +158,7 @@ class NetworkData:
         scale = self.scaling
         return Network(
             network.kind,
-            network.named(theta),
+            network.weights(theta),
             scale.regressor_mean,
             scale.regressor_sd,
             scale.output_mean,
@@ -184,14 +184,14 @@ def prepare_fit(
     first = fitted[0]
     structure = regressors.structure(first.outputs, first.inputs, first.sample_time)
 
-    def taken(datasets: Sequence[Dataset], smoothing: float) -> list[Samples]:
+    def samples_of(datasets: Sequence[Dataset], smoothing: float) -> list[Samples]:
         return [sample_signals(dataset, structure, smoothing) for dataset in datasets]
 
-    raw, raw_validation = taken(fitted, 0.0), taken(validation, 0.0)
+    raw, raw_validation = samples_of(fitted, 0.0), samples_of(validation, 0.0)
     smooth, smooth_validation = raw, raw_validation
     if regressors.smoothing > 0:
-        smooth = taken(fitted, regressors.smoothing)
-        smooth_validation = taken(validation, regressors.smoothing)
+        smooth = samples_of(fitted, regressors.smoothing)
+        smooth_validation = samples_of(validation, regressors.smoothing)
     scale = scaling(structure, smooth)
     return NetworkData(structure, scale, raw, raw_validation, smooth, smooth_validation)
 

@@ -368,9 +368,9 @@ class MultiStepError:
         self._inputs = np.array(inputs).swapaxes(0, 1).copy()
         targets_ = np.array(targets).swapaxes(0, 1).copy()
         self._present = np.isfinite(targets_)
-        self._counted = np.arange(1, steps + 1) % every == 0
-        self._counted[-1] = True
-        self._present[~self._counted] = False
+        self._step_mask = np.arange(1, steps + 1) % every == 0
+        self._step_mask[-1] = True
+        self._present[~self._step_mask] = False
         self._targets = np.where(self._present, targets_, 0.0)
         self._map = structure.arrangement() / scaling.regressor_sd[:, None]
         self._shift = scaling.regressor_mean / scaling.regressor_sd
@@ -437,7 +437,7 @@ class MultiStepError:
                 now += ring[(k - 1) % longest]
             ring[k % longest] = now
             step = k - self._first
-            if not self._counted[step]:
+            if not self._step_mask[step]:
                 continue
             present = self._present[step]
             residuals = (levels[k] - self._targets[step]) / scaling.level_sd * present

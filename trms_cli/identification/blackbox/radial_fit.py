@@ -70,11 +70,11 @@ class Radial:
     def n_parameters(self) -> int:
         return self._layout["b"][0].stop
 
-    def named(self, theta: FloatArray) -> dict[str, FloatArray]:
+    def weights(self, theta: FloatArray) -> dict[str, FloatArray]:
         w = self._blocks(theta)
         return w | {"widths": np.exp(w["widths"])}
 
-    def joined(self, weights: dict[str, FloatArray]) -> FloatArray:
+    def parameter_vector(self, weights: dict[str, FloatArray]) -> FloatArray:
         """The vector θ of named weights (widths as they are, not as logarithms)."""
         blocks = weights | {"widths": np.log(weights["widths"])}
         return np.concatenate([np.ravel(blocks[name]) for name in self._layout])
@@ -84,11 +84,11 @@ class Radial:
         return self._profile(_squares(z, centres) / widths**2)[0]
 
     def values(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        w = self.named(theta)
+        w = self.weights(theta)
         return self.units(w["centres"], w["widths"], z) @ w["W"].T + z @ w["A"].T + w["b"]
 
     def slopes(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        w = self.named(theta)
+        w = self.weights(theta)
         n, n_out = len(z), self.n_outputs
         q = _squares(z, w["centres"]) / w["widths"] ** 2
         g, dg = self._profile(q)
@@ -111,7 +111,7 @@ class Radial:
     def pulled_back(
         self, theta: FloatArray, z: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        w = self.named(theta)
+        w = self.weights(theta)
         q = _squares(z, w["centres"]) / w["widths"] ** 2
         g, dg = self._profile(q)
         by_q = (weight @ w["W"]) * dg  # (n, n_c)
@@ -235,7 +235,7 @@ def with_linear_weights(
     gram.flat[:: len(gram) + 1] += ridge * float(np.trace(gram)) / len(gram)
     weights = np.linalg.solve(gram, columns.T @ targets).T
     n_c, m = centres.shape
-    return network.joined(
+    return network.parameter_vector(
         {
             "centres": centres,
             "widths": widths,
@@ -292,13 +292,13 @@ class RadialFit:
         if self.placement == "kmeans":
             centres, widths = cluster_centres(z, min(self.units, len(z)), self.width, generator)
         else:
-            few = _drawn(len(z), _MOST_SAMPLES, generator)
+            few = _draw_indices(len(z), _MOST_SAMPLES, generator)
             if self.placement == "ols":
-                centres = z[_drawn(len(z), _MOST_CANDIDATES, generator)]
+                centres = z[_draw_indices(len(z), _MOST_CANDIDATES, generator)]
                 widths = np.full(len(centres), self.width * np.sqrt(z.shape[1]))
             else:
                 centres, widths = dyadic(z, self.levels)
-                draw = _drawn(len(centres), _MOST_CANDIDATES, generator)
+                draw = _draw_indices(len(centres), _MOST_CANDIDATES, generator)
                 centres, widths = centres[draw], widths[draw]
             family = Radial(self.kind, z.shape[1], n_out, len(centres))
             outputs = family.units(centres, widths, z[few])
@@ -320,7 +320,7 @@ class _AsPlaced(TrainingAlgorithm):
         return
 
 
-def _drawn(n: int, most: int, generator: np.random.Generator) -> np.ndarray:
+def _draw_indices(n: int, most: int, generator: np.random.Generator) -> np.ndarray:
     """Up to ``most`` of n indices, in order."""
     if n <= most:
         return np.arange(n)

@@ -39,7 +39,7 @@ class TrainableNetwork(Protocol):
     ) -> tuple[FloatArray, FloatArray]:
         """Slopes of ``Σ weight · output`` (weight (n, n_out)) in θ (P,) and in z (n, n_z)."""
 
-    def named(self, theta: FloatArray) -> dict[str, FloatArray]:
+    def weights(self, theta: FloatArray) -> dict[str, FloatArray]:
         """The weights by the names that a stored network has."""
 
 
@@ -69,7 +69,7 @@ class Mlp:
     def n_parameters(self) -> int:
         return max(place.stop for place, _ in self._layout.values())
 
-    def named(self, theta: FloatArray) -> dict[str, FloatArray]:
+    def weights(self, theta: FloatArray) -> dict[str, FloatArray]:
         return {name: theta[at].reshape(shape) for name, (at, shape) in self._layout.items()}
 
     def start(self, generator: np.random.Generator) -> FloatArray:
@@ -80,7 +80,7 @@ class Mlp:
         """
         theta = np.zeros(self.n_parameters)
         sizes = (self.n_regressors, *self.hidden)
-        w = self.named(theta)  # views
+        w = self.weights(theta)  # views
         for layer, (before, after) in enumerate(pairwise(sizes), start=1):
             reach = 0.7 * after ** (1.0 / before)
             weights = generator.uniform(-1.0, 1.0, (after, before))
@@ -93,11 +93,11 @@ class Mlp:
         return theta
 
     def values(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        w = self.named(theta)
+        w = self.weights(theta)
         return self._output(w, z, self._activations(w, z))
 
     def slopes(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        w = self.named(theta)
+        w = self.weights(theta)
         active = self._activations(w, z)
         n, n_out = len(z), self.n_outputs
         jacobian = np.zeros((n, n_out, self.n_parameters))
@@ -124,10 +124,10 @@ class Mlp:
     def pulled_back(
         self, theta: FloatArray, z: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        w = self.named(theta)
+        w = self.weights(theta)
         active = self._activations(w, z)
         result = np.empty_like(theta)
-        slope = self.named(result)  # views
+        slope = self.weights(result)  # views
         back = weight
         for layer in range(len(self.hidden) + 1, 0, -1):
             slope[f"W{layer}"][...] = back.T @ active[layer - 1]

@@ -163,7 +163,7 @@ class Trial:
         """
         parameters = self.model.parameters
         if prior_seed is not None:
-            parameters = parameters.drawn(prior_seed, 1.0)
+            parameters = parameters.draw(prior_seed, 1.0)
         step, n_x = self._step, self.model.n_x
         state, u = step.inputs[0], step.inputs[1]
         state[:] = self._discrete.initial(self.model.rest(), np.zeros(self.model.n_u))
@@ -290,8 +290,8 @@ class ExcitationDesign:
     ranges: dict[str, tuple[float, float]]  #: Ends of each output during the excitation
     #: The same over the rigs drawn from the priors that stayed within the stops
     drawn_ranges: dict[str, tuple[float, float]]
-    drawn: int  #: Rigs drawn
-    lost: int  #: Those of them that went beyond a stop
+    rig_count: int  #: Rigs drawn
+    lost_rig_count: int  #: Those of them that went beyond a stop
     system: StateSpace  #: At the operating point, the rotors at their root mean square speed
     poles: tuple[float, float]  #: Slowest and fastest, rad/s
 
@@ -349,7 +349,7 @@ def design(
     states, outputs = played
     first = len(head)
     progress("rigs drawn from the priors")
-    prior_ranges, loss_count = _drawn(model, request, whole, first)
+    prior_ranges, loss_count = _prior_ranges(model, request, whole, first)
     return ExcitationDesign(
         model,
         np.arange(len(whole), dtype=np.float64) * request.sample_time,
@@ -446,7 +446,7 @@ def lead_in(centre: FloatArray, count: int) -> FloatArray:
     return np.outer((1 - np.cos(np.pi * share)) / 2, centre)
 
 
-def _drawn(
+def _prior_ranges(
     model: Model, request: ExcitationRequest, commands: FloatArray, first: int
 ) -> tuple[dict[str, tuple[float, float]], int]:
     """Ranges over rigs drawn from the priors, and how many of them pass a stop."""

@@ -117,8 +117,8 @@ def summary(design: ExcitationDesign, spectra: Spectra) -> dict[str, Any]:
         "bounds_rad": design.bounds,
         "predicted": predicted,
         "frequencies_hz": spectra.frequencies[inside].tolist(),
-        "drawn_rigs": design.drawn,
-        "drawn_rigs_beyond_stops": design.lost,
+        "drawn_rigs": design.rig_count,
+        "drawn_rigs_beyond_stops": design.lost_rig_count,
         "signals": design.shape.about,
     }
 
@@ -244,7 +244,7 @@ class _Panels:
         marks: list[Mark] = []
         for colour, (name, values) in zip(CURVES, signals.items(), strict=False):
             label = f"{wording.signal(name)} {name}" if commands else wording.signal(name)
-            marks.append(Curve(designed.time, values, label, colour, width=0.8, held=commands))
+            marks.append(Curve(designed.time, values, label, colour, width=0.8, is_step=commands))
         if not commands:
             for bound in {
                 round(designed.bounds[name], 6) for name in signals if name in designed.bounds
@@ -276,7 +276,7 @@ class _Panels:
             density = spectra.inputs[:, i]
             # below the resolution of a multisine's lines there is nothing to be shown
             densities.append(np.where(density > 1e-6 * density.max(), density, np.nan))
-            marks.append(Curve(spectra.frequencies, densities[-1], name, colour, held=True))
+            marks.append(Curve(spectra.frequencies, densities[-1], name, colour, is_step=True))
         unit = self.units[inputs[0]]
         label = f"input [{unit}²/Hz]" if unit != "1" else "input [1/Hz]"
         return self._spectrum(label, marks, densities)
@@ -305,7 +305,7 @@ class _Panels:
             noise = float(spectra.noise[i])
             density = spectra.outputs[:, i]
             label = wording.signal(name)
-            marks.append(Curve(spectra.frequencies, density, label, colour, held=True))
+            marks.append(Curve(spectra.frequencies, density, label, colour, is_step=True))
             marks.append(Line(y=noise, colour=colour))
             values += [density, [noise]]
         return self._spectrum(f"output [({self.units[output_names[0]]})²/Hz]", marks, values)

@@ -443,7 +443,7 @@ class MapSettings:
 
     iterations: int = 100  #: Least-squares steps in the last round at most
     tolerance: float = 1e-3  #: Reduction of the cost that ends it, nats
-    joined: float | None = None  #: See :class:`MapObjective`
+    gap_sd: float | None = None  #: See :class:`MapObjective`
 
 
 class MapFit(NamedTuple):
@@ -481,7 +481,7 @@ def fit_from(
     if held is not None:
         bounds = (np.where(held, theta, bounds[0]), np.where(held, theta, bounds[1]))
     centres = windows.starts(problem.all_values(theta))
-    joints = _joints(settings.joined)
+    joints = _joints(settings.gap_sd)
     objective = MapObjective(windows, _declared(windows), centres, joints[0])
     point = with_fitted_starts(objective, theta, centres)
     if not np.isfinite(point.cost):
@@ -489,7 +489,7 @@ def fit_from(
     objective.weights = fit_weights(objective, point, None)
     last_information, steps, outcome = None, 0, FitOutcome.CONVERGED
     for round_ in range(_ROUNDS):
-        objective.joined = joints[min(round_, len(joints) - 1)]
+        objective.gap_sd = joints[min(round_, len(joints) - 1)]
         search = minimise(
             objective,
             point,

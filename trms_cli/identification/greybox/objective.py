@@ -349,7 +349,7 @@ class MapObjective(PosteriorObjective):
     centres: FloatArray  #: (m, n_x) array; of the starts' priors
     #: Standard deviation of the gaps between windows, as a share of the starts' spread; None:
     #: windows know nothing of each other
-    joined: float | None = None
+    gap_sd: float | None = None
 
     @np.errstate(all="ignore")
     def cost(self, theta: FloatArray, starts: FloatArray) -> float:
@@ -361,7 +361,7 @@ class MapObjective(PosteriorObjective):
         self, theta: FloatArray, one: FloatArray, other: FloatArray
     ) -> tuple[float, FloatArray]:
         """Joined windows are taken together: one or the other of two starts for all."""
-        if self.joined is None:
+        if self.gap_sd is None:
             return super().better_starts(theta, one, other)
         costs = [self.cost(theta, starts) for starts in (one, other)]
         best = int(np.argmin(costs))
@@ -405,23 +405,23 @@ class MapObjective(PosteriorObjective):
             return np.inf
         cost = self.weights.cost(residuals.r)
         cost += self.of_priors(theta, starts)
-        if self.joined is not None:
+        if self.gap_sd is not None:
             gaps = self._gaps(starts, residuals)[self.windows.follows]
             cost += 0.5 * float(np.sum(gaps**2))
         return cost if np.isfinite(cost) else np.inf
 
     def _gaps(self, starts: FloatArray, residuals: Residuals) -> FloatArray:
-        assert self.joined is not None
+        assert self.gap_sd is not None
         gaps = np.zeros_like(starts)
-        gaps[1:] = (residuals.ends[:-1] - starts[1:]) / (self.joined * self.windows.spread)
+        gaps[1:] = (residuals.ends[:-1] - starts[1:]) / (self.gap_sd * self.windows.spread)
         return gaps
 
     def _joint(self, starts: FloatArray, residuals: Residuals) -> Joint | None:
-        if self.joined is None:
+        if self.gap_sd is None:
             return None
         assert residuals.dends is not None
-        weight = np.full(len(self.windows.spread), 1.0 / self.joined)
+        weight = np.full(len(self.windows.spread), 1.0 / self.gap_sd)
         from_before = np.zeros_like(residuals.dends)
         slopes = self.scaled(residuals.dends[:-1])
-        from_before[1:] = slopes / (self.joined * self.windows.spread)[None, :, None]
+        from_before[1:] = slopes / (self.gap_sd * self.windows.spread)[None, :, None]
         return Joint(self.windows.follows, from_before, weight, self._gaps(starts, residuals))

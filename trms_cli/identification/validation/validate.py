@@ -260,7 +260,7 @@ class OneStepFilter:
             measurements = dataset.measurements
         for values, initial in zip(self._inputs, self._initial, strict=True):
             values[...] = initial
-        state.started = False
+        state.has_started = False
         for name, factor in factors.items():
             is_member = self._group == name
             self._variances[is_member] = factor**2 * self._nominal[is_member]

@@ -103,7 +103,7 @@ def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) 
         pareto=summary.pareto_of(words),
         trials=summary.trials_of(words),
         history=summary.history_of(words),
-        asked=total if isinstance(total, int) and not isinstance(total, bool) else None,
+        planned_count=total if isinstance(total, int) and not isinstance(total, bool) else None,
         draws=summary.draws_of(plan, named),
         left_out=[*result.unreadable],
         facts=_facts(folders, plan, rows),

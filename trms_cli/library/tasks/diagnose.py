@@ -299,7 +299,7 @@ def candidates_of(
     effects: dict[str, Effect] = {}
     left_out: dict[str, str] = {}
     present = effect_names(model)
-    for name in _chosen(words, library):
+    for name in _select_names(words, library):
         if name in present:
             left_out[name] = "the nominal model has it already"
             continue
@@ -341,7 +341,7 @@ def effect_nodes(config_dirs: Sequence[Path] = ()) -> dict[str, dict[str, Any]]:
     return dict(sorted(nodes.items()))
 
 
-def _chosen(words: Sequence[str], library: Mapping[str, Any]) -> list[str]:
+def _select_names(words: Sequence[str], library: Mapping[str, Any]) -> list[str]:
     """Names in the order of the library."""
     selection: set[str] = set()
     if words and all(word.startswith("!") for word in words):

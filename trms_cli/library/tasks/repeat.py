@@ -38,7 +38,7 @@ def repetition(log: Path, argv: Sequence[str], primary: str) -> list[str] | Comp
     typed = [word for word in then if not _is_own(word)]
     places = [f"--config-dir={folder}" for folder in folders]
     _tell_what_differs(run)
-    changed = _changed(logged, [*places, *typed], primary)
+    changed = _changed_keys(logged, [*places, *typed], primary)
     if not changed:
         return [*places, *typed, *argv]
     own = [word for word in argv if _is_own(word)]
@@ -101,7 +101,7 @@ def _config(run: LoggedRun) -> dict[str, Any]:
     return {str(key): value for key, value in config.items()}
 
 
-def _changed(logged: Mapping[str, Any], argv: Sequence[str], primary: str) -> str:
+def _changed_keys(logged: Mapping[str, Any], argv: Sequence[str], primary: str) -> str:
     """The first keys whose value is not what it was; empty if all are."""
     try:
         now = compose(argv, primary).config

@@ -83,10 +83,12 @@ def perform(composition: Composition, listener: Listener) -> Done:
             replay.run(lambda time, off: line.tell(f"{time:.0f} / {whole:g} s, off {off:.4f} rad"))
     except KeyboardInterrupt as error:
         log.close("interrupted", _score(replay, log.path, complete=False))
-        raise assembly.interruption_of(error, replay.done * rig.sample_time, log.path) from None
+        raise assembly.interruption_of(
+            error, replay.completed_samples * rig.sample_time, log.path
+        ) from None
     except BaseException as error:
         log.close("failed")
-        reached = replay.done * rig.sample_time
+        reached = replay.completed_samples * rig.sample_time
         if isinstance(error, Exception) and not isinstance(error, TrmsError):
             failure = plugin_failure(error, {"observer": observer}, reached)
             if failure is not None:
@@ -152,7 +154,7 @@ def _score(replay: Replay, path: Path, *, complete: bool) -> dict[str, Any]:
     return score_tables(
         assembly.tables_of(replay.history),
         limits=assembly.limits_of(replay.rig, replay.model),
-        duration_s=round(replay.done * replay.rig.sample_time, 9),
+        duration_s=round(replay.completed_samples * replay.rig.sample_time, 9),
         log=str(path),
         complete=complete,
     )

@@ -99,12 +99,12 @@ def perform(composition: Composition, listener: Listener) -> Done:
             log.close("interrupted", score)
             write_document(score, log.path.with_name(SCORE_NAME))
             then = f"  try  {program()} score {shlex.quote(str(log.path))}\n"
-            reached = loop.done * experiment.sample_time
+            reached = loop.completed_samples * experiment.sample_time
             raise assembly.interruption_of(error, reached, log.path, then) from None
         except BaseException as error:
             log.close("failed")
             if isinstance(error, Exception):
-                reached = loop.done * experiment.sample_time
+                reached = loop.completed_samples * experiment.sample_time
                 assembly.raise_explained(error, experiment, reached, log.path)
             raise
         write_document(score, log.path.with_name(SCORE_NAME))
@@ -140,7 +140,7 @@ def score_of(loop: Any, path: Path, *, complete: bool) -> dict[str, Any]:
     return score_tables(
         tables_of(loop.history),
         limits=limits_of(loop.plant, loop.experiment.model),
-        duration_s=loop.done * loop.experiment.sample_time,
+        duration_s=loop.completed_samples * loop.experiment.sample_time,
         log=str(path),
         complete=complete,
     )
@@ -152,11 +152,11 @@ def never_begun(plant: Any, duration: float) -> Iterator[str]:
     Such a run is as sound as the rig without them, and would be taken for one that withstood them.
     """
     end = f"after the end of the run ({duration:g} s)"
-    for name, fault in _named(plant, "faults"):
+    for name, fault in _parts_by_name(plant, "faults"):
         start = getattr(fault, "start", None)
         if _is_after(start, duration):
             yield f"fault {name} begins at {start:g} s, {end}"
-    for name, disturbance in _named(plant, "disturbances"):
+    for name, disturbance in _parts_by_name(plant, "disturbances"):
         torque = getattr(disturbance, "torque", None)
         start = getattr(torque, "start", None)
         # A signal rests at its offset before it begins; a file's first value holds before it.
@@ -165,7 +165,7 @@ def never_begun(plant: Any, duration: float) -> Iterator[str]:
             yield f"disturbance {name} begins at {start:g} s, {end}"
 
 
-def _named(plant: Any, key: str) -> Iterator[tuple[str, Any]]:
+def _parts_by_name(plant: Any, key: str) -> Iterator[tuple[str, Any]]:
     parts = getattr(plant, key, None)
     if isinstance(parts, Mapping):
         yield from parts.items()

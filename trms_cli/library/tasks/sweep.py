@@ -96,7 +96,7 @@ def make_sweep(
             shutil.rmtree(folder, ignore_errors=True)  # nothing has been run
             raise
         begun(folder)
-        return _driven(record, plan, proposals, launcher, task, tell, [], False)
+        return _drive(record, plan, proposals, launcher, task, tell, [], False)
 
 
 def go_on(
@@ -132,7 +132,7 @@ def go_on(
             record.note(state="running", launcher=steered.launcher, retries=steered.retries)
             begun(folder)
             plan, task = replace(plan, retries=steered.retries), task or task_of(plan)
-            return _driven(
+            return _drive(
                 record, plan, proposals, launcher, task, tell, earlier_points, retry_failed
             )
 
@@ -156,7 +156,7 @@ def _checked(
     return space, compose(first_of(space), primary, config_dirs=config_dirs)
 
 
-def _driven(
+def _drive(
     record: Any,
     plan: SweepPlan,
     proposals: Any,

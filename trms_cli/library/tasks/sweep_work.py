@@ -50,14 +50,14 @@ class MakeRun:
     directory: str  #: Working directory, for paths in overrides
     git: str = ""  #: Revision of the checkout, asked once for all runs
     #: Packages whose classes may be built, for workers that do not inherit it
-    allowed: tuple[str, ...] = ()
+    allowed_packages: tuple[str, ...] = ()
 
     def __call__(self, attempt: Attempt) -> RunResult | None:
         """Make the run; every failure is told in the result, and in the run's ``status.json``."""
         with _ONE_AT_A_TIME, _collected_after():
-            return self._called(attempt)
+            return self._call(attempt)
 
-    def _called(self, attempt: Attempt) -> RunResult | None:
+    def _call(self, attempt: Attempt) -> RunResult | None:
         point = attempt.point
         sweep = Path(self.folder)
         if leaving.is_set() or (sweep / STOP_NAME).exists():
@@ -81,7 +81,7 @@ class MakeRun:
                 "begin": now(),
             }
             run.write(status)
-            status |= self._made(attempt, run)
+            status |= self._make(attempt, run)
             status["end"] = now()
             notes = tuple(status.get("notes", ()))
             if run.last_attempt() == attempt.number:  # else this worker was taken for dead
@@ -95,12 +95,12 @@ class MakeRun:
         assert result is not None
         return replace(result, notes=notes)
 
-    def _made(self, attempt: Attempt, run: RunFolder) -> dict[str, Any]:
+    def _make(self, attempt: Attempt, run: RunFolder) -> dict[str, Any]:
         """Keys of the status that the run ends with."""
         point = attempt.point
         status: dict[str, Any] = {}
         said, errors = io.StringIO(), io.StringIO()
-        for package in self.allowed:
+        for package in self.allowed_packages:
             allow_for_now(package)
         try:
             if self.directory and os.getcwd() != self.directory:
@@ -176,14 +176,14 @@ class _Watch(threading.Thread):
         self._sign, self._stop_file = sign, stop
         self._runner = threading.get_ident()
         self._parent = os.getppid()
-        self._done = threading.Event()
+        self._end_event = threading.Event()
         self._lock = threading.Lock()
-        self._ended = False
+        self._has_ended = False
 
     def run(self) -> None:
         """Until the run has ended."""
         last = monotonic()
-        while not self._done.wait(_LOOK):
+        while not self._end_event.wait(_LOOK):
             orphaned = os.getppid() != self._parent
             if orphaned or leaving.is_set() or self._stop_file.exists():
                 self._interrupt()
@@ -196,12 +196,12 @@ class _Watch(threading.Thread):
     def end(self) -> None:
         """The run has ended: it is not to be interrupted any more."""
         with self._lock:
-            self._ended = True
-        self._done.set()
+            self._has_ended = True
+        self._end_event.set()
 
     def _interrupt(self) -> None:
         with self._lock:
-            if not self._ended:
+            if not self._has_ended:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(
                     ctypes.c_ulong(self._runner), ctypes.py_object(Termination)
                 )

@@ -100,13 +100,13 @@ class Screen(Listener):
     """Shows it on standard output."""
 
     quiet = False
-    _begun = False
+    _has_begun = False
 
     def begin(self, words: str, facts: Mapping[str, str]) -> None:
         """What is done, and to what."""
         from trms_cli.reporting.screen import say
 
-        self._begun = True
+        self._has_begun = True
         say(self.command, words)
         for name, text in facts.items():
             for line in text.split("\n"):
@@ -117,7 +117,7 @@ class Screen(Listener):
         """What came of it."""
         from trms_cli.reporting.screen import show
 
-        command = "" if self._begun else result.command or self.command
+        command = "" if self._has_begun else result.command or self.command
         show(result.findings, command, result.subject, rows=_ROWS)
 
     def simulation(self, duration: float) -> AbstractContextManager[LoopProgress | None]:

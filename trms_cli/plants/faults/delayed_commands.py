@@ -25,9 +25,9 @@ class DelayedCommands:
 class _Run(FaultRun):
     def __init__(self, active: range, words: str, late: int) -> None:
         super().__init__(active, words)
-        self._sent: deque[FloatArray] = deque(maxlen=late + 1)
+        self._past_commands: deque[FloatArray] = deque(maxlen=late + 1)
 
     def commanded(self, sample: int, u: FloatArray) -> None:
-        self._sent.append(u.copy())
+        self._past_commands.append(u.copy())
         if sample in self.active:
-            u[:] = self._sent[0]
+            u[:] = self._past_commands[0]

@@ -23,10 +23,10 @@ class FrozenSensor:
 class _Run(FaultRun):
     def __init__(self, active: range, words: str, column: int) -> None:
         super().__init__(active, words)
-        self._column, self._held = column, 0.0
+        self._column, self._last_reading = column, 0.0
 
     def sensed(self, sample: int, y: FloatArray) -> None:
         if sample in self.active and sample > self.active.start:
-            y[self._column] = self._held
+            y[self._column] = self._last_reading
         else:
-            self._held = y[self._column]
+            self._last_reading = y[self._column]

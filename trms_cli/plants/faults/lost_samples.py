@@ -31,10 +31,10 @@ class LostSamples:
 
 
 class _Run(FaultRun):
-    def __init__(self, active: range, words: str, column: int, lost: np.ndarray) -> None:
+    def __init__(self, active: range, words: str, column: int, is_lost: np.ndarray) -> None:
         super().__init__(active, words)
-        self._column, self._lost = column, lost
+        self._column, self._is_lost = column, is_lost
 
     def sensed(self, sample: int, y: FloatArray) -> None:
-        if sample in self.active and self._lost[sample]:
+        if sample in self.active and self._is_lost[sample]:
             y[self._column] = np.nan

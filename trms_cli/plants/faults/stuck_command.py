@@ -25,10 +25,10 @@ class StuckCommand:
 class _Run(FaultRun):
     def __init__(self, active: range, words: str, column: int, value: float | None) -> None:
         super().__init__(active, words)
-        self._column, self._value, self._held = column, value, 0.0
+        self._column, self._value, self._last_command = column, value, 0.0
 
     def commanded(self, sample: int, u: FloatArray) -> None:
         if sample not in self.active:
-            self._held = u[self._column]
+            self._last_command = u[self._column]
         else:
-            u[self._column] = self._held if self._value is None else self._value
+            u[self._column] = self._last_command if self._value is None else self._value

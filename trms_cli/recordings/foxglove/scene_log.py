@@ -88,11 +88,11 @@ class PoseMemory:
 
     def __init__(self, sources: Sources) -> None:
         self._sources = sources
-        self._known: dict[str, tuple[float, float]] = {}
+        self._poses: dict[str, tuple[float, float]] = {}
 
     def take(self, rows: Mapping[str, Row]) -> tuple[Attitudes, list[float]]:
         """Attitudes by prefix, and each command over its limit, from the topics' present rows."""
-        poses = self._known
+        poses = self._poses
         for prefix, (topic, yaw, pitch) in self._sources.attitudes.items():
             row = rows.get(topic)
             if row is None:
@@ -131,7 +131,7 @@ class SceneLog:
     ) -> None:
         self._log = log
         self._encoder = encoder
-        self._every, self._left = every, 0
+        self._every, self._remaining = every, 0
         self._last_topic = last_topic
         self._watched = {topic for topic, *_ in sources.attitudes.values()} | {_COMMANDS}
         self._memory = PoseMemory(sources)
@@ -148,24 +148,24 @@ class SceneLog:
         write, rows = self._log.writer(topic), self._rows
         if topic == self._last_topic:
 
-            def ended(time_ns: int, values: Row) -> None:
+            def write_and_pose(time_ns: int, values: Row) -> None:
                 write(time_ns, values)
-                if self._left:
-                    self._left -= 1
+                if self._remaining:
+                    self._remaining -= 1
                     return
                 rows[topic] = values
-                self._left = self._every - 1
+                self._remaining = self._every - 1
                 self._pose(time_ns)
 
-            return ended
+            return write_and_pose
         if topic not in self._watched:
             return write
 
-        def remembered(time_ns: int, values: Row) -> None:
+        def write_and_remember(time_ns: int, values: Row) -> None:
             write(time_ns, values)
             rows[topic] = values
 
-        return remembered
+        return write_and_remember
 
     def event(
         self, time_ns: int, kind: str, source: str, message: str, value: float = math.nan
@@ -200,7 +200,7 @@ def scene_messages(
     """
     times = log.tables[sources.attitudes[""][0]].time_ns[::every]
     rows = {
-        topic: np.column_stack(list(log.tables[topic].held(times).values())).tolist()
+        topic: np.column_stack(list(log.tables[topic].last_values(times).values())).tolist()
         for topic in {source[0] for source in sources.attitudes.values()} | {"/command"}
         if topic in log.tables and len(log.tables[topic])
     }

@@ -68,17 +68,17 @@ class ComparisonGroup:
 
     def condition_name(self, condition: int) -> str:
         """In what it differs from the others."""
-        return self._named(condition, self.given_by)
+        return self._condition_name(condition, self.given_by)
 
     def brief_condition_name(self, condition: int) -> str:
         """In what it differs, but where many parameters of the rig do, which condition it is."""
         keys = [key for key in self.given_by if not key.startswith(RIG_PARAMETERS)]
         if len(self.given_by) - len(keys) < FEWEST_GATHERED:
             return self.condition_name(condition)
-        others = [self._named(condition, keys)] if keys else []
+        others = [self._condition_name(condition, keys)] if keys else []
         return ", ".join([*others, f"rig {self.clusters()[condition] + 1}"])
 
-    def _named(self, condition: int, keys: Sequence[str]) -> str:
+    def _condition_name(self, condition: int, keys: Sequence[str]) -> str:
         coordinates = self.conditions[condition]
         parts = []
         for key in keys:

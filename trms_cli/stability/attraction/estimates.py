@@ -339,7 +339,7 @@ class RegionEstimate:
         near = np.all(np.abs(np.linalg.solve(self.frame, y.T)) <= 1.0, axis=0)
         return np.asarray(near & (self.candidate.values(y) < self.level))
 
-    def drawn(self, count: int, seed: int) -> FloatArray:
+    def draw(self, count: int, seed: int) -> FloatArray:
         """Deviations in it, uniformly, (m, n); fewer than ``count`` if it is hard to hit."""
         n = self.candidate.system.n
         random, samples = np.random.default_rng(seed), np.zeros((0, n))
@@ -371,7 +371,7 @@ class RegionEstimate:
         Of starts drawn in it and moved outwards on their rays, as far as the set goes: evaluated
         on the set, not proved, and short of the true bounds by the gap between rays.
         """
-        y = self.drawn(4000, 1)
+        y = self.draw(4000, 1)
         for factor in (1.1, 1.01, 1.001):
             moving = np.arange(len(y))
             for _ in range(60):
@@ -421,7 +421,7 @@ def estimates(
     shapes = [shape for shape in (Ellipsoid(P, 1.0), best) if shape is not None]
     starts = []
     for P in (shape.P / shape.level for shape in shapes if level_methods):
-        rays, candidate = Rays.drawn(P, limits, _RAYS, 0), quadratic(system, P)
+        rays, candidate = Rays.draw(P, limits, _RAYS, 0), quadratic(system, P)
         level = sampled_level(candidate, rays)
         if level is not None:
             starts.append(_Start(candidate, level, rays))

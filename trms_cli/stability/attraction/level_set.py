@@ -229,7 +229,7 @@ class Rays:
     ends: FloatArray  #: (m, n) array; where each ray meets the limits
 
     @classmethod
-    def drawn(cls, P: FloatArray, limits: FloatArray, count: int, seed: int) -> Rays:
+    def draw(cls, P: FloatArray, limits: FloatArray, count: int, seed: int) -> Rays:
         """Uniform directions in the metric of P, as far as \\|y_i\\| ≤ limits_i; with opposites."""
         value, vectors = np.linalg.eigh(P)
         root = vectors / np.sqrt(value)

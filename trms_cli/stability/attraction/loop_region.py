@@ -189,7 +189,7 @@ def loop_region(
         system = around(closed, closed.point)
         require_attractive(system)
         matrix, offset = closed.starts()
-        positions = list(system.kept)
+        positions = list(system.positions)
         columns = [model.state_index(name) for name in deviating_states]
         starts = StartSet(deviating_states, matrix[np.ix_(positions, columns)], offset[positions])
         # Rows with |row · y| < 1 where no command is at a limit.
@@ -212,7 +212,7 @@ def loop_region(
             tail = run.x[-max(1, int(_END * len(run.x))) :, rows]
             away = np.abs(tail - point.x[rows])
             # A comparison with what is not a number is false.
-            recovered[k] = not run.ended and bool(np.all(away <= request.tolerance))
+            recovered[k] = not run.stop_reason and bool(np.all(away <= request.tolerance))
         return LoopStarts(d, recovered)
 
     runs = runs_from(random.uniform(-1.0, 1.0, (request.loop_starts, len(deviating_states))) * box)

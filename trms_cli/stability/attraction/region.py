@@ -82,7 +82,7 @@ def fates(
     :data:`SETTLED` once ``inside`` says of a deviation that it has arrived, :data:`LEFT` beyond
     \\|y_i\\| > far_i, else :data:`UNDECIDED`; and the deviations (m, n) where each was last seen.
     """
-    positions, origin = list(system.kept), system.point.x
+    positions, origin = list(system.positions), system.point.x
     outcomes = np.zeros(len(starts), dtype=np.int8)
     outcomes[inside(starts)] = SETTLED
     waiting = np.flatnonzero(outcomes == UNDECIDED)
@@ -96,7 +96,7 @@ def fates(
             break
         for first in range(0, len(waiting), _BLOCK):
             rows = waiting[first : first + _BLOCK]
-            path = mover.moved(states[rows])
+            path = mover.trajectories(states[rows])
             y = path[:, :, positions] - origin[positions]
             states[rows] = path[-1]
             with np.errstate(invalid="ignore"):
@@ -123,7 +123,7 @@ class _Mover:
         if p.size:
             p.reshape(values.size, _BLOCK, order="F")[:] = values[:, None]
 
-    def moved(self, states: FloatArray) -> FloatArray:
+    def trajectories(self, states: FloatArray) -> FloatArray:
         """(k, m, n) states after each of k steps, from (m, n) with m up to a block."""
         x, m = self._every.inputs[0], len(states)
         # A block that is not full repeats its states: one size, one function.
@@ -180,7 +180,7 @@ def failures(
 
 def _with_edge(estimate: RegionEstimate, count: int, seed: int) -> FloatArray:
     """Starts in a set, half of them as near to its edge as it goes on their ray."""
-    starts = estimate.drawn(count, seed)
+    starts = estimate.draw(count, seed)
     for _ in range(40):
         further = starts.copy()
         further[::2] *= 1.05
@@ -199,7 +199,7 @@ class OtherRest:
 
 def other_rests(system: ReducedSystem, limits: FloatArray) -> list[OtherRest]:
     """Other equilibria in the box that Newton's method finds from random starts."""
-    field, positions = VectorField(system.model), list(system.kept)
+    field, positions = VectorField(system.model), list(system.positions)
     random = np.random.default_rng(0)
     rests: list[OtherRest] = []
     for draw in random.uniform(-1.0, 1.0, (60, system.n)) * limits:
@@ -339,16 +339,17 @@ class AttractionRegion:
     samples: int
     undecided: int
     duration: float  #: s, until a motion is undecided
-    wanted: float  #: s, that the slowest mode would need; above ``duration`` where that was cut off
+    #: s, that the slowest mode would need; above ``duration`` where that was cut off
+    settling_time: float
     plane: RegionSection
     rests: tuple[OtherRest, ...]
     #: Labels of methods that were tried and found no set, or none larger than a quadratic's
     nothing: tuple[str, ...]
 
     @property
-    def cut(self) -> bool:
+    def is_cut_short(self) -> bool:
         """Whether motions were followed for less than the slowest mode needs."""
-        return self.duration < self.wanted
+        return self.duration < self.settling_time
 
     @property
     def largest(self) -> EstimateTest | None:
@@ -381,7 +382,7 @@ def attraction_region(
     arrival = max(proved, key=lambda e: e.log_volume).contains if proved else _tiny(limits)
     rests = other_rests(system, limits)
     if box is None:
-        reaches = [np.abs(e.drawn(4000, 1)).max(axis=0, initial=0.0) for e in results]
+        reaches = [np.abs(e.draw(4000, 1)).max(axis=0, initial=0.0) for e in results]
         reach = np.max(reaches, axis=0) if reaches else 0.2 * limits
         room = _ROOM
         for rest in [rest for rest in rests if not rest.stable][:1]:
@@ -450,16 +451,16 @@ def require_states(
 def _limits(system: ReducedSystem, box: Mapping[str, float]) -> FloatArray:
     """How far estimates are sought: half a turn, and as far in the other states as fits to that."""
     size = np.sqrt(np.diag(np.linalg.inv(from_lyapunov_equation(system))))
-    signals = [system.model.states[i] for i in system.kept]
+    signals = [system.model.states[i] for i in system.positions]
     turns = [s for s, signal in zip(size, signals, strict=True) if signal.unit == "rad"]
     if turns:
         factor = np.pi / max(turns)
     else:
-        rest = 1.0 + 2.0 * np.abs(system.point.x[list(system.kept)])
+        rest = 1.0 + 2.0 * np.abs(system.point.x[list(system.positions)])
         factor = float(np.max(rest / size))
     half_widths = factor * size
     # Speeds of rotors are weighed lightly by that: let them go as far as they are from zero twice.
-    half_widths = np.maximum(half_widths, 2.0 * np.abs(system.point.x[list(system.kept)]))
+    half_widths = np.maximum(half_widths, 2.0 * np.abs(system.point.x[list(system.positions)]))
     return np.array(
         [box.get(signal.name, float(r)) for signal, r in zip(signals, half_widths, strict=True)]
     )
@@ -529,7 +530,7 @@ def _plane(
     lines = np.linspace(-1.0, 1.0, request.for_states(system.n)[1])
     d = plane_starts((i, j), lines * box[i], lines * box[j], len(box))
     fate = fate_of(d)
-    field, positions = VectorField(system.model), list(system.kept)
+    field, positions = VectorField(system.model), list(system.positions)
     random, selection = np.random.default_rng(4), []
     for settled in (True, False):
         rows = np.flatnonzero((fate == SETTLED) == settled)

@@ -45,22 +45,22 @@ class ReducedSystem:
 
     model: Model
     point: OperatingPoint
-    kept: tuple[int, ...]  #: Positions in x of the states of y
+    positions: tuple[int, ...]  #: Positions in x of the states of y
     neutral: tuple[int, ...] = ()  #: Positions of states that move nothing, left out
 
     @property
     def n(self) -> int:
-        return len(self.kept)
+        return len(self.positions)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the states of y."""
-        return tuple(self.model.state_names[i] for i in self.kept)
+        return tuple(self.model.state_names[i] for i in self.positions)
 
     @property
     def settled(self) -> tuple[str, ...]:
         """States that rest, by name."""
-        apart = {*self.kept, *self.neutral}
+        apart = {*self.positions, *self.neutral}
         return tuple(n for i, n in enumerate(self.model.state_names) if i not in apart)
 
     @cached_property
@@ -68,10 +68,10 @@ class ReducedSystem:
         """``(y, e) → ẏ``, (n, 1) each but e, the error of the computed equilibrium, (n_x, 1)."""
         y, e = self.symbols()
         full = ca.SX(ca.DM(self.point.x)) + e
-        for j, i in enumerate(self.kept):
+        for j, i in enumerate(self.positions):
             full[i] += y[j]
         rates = _rates(self.model, full, self.point.u)
-        return ca.Function("around", [y, e], [rates[list(self.kept)]])
+        return ca.Function("around", [y, e], [rates[list(self.positions)]])
 
     @cached_property
     def slopes(self) -> ca.Function:
@@ -89,7 +89,7 @@ class ReducedSystem:
     def eigenvalues(self) -> ComplexArray:
         """Of the linearisation; where a coefficient switches of the mean of both sides."""
         A = Linear(self.model).a(self.point.x, self.point.u)
-        positions = list(self.kept)
+        positions = list(self.positions)
         return np.asarray(np.linalg.eigvals(A[np.ix_(positions, positions)]), dtype=np.complex128)
 
     @cached_property

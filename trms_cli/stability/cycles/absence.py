@@ -60,14 +60,14 @@ class StateBlock:
     divergence: tuple[float, float] | None  #: Bounds, 1/s, of a block of two states
     everywhere: bool  #: Whether they hold for all states; else in the box
     constant: bool  #: Whether its periodic solutions are proved to be constant
-    driven: bool = False  #: Whether a block that is not proved constant acts on it
+    is_driven: bool = False  #: Whether a block that is not proved constant acts on it
     #: Of a block of more than two states: part of the box that holds no periodic orbit, from 0
     share: float = 0.0
 
     @property
     def reason(self) -> str:
         """Why, in a few words."""
-        if self.driven:
+        if self.is_driven:
             return "driven by a block that stays open"
         if len(self.states) == 1:
             return "one state: periodic only if constant"
@@ -125,7 +125,7 @@ def absence(model: Model, x_rest: FloatArray, u: FloatArray, widths: FloatArray)
         if blocks and not blocks[-1].constant:
             not_constant |= {model.state_index(name) for name in blocks[-1].states}
         if any(pattern[i, j] for i in members for j in not_constant):
-            blocks.append(StateBlock(named, None, False, False, driven=True))
+            blocks.append(StateBlock(named, None, False, False, is_driven=True))
             continue
         if len(members) == 1:
             blocks.append(StateBlock(named, None, True, True))

@@ -182,7 +182,7 @@ class Branch:
     """Orbits in their order along a branch."""
 
     orbits: Sequence[Orbit]
-    ended: str  #: Why it was not followed further
+    stop_reason: str  #: Why it was not followed further
 
     def commands(self, channel: int) -> FloatArray:
         """V, (n,)."""
@@ -265,7 +265,7 @@ def born_at(shooting: Shooting, hopf: Hopf, channel: int, limits: int) -> Branch
     # of the Hopf point between the two sides can be reached from there.
     for _ in range(5):
         row = BranchCondition(channel, weights, place, size)
-        first = shooting.closed(hopf.x + size * away, period, hopf.u, row=row)
+        first = shooting.find_orbit(hopf.x + size * away, period, hopf.u, row=row)
         if first is not None:
             break
         size *= 2.0
@@ -295,7 +295,7 @@ def follow_branch(
     if before is None:
         u = first.u.copy()
         u[channel] += towards * 0.005
-        second = shooting.closed(first.nodes, first.period, u)
+        second = shooting.find_orbit(first.nodes, first.period, u)
         if second is None:
             return Branch(orbits, "the next orbit was not found")
         orbits.append(second)
@@ -310,7 +310,7 @@ def follow_branch(
         guess = z + step * tangent * scale
         command = last.u.copy()
         command[channel] = guess[-1]
-        trial = shooting.closed(
+        trial = shooting.find_orbit(
             guess[:-2].reshape(last.nodes.shape),
             float(guess[-2]),
             command,
@@ -331,32 +331,32 @@ def follow_branch(
         at = pack_unknowns(trial.nodes, trial.period, trial.u, channel)
         return (trial, at, z), min(1.4 * step, _MOST_STEP)
 
-    ended = "Newton's method found no next orbit"
+    stop_reason = "Newton's method found no next orbit"
     for trial, _, _ in follow((orbits[-1], z, before), attempt, _FIRST_STEP, _LEAST_STEP):
         if trial.swing.max() < 0.25 * _BORN:
-            ended = "the cycle shrinks to a point: a Hopf bifurcation"
+            stop_reason = "the cycle shrinks to a point: a Hopf bifurcation"
             break
         orbits.append(trial)
         if not low <= trial.u[channel] <= high:
-            ended = "the command's limit"
+            stop_reason = "the command's limit"
             break
         if trial.period > _LONGEST * first.period:
-            ended = (
+            stop_reason = (
                 f"the period grows beyond {trial.period:.3g} s: the orbit draws near to one that "
                 "leaves an equilibrium and returns to it (homoclinic)"
             )
             break
         if trial.trivial_error > _WORST_TRIVIAL:
             orbits.pop()
-            ended = "the orbit is too unstable to be known well"
+            stop_reason = "the orbit is too unstable to be known well"
             break
         if _beyond(model, trial):
-            ended = "far beyond the mechanical stops"
+            stop_reason = "far beyond the mechanical stops"
             break
         if len(orbits) >= limits:
-            ended = f"{limits} orbits"
+            stop_reason = f"{limits} orbits"
             break
-    return Branch(orbits, ended)
+    return Branch(orbits, stop_reason)
 
 
 def _scale(orbit: Orbit) -> FloatArray:
@@ -413,7 +413,7 @@ def follow_over(
                     for sign in (-1.0, 1.0)
                 )
                 whole = [*reversed(one.orbits), *other.orbits[1:]]
-                branches.append(Branch(whole, f"{one.ended}; {other.ended}"))
+                branches.append(Branch(whole, f"{one.stop_reason}; {other.stop_reason}"))
     return OverCommand(curve, hopfs, branches)
 
 
@@ -429,7 +429,7 @@ def at_the_point(
                 continue
             share = before / (before - after)
             nodes = one.nodes + share * (other.nodes - one.nodes)
-            orbit = shooting.closed(nodes, one.period + share * (other.period - one.period), u)
+            orbit = shooting.find_orbit(nodes, one.period + share * (other.period - one.period), u)
             if orbit is not None:
                 orbits.append(orbit)
     return orbits

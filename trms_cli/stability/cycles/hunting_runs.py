@@ -41,7 +41,7 @@ class AxisRun:
     angle: FloatArray
     rate: FloatArray
     command: FloatArray  #: (n,) array; V, of the rotor that holds the axis
-    stuck: BoolArray  #: (n,) bool array
+    is_stuck: BoolArray  #: (n,) bool array
     #: ``hunting``; ``rest``: no slips any more; ``dying out``: slips, each smaller; ``undecided``:
     #: a slip or two, too few to tell; ``oscillating``: a steady swing that never sticks;
     #: ``unstable``: the run had to end, or the swing grows
@@ -59,7 +59,7 @@ class AxisRun:
     @property
     def sticks(self) -> tuple[FloatArray, FloatArray]:
         """Sizes of the errors at a stick and at the next one, over the whole run, rad."""
-        edges = np.diff(self.stuck.astype(int))
+        edges = np.diff(self.is_stuck.astype(int))
         errors = np.abs(self.angle[np.flatnonzero(edges == 1) + 1])
         return errors[:-1], errors[1:]
 
@@ -101,10 +101,10 @@ def axis_run(
     row = model.state_index(model.axes[axis].angle)
     angle = run.x[:, row] - point.x[row]
     rate = VectorField(model).rates(run.x, run.applied)[:, row]
-    stuck = np.abs(rate) < _STUCK
+    is_stuck = np.abs(rate) < _STUCK
     tail = slice(len(angle) // 2, None)
     swing = float(np.ptp(angle[tail])) if len(angle) > 1 else math.nan
-    verdict, period = _verdict(run, angle, stuck)
+    verdict, period = _verdict(run, angle, is_stuck)
     if verdict == "hunting" and period is not None:
         # The last cycle alone: slips of the transient may still be larger.
         since = run.time[-1] - 1.05 * period
@@ -115,19 +115,19 @@ def axis_run(
         angle,
         rate,
         run.applied[:, channel],
-        stuck,
+        is_stuck,
         verdict,
         period,
         swing,
-        float(stuck[tail].mean()),
+        float(is_stuck[tail].mean()),
         bool(np.any(np.abs(run.applied[tail]) >= bound - 1e-9)),
         run.failures,
     )
 
 
-def slips(time: FloatArray, angle: FloatArray, stuck: BoolArray) -> list[tuple[float, float]]:
+def slips(time: FloatArray, angle: FloatArray, is_stuck: BoolArray) -> list[tuple[float, float]]:
     """Beginning (s) and travel (rad) of each whole slip, creep left out."""
-    edges = np.diff(stuck.astype(int))
+    edges = np.diff(is_stuck.astype(int))
     begins, ends = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
     ends = ends[ends > begins[0]] if begins.size else ends[:0]
     pairs = zip(begins, ends, strict=False)  # a run may end within a slip
@@ -135,12 +135,12 @@ def slips(time: FloatArray, angle: FloatArray, stuck: BoolArray) -> list[tuple[f
     return [slip for slip in whole if abs(slip[1]) > _SHORTEST]
 
 
-def _verdict(run: LoopRun, angle: FloatArray, stuck: BoolArray) -> tuple[Verdict, float | None]:
-    if run.ended:
+def _verdict(run: LoopRun, angle: FloatArray, is_stuck: BoolArray) -> tuple[Verdict, float | None]:
+    if run.stop_reason:
         return "unstable", None
     half = len(angle) // 2
     tail, last = angle[half:], angle[len(angle) * 3 // 4 :]
-    if not stuck[half:].any():
+    if not is_stuck[half:].any():
         if np.ptp(last) < _CALM:
             return "rest", None
         if np.ptp(last) > 1.2 * np.ptp(tail[: len(tail) // 2]):
@@ -150,7 +150,7 @@ def _verdict(run: LoopRun, angle: FloatArray, stuck: BoolArray) -> tuple[Verdict
         rising = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
         period = float(np.mean(np.diff(run.time[half:][rising]))) if len(rising) > 2 else None
         return ("oscillating" if steady else "dying out"), period
-    motions = slips(run.time[half:], tail, stuck[half:])
+    motions = slips(run.time[half:], tail, is_stuck[half:])
     travels = np.array([travel for _, travel in motions])
     if not len(travels) or np.abs(travels).max() < _CALM:
         return "rest", None

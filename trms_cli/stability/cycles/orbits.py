@@ -156,7 +156,7 @@ class Shooting:
             path[:, k + 1] = after.T
         return Pieces(path[:, -1].copy(), by_state, by_period, by_input, path)
 
-    def closed(
+    def find_orbit(
         self, nodes: FloatArray, period: float, u: FloatArray, *, row: BranchCondition | None = None
     ) -> Orbit | None:
         """The orbit near a guess of its nodes (m, n_x), period (s) and command, by Newton's method.
@@ -296,7 +296,7 @@ class InPeriods(Model):
     def __init__(self, base: Model) -> None:
         self.take_over(base)
         self.base = base
-        self.parameters = base.parameters.joined([Parameter(PERIOD, 1.0, "s", lower=0.0)])
+        self.parameters = base.parameters.concatenate([Parameter(PERIOD, 1.0, "s", lower=0.0)])
 
     def rest(self) -> FloatArray:
         return self.base.rest()
@@ -403,7 +403,7 @@ def search_orbits(
         row = rows[int(np.argmax(np.ptp(path[-len(path) // 4 :, rows], axis=0)))]
         if shooting is not None and fate != "leaves":
             attempts = _TRIED if fate == "moves on" else 1
-            orbits += _closed(shooting, path, row, u, attempts)
+            orbits += _find_orbits(shooting, path, row, u, attempts)
         if fate == "moves on" and _repeats(path, row):
             fate = "cycle"
         motions.append(SearchMotion(path, fate))
@@ -448,7 +448,7 @@ def _repeats(path: FloatArray, row: int) -> bool:
     return bool(np.any(np.abs(states[:-1] - states[-1:]).max(axis=1) < 0.02 * swing.max()))
 
 
-def _closed(
+def _find_orbits(
     shooting: Shooting, path: FloatArray, row: int, u: FloatArray, attempts: int
 ) -> list[Orbit]:
     """Orbits from a motion's best returns."""
@@ -466,7 +466,7 @@ def _closed(
     for _, first, last in sorted(candidates)[:attempts]:
         stretch = path[first : last + 1]
         picked = np.linspace(0, last - first, shooting.pieces + 1)[:-1].round().astype(int)
-        orbit = shooting.closed(stretch[picked], (last - first) * STEP, u)
+        orbit = shooting.find_orbit(stretch[picked], (last - first) * STEP, u)
         if orbit is not None and orbit.swing.max() > _SMALLEST and orbit.trivial_error < 0.05:
             orbits.append(orbit)
     return orbits
@@ -511,7 +511,7 @@ def gone_round_once(shooting: Shooting, orbit: Orbit) -> Orbit:
     for turns in (4, 3, 2):
         if float(np.abs(orbit.path[round(last / turns)] - orbit.path[0]).max()) < near:
             picked = np.linspace(0, last / turns, shooting.pieces + 1)[:-1].round().astype(int)
-            once = shooting.closed(orbit.path[picked], orbit.period / turns, orbit.u)
+            once = shooting.find_orbit(orbit.path[picked], orbit.period / turns, orbit.u)
             return orbit if once is None else once
     return orbit
 

@@ -101,7 +101,7 @@ class FrictionLoop:
         return -(self.rate @ self.A) / self.mobility
 
     @property
-    def stuck(self) -> FloatArray:
+    def stick_matrix(self) -> FloatArray:
         """A while the axis is held, (n, n)."""
         return self.A + np.outer(self.b, self.holding)
 
@@ -275,7 +275,7 @@ class Cycle:
         return 2.0 * (self.half.stick + self.half.slip)
 
     @property
-    def stuck(self) -> float:
+    def stuck_share(self) -> float:
         """Share of the period at rest."""
         return 2.0 * self.half.stick / self.period
 
@@ -324,8 +324,8 @@ class StickSlip:
         """Transitions of a stick by the fine step, and by the coarse one, its half, quarter…"""
         from scipy.linalg import expm
 
-        halves = [expm(self.loop.stuck * (_COARSE / 2.0**k)) for k in range(_BISECTIONS + 1)]
-        return expm(self.loop.stuck * _FINE), halves
+        halves = [expm(self.loop.stick_matrix * (_COARSE / 2.0**k)) for k in range(_BISECTIONS + 1)]
+        return expm(self.loop.stick_matrix * _FINE), halves
 
     def stick(self, z: FloatArray) -> tuple[FloatArray, float] | None:
         """State at the next break-away and the time until then; None if it does not come."""
@@ -419,9 +419,9 @@ class StickSlip:
 
         Everything but the integral has settled to its ramp.
         """
-        loop, stuck = self.loop, self.loop.stuck
-        size = 1.0 / np.maximum(np.abs(stuck @ stuck).max(axis=1), 1e-12)
-        rows = np.vstack([size[:, None] * (stuck @ stuck), loop.rate, loop.angle, loop.holding])
+        loop, matrix = self.loop, self.loop.stick_matrix
+        size = 1.0 / np.maximum(np.abs(matrix @ matrix).max(axis=1), 1e-12)
+        rows = np.vstack([size[:, None] * (matrix @ matrix), loop.rate, loop.angle, loop.holding])
         targets = np.zeros(len(rows))
         targets[-2:] = error, np.sign(error) * self.law.breakaway
         return np.asarray(np.linalg.lstsq(rows, targets, rcond=1e-13)[0])
@@ -646,7 +646,7 @@ class AxisResponse:
 
     ratio: complex  #: M: first harmonic of the rate over the moment, (rad/s)/(N m)
     swing: float  #: Peak to peak of the angle, rad
-    stuck: float  #: Share of the period at rest
+    stuck_share: float  #: Share of the period at rest
 
 
 @dataclass(frozen=True)
@@ -656,7 +656,7 @@ class Balance:
     moment: float  #: X, N m
     omega: float  #: rad/s
     swing: float  #: Peak to peak of the angle, rad
-    stuck: float  #: Share of the period
+    stuck_share: float  #: Share of the period
 
     @property
     def period(self) -> float:
@@ -737,7 +737,7 @@ class HarmonicBalance:
                 continue
             if abs(self.misfit(moment, omega)) < _BALANCED:
                 response = self.answer(moment, omega)
-                return Balance(moment, omega, response.swing, response.stuck)
+                return Balance(moment, omega, response.swing, response.stuck_share)
         return None
 
 

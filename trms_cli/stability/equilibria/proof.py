@@ -60,7 +60,7 @@ class BlockEquations:
 
     def __init__(self, system: RestSystem, block: EquationBlock) -> None:
         self.n = len(block.unknowns)
-        n_z, n_v = system.n, len(system.given)
+        n_z, n_v = system.n, len(system.knowns)
         own, knowns = ca.SX.sym("own", self.n), ca.SX.sym("knowns", n_z + n_v)
         p = ca.SX.sym("p", len(system.model.parameters))
         z = knowns[:n_z]
@@ -88,7 +88,7 @@ def is_regular(system: RestSystem, box: Interval, v: Interval) -> bool:
 
     ``box``: (n,); infinite where there is no bound. ``v``: (n_v,).
     """
-    z, inputs = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
+    z, inputs = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.knowns))
     p = ca.SX.sym("p", len(system.model.parameters))
     (w,), constants, bounds = _constants_apart([system.nonzero(z, inputs, p)], p, system)
     read = [j for j in range(system.n) if ca.depends_on(w, z[j])] if w.numel() else []
@@ -135,7 +135,7 @@ class Roots:
     unique: BoolArray  #: (r,) bool array; whether exactly one root is proved to lie in it
     exists: BoolArray  #: (r,) bool array; whether at least one is proved to
     open_ended: bool  #: Whether roots beyond :data:`FAR` are not excluded
-    left: IntArray  #: (k,) int array; groups that were left at a doubt
+    undecided: IntArray  #: (k,) int array; groups that were left at a doubt
 
 
 def isolate(
@@ -199,9 +199,9 @@ class _Search:
     """The boxes of a search that are proved or undecided so far, with whom they belong to."""
 
     def __init__(
-        self, equations: BlockEquations, given: Interval, tolerance: FloatArray, most: int
+        self, equations: BlockEquations, knowns: Interval, tolerance: FloatArray, most: int
     ) -> None:
-        self.equations, self.given, self.tolerance, self.most = equations, given, tolerance, most
+        self.equations, self.knowns, self.tolerance, self.most = equations, knowns, tolerance, most
         none = np.zeros(0, dtype=np.int64), Interval.point(np.zeros((0, equations.n)))
         self.proved: list[tuple[IntArray, Interval]] = [none]
         self.undecided: list[tuple[IntArray, Interval]] = [none]
@@ -210,7 +210,7 @@ class _Search:
         """One test of every box, and the boxes that are left."""
         half = 0.5 * _INFLATION * queue.width + 1e-300
         tested = Interval(queue.middle - half, queue.middle + half)
-        step = newton(self.equations, tested, self.given[owner])
+        step = newton(self.equations, tested, self.knowns[owner])
         alive = step.possible & np.all(step.image.meets(queue), axis=1)
         proved = alive & step.unique
         self.proved.append((owner[proved], tested[proved]))
@@ -227,7 +227,7 @@ class _Search:
         self.undecided.append((owner[small], contracted[small]))
         stalled = np.all(contracted.width > 0.7 * before.width, axis=1)[~small]
         contracted, owner, slopes = contracted[~small], owner[~small], slopes[~small]
-        halves = self._cut(contracted[stalled], slopes[stalled])
+        halves = self._bisect(contracted[stalled], slopes[stalled])
         queue = join_boxes(contracted[~stalled], halves)
         owner = np.concatenate([owner[~stalled], owner[stalled], owner[stalled]])
         # Problems that have too many boxes are given up.
@@ -235,7 +235,7 @@ class _Search:
         self.undecided.append((owner[over], queue[over]))
         return queue[~over], owner[~over]
 
-    def _cut(self, box: Interval, slopes: Interval) -> Interval:
+    def _bisect(self, box: Interval, slopes: Interval) -> Interval:
         """Both halves of each box, cut where the equations change most."""
         if not len(box.lower):
             return box
@@ -249,7 +249,7 @@ class _Search:
     def roots(self, box: Interval) -> tuple[IntArray, Interval, BoolArray, BoolArray]:
         """What was found within a box: as the first fields of :class:`Roots`."""
         owner, domain = _together(self.proved)
-        tight = refine_boxes(self.equations, domain, self.given[owner])
+        tight = refine_boxes(self.equations, domain, self.knowns[owner])
         owner, domain, tight, certain = _distinct(owner, domain, tight)
         small_owner, small = _together(self.undecided)
         outside = ~_inside(small, small_owner, domain, owner)
@@ -260,11 +260,11 @@ class _Search:
         proved = np.zeros(len(small_owner), dtype=bool)
         exists = proved.copy()
         if len(small_owner):
-            step = newton(self.equations, tested, self.given[small_owner])
+            step = newton(self.equations, tested, self.knowns[small_owner])
             keep = step.possible
             proved, small_owner = step.unique[keep], small_owner[keep]
             small = small[keep].intersection(step.image[keep])
-            ends = _end_signs(self.equations, tested[keep], self.given[small_owner])
+            ends = _end_signs(self.equations, tested[keep], self.knowns[small_owner])
             exists = proved | (ends < 0)
         everything = join_boxes(tight, small)
         owner = np.concatenate([owner, small_owner])
@@ -471,7 +471,7 @@ class EnclosedEquilibrium:
 class Proof:
     """All equilibria in a box for one input, or for each input of a small range."""
 
-    given: Interval  #: (n_v,)
+    knowns: Interval  #: (n_v,)
     enclosed: tuple[EnclosedEquilibrium, ...]
     open_ended: bool  #: Whether equilibria with a state beyond 1e6 are not excluded
 
@@ -504,12 +504,12 @@ class Prover:
     def __init__(self, system: RestSystem, box: Interval, scale: FloatArray) -> None:
         self.system, self.box, self.scale = system, box, scale
         self._blocks = [BlockEquations(system, block) for block in system.blocks]
-        z, v = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.given))
+        z, v = ca.SX.sym("z", system.n), ca.SX.sym("v", len(system.knowns))
         p = ca.SX.sym("p", len(system.model.parameters))
         point = list(system.point(z, v, p)[:2])
         expressions, constants, self._constants = _constants_apart(point, p, system)
         self._point = Enclosure(ca.Function("point", [z, v, constants], expressions))
-        if not is_regular(system, box, Interval.point(np.zeros(len(system.given)))):
+        if not is_regular(system, box, Interval.point(np.zeros(len(system.knowns)))):
             raise ModelError(
                 f"the equations of model {system.model.name!r} may be singular somewhere in the "
                 "box: an inertia, or the yaw of a beam that stands upright",
@@ -534,7 +534,7 @@ class Prover:
         inputs = Interval.of(lower, upper)
         roots = self._solve(inputs, _SHARE_OVER_RANGES, whole=False)
         numbers = np.bincount(roots.owner, minlength=len(inputs.lower)).tolist()
-        return [None if k in roots.left else number for k, number in enumerate(numbers)]
+        return [None if k in roots.undecided else number for k, number in enumerate(numbers)]
 
     def _solve(self, v: Interval, share: float, whole: bool) -> Roots:
         """Unless the ``whole`` is asked for, a problem is left at its first doubt."""
@@ -560,7 +560,7 @@ class Prover:
             exists = exists[before] & roots.exists
             open_ended |= roots.open_ended
             if not whole:
-                doubtful |= {*owner[~unique].tolist(), *roots.left.tolist()}
+                doubtful |= {*owner[~unique].tolist(), *roots.undecided.tolist()}
                 sure = ~np.isin(owner, list(doubtful))
                 z, owner, unique, exists = z[sure], owner[sure], unique[sure], exists[sure]
         doubtful_groups = np.array(sorted(doubtful), dtype=np.int64)

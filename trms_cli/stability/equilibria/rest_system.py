@@ -49,12 +49,12 @@ class RestSystem:
     model: Model
     unknowns: tuple[Signal, ...]  #: z: states and released inputs
     #: v: all inputs, then all disturbances; what is released or without effect is not read
-    given: tuple[Signal, ...]
+    knowns: tuple[Signal, ...]
     blocks: tuple[EquationBlock, ...]  #: In the order in which they are solved
     free: tuple[str, ...]  #: States that nothing determines; they stay as in :meth:`Model.rest`
     released: tuple[str, ...]  #: Inputs among the unknowns
     idle: tuple[str, ...]  #: Inputs that rest does not depend on
-    held: Mapping[str, float]  #: Angles that are given, rad
+    held_angles: Mapping[str, float]  #: Angles that are given, rad
     residual: ca.Function  #: ``(z, v, p) → g``, rates or torques
     #: ``(z, v, p) → x, u, reached``: the whole state, all commands, what reaches the motors
     point: ca.Function
@@ -70,8 +70,8 @@ class RestSystem:
         """Slopes of the model."""
         return Linear(self.model)
 
-    def given_index(self, name: str) -> int:
-        return names(self.given).index(name)
+    def known_index(self, name: str) -> int:
+        return names(self.knowns).index(name)
 
 
 def rest_system(
@@ -102,7 +102,7 @@ def rest_system(
     resting = model.rest()[list(equations.unknowns)]
 
     rows = ca.vertcat(*reduced.rows) if reduced.rows else ca.SX.zeros(0)
-    columns = [i for i in reduced.kept if own[i].name not in held_angles]
+    columns = [i for i in reduced.positions if own[i].name not in held_angles]
     symbols = ca.vertcat(*(s[i] for i in columns), u)
     candidates = [own[i] for i in columns] + list(model.inputs)
     pattern = _pattern(rows, symbols)
@@ -140,7 +140,7 @@ def rest_system(
     return RestSystem(
         model=model,
         unknowns=unknowns,
-        given=(*model.inputs, *model.disturbances),
+        knowns=(*model.inputs, *model.disturbances),
         blocks=_blocks(_pattern(g, z)),
         free=tuple(own[i].name for i in free),
         released=released,
@@ -149,7 +149,7 @@ def rest_system(
             for i, name in enumerate(inputs)
             if name not in released and not ca.depends_on(ca.vertcat(g, state), v[i])
         ),
-        held=held_angles,
+        held_angles=held_angles,
         residual=ca.Function("rest", [z, v, p], [g]),
         point=ca.Function("point", [z, v, p], [whole, commands, reached]),
         nonzero=ca.Function("nonzero", [z, v, p], [factors]),
@@ -244,7 +244,7 @@ class ReducedEquations:
     """Equations after elimination."""
 
     rows: list[ca.SX]  #: What must be zero, one expression each
-    kept: list[int]  #: Positions of the symbols that are left as unknowns
+    positions: list[int]  #: Positions of the symbols that are left as unknowns
     state: ca.SX  #: All symbols by those that are left, (n, 1)
 
 

@@ -314,12 +314,12 @@ class SurveySetting:
     over: str  #: The varied input
     bounds: tuple[float, float]  #: Its range
     inputs: Mapping[str, float]  #: The other inputs, where they are given
-    held: Mapping[str, float]  #: Angles that are held by an input that follows, rad
+    held_angles: Mapping[str, float]  #: Angles that are held by an input that follows, rad
 
     @property
-    def given(self) -> dict[str, float]:
+    def fixed_values(self) -> dict[str, float]:
         """Inputs and angles that stay as they are."""
-        return {**self.inputs, **self.held}
+        return {**self.inputs, **self.held_angles}
 
 
 @dataclass(frozen=True)
@@ -384,12 +384,12 @@ def survey(
     Raises TrmsError for a setting or a box that the model does not allow.
     """
     inputs = {setting.over, *setting.inputs}
-    system = rest_system(model, inputs, setting.held)
+    system = rest_system(model, inputs, setting.held_angles)
     bounds, scale = bounds_of(system, box)
-    v = np.zeros(len(system.given))
+    v = np.zeros(len(system.knowns))
     for name, value in setting.inputs.items():
-        v[system.given_index(name)] = value
-    index = system.given_index(setting.over)
+        v[system.known_index(name)] = value
+    index = system.known_index(setting.over)
     equations = CurveEquations(system, index, v, bounds, scale, setting.bounds)
 
     tell(f"curves over {setting.over}")
@@ -424,7 +424,7 @@ def complete_curves(
     """The curves with those through proved equilibria that are on none, and how many those are."""
     late = 0
     for proof in proofs:
-        value = float(proof.given.lower[equations.varied])
+        value = float(proof.knowns.lower[equations.varied])
         for one in proof.proved:
             crossings = [y for curve in curves for y in equations.crossings_of(curve, value)]
             if any(_within(equations, y, one.z) for y in crossings):
@@ -538,7 +538,7 @@ def _require_yaw(system: RestSystem, box: Interval) -> None:
         if not box.lower[index] < upright < box.upper[index]:
             continue
         z = random.uniform(-1.0, 1.0, (system.n, _TRIED))
-        v = random.uniform(-1.0, 1.0, (len(system.given), _TRIED))
+        v = random.uniform(-1.0, 1.0, (len(system.knowns), _TRIED))
         usual = np.abs(np.array(system.residual(z, v, p))).max(axis=1)
         z[index] = upright
         there = np.abs(np.array(system.residual(z, v, p))).max(axis=1)
@@ -580,7 +580,7 @@ class EquilibriumMap:
 def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap | None:
     """From the stable points along the first input, by steps of the second; None where not so."""
     over = along.setting.over
-    if along.system.free or along.system.released or along.setting.held:
+    if along.system.free or along.system.released or along.setting.held_angles:
         return None
     system = rest_system(model, {over, second})
     limit = model.input_limits[second]
@@ -597,10 +597,10 @@ def equilibrium_map(model: Model, along: Survey, second: str) -> EquilibriumMap 
         stable = [p for p in (along.equations.stability(y) for y in crossings) if not p.unstable]
         if not stable:
             continue
-        v = np.zeros(len(system.given))
-        v[system.given_index(over)] = value
+        v = np.zeros(len(system.knowns))
+        v[system.known_index(over)] = value
         bounds = (-limit, limit)
-        equations = CurveEquations(system, system.given_index(second), v, box, scale, bounds)
+        equations = CurveEquations(system, system.known_index(second), v, box, scale, bounds)
         x = stable[0].x
         seed = np.array([*(x[model.state_index(s.name)] for s in system.unknowns), start])
         for side in (others[others >= start], others[others < start][::-1]):
@@ -649,17 +649,19 @@ def named_points(
         if name in more or (name == "hover" and level):
             continue
         try:
-            points.append(_named(model, name, operating_point(model, at)))
+            points.append(_named_point(model, name, operating_point(model, at)))
         except TrmsError as error:
             missing.append(
                 f"no {name}: {error.problem}" + (f" ({error.remedy})" if error.remedy else "")
             )
     for name, at in more.items():
-        points.append(_named(model, name, operating_point(model, at, f"study.special.{name}")))
+        points.append(
+            _named_point(model, name, operating_point(model, at, f"study.special.{name}"))
+        )
     return points, missing
 
 
-def _named(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
+def _named_point(model: Model, name: str, point: OperatingPoint) -> NamedPoint:
     u, p = ca.SX.sym("u", model.n_u), ca.SX.sym("p", len(model.parameters))
     path = ca.Function("path", [u, p], [static_motor_command(model, u, p)])
     field = VectorField(model)
@@ -714,12 +716,12 @@ def breakaway(model: Model, x: FloatArray, u: FloatArray, axis: str) -> float:
 
     ``x``: (n_x,); an equilibrium. ``u``: (n_u,); what reaches the motors.
     """
-    short, longer = (_taken(model, x, u, axis, moment) for moment in _MOMENTS)
+    short, longer = (_friction_torque(model, x, u, axis, moment) for moment in _MOMENTS)
     # What resists in proportion to the rate takes ten times as much in ten times the time.
     return longer if longer > _LEAST and abs(longer - short) < 0.1 * longer else 0.0
 
 
-def _taken(model: Model, x: FloatArray, u: FloatArray, axis: str, moment: float) -> float:
+def _friction_torque(model: Model, x: FloatArray, u: FloatArray, axis: str, moment: float) -> float:
     symbols = model.symbols()
     impulse = ca.Function("impulse", list(symbols), [model.impulse(*symbols, moment)])
     field = VectorField(model)
@@ -754,7 +756,7 @@ def friction_bands(
             system = rest_system(model, names(model.inputs), torques_too=True)
         box, scale = bounds_of(system, {})
         v = np.concatenate([u, np.zeros(model.n_w)])
-        index = system.given_index(place.moment)
+        index = system.known_index(place.moment)
         limits = (-torque, torque)
         equations = CurveEquations(system, index, v, box, scale, limits)
         point = OperatingPoint(x, u)

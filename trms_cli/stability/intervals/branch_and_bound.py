@@ -81,7 +81,7 @@ class NegativityProof:
     point: FloatArray | None  #: (n,) array or None; where it does not hold, if that was found
     value: float | None  #: The largest row of g there
     examined: int  #: Boxes bounded
-    left: Interval  #: (m, n), boxes on which nothing is known yet; none when proved
+    undecided: Interval  #: (m, n), boxes on which nothing is known yet; none when proved
 
     @property
     def holds(self) -> bool:

@@ -392,7 +392,7 @@ def input_gains(
     shape = (len(sweep.places), len(rows), model.n_u)
     per_volt, margin = np.zeros(shape), np.full(shape, np.nan)
     for k, place in enumerate(sweep.places):
-        matrices = path.linear.matrices(place.point.x, place.point.u, path.side, place.held.p)
+        matrices = path.linear.matrices(place.point.x, place.point.u, path.side, place.condition.p)
         access = Access(model, matrices, scales)
         for j in range(model.n_u):
             gramian = controllability_gramian(

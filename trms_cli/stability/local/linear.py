@@ -413,7 +413,7 @@ class EigenSpectrum:
     left: ComplexArray
     right: ComplexArray
 
-    def ordered(self, order: npt.NDArray[np.intp]) -> EigenSpectrum:
+    def reorder(self, order: npt.NDArray[np.intp]) -> EigenSpectrum:
         """The same in another order."""
         return EigenSpectrum(self.values[order], self.left[:, order], self.right[:, order])
 

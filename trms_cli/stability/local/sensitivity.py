@@ -90,14 +90,14 @@ class Sensitivity:
 def sensitivity(path: OperatingPath, place: LocusPoint, track: int) -> Sensitivity:
     """dλ/dp and its shares for one eigenvalue of a place."""
     direction = path.direction()
-    displacement = path.balance.tangent(place.held, place.point, direction)
+    displacement = path.balance.tangent(place.condition, place.point, direction)
     along = np.concatenate([displacement, direction.p])
     alone = np.concatenate([np.zeros(path.model.n_x), displacement[path.model.n_x :], direction.p])
     if path.kind == "parameter":
         alone[: len(displacement)] = 0.0
     where = (place.point.x, place.point.u)
-    change = path.linear.change(*where, along, path.side, place.held.p)
-    still = path.linear.change(*where, alone, path.side, place.held.p)
+    change = path.linear.change(*where, along, path.side, place.condition.p)
+    still = path.linear.change(*where, alone, path.side, place.condition.p)
     left, right = place.spectrum.left[:, track], place.spectrum.right[:, track]
     scale: complex = 1.0
     if path.model.sample_time is not None:
@@ -207,7 +207,8 @@ def mode_sensitivity(
     loops: tuple[SignalLoop, ...] = ()
     shares = derivative.shares
     if shares and abs(shares[0].part.real) > 0 and path.model.sample_time is None:
-        a, largest = path.linear.a(place.point.x, place.point.u, path.side, place.held.p), shares[0]
+        a = path.linear.a(place.point.x, place.point.u, path.side, place.condition.p)
+        largest = shares[0]
         s = rate_of(place.spectrum.values[track], None)
         loops = loops_through(a, largest.row, largest.column, s)
     return ModeSensitivity(mode, place.value, derivative, loops)

@@ -59,7 +59,7 @@ def match_spectra(
     rows, columns = linear_sum_assignment(cost)
     order = columns[np.argsort(rows)]
     match_costs = cost[np.arange(len(order)), order]
-    return after.ordered(order), float(1.0 - match_costs.max(initial=0.0))
+    return after.reorder(order), float(1.0 - match_costs.max(initial=0.0))
 
 
 def line_of(model: Model, at: Mapping[str, float], over: str | None, usual: str) -> str:
@@ -120,7 +120,7 @@ class LocusPoint:
     """An operating point of a sweep."""
 
     value: float  #: Of what is varied
-    held: TrimCondition  #: What is held there
+    condition: TrimCondition  #: What is held there
     point: OperatingPoint
     spectrum: linear.EigenSpectrum  #: In the order of the sweep's tracks
 
@@ -168,17 +168,17 @@ class OperatingPath:
         self.balance, self.linear = TrimSolver(model), linear.Linear(model)
         self.kind = _kind(model, over)
         self.at = dict(at)
-        self._given = tuple(at)
+        self._requested_names = tuple(at)
         self._free = self.kind != "parameter" and over not in self.at
         if self._free:
             # Where nothing is said of it the sweep begins at zero, or at rest if it must.
             self.at[over] = 0.0
-        self._base = self.balance.held(self.at)
+        self._base = self.balance.condition(self.at)
         self.began = (
             self.model.parameters[over].value if self.kind == "parameter" else self.at[over]
         )
 
-    def moved(self, name: str, value: float) -> OperatingPath:
+    def with_value(self, name: str, value: float) -> OperatingPath:
         """The same with another number held; ConfigurationError: an angle for commands, or so."""
         kind = _kind(self.model, name)
         other = copy.copy(self)
@@ -193,7 +193,7 @@ class OperatingPath:
                 where="study.against",
                 remedy="hold angles and vary an angle, or hold commands and vary a command",
             )
-        other._base = replace(self.balance.held({name: value}), p=self._base.p)
+        other._base = replace(self.balance.condition({name: value}), p=self._base.p)
         other.at = {name: value}
         return other
 
@@ -219,20 +219,20 @@ class OperatingPath:
         """Of a column: ``u_v [V]``."""
         return wording.with_unit(self.over, self.unit)
 
-    def held(self, value: float) -> TrimCondition:
+    def condition(self, value: float) -> TrimCondition:
         """What is held at a value."""
         return self._with(self.over, value)
 
     def direction(self) -> TrimCondition:
         """Rates of change of what is held, per unit of what is varied."""
-        one, zero = self.held(1.0), self.held(0.0)
+        one, zero = self.condition(1.0), self.condition(0.0)
         return TrimCondition(one.by_angle, one.values - zero.values, one.p - zero.p)
 
     def first(self, low: float, high: float) -> LocusPoint:
         """Where a sweep begins: where the request stands, or the end next to it; or TrmsError."""
         begin = self._begin()
         value = min(max(self.began, low), high)
-        point = self.balance.advance(self.held(self.began), self.held(value), begin)
+        point = self.balance.advance(self.condition(self.began), self.condition(value), begin)
         if point is not None and not self._within(point):
             raise ConfigurationError(
                 f"the rig cannot rest at {self.over} = {value:g} within its inputs and stops",
@@ -249,7 +249,7 @@ class OperatingPath:
 
     def place(self, value: float, point: OperatingPoint) -> LocusPoint:
         """A place at a known operating point."""
-        condition = self.held(value)
+        condition = self.condition(value)
         a = self.linear.a(point.x, point.u, self.side, condition.p)
         return LocusPoint(value, condition, point, linear.spectrum_of(a))
 
@@ -264,8 +264,8 @@ class OperatingPath:
         self, last: LocusPoint, value: float, shortest: float
     ) -> tuple[LocusPoint, float] | None:
         """The same, and how sure the match is; ``shortest`` as of :meth:`TrimSolver.advance`."""
-        condition = self.held(value)
-        point = self.balance.advance(last.held, condition, last.point, shortest)
+        condition = self.condition(value)
+        point = self.balance.advance(last.condition, condition, last.point, shortest)
         if point is None or not self._within(point):
             return None
         place = self.place(value, point)
@@ -318,12 +318,12 @@ class OperatingPath:
             if not self._free or self.kind != "angle":
                 raise
             at_rest = by_name(self.model.states, self.model.rest())
-            free = [name for name in self.model.controlled if name not in self._given]
+            free = [name for name in self.model.controlled if name not in self._requested_names]
             rest = {name: at_rest[name] for name in free}
             begin = self.balance.first(self.at | rest)
             self.at |= rest
             self.began = self.at[self.over]
-            self._base = self.balance.held(self.at)
+            self._base = self.balance.condition(self.at)
             return begin
 
     def _within(self, point: OperatingPoint) -> bool:
@@ -386,7 +386,7 @@ def _end(path: OperatingPath, last: LocusPoint, value: float) -> tuple[LocusPoin
             bad = middle
         else:
             good = place
-    beyond = path.balance.advance(good.held, path.held(bad), good.point, 0.5)
+    beyond = path.balance.advance(good.condition, path.condition(bad), good.point, 0.5)
     at = f"{path.over} = {good.value:.4g} {path.unit}".rstrip()
     why = f"the equilibrium ends at {at}"
     if beyond is not None:

@@ -181,7 +181,7 @@ class FrequencyResponse:
     duration: float  #: s simulated
     #: Angles and rotor speeds that dry friction holds at the point: the response is that of the rig
     #: without it
-    held: tuple[str, ...] = ()
+    held_states: tuple[str, ...] = ()
 
     @property
     def L(self) -> ComplexArray:
@@ -198,7 +198,7 @@ class NoResponse:
     #: Whether it leaves the point; else it stays near, but does not answer periodically
     leaves: bool
     reversed: tuple[str, ...]  #: As of :class:`FrequencyResponse`
-    held: tuple[str, ...] = ()  #: As of :class:`FrequencyResponse`
+    held_states: tuple[str, ...] = ()  #: As of :class:`FrequencyResponse`
 
 
 @dataclass(frozen=True)
@@ -246,8 +246,8 @@ class Analyser:
         for doing, added in zip(words, [*one_by_one, together], strict=True):
             tell(doing)
             last = _experiment(model, loop, point, added, self.periods * probe.length * step)
-            if last.gone:
-                return NoResponse(last.run, last.gone, last.leaves, last.reversed)
+            if last.departure:
+                return NoResponse(last.run, last.departure, last.leaves, last.reversed)
             answers.append(last)
         each, check = answers[:-1], answers[-1]
         T = np.stack(
@@ -279,22 +279,22 @@ class Analyser:
 class _Adder:
     """Adds a periodic signal to the commands, and ends the run when the answer repeats."""
 
-    def __init__(self, added: FloatArray, ratio: int) -> None:
-        self.ratio, self._added = ratio, added
+    def __init__(self, signal: FloatArray, ratio: int) -> None:
+        self.ratio, self._signal = ratio, signal
         self.commands: list[FloatArray] = []
 
     def __call__(self, k: int, u: FloatArray) -> FloatArray:
-        length = len(self._added)
+        length = len(self._signal)
         if k % self.ratio == 0:
             count = len(self.commands)
             if count % length == 0 and count >= 2 * length and self.drift < SETTLED:
                 raise Enough
             self.commands.append(u.copy())
-        return np.asarray(u + self._added[(k // self.ratio) % length])
+        return np.asarray(u + self._signal[(k // self.ratio) % length])
 
     def period(self, back: int = 0) -> FloatArray:
         """The last whole period of the commands, or one before, (N, n_u); empty where none is."""
-        length = len(self._added)
+        length = len(self._signal)
         end = (len(self.commands) // length - back) * length
         return np.array(self.commands[max(end - length, 0) : max(end, 0)])
 
@@ -318,7 +318,7 @@ class _Answer:
     rest: FloatArray
     limited: int
     reversed: tuple[str, ...]
-    gone: str
+    departure: str
     leaves: bool
 
 
@@ -339,14 +339,14 @@ def _experiment(
     first = angles[samples : 2 * samples]
     away = float(np.abs(last).max()) if last.size else 0.0
     grows = bool(np.linalg.norm(last) > _GROWS * np.linalg.norm(first))
-    leaves = bool(run.ended) or grows or away > _FAR
+    leaves = bool(run.stop_reason) or grows or away > _FAR
     departure = ""
-    if run.ended or adder.drift > NOT_PERIODIC:
+    if run.stop_reason or adder.drift > NOT_PERIODIC:
         name = model.controlled[int(np.argmax(np.abs(last).max(axis=0)))]
         after = f"after {run.time[-1] if run.time.size else 0.0:.0f} s"
         departure = f"{name} is up to {away:.2g} rad away {after}"
-        if run.ended:
-            departure += f", where the run ends: {run.ended}"
+        if run.stop_reason:
+            departure += f", where the run ends: {run.stop_reason}"
         elif not leaves:
             departure = (
                 f"{name} stays within {away:.2g} rad, but {after} the answer to the test signal "
@@ -433,7 +433,7 @@ def measure_response(
     _require_band(analyser.lowest, subject, loop, point)
     held_states = held_by_friction(subject.model, point)
     rig = without_impulses(subject.model) if held_states else subject.model
-    return replace(analyser.measure(rig, loop, point, tell), held=held_states)
+    return replace(analyser.measure(rig, loop, point, tell), held_states=held_states)
 
 
 def _require_band(lowest: float, subject: Subject, loop: LoopParts, point: OperatingPoint) -> None:

@@ -70,13 +70,13 @@ class Impairment:
         """The size at which nothing is wrong."""
         return 1.0 if self.kind == "gain" else 0.0
 
-    def shown(self, size: float) -> float:
+    def display_size(self, size: float) -> float:
         """The size as it is told: a gain of 1/size for one that is too small."""
         return 1 / size if self.kind == "gain" and not self.up else size
 
     def amount(self, size: float) -> str:
         """The size in words: ``0.1 s``, ``2``, ``0.004 N m``."""
-        return f"{self.shown(size):.3g} {self.unit}".rstrip()
+        return f"{self.display_size(size):.3g} {self.unit}".rstrip()
 
     def rig(self, model: Model, size: float) -> Model:
         """The rig that has it."""
@@ -94,7 +94,7 @@ class Impairment:
         if self.kind == "friction":
             return None
         factor = np.ones(model.n_u)
-        factor[names(model.inputs).index(self.of)] = self.shown(size)
+        factor[names(model.inputs).index(self.of)] = self.display_size(size)
         lower, upper = model.input_bounds()
         around = point.u if self.of_changes else np.zeros(model.n_u)
         # the amplifier behind the wrong gain has the limits that the command has
@@ -242,7 +242,7 @@ class TrialRun:
 class FailureBracket:
     """Where a loop first fails."""
 
-    tried: tuple[TrialRun, ...]  #: By size
+    runs: tuple[TrialRun, ...]  #: By size
     below: TrialRun  #: The largest size before the first failure
     above: TrialRun | None  #: The first failure; None: all sizes were stood
     again: tuple[float, ...]  #: Sizes of the scan beyond it that are stood again
@@ -300,7 +300,7 @@ class ToleranceTrial:
     offset: Mapping[str, float]  #: By how much the start differs, by state
     duration: float  #: s
     bounds: Bounds
-    lost: float  #: rad from the point at which a run is ended
+    distance_limit: float  #: rad from the point at which a run is ended
 
     def errors(self, x: FloatArray) -> FloatArray:
         """Controlled angles' distances from the point, rad, (…, n_r), at states (…, n_x)."""
@@ -312,19 +312,25 @@ class ToleranceTrial:
         """A run with the impairment at a size; at ``impairment.none`` nothing is wrong."""
         model = self.subject.model
 
-        def gone(x: FloatArray) -> str:
+        def departure(x: FloatArray) -> str:
             far = float(np.abs(self.errors(x)).max())
-            return f"an angle is {far:.2g} rad away" if far > self.lost else ""
+            return f"an angle is {far:.2g} rad away" if far > self.distance_limit else ""
 
         wrong = size != impairment.none
         rig = impairment.rig(model, size) if wrong else model
         path = impairment.path(model, self.point, self.loop.sample_time, size) if wrong else None
         run = run_loop(
-            rig, self.loop, self.point, self.duration, offset=self.offset, path=path, until=gone
+            rig,
+            self.loop,
+            self.point,
+            self.duration,
+            offset=self.offset,
+            path=path,
+            until=departure,
         )
         lower, upper = model.input_bounds()
         commands = run.u / ((upper - lower) / 2)
-        verdict = self.bounds.verdict(self.errors(run.x), commands, bool(run.ended))
+        verdict = self.bounds.verdict(self.errors(run.x), commands, bool(run.stop_reason))
         return TrialRun(size, run, verdict)
 
 
@@ -373,7 +379,7 @@ def _predicted(impairment: Impairment, margins: MarginResult) -> tuple[float | N
     else:
         own = next(loop.margins for loop in margins.loops if loop.name == impairment.of)
         limit = own.up if impairment.up else own.down
-    return (None if limit is None else impairment.shown(limit.value)), True
+    return (None if limit is None else impairment.display_size(limit.value)), True
 
 
 #: Factor within which a foretold and a simulated limit count as the same.
@@ -393,7 +399,7 @@ def explanation(limits: ImpairmentLimits, trial: ToleranceTrial) -> str:
         return ""
     if range_text := _range_ends(limits, trial):
         return range_text
-    most = limits.calm.tried[-1].size
+    most = limits.calm.runs[-1].size
     if limit is None and (predicted is None or predicted > most):
         return "none within the scan, as foretold"
     if limit and predicted and 1 / _ALIKE < limit / predicted < _ALIKE:

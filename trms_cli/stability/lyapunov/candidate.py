@@ -611,12 +611,12 @@ class LevelSearchResult:
     candidate: EnergyCandidate
     wells: Wells
     decay_level: DecayLevel
-    asked: float  #: The level up to which decay was to be proved, J
+    requested_level: float  #: The level up to which decay was to be proved, J
 
     @property
     def level(self) -> float:
         """Proved: V falls on {V < level}, within the well; J."""
-        return min(self.decay_level.level, self.asked)
+        return min(self.decay_level.level, self.requested_level)
 
 
 def search_levels(energy: Energy, x: FloatArray, strict: bool, budget: int) -> LevelSearchResult:

@@ -526,7 +526,7 @@ class LevelMotions:
         return float(np.max(self.value - before) / self.level)
 
     @property
-    def left(self) -> float:
+    def final_share(self) -> float:
         """The largest share of V that is left at the end."""
         return float(np.max(self.value[-1]) / self.level)
 
@@ -592,6 +592,6 @@ def motions_claim(paths: LevelMotions, duration: float) -> StabilityClaim:
         "seen",
         f"Along {paths.value.shape[1]} motions from the edge of N′ V falls and none leaves N′",
         "simulated" if good else "failed",
-        f"largest rise {paths.rise:.1g} of the level; at most {100 * paths.left:.2g} % of V "
+        f"largest rise {paths.rise:.1g} of the level; at most {100 * paths.final_share:.2g} % of V "
         f"is left after {duration:g} s",
     )

@@ -73,7 +73,7 @@ class RestPoint:
     in_section: bool  #: Whether the section goes through it; otherwise it is seen in projection
     #: (n_x,) bool array; whether a mode moves what the portrait shows: its participation in the
     #: coordinates' states
-    shown: BoolArray
+    is_visible: BoolArray
     line: bool  #: Whether it is one of a line of rest points that the portrait shows
     #: The states on either side of which the slopes differ there (the cable's stiffness by the sign
     #: of the yaw)
@@ -168,13 +168,13 @@ def rest_point(section: StateSection, x: FloatArray) -> RestPoint:
     near = 1e-5 * np.maximum(1.0, np.abs(x))
     on = bool(np.isfinite(placed).all() and np.all(np.abs(placed - x) <= near))
     visible_modes, line = (
-        _shown(vectors, coordinates.own),
+        _visible_modes(vectors, coordinates.own),
         _on_a_line(section, x, eigenvalues, vectors),
     )
     return RestPoint(x, c, eigenvalues, kind_of(eigenvalues), on, visible_modes, line, switches)
 
 
-def _shown(vectors: ComplexArray, own: tuple[int, ...]) -> BoolArray:
+def _visible_modes(vectors: ComplexArray, own: tuple[int, ...]) -> BoolArray:
     """Modes whose participation factors |v_ki w_ik| (Pérez-Arriaga 1982) are large in some states.
 
     Where the eigenvectors do not span the space, all are.
@@ -300,14 +300,14 @@ def _held_on(
         np.concatenate([np.linspace(window[along, 0], window[along, 1], _POINTS), *around]),
         window[along],
     )
-    stuck = _held(line, values)
+    stuck = _is_held(line, values)
     if not stuck.any():
         return []
     # Then its ends, each between a point that is held and one that is not.
     edges = np.flatnonzero(np.diff(stuck.astype(int)))
     between = [np.linspace(values[i], values[i + 1], _POINTS // 4) for i in edges]
     values = _within(np.concatenate([values, *between]), window[along])
-    stuck = _held(line, values)
+    stuck = _is_held(line, values)
     c = section.coordinates.values(_placed(line, values), section.point.u)
     item = line.coordinates.items[1]
     what = symbol(line.coordinates.model.states[item.state].name)
@@ -318,7 +318,7 @@ def _held_on(
     ]
 
 
-def _held(line: StateSection, values: FloatArray) -> BoolArray:
+def _is_held(line: StateSection, values: FloatArray) -> BoolArray:
     """Whether friction holds the rate of the line at zero, at each of its points (n,)."""
     x = _placed(line, values)
     is_finite = np.isfinite(x).all(axis=1)
@@ -441,7 +441,9 @@ def _of_whole(
             paths = [_followed(field, values_at, at, into, window, duration) for at in beside]
         else:
             states = coordinates.field.motions(beside, u, duration, _MOTION_STEP, impulses=False)
-            paths = [_cut(path, window) for path in coordinates.values(states, u).swapaxes(0, 1)]
+            paths = [
+                _truncate(path, window) for path in coordinates.values(states, u).swapaxes(0, 1)
+            ]
         for path in paths:
             yield path, into, False
 
@@ -490,7 +492,7 @@ def _followed(
     return np.array(path)
 
 
-def _cut(path: FloatArray, window: FloatArray) -> FloatArray:
+def _truncate(path: FloatArray, window: FloatArray) -> FloatArray:
     """A motion (n, n_c) until it leaves the window or is long enough."""
     width = np.ptp(window, axis=1)
     outside = np.any(

@@ -229,7 +229,7 @@ class StateSection:
     settled: tuple[int, ...] = ()  #: Other states that follow from f_k = 0; the rest is held
 
     @property
-    def held(self) -> tuple[int, ...]:
+    def held_states(self) -> tuple[int, ...]:
         """Other states that stay at the operating point."""
         return tuple(i for i in self.coordinates.others if i not in self.settled)
 
@@ -307,7 +307,7 @@ class StateSection:
         values, _ = self.coordinates.function(x, u, p, w)
         f = model.dynamics(x, u, p, w)
         rows = [values - c, *(f[k] for k in self.settled)]
-        rows += [x[k] - float(self.point.x[k]) for k in self.held]
+        rows += [x[k] - float(self.point.x[k]) for k in self.held_states]
         residual = ca.vertcat(*rows)
         slope = ca.densify(ca.jacobian(residual, x))
         inputs = [x, c, u, p, w]

@@ -396,7 +396,7 @@ class TrajectoryEnd:
     #: reached
     times: tuple[float, ...] = ()
     rest: RestPoint | None = None
-    held: StickingSet | None = None
+    sticking_set: StickingSet | None = None
 
 
 def ends_of(

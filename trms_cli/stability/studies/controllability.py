@@ -295,7 +295,7 @@ def _lead(result: ControllabilityResult) -> list[str]:
     return sentences
 
 
-def _lost(gain: FloatArray) -> npt.NDArray[np.intp]:
+def _zero_gain_indices(gain: FloatArray) -> npt.NDArray[np.intp]:
     """Places at which an input does not move a state; none where there are more than a few."""
     indices = np.flatnonzero(gain <= 1e-6 * float(gain.max(initial=0.0)))
     return indices if len(indices) <= 3 else indices[:0]
@@ -307,7 +307,7 @@ def _loss_words(result: ControllabilityResult, i: int) -> list[str]:
     sentences = []
     for j, signal in enumerate(path.model.inputs):
         reach = result.gains.per_volt[:, i, j]
-        zero = _lost(reach)
+        zero = _zero_gain_indices(reach)
         # What hardly moves it anywhere has nothing to lose.
         if len(zero) and float(reach.max()) * result.scales.u[j] > _LITTLE * MOTION:
             at = f"{result.sweep.values[zero[0]]:.4g} {path.unit}".rstrip()
@@ -335,7 +335,7 @@ def _inputs(result: ControllabilityResult) -> Section:
     model, gramians = result.path.model, result.gramians
     heads = [*names(model.inputs), *["together"] * (model.n_u > 1)]
 
-    def moved(reach: PbhResult) -> Datum:
+    def input_cell(reach: PbhResult) -> Datum:
         words, judgement = _GRADES[reach.grade]
         if reach.grade != "none":
             words += f" ({_strength(reach)}×; {reach.margin:.2g})"
@@ -343,7 +343,7 @@ def _inputs(result: ControllabilityResult) -> Section:
 
     modes = Table(
         ("mode", *heads),
-        [[a.mode.name, *(moved(reach) for reach in a.by_input)] for a in result.access],
+        [[a.mode.name, *(input_cell(reach) for reach in a.by_input)] for a in result.access],
         "Whether an input moves a mode; in brackets how far a full command in step with it pumps "
         f"it in {result.duration:g} s (1×: an angle of {MOTION:g} rad or its like), and the PBH "
         "margin.",
@@ -383,13 +383,13 @@ def _inputs(result: ControllabilityResult) -> Section:
 def _sensors(result: ControllabilityResult) -> Section:
     heads = [set_words(result.path.model, one) for one in result.sets]
 
-    def read(reach: PbhResult) -> Datum:
+    def sensor_cell(reach: PbhResult) -> Datum:
         words, judgement = _GRADES[reach.grade]
         return Datum(words if reach.grade == "none" else f"{_strength(reach)}σ", judgement)
 
     modes = Table(
         ("mode", *heads),
-        [[a.mode.name, *(read(reach) for reach in a.by_sensors)] for a in result.access],
+        [[a.mode.name, *(sensor_cell(reach) for reach in a.by_sensors)] for a in result.access],
         "Whether sensors see a mode, and how large a motion worth speaking of "
         f"({MOTION:g} rad or its like) reads, in standard deviations σ of one reading.",
     )
@@ -451,7 +451,7 @@ def _loss_chart(result: ControllabilityResult) -> Chart:
             for j, (signal, colour) in enumerate(zip(model.inputs, _COLOURS, strict=False))
         ]
         for gain in reach.per_volt[:, i].T:
-            loss_indices = _lost(gain)
+            loss_indices = _zero_gain_indices(gain)
             if len(loss_indices) and gain.max() > 0:
                 marks.append(
                     Points(

@@ -81,7 +81,7 @@ class Equilibria:
             inputs = np.linspace(*setting.bounds, self.proof_points)
             surveys.append(survey(model, setting, self.box, inputs, self.proof_range, tell))
         tell("rest and hover")
-        named, missing = self._named(model)
+        named, missing = self._named_points(model)
         stable_map = None
         if self.map and model.n_u == 2 and len(surveys) == 2:
             tell("the map over both inputs")
@@ -91,7 +91,7 @@ class Equilibria:
             f"over {symbol(one.setting.over)} the beam is held at {symbol(name)} = {value:g} rad, "
             f"outside the box: another angle by study.at.{name}=…"
             for one in surveys
-            for name, value in one.setting.held.items()
+            for name, value in one.setting.held_angles.items()
             if name in self.box and not self.box[name][0] <= value <= self.box[name][1]
         ]
         warnings = _warnings(result, subject.left_out_of_equations())
@@ -111,7 +111,7 @@ class Equilibria:
         notes = [*missing, *warnings, *held_outside]
         return Findings("Equilibria", _lead(result), sections, json_data(data), notes)
 
-    def _named(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
+    def _named_points(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
         """The named points; rest and hover only within the box, and why one is missing."""
         points, missing = named_points(model, self.special)
         selection = []
@@ -215,7 +215,7 @@ class EquilibriaResult:
 
     model: Model
     surveys: Sequence[Survey]
-    named: Sequence[NamedPoint]
+    named_points: Sequence[NamedPoint]
 
 
 def _survey_data(survey: Survey) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def _survey_data(survey: Survey) -> dict[str, Any]:
         "over": survey.setting.over,
         "range": survey.setting.bounds,
         "inputs": survey.setting.inputs,
-        "held": survey.setting.held,
+        "held": survey.setting.held_angles,
         "released": survey.system.released,
         "free": survey.system.free,
         "box": _columns(survey.system.unknowns, survey.box.lower, survey.box.upper),
@@ -319,7 +319,7 @@ def _rounded(value: float) -> float:
     return 0.0 if abs(value) < 1e-9 else float(f"{value:.5g}")
 
 
-def _written(model: Model, name: str, value: float, digits: int = 4) -> str:
+def _value_text(model: Model, name: str, value: float, digits: int = 4) -> str:
     """``α_v = 0.1 rad``."""
     return f"{symbol(name)} = {_with_unit(value, unit_of(model, name), digits)}"
 
@@ -351,9 +351,9 @@ def _sentence(words: str) -> str:
 
 def _lead(result: EquilibriaResult) -> list[str]:
     model, lead = result.model, []
-    for point in result.named:
+    for point in result.named_points:
         commands, states = (
-            ", ".join(_written(model, name, point.value(model, name)) for name in group)
+            ", ".join(_value_text(model, name, point.value(model, name)) for name in group)
             for group in (names(model.inputs), _outcomes(model))
         )
         stability = _stability(point).value
@@ -362,16 +362,16 @@ def _lead(result: EquilibriaResult) -> list[str]:
         marks = [_landmark_words(one, mark) for mark in one.landmarks if mark.kind in _FIRST]
         lead += [_sentence(words) for words in dict.fromkeys(marks)]
         lead.append(_proof_words(one))
-    for point in result.named:
+    for point in result.named_points:
         lead += [_sentence(f"{point.name}: {band_words(model, band)}") for band in point.bands]
     return lead
 
 
 def _landmark_words(survey: Survey, one: Landmark) -> str:
     model = survey.model
-    at = _written(model, survey.setting.over, float(one.y[-1]), 6)
+    at = _value_text(model, survey.setting.over, float(one.y[-1]), 6)
     angles = [name for name in model.controlled if name not in survey.system.free]
-    place = ", ".join(_written(model, name, one.at.value(model, name)) for name in angles)
+    place = ", ".join(_value_text(model, name, one.at.value(model, name)) for name in angles)
     frequency = _number(one.frequency or 0.0, 3)
     what = {
         "fold": "two equilibria meet and end in a fold at",
@@ -450,7 +450,7 @@ def _section(one: Survey, named: Sequence[NamedPoint]) -> Section:
     if one.system.free:
         free = f"{_symbols(one.system.free)} is determined by nothing"
         structure.append(_sentence(f"{free}: any value rests; zero is taken"))
-    if one.system.released and not one.setting.held:
+    if one.system.released and not one.setting.held_angles:
         requirement = f"Rest asks for one value of {_symbols(one.system.released)} at each {over}"
         structure.append(f"{requirement}: it is solved for.")
     text = [
@@ -503,7 +503,7 @@ def _stability(point: EquilibriumPoint) -> Datum:
 
 
 def _special_section(result: EquilibriaResult) -> Section:
-    model, named = result.model, result.named
+    model, named = result.model, result.named_points
     blocks: list[Table | draw.Chart] = []
     if named:
         values = _value_columns(model, [*names(model.inputs), *_outcomes(model)])
@@ -519,7 +519,7 @@ def _landmark_table(result: EquilibriaResult) -> Table | None:
     rows = [
         [
             f"{symbol(one.name)} = 0" if one.kind == "level" else MARKS[one.kind][0],
-            _written(model, survey.setting.over, float(one.y[-1]), 7),
+            _value_text(model, survey.setting.over, float(one.y[-1]), 7),
             *(
                 None if name in survey.system.free else _rounded(one.at.value(model, name))
                 for name in model.controlled
@@ -537,7 +537,7 @@ def _landmark_table(result: EquilibriaResult) -> Table | None:
 
 
 def _quantity_table(result: EquilibriaResult) -> Table | None:
-    model, points = result.model, result.named
+    model, points = result.model, result.named_points
     locked = [part for part, whole in _PARTS.items() if whole not in (*model.axes, *model.rotors)]
     quantity_names = [
         name
@@ -617,7 +617,7 @@ def _undecided_words(survey: Survey) -> list[str]:
         )
         more = len(proof.undecided) - 2
         words.append(
-            f"at {_written(survey.model, survey.setting.over, check.input)} the number is "
+            f"at {_value_text(survey.model, survey.setting.over, check.input)} the number is "
             f"not proved: {len(proof.proved)} found, undecided: {places}"
             + (f" and {more} places more" if more > 0 else "")
             + f"; the curves have {len(check.points) or 'none'} there"
@@ -658,7 +658,9 @@ def _curves_chart(
     survey: Survey, signal_names: Sequence[str], named: Sequence[NamedPoint]
 ) -> draw.Chart:
     model, over = survey.model, survey.setting.over
-    conditions = [f"{symbol(name)} = {value:g}" for name, value in survey.setting.given.items()]
+    conditions = [
+        f"{symbol(name)} = {value:g}" for name, value in survey.setting.fixed_values.items()
+    ]
     if survey.system.released:
         conditions.append(f"{_symbols(survey.system.released)} as rest asks for")
     condition = f" ({', '.join(conditions)})" if conditions else ""
@@ -718,7 +720,7 @@ def _marks(survey: Survey, name: str, named: Sequence[NamedPoint], legend: bool)
             marks.append(
                 draw.Points(at, where, label if legend else "", marker, colour, labels, 7.0)
             )
-    conditions = survey.setting.given.items()
+    conditions = survey.setting.fixed_values.items()
     here = [
         point
         for point in named

@@ -189,7 +189,7 @@ class Hunting:
         def one(factor: float) -> tuple[float | None, AxisRun]:
             scaled = law.scaled(factor)
             expected = _finite(swings(events, [scaled])[0]) if events is not None else None
-            return expected, case.reached(duration, expected, law=scaled)
+            return expected, case.run_to_cycle(duration, expected, law=scaled)
 
         return _sweep("torques", "friction", curves, factors, one, tell)
 
@@ -212,7 +212,7 @@ class Hunting:
 
         def one(factor: float) -> tuple[float | None, AxisRun]:
             expected = _finite(swing(factor))
-            return expected, case.reached(duration, expected, loop=of(factor)[0])
+            return expected, case.run_to_cycle(duration, expected, loop=of(factor)[0])
 
         values = np.array([swing(float(f)) for f in _CURVE])
         return _sweep("integrals", "k_i", [("predicted", values)], factors, one, tell)
@@ -246,7 +246,7 @@ class LoopCase:
         axis = self.friction.axis
         return axis_run(model, loop or self.loop, self.point, axis, start, duration, self.channel)
 
-    def reached(self, duration: float, expected: float | None, **other: Any) -> AxisRun:
+    def run_to_cycle(self, duration: float, expected: float | None, **other: Any) -> AxisRun:
         """A run; where it rests but a cycle of some swing is expected, one from that cycle."""
         run = self.run(duration, **other)
         if expected is not None and not run.hunts:
@@ -421,13 +421,12 @@ def _prediction_section(result: HuntingResult, prediction: HuntingPrediction) ->
     def row(name: str, cycle: AxisRun | Cycle | Balance | None, none: str) -> list[Cell]:
         if cycle is None:
             return [name, none, None, None, None, None]
-        stuck = cycle.stuck_share if isinstance(cycle, AxisRun) else cycle.stuck
         compare = cycle is not run and run.hunts and bool(cycle.period and run.period)
         return [
             name,
             f"{cycle.swing:.4f}",
             None if cycle.period is None else f"{cycle.period:.2f}",
-            f"{100 * stuck:.0f} %",
+            f"{100 * cycle.stuck_share:.0f} %",
             _judged(cycle.swing, run.swing) if compare else None,
             _judged(cycle.period, run.period) if compare else None,
         ]
@@ -527,11 +526,11 @@ def _results(result: HuntingResult) -> dict[str, Any]:
             "coulomb_factor": prediction.coulomb,
             "swing": cycle and cycle.swing,
             "period": cycle and cycle.period,
-            "stuck": cycle and cycle.stuck,
+            "stuck": cycle and cycle.stuck_share,
             "multipliers": cycle and cycle.multipliers[:4],
         },
         "harmonic": balance
-        and {"swing": balance.swing, "period": balance.period, "stuck": balance.stuck},
+        and {"swing": balance.swing, "period": balance.period, "stuck": balance.stuck_share},
         "levels": [
             {
                 "of": sweep.name,
@@ -571,7 +570,7 @@ def history(run: AxisRun, label: str, input_label: str) -> Chart:
         y = values[part]
         room = 0.08 * max(float(np.ptp(y)), 1e-9)
         low, high = float(y.min()) - room, float(y.max()) + room
-        lower, upper = (np.where(run.stuck[part], end, np.nan) for end in (low, high))
+        lower, upper = (np.where(run.is_stuck[part], end, np.nan) for end in (low, high))
         marks: list[Mark] = [
             Band(time, lower, upper, "sticks", "orange", 0.2),
             Curve(time, y, "", "blue", width=1.6),
@@ -598,7 +597,7 @@ def planes(
         _, path, speed = events.trace(prediction.cycle.half)
         for sign in (1.0, -1.0):
             marks.append(Curve(sign * path, sign * speed, "predicted", "vermilion", "dashed", 1.6))
-    at_rest = run.stuck[n:]
+    at_rest = run.is_stuck[n:]
     marks.append(Points(angle[at_rest], rate[at_rest], "sticks", "square", "orange", size=6.0))
     stick_values = np.where(at_rest, input_values, np.nan)
     other: list[Mark] = [

@@ -258,7 +258,7 @@ def _hopf_words(result: LimitCycleResult) -> list[str]:
             on = ", ".join(symbol(result.model.state_names[switch.state]) for switch in switches)
             place += f" (on a switch of {on}: by the mean of both sides' slopes)"
         if not branch.orbits:
-            words.append(f"Hopf point {place}; {branch.ended}.")
+            words.append(f"Hopf point {place}; {branch.stop_reason}.")
             continue
         kind = _criticality(result, hopf, branch)
         changes = branch.changes(result.channel, result.state)
@@ -381,14 +381,14 @@ def _orbit_table(result: LimitCycleResult) -> Table:
             Column(with_unit(symbol(model.states[i].name), model.states[i].unit), span(i))
             for i in angles
         ),
-        Column("largest multiplier", lambda orbit: _written(orbit.largest)),
+        Column("largest multiplier", lambda orbit: _multiplier_text(orbit.largest)),
         Column("error of the trivial one", lambda orbit: f"{orbit.trivial_error:.1e}"),
     ]
     orbits = [*isolated, *result.search.continuum]
     return table(orbits, columns, "Periodic orbits at the operating point's commands.")
 
 
-def _written(value: complex) -> str:
+def _multiplier_text(value: complex) -> str:
     if abs(value.imag) < 1e-9:
         return f"{value.real:.4g}"
     return f"{abs(value):.4g} ∠ {np.degrees(abs(np.angle(value))):.0f}°"
@@ -409,7 +409,7 @@ def _over_section(result: LimitCycleResult, over: OverCommand) -> Section:
         "followed by pseudo-arclength from each Hopf point, and from each cycle found that lies on "
         "none of these branches."
     ]
-    text += [f"Branch {i + 1} ended: {b.ended}." for i, b in enumerate(over.branches)]
+    text += [f"Branch {i + 1} ended: {b.stop_reason}." for i, b in enumerate(over.branches)]
     blocks: list[Table | Chart] = []
     if events:
         swing = f"swing of {symbol(signal.name)} [{signal.unit}]"
@@ -484,7 +484,7 @@ def _results(result: LimitCycleResult) -> dict[str, Any]:
 
 def _branch_data(result: LimitCycleResult, branch: Branch) -> dict[str, Any]:
     return {
-        "ended": branch.ended,
+        "ended": branch.stop_reason,
         "u": branch.commands(result.channel),
         "period": [orbit.period for orbit in branch.orbits],
         "swing": [orbit.swing[result.state] for orbit in branch.orbits],

@@ -123,7 +123,11 @@ def no_response_findings(
     )
     return Findings(
         TITLE,
-        [f"{why}: {response.words}.", f"Studied was {where}.", *gliding_words(response.held)],
+        [
+            f"{why}: {response.words}.",
+            f"Studied was {where}.",
+            *gliding_words(response.held_states),
+        ],
         [Section("What the loop did", [method], [departure])],
         {"holds": False, "what_it_did": response.words, "statuses": dict(run.statuses)},
         [words for words in (warning_of_statuses(run.statuses), turned) if words],
@@ -135,7 +139,7 @@ def margin_findings(
 ) -> Findings:
     """The answer for a loop that has been measured."""
     where = condition_of(subject, loop, point)
-    if margins.response.held:
+    if margins.response.held_states:
         where += ", without its dry friction"
     tables = [_single_table(margins), *([_together_table(margins)] * (len(margins.loops) > 1))]
     method = (
@@ -185,7 +189,7 @@ def _lead(margins: MarginResult, where: str) -> list[str]:
             f"{where}: the loop stays at the point, but {' and '.join(m.reversed)} passes zero "
             "there, and no linear loop exists. The figures hold for this test signal."
         )
-    lead = [first, *gliding_words(m.held), *sentences]
+    lead = [first, *gliding_words(m.held_states), *sentences]
     if len(margins.loops) > 1:
         c, disk = margins.together, margins.disk_each
         most = "any gain above" if math.isinf(disk.gain_up) else f"{disk.gain_up:.2f}"
@@ -424,7 +428,7 @@ def _results(margins: MarginResult) -> dict[str, Any]:
             "interpolation": margins.interpolation,
             "limited": response.limited,
             "reversed": response.reversed,
-            "held_by_dry_friction": response.held,
+            "held_by_dry_friction": response.held_states,
             "statuses": response.statuses,
         },
     }

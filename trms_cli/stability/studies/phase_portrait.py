@@ -173,7 +173,7 @@ class PhasePortrait:
             starts = loop_starts(section, window, self.starts or LOOP_COUNT)
         paths, runs = loop_trajectories(section, loop, starts, duration, tell)
         name, failures = loop.names["controller"], sum(run.failures for run in runs)
-        ended = [run.ended for run in runs if run.ended]
+        ended = [run.stop_reason for run in runs if run.stop_reason]
         window = _around(window, np.concatenate([run.c for run in paths]), limits)
         goal = rest_point(section, section.point.x)
         ends = ends_of(section, window, [goal], paths, search_beyond=False)
@@ -268,8 +268,8 @@ def label(section: StateSection, end: TrajectoryEnd) -> str:
         assert end.rest is not None
         return f"comes to rest at {place(section, end.rest)}"
     if end.what == "held":
-        assert end.held is not None
-        return f"comes to rest where dry friction holds {held_words(section, end.held)}"
+        assert end.sticking_set is not None
+        return f"comes to rest where dry friction holds {held_words(section, end.sticking_set)}"
     return {
         "line": "comes to rest on the line of rest points",
         "rest outside": "comes to rest outside the window",
@@ -424,7 +424,7 @@ def _ends(result: PortraitResult) -> str:
 
 
 def _tempo(rest: RestPoint) -> str:
-    visible_modes = rest.eigenvalues[rest.shown] if rest.shown.any() else rest.eigenvalues
+    visible_modes = rest.eigenvalues[rest.is_visible] if rest.is_visible.any() else rest.eigenvalues
     moving = [complex(v) for v in visible_modes if v.real < -1e-9]
     if not moving:
         return f"Nothing that the portrait shows decays at the {rest.kind}."
@@ -615,10 +615,10 @@ def _others(result: PortraitResult) -> str:
     section = result.section
     model = section.coordinates.model
     words = []
-    if section.held:
+    if section.held_states:
         texts = [
             f"{symbol(model.state_names[i])} = {short(float(section.point.x[i]))}"
-            for i in section.held
+            for i in section.held_states
         ]
         words.append(f"{', '.join(texts)} held")
     if section.settled:
@@ -633,7 +633,7 @@ def equilibria_table(section: StateSection, rests: Sequence[RestPoint]) -> Table
     def state(i: int) -> Callable[[RestPoint], str]:
         return lambda rest: short(float(rest.x[i]))
 
-    def written(value: complex) -> str:
+    def eigenvalue_text(value: complex) -> str:
         swing = f" ± {short(abs(value.imag))}j" if value.imag else ""
         return f"{short(value.real)}{swing}"
 
@@ -647,7 +647,7 @@ def equilibria_table(section: StateSection, rests: Sequence[RestPoint]) -> Table
             ),
             Column(
                 "eigenvalues [1/s]",
-                lambda rest: ", ".join(written(v) for v in rest.eigenvalues if v.imag >= 0),
+                lambda rest: ", ".join(eigenvalue_text(v) for v in rest.eigenvalues if v.imag >= 0),
             ),
             Column("tempo", _slowest),
         ],
@@ -713,7 +713,7 @@ def _results(result: PortraitResult) -> dict[str, Any]:
             "x": by_name(model.states, section.point.x),
             "u": by_name(model.inputs, section.point.u),
         },
-        "held": [model.state_names[i] for i in section.held],
+        "held": [model.state_names[i] for i in section.held_states],
         "settled": [model.state_names[i] for i in section.settled],
         "section_is_invariant": None if result.loop else result.invariant,
         "equilibria": [
@@ -738,7 +738,7 @@ def _results(result: PortraitResult) -> dict[str, Any]:
                 {
                     "what": end.what,
                     "at": None if end.rest is None else by_name(model.states, end.rest.x),
-                    "held_in": None if end.held is None else end.held.reach,
+                    "held_in": None if end.sticking_set is None else end.sticking_set.reach,
                     "starts": end.members,
                     "share": len(end.members) / total,
                     "median_time": np.median(end.times) if end.times else None,

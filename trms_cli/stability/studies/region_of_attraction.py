@@ -183,7 +183,7 @@ def estimate_table(region: AttractionRegion) -> Table:
     """A row for each estimate."""
     labels = region.system.names
     index = max((k for k, name in enumerate(labels) if name.startswith("alpha")), default=0)
-    unit = region.system.model.states[region.system.kept[index]].unit
+    unit = region.system.model.states[region.system.positions[index]].unit
     return table(
         region.verdicts,
         [
@@ -220,7 +220,7 @@ def estimate_table(region: AttractionRegion) -> Table:
 def _results(region: AttractionRegion) -> dict[str, Any]:
     system = region.system
 
-    def named(y: FloatArray) -> dict[str, float]:
+    def by_state(y: FloatArray) -> dict[str, float]:
         return dict(zip(system.names, y, strict=True))
 
     return {
@@ -246,8 +246,8 @@ def _results(region: AttractionRegion) -> dict[str, Any]:
                 "sampled_level": e.sampled,
                 "samples": e.samples,
                 "boxes": e.boxes,
-                "half_widths": named(e.extents),
-                "extent": named(e.bounds.T),
+                "half_widths": by_state(e.extents),
+                "extent": by_state(e.bounds.T),
                 "volume": math.exp(e.log_volume),
                 "share_of_true_region": v.share,
                 "simulated": v.tested,
@@ -257,7 +257,7 @@ def _results(region: AttractionRegion) -> dict[str, Any]:
             for e in (v.estimate,)
         ],
         "other_equilibria": [
-            {"deviation": named(rest.y), "stable": rest.stable} for rest in region.rests
+            {"deviation": by_state(rest.y), "stable": rest.stable} for rest in region.rests
         ],
     }
 
@@ -280,10 +280,10 @@ def _warnings(region: AttractionRegion) -> list[str]:
             f"after {region.duration:.0f} s (at rest elsewhere, or still moving), and count as not "
             "attracted."
         )
-    if region.cut:
+    if region.is_cut_short:
         said.append(
-            f"The slowest mode would need {region.wanted:.0f} s to die away; motions were followed "
-            f"for {region.duration:.0f} s to bound the work, and what had not arrived is "
+            f"The slowest mode would need {region.settling_time:.0f} s to die away; motions were "
+            f"followed for {region.duration:.0f} s to bound the work, and what had not arrived is "
             "undecided: it widens the upper end of the share. study.duration sets another time."
         )
     if region.nothing:

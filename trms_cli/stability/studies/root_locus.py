@@ -81,8 +81,8 @@ def stability_map(
     for i, level in enumerate(levels):
         if i % 8 == 0:
             tell(f"map, {100 * i // len(levels)} %")
-        row = path.moved(against, float(level))
-        following = row.held(float(over[0]))
+        row = path.with_value(against, float(level))
+        following = row.condition(float(over[0]))
         if begin is None:
             begin = _anywhere(row, float(over[0]))
         elif condition is not None:
@@ -109,9 +109,9 @@ def _row(
     """One row of the map, and where it is zero."""
     row, zeros = np.full(len(over), np.nan), []
     point: OperatingPoint | None = begin
-    last = path.held(float(over[0]))
+    last = path.condition(float(over[0]))
     for k, value in enumerate(over):
-        condition = path.held(float(value))
+        condition = path.condition(float(value))
         before = point
         point = path.balance.advance(last, condition, before) if before is not None else None
         if point is None:
@@ -122,7 +122,7 @@ def _row(
             here, start = last, before
 
             def rate(v: float, here=here, start=start) -> float:  # type: ignore[no-untyped-def]
-                at = path.balance.advance(here, path.held(v), start)
+                at = path.balance.advance(here, path.condition(v), start)
                 return np.nan if at is None else _growth(path, v, at)
 
             with contextlib.suppress(ValueError, RuntimeError):
@@ -135,7 +135,7 @@ def _row(
 
 
 def _growth(path: OperatingPath, value: float, point: OperatingPoint) -> float:
-    a = path.linear.a(point.x, point.u, path.side, path.held(value).p)
+    a = path.linear.a(point.x, point.u, path.side, path.condition(value).p)
     rates = [rate_of(v, path.model.sample_time) for v in np.linalg.eigvals(a)]
     moving = [rate.real for rate in rates if abs(rate) > STILL and np.isfinite(rate.real)]
     return max(moving, default=0.0)
@@ -157,7 +157,7 @@ def boundary_along(
     boundaries = []
     for value in (span[0], *own, span[1]):
         tell(f"along {against} at {amount_words(path.model, path.over, value, 4)}")
-        line = OperatingPath(path.model, path.at, against, path.side).moved(path.over, value)
+        line = OperatingPath(path.model, path.at, against, path.side).with_value(path.over, value)
         try:
             run = sweep_eigenvalues(line, *span_2, 41)
         except TrmsError:
@@ -263,7 +263,7 @@ class RootLocus:
         """
         subject.require_no_loop("study=root_locus", "leave it out; for loops: study=margins")
         model = subject.model
-        at, over, span, against = self._asked(model)
+        at, over, span, against = self._request(model)
         path = OperatingPath(model, at, over, self.side)
         low, high = path.range(span)
         tell(f"over {over}")
@@ -297,7 +297,7 @@ class RootLocus:
         lead = _lead(locus, reasons, sides, mapped)
         return Findings("Root locus", lead, sections, json_data(results), _warnings(locus, sides))
 
-    def _asked(
+    def _request(
         self, model: Model
     ) -> tuple[dict[str, float], str, tuple[float, float] | None, str | None]:
         at = dict(self.at)
@@ -316,7 +316,7 @@ def _sides(
     """Crossings with the slopes of either side, where the points lie on a switch."""
     path = locus.path
     middle = locus.sweep.places[len(locus.sweep.places) // 2]
-    if not path.linear.switches(middle.point.x, middle.point.u, middle.held.p):
+    if not path.linear.switches(middle.point.x, middle.point.u, middle.condition.p):
         return {}
     values: dict[str, list[float]] = {}
     every: tuple[Side, ...] = ("upper", "lower", "mean")

@@ -156,7 +156,7 @@ def _findings(
         "swing that goes on in the simulation is compared with that. The gain error of the "
         "simulation is of the whole command, so that the controller has to give another one to "
         "hold the point; that of the linear loop is of changes only.",
-        *gliding_words(margins.response.held),
+        *gliding_words(margins.response.held_states),
     ]
     return Findings(
         "What a loop tolerates",
@@ -178,7 +178,7 @@ def _amount(impairment: Impairment, size: float) -> str:
 def _sentence(result: ImpairmentLimits) -> str:
     impairment, above = result.impairment, result.back.above
     name = f"{impairment.words[0].upper()}{impairment.words[1:]}"
-    to = "down to" if impairment.shown(2.0) < impairment.shown(1.0) else "up to"
+    to = "down to" if impairment.display_size(2.0) < impairment.display_size(1.0) else "up to"
     if above is None:
         return f"{name}: stood {to} {_amount(impairment, result.back.below.size)}, the most tried."
     stood, words = result.back.below.size, "none of the sizes tried is stood"
@@ -206,10 +206,12 @@ def _sentence(result: ImpairmentLimits) -> str:
 def _table(limits: Sequence[ImpairmentLimits]) -> Table:
     def sized(at: Callable[[ImpairmentLimits], TrialRun | None]) -> Callable[[Any], Cell]:
         """The size of a run, as it is told."""
-        return lambda limit: _shown(limit.impairment, getattr(at(limit), "size", None))
+        return lambda limit: _display_size(limit.impairment, getattr(at(limit), "size", None))
 
     def again(limit: ImpairmentLimits) -> str | None:
-        return ", ".join(f"{limit.impairment.shown(s):.3g}" for s in limit.back.again) or None
+        return (
+            ", ".join(f"{limit.impairment.display_size(s):.3g}" for s in limit.back.again) or None
+        )
 
     def failure(limit: ImpairmentLimits) -> Datum:
         above = limit.back.above
@@ -231,8 +233,8 @@ def _table(limits: Sequence[ImpairmentLimits]) -> Table:
     )
 
 
-def _shown(impairment: Impairment, size: float | None) -> float | None:
-    return None if size is None else impairment.shown(size)
+def _display_size(impairment: Impairment, size: float | None) -> float | None:
+    return None if size is None else impairment.display_size(size)
 
 
 def _comparison(limits: Sequence[ImpairmentLimits], why: Sequence[str]) -> Table:
@@ -240,9 +242,10 @@ def _comparison(limits: Sequence[ImpairmentLimits], why: Sequence[str]) -> Table
         [(limit, words) for limit, words in zip(limits, why, strict=True) if limit.foretold],
         [
             Column("what is made worse", lambda row: row[0].impairment.words),
-            Column("linear limit", lambda row: _shown(row[0].impairment, row[0].predicted)),
+            Column("linear limit", lambda row: _display_size(row[0].impairment, row[0].predicted)),
             Column(
-                "swings in simulation", lambda row: _shown(row[0].impairment, row[0].calm.limit)
+                "swings in simulation",
+                lambda row: _display_size(row[0].impairment, row[0].calm.limit),
             ),
             Column("compared", lambda row: row[1]),
         ],
@@ -265,12 +268,16 @@ def _results(
                 "unit": limit.impairment.unit,
                 "back": _bracket_data(limit.impairment, limit.back),
                 "calm": _bracket_data(limit.impairment, limit.calm),
-                "linear": _shown(limit.impairment, limit.predicted),
+                "linear": _display_size(limit.impairment, limit.predicted),
                 "compared": words,
             }
             for limit, words in zip(limits, why, strict=True)
         },
-        "bounds": {"rest": trial.bounds.rest, "swing": trial.bounds.swing, "lost": trial.lost},
+        "bounds": {
+            "rest": trial.bounds.rest,
+            "swing": trial.bounds.swing,
+            "lost": trial.distance_limit,
+        },
         "nonlinearity": margins.response.nonlinearity,
     }
 
@@ -278,14 +285,14 @@ def _results(
 def _bracket_data(impairment: Impairment, result: FailureBracket) -> dict[str, Any]:
     above = result.above
     return {
-        "below": impairment.shown(result.below.size),
-        "above": _shown(impairment, above.size if above else None),
-        "limit": _shown(impairment, result.limit),
+        "below": impairment.display_size(result.below.size),
+        "above": _display_size(impairment, above.size if above else None),
+        "limit": _display_size(impairment, result.limit),
         "verdict": above.verdict.kind if above else None,
-        "again": [impairment.shown(size) for size in result.again],
+        "again": [impairment.display_size(size) for size in result.again],
         "tried": [
-            {"size": impairment.shown(t.size), "verdict": t.verdict.kind}
-            for t in result.tried
+            {"size": impairment.display_size(t.size), "verdict": t.verdict.kind}
+            for t in result.runs
             if t.size != impairment.none
         ],
     }
@@ -361,12 +368,10 @@ def _overview(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, conditi
 
 def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> list[Mark]:
     impairment = result.impairment
-    every = {
-        t.size: t for t in (*result.back.tried, *result.calm.tried) if t.size != impairment.none
-    }
+    every = {t.size: t for t in (*result.back.runs, *result.calm.runs) if t.size != impairment.none}
     runs = [every[size] for size in sorted(every)]
-    sizes = np.array([impairment.shown(t.size) for t in runs])
-    residuals = np.array([_left(t, trial) for t in runs])
+    sizes = np.array([impairment.display_size(t.size) for t in runs])
+    residuals = np.array([_residual(t, trial) for t in runs])
     marks: list[Mark] = [Curve(sizes, residuals, impairment.words, colour, width=1.0)]
     looks: tuple[tuple[Marker, str, tuple[Kind, ...]], ...] = (
         ("stable", "comes back", ("settles",)),
@@ -381,15 +386,16 @@ def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> lis
                 Points(sizes[selection], residuals[selection], label, marker, colour, size=5)
             )
     if result.predicted is not None and len(sizes):
-        at, bound = impairment.shown(result.predicted), trial.bounds.rest + trial.bounds.swing
+        at = impairment.display_size(result.predicted)
+        bound = trial.bounds.rest + trial.bounds.swing
         if min(sizes) / 2 < at < 2 * max(sizes):
             marks.append(Points([at], [bound], "linear limit", "star", colour))
     return marks
 
 
-def _left(trial_run: TrialRun, trial: ToleranceTrial) -> float:
+def _residual(trial_run: TrialRun, trial: ToleranceTrial) -> float:
     """Mean error plus swing of the last third, rad, of the worse angle; of a lost run the bound."""
-    if trial_run.run.ended:
-        return trial.lost
+    if trial_run.run.stop_reason:
+        return trial.distance_limit
     verdict = trial_run.verdict
     return max(_LEAST, float((np.abs(verdict.rest) + verdict.swing).max()))

@@ -155,17 +155,17 @@ class DaskWorkers:
 
     def __init__(self, client: Any, work: Work, where: str) -> None:
         self._client, self._work, self._where = client, work, where
-        self._given: dict[str, tuple[Any, Attempt]] = {}
+        self._submissions: dict[str, tuple[Any, Attempt]] = {}
         self._came: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._workers, self._counted = 1, -_EVERY
+        self._workers, self._count_time = 1, -_EVERY
         self._name = f"trms-{time.time_ns():x}-{next(_numbers)}"
 
     @property
     def workers(self) -> int:
         """Worker processes that the scheduler has at present; at least one, for there may come."""
         here = time.monotonic()
-        if here - self._counted >= _EVERY:
-            self._counted = here
+        if here - self._count_time >= _EVERY:
+            self._count_time = here
             with contextlib.suppress(Exception):
                 self._workers = max(1, len(self._client.nthreads()))
         return self._workers
@@ -176,28 +176,28 @@ class DaskWorkers:
         try:
             futures = self._client.map(self._work, attempts, key=keys, pure=False, retries=0)
         except Exception as error:
-            raise self._gone(error) from error
+            raise self._scheduler_error(error) from error
         for key, future, attempt in zip(keys, futures, attempts, strict=True):
-            self._given[key] = (future, attempt)
+            self._submissions[key] = (future, attempt)
             future.add_done_callback(lambda ended_future: self._came.put(ended_future.key))
 
-    def ended(self, timeout_s: float) -> list[EndedAttempt]:
+    def collect(self, timeout_s: float) -> list[EndedAttempt]:
         """Those that have ended since the last call."""
         attempts = [
-            each for key in collect_arrivals(self._came, timeout_s) for each in self._taken(key)
+            each for key in collect_arrivals(self._came, timeout_s) for each in self._take(key)
         ]
         if not attempts and self._client.status not in ("running", "newly-created"):
-            raise self._gone(None)
+            raise self._scheduler_error(None)
         return attempts
 
     def end(self) -> None:
         """Take back what has not ended."""
-        futures = [future for future, _ in self._given.values()]
+        futures = [future for future, _ in self._submissions.values()]
         with contextlib.suppress(Exception):
             self._client.cancel(futures, force=True)
 
-    def _taken(self, key: str) -> list[EndedAttempt]:
-        future, attempt = self._given.pop(key, (None, None))
+    def _take(self, key: str) -> list[EndedAttempt]:
+        future, attempt = self._submissions.pop(key, (None, None))
         if attempt is None or future is None:
             return []
         if future.status == "finished":
@@ -210,10 +210,10 @@ class DaskWorkers:
                 return [EndedAttempt(attempt, None, "the process that ran it died")]
             return [EndedAttempt(attempt, None, first_line(error, type(error).__name__))]
         if self._client.status != "running":  # taken back, since the connection is lost
-            raise self._gone(None)
+            raise self._scheduler_error(None)
         return [EndedAttempt(attempt, None, f"Dask has {future.status} it")]
 
-    def _gone(self, error: Exception | None) -> TrmsError:
+    def _scheduler_error(self, error: Exception | None) -> TrmsError:
         reason = f" ({first_line(error, type(error).__name__)})" if error is not None else ""
         return TrmsError(
             f"the Dask scheduler ({self._where}) is gone{reason}",

@@ -69,7 +69,7 @@ class InProcess:
         """Note what is to be done."""
         self._waiting += attempts
 
-    def ended(self, timeout_s: float) -> list[EndedAttempt]:
+    def collect(self, timeout_s: float) -> list[EndedAttempt]:
         """Make one run."""
         if not self._waiting:
             return []
@@ -82,7 +82,7 @@ class _Worker:
     """A pool of one process, and what it has been given."""
 
     pool: Any
-    given: dict[Future[Any], Attempt] = field(default_factory=dict)
+    attempts: dict[Future[Any], Attempt] = field(default_factory=dict)
 
 
 class _LokyCrew:
@@ -100,20 +100,20 @@ class _LokyCrew:
 
     def submit(self, attempts: Sequence[Attempt]) -> None:
         for attempt in attempts:
-            worker = min(self._team, key=lambda each: len(each.given))
+            worker = min(self._team, key=lambda each: len(each.attempts))
             try:
                 future = worker.pool.submit(self._work, attempt)
-            except Exception:  # the pool has broken, and its futures are on their way to `ended`
+            except Exception:  # the pool has broken, and its futures are on their way to `collect`
                 self._replace(worker)
                 future = worker.pool.submit(self._work, attempt)
-            worker.given[future] = attempt
+            worker.attempts[future] = attempt
             future.add_done_callback(
                 lambda ended_future, worker=worker: self._came.put((worker, ended_future))
             )
 
-    def ended(self, timeout_s: float) -> list[EndedAttempt]:
+    def collect(self, timeout_s: float) -> list[EndedAttempt]:
         return [
-            each for came in collect_arrivals(self._came, timeout_s) for each in self._taken(*came)
+            each for came in collect_arrivals(self._came, timeout_s) for each in self._take(*came)
         ]
 
     def end(self) -> None:
@@ -121,8 +121,8 @@ class _LokyCrew:
         for worker in self._team:
             _kill(worker.pool)
 
-    def _taken(self, worker: _Worker, future: Future[Any]) -> list[EndedAttempt]:
-        attempt = worker.given.pop(future, None)
+    def _take(self, worker: _Worker, future: Future[Any]) -> list[EndedAttempt]:
+        attempt = worker.attempts.pop(future, None)
         if attempt is None:
             return []
         error = future.exception() if not future.cancelled() else None

@@ -138,7 +138,7 @@ class _Jobs:
     """
 
     def __init__(self, executor: Any, address: str, wanted: int, *, played: bool = False) -> None:
-        self._executor, self._address, self._wanted = executor, address, wanted
+        self._executor, self._address, self._job_count = executor, address, wanted
         self._played = played
         self._jobs: list[Any] = []
         self._looked = time.monotonic()
@@ -189,7 +189,7 @@ class _Jobs:
         if not ended:
             return
         self.in_vain += len(ended)
-        if self.in_vain > 3 * self._wanted:
+        if self.in_vain > 3 * self._job_count:
             raise self._failed()
         self._jobs = [job for job in self._jobs if job not in ended]
         self.submit(len(ended))
@@ -230,8 +230,8 @@ class _SlurmCrew(DaskWorkers):
         super().__init__(client, work, "this process")
         self._jobs = jobs
 
-    def ended(self, timeout_s: float) -> list[EndedAttempt]:
-        attempts = super().ended(timeout_s)
+    def collect(self, timeout_s: float) -> list[EndedAttempt]:
+        attempts = super().collect(timeout_s)
         if any(each.result is not None for each in attempts):
             self._jobs.in_vain = 0
         self._jobs.replace()

@@ -40,7 +40,7 @@ class Robustness:
     #: Largest allowed value of some figures: a run beyond one is a failure
     limits: Mapping[str, float] = field(default_factory=dict)
 
-    def told(
+    def summary(
         self, space: Space, points: Sequence[SweepPoint], results: Mapping[int, RunResult]
     ) -> dict[str, Any]:
         """Statistics of each group, JSON data.
@@ -326,7 +326,7 @@ class PlannedPoints:
     space: Space
     #: (n, d) array; values of the ranges and priors; n = 1 and d = 0 for a grid
     samples: FloatArray
-    given: int = 0  #: Points that have been proposed
+    proposed_count: int = 0  #: Points that have been proposed
     robustness: Robustness | None = None  #: What is told of the samples at the end
 
     @property
@@ -346,9 +346,9 @@ class PlannedPoints:
 
     def more(self, results: Sequence[RunResult], count: int) -> list[SweepPoint]:
         """The next points; results change nothing."""
-        upto = min(self.given + max(count, 0), self.total)
-        points = [self.point(number) for number in range(self.given, upto)]
-        self.given = upto
+        upto = min(self.proposed_count + max(count, 0), self.total)
+        points = [self.point(number) for number in range(self.proposed_count, upto)]
+        self.proposed_count = upto
         return points
 
     def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
@@ -356,7 +356,7 @@ class PlannedPoints:
         if self.robustness is None:
             return {}
         points = [self.point(number) for number in sorted(results) if number < self.total]
-        return self.robustness.told(self.space, points, results)
+        return self.robustness.summary(self.space, points, results)
 
 
 def another_point(earlier_point: SweepPoint, keys: str) -> ConfigurationError:
@@ -388,7 +388,7 @@ def plan_points(
     for point in earlier_points:
         if point.number >= proposals.total or proposals.point(point.number) != point:
             raise another_point(point, "the samples and the seed")
-    proposals.given = len(earlier_points)
+    proposals.proposed_count = len(earlier_points)
     return proposals
 
 

@@ -42,7 +42,7 @@ class Aims:
     worst: bool = False  #: An objective is that of the worst condition, not the mean
     typed: tuple[str, ...] = ()  #: Objectives and limited figures as they were typed, for messages
 
-    def tried(self, results: Sequence[RunResult]) -> TrialOutcome:
+    def outcome(self, results: Sequence[RunResult]) -> TrialOutcome:
         """A trial by the results of its conditions.
 
         One that failed makes the trial fail, and so does one without a figure to judge it by (the
@@ -77,7 +77,7 @@ class Aims:
             for name, bound in self.limits.items()
         ]
 
-    def allowed(self, outcome: TrialOutcome) -> bool:
+    def is_feasible(self, outcome: TrialOutcome) -> bool:
         """Whether a trial did not fail and holds all limits."""
         return not outcome.failed and all(excess <= 0 for excess in self.excess(outcome))
 

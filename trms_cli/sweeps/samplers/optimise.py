@@ -129,8 +129,8 @@ class Trials:
         self._config, self._space, self.aims = config, space, aims
         self._ranges = [each for each in space.continuous if isinstance(each, Range)]
         self.conditions = conditions_of(space, config.draws, config.seed)
-        self._known = list(known)
-        self._given = len(self._known)
+        self._earlier_points = list(known)
+        self._proposed_count = len(self._earlier_points)
         self._sizes = config.batches()
         self._search = OptimisationSearch(
             self._ranges,
@@ -142,10 +142,10 @@ class Trials:
         )
         self._startup = self._latin_hypercube()
         self.parts: list[drawing.Part] = []  #: what each trial sets, of those that are proposed
-        self._asked: list[optuna.Trial | None] = []
+        self._optuna_trials: list[optuna.Trial | None] = []
         self._points: list[SweepPoint] = []
         self._results: dict[int, RunResult] = {}
-        self._told = 0  # batches
+        self._batch_number = 0  # of the batch that is to be told next
         self._confirming = False
         self._checked = False  # that the runs have the figures
 
@@ -163,19 +163,19 @@ class Trials:
         self._results |= {r.number: r for r in results if r.state != "interrupted"}
         self._check_figures()
         while not self._confirming and all(p.number in self._results for p in self._points):
-            if self._told < self._batches_proposed():
+            if self._batch_number < self._batches_proposed():
                 self._tell()
             if len(self.parts) < self._config.trials:
                 self._propose(self._sizes[self._batches_proposed()])
             else:
                 self._confirm()
-        fresh = self._points[self._given :]
-        self._given = max(self._given, len(self._points))
+        fresh = self._points[self._proposed_count :]
+        self._proposed_count = max(self._proposed_count, len(self._points))
         return fresh
 
     def summary(self, results: Mapping[int, RunResult]) -> dict[str, Any]:
         """What the search found, JSON data; see :func:`outcome`."""
-        outcomes = self._tried(results)
+        outcomes = self._outcomes(results)
         document = outcome(self.aims, self.parts, outcomes, len(self.conditions), self._space.fixed)
         document |= {
             "method": self._config.method,
@@ -192,7 +192,7 @@ class Trials:
         for number in range(len(self.parts), len(self.parts) + count):
             part, trial = self._trial(number)
             self.parts.append(part)
-            self._asked.append(trial)
+            self._optuna_trials.append(trial)
             for condition in self.conditions:
                 self._add(drawing.Part(self._space.fixed) + condition + part, number)
 
@@ -216,9 +216,9 @@ class Trials:
     def _known_values(self, number: int) -> dict[str, Any] | None:
         """Values that a trial had before the interruption."""
         first = number * len(self.conditions)
-        if first >= len(self._known):
+        if first >= len(self._earlier_points):
             return None
-        values = self._known[first].values
+        values = self._earlier_points[first].values
         return {each.key: values[each.key] for each in self._ranges if each.key in values}
 
     def _latin_hypercube(self) -> dict[int, dict[str, Any]]:
@@ -238,8 +238,11 @@ class Trials:
     def _add(self, part: drawing.Part, trial: int) -> None:
         number = len(self._points)
         point = SweepPoint(number, part.overrides, part.values or {}, trial)
-        if number < len(self._known) and self._known[number].overrides != point.overrides:
-            raise drawing.another_point(self._known[number], "the keys of the sampler")
+        if (
+            number < len(self._earlier_points)
+            and self._earlier_points[number].overrides != point.overrides
+        ):
+            raise drawing.another_point(self._earlier_points[number], "the keys of the sampler")
         self._points.append(point)
 
     def _check_figures(self) -> None:
@@ -250,9 +253,11 @@ class Trials:
         """
         if self._checked:
             return
-        ended = [own for n in range(len(self.parts)) if (own := self._ended(self._results, n))]
+        ended = [
+            own for n in range(len(self.parts)) if (own := self._trial_results(self._results, n))
+        ]
         working = [own for own in ended if any(r.state == "done" for r in own)]
-        first = self._ended(self._results, 0) if self._config.baseline else []
+        first = self._trial_results(self._results, 0) if self._config.baseline else []
         if any(r.state == "done" for r in first):
             self.aims.check_figures(first, "the configuration as it is", _SEARCH_ALL_THE_SAME)
         elif len(working) >= min(_ENOUGH, self._config.trials):
@@ -263,19 +268,19 @@ class Trials:
         self._checked = True
 
     def _tell(self) -> None:
-        outcomes = self._tried(self._results)
-        begin = sum(self._sizes[: self._told])
-        batch = range(begin, begin + self._sizes[self._told])
-        pairs = [(self._asked[number], outcomes[number]) for number in batch]
+        outcomes = self._outcomes(self._results)
+        begin = sum(self._sizes[: self._batch_number])
+        batch = range(begin, begin + self._sizes[self._batch_number])
+        pairs = [(self._optuna_trials[number], outcomes[number]) for number in batch]
         self._search.tell([(trial, each) for trial, each in pairs if trial is not None and each])
-        self._told += 1
+        self._batch_number += 1
 
-    def _tried(self, results: Mapping[int, RunResult]) -> list[TrialOutcome | None]:
+    def _outcomes(self, results: Mapping[int, RunResult]) -> list[TrialOutcome | None]:
         """What came of each trial, None of those whose runs have not all ended."""
-        ended = [self._ended(results, number) for number in range(len(self.parts))]
-        return [self.aims.tried(own) if own else None for own in ended]
+        ended = [self._trial_results(results, number) for number in range(len(self.parts))]
+        return [self.aims.outcome(own) if own else None for own in ended]
 
-    def _ended(self, results: Mapping[int, RunResult], trial: int) -> list[RunResult]:
+    def _trial_results(self, results: Mapping[int, RunResult], trial: int) -> list[RunResult]:
         """Results of a trial's runs; none as long as they have not all ended."""
         width = len(self.conditions)
         own = [results.get(trial * width + i) for i in range(width)]
@@ -289,7 +294,7 @@ class Trials:
             return
         fresh = fresh_conditions(self._space, self._config.confirm, self._config.seed)
         first = [0] if self._config.baseline else []
-        best = best_trials(self.aims, self._tried(self._results))
+        best = best_trials(self.aims, self._outcomes(self._results))
         for number in dict.fromkeys([*first, *best]):
             for condition in fresh:
                 replaced = tuple(f"{key}=" for key in condition.values or {})
@@ -311,7 +316,7 @@ class Trials:
                 record["confirmed"] = {
                     "runs": len(own),
                     "failed": len(own) - len(complete_runs),
-                    "figures": dict(self.aims.tried(complete_runs).figures)
+                    "figures": dict(self.aims.outcome(complete_runs).figures)
                     if complete_runs
                     else {},
                 }
@@ -319,10 +324,10 @@ class Trials:
 
 def best_trials(aims: Aims, outcomes: Sequence[TrialOutcome | None]) -> list[int]:
     """Numbers of the trials that no other allowed trial dominates; of one objective the best."""
-    allowed = [i for i, each in enumerate(outcomes) if each is not None and aims.allowed(each)]
+    allowed = [i for i, each in enumerate(outcomes) if each is not None and aims.is_feasible(each)]
     if not allowed:
         return []
-    losses = np.array([aims.losses(each) for each in outcomes if each and aims.allowed(each)])
+    losses = np.array([aims.losses(each) for each in outcomes if each and aims.is_feasible(each)])
     if losses.shape[1] == 1:
         return [allowed[int(losses.argmin())]]
     order = front(losses)
@@ -376,14 +381,14 @@ def _record(
         "values": dict(part.values or {}),
         "overrides": list(part.overrides),
         "figures": dict(trial_outcome.figures),
-        "allowed": aims.allowed(trial_outcome),
+        "allowed": aims.is_feasible(trial_outcome),
     }
     return record | ({"problem": trial_outcome.problem} if trial_outcome.failed else {})
 
 
 def _history(aims: Aims, outcomes: Sequence[TrialOutcome]) -> list[float | None]:
     """After each trial: the best so far, or the hypervolume of the front so far."""
-    allowed = [i for i, each in enumerate(outcomes) if aims.allowed(each)]
+    allowed = [i for i, each in enumerate(outcomes) if aims.is_feasible(each)]
     steps: dict[int, float] = {}
     if allowed:
         losses = np.array([aims.losses(outcomes[i]) for i in allowed])

@@ -116,7 +116,7 @@ class _Choosing(optuna.samplers.BaseSampler):
     ) -> None:
         self._inner = inner
         self._ranges = ranges
-        self._given = given
+        self._fixed_values = given
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: optuna.trial.FrozenTrial
@@ -130,8 +130,8 @@ class _Choosing(optuna.samplers.BaseSampler):
         search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         sampled = self._inner.sample_relative(study, trial, search_space)
-        if self._given:
-            return {key: self._given[key] for key in search_space}
+        if self._fixed_values:
+            return {key: self._fixed_values[key] for key in search_space}
         return {key: self._rounded(key, value) for key, value in sampled.items()}
 
     def sample_independent(
@@ -141,8 +141,8 @@ class _Choosing(optuna.samplers.BaseSampler):
         param_name: str,
         param_distribution: BaseDistribution,
     ) -> Any:
-        if param_name in self._given:
-            return self._given[param_name]
+        if param_name in self._fixed_values:
+            return self._fixed_values[param_name]
         value = self._inner.sample_independent(study, trial, param_name, param_distribution)
         return self._rounded(param_name, value)
 

@@ -41,13 +41,13 @@ class LineSearch:
     def __init__(self, objective: TrainingObjective, curvature: float) -> None:
         self._objective, self._curvature = objective, curvature
         self._at: FloatArray | None = None
-        self._known: tuple[float, FloatArray] | None = None
+        self._evaluation: tuple[float, FloatArray] | None = None
 
     def evaluate(self, theta: FloatArray) -> tuple[float, FloatArray]:
         """Loss and gradient; a point that was just evaluated costs nothing."""
-        if self._known is None or self._at is None or not np.array_equal(theta, self._at):
-            self._at, self._known = theta.copy(), self._objective.gradient(theta)
-        return self._known
+        if self._evaluation is None or self._at is None or not np.array_equal(theta, self._at):
+            self._at, self._evaluation = theta.copy(), self._objective.gradient(theta)
+        return self._evaluation
 
     def step(
         self,

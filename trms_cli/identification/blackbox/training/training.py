@@ -124,25 +124,25 @@ class _Recorder:
         early = validation is not None and stopping.patience > 0 and not regularised
         self.history = TrainingHistory()
         self.outcome = TrainingOutcome.NO_PROGRESS
-        self.kept, self.best, self.best_epoch = start.copy(), np.inf, 0
+        self.best_theta, self.best, self.best_epoch = start.copy(), np.inf, 0
         self._stopping, self._validation = stopping, validation
         self._early, self._regularised = early, regularised
         self._watcher = watcher
-        self._spent, self._resumed = 0.0, process_time()
+        self._elapsed, self._resumed = 0.0, process_time()
 
     def __call__(
         self, theta: FloatArray, loss: float, slope: float, effective: float | None = None
     ) -> None:
-        self._spent += process_time() - self._resumed
+        self._elapsed += process_time() - self._resumed
         history, epoch = self.history, len(self.history.losses)
         checked = self._validation.loss(theta) if self._validation is not None else np.nan
-        history.seconds.append(self._spent)
+        history.seconds.append(self._elapsed)
         history.losses.append(loss)
         history.validation.append(checked)
         history.effective.append(np.nan if effective is None else effective)
         merit = checked if self._early else loss
         if self._regularised or merit < self.best or epoch == 0:
-            self.kept, self.best, self.best_epoch = theta.copy(), merit, epoch
+            self.best_theta, self.best, self.best_epoch = theta.copy(), merit, epoch
         if self._watcher is not None:
             self._watcher(epoch, loss, checked)
         self._end_if_due(epoch, loss, slope)
@@ -207,4 +207,4 @@ def train(
         pass
     except KeyboardInterrupt:
         recorder.outcome = TrainingOutcome.INTERRUPTED
-    return Training(recorder.kept, recorder.history, recorder.outcome, recorder.best_epoch)
+    return Training(recorder.best_theta, recorder.history, recorder.outcome, recorder.best_epoch)
