@@ -47,14 +47,14 @@ class Bristles:
     """LuGre friction: F = σ₀ z + σ₁ ż,  ż = Ω − σ₀|Ω| z/g(Ω),  g = F_c (1 + e exp(−(Ω/v_s)²))."""
 
     def __init__(self, inertia: FloatArray, bend: float | FloatArray) -> None:
-        self._inertia, self._bend = inertia, bend  # rad at which they slide
+        self._inertia, self._sliding_bend = inertia, bend  # rad at which they slide
         self._bend = np.zeros_like(inertia)
         self.shape(self._bend, self._bend, np.ones_like(inertia))
 
     def shape(self, torque: FloatArray, excess: FloatArray, velocity: FloatArray) -> None:
         """Set F_c, e and v_s, (n,) each; the bristles stay as bent as they are."""
         self._torque, self._excess, self._velocity = torque, excess, velocity
-        self._stiffness = torque / self._bend
+        self._stiffness = torque / self._sliding_bend
         self._damping = np.sqrt(self._stiffness * self._inertia)
 
     def torque(self, rate: FloatArray, step: float) -> FloatArray:
