@@ -9,7 +9,7 @@ from experiments.gap.recovery import FACTORS, Recovery, cases_of, main, study, t
 def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
     def one(effect: str = "yaw_sensor_delay", **changed: object) -> Recovery:
         fit_fields = {"factor": 1.0, "size": 0.05, "estimate": 0.052, "sd": 1e-4, "score": 50.0}
-        verdict_fields = {"named": True, "verdict": "effect"}
+        verdict_fields = {"is_named": True, "verdict": "effect"}
         return Recovery(effect, **(fit_fields | verdict_fields | changed))  # type: ignore[arg-type]
 
     assert one().recovered
@@ -18,7 +18,7 @@ def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
     assert not one(estimate=None, sd=None, score=None).recovered
     # noise is recovered where it is named, and a rig's other law has another size
     assert one("yaw_disturbance", estimate=None).recovered
-    assert not one("yaw_disturbance", named=False).recovered
+    assert not one("yaw_disturbance", is_named=False).recovered
     assert one("yaw_cable_hysteresis", estimate=0.08).recovered
     assert "1 of 2 recovered" in table_of([one(), one(score=3.0)])
     assert len(cases_of(list(LIBRARY), seed=1)) == len(FACTORS) * len(LIBRARY) == 117
