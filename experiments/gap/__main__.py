@@ -49,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
 def _study(arguments: argparse.Namespace) -> int:
     from experiments.gap import page
     from experiments.gap.closing_loop import control, diagnose, record, rigs_of, sizes_of
-    from experiments.gap.models import DIAGNOSED
+    from experiments.gap.models import DIAGNOSED, MODELS
     from experiments.gap.rigs import read_study
     from experiments.gap.separation import separate
     from experiments.page_tables import print_tables
@@ -63,8 +63,13 @@ def _study(arguments: argparse.Namespace) -> int:
             where="--only",
             remedy=nearest(arguments.only, [rig.name for rig in rigs_of(study)]),
         )
-    record(rigs, study, arguments.out, _tell)
     models = arguments.models.split(",") if arguments.models else study["models"]
+    for name in models:
+        if name not in MODELS:
+            raise ConfigurationError(
+                f"no model is called {name!r}", where="--models", remedy=nearest(name, MODELS)
+            )
+    record(rigs, study, arguments.out, _tell)
     verdicts = []
     for i, rig in enumerate(rigs if DIAGNOSED in models else [], start=1):
         _tell(f"diagnosing {i} of {len(rigs)}: {rig.name}")

@@ -13,6 +13,7 @@ from pathlib import Path
 #: Whose model the controller and the observer get.
 NOMINAL, REFIT, DIAGNOSED = "nominal", "refit", "diagnosed"
 KNOWN_CAUSE, TRUE = "known_cause", "true"
+MODELS = (NOMINAL, REFIT, DIAGNOSED, KNOWN_CAUSE, TRUE)
 
 
 def identify_model(recording: Path, out: Path, effect: str = "") -> Path:

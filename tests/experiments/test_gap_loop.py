@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.gap import separation
+from experiments.gap.__main__ import main
 from experiments.gap.closing_loop import Sizes, Tracking, Verdict, tracking
 from experiments.gap.driver import ModelBased, loop_of
 from experiments.gap.page import Findings, document, mean_and_interval, recovered_share, tables
@@ -67,6 +68,18 @@ def test_excitations_keep_off_the_stops() -> None:
     spectrum = np.abs(np.fft.rfft(slow_sines(1, 6000, STEP, 0.12) - [1.25, 0.0], axis=0))
     frequency = np.fft.rfftfreq(6000, STEP)
     assert (spectrum[frequency > 0.2] ** 2).sum() < 0.01 * (spectrum**2).sum()
+
+
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [(["--models", "nominal,told"], "told"), (["--only", "no_rig-*"], "no_rig-*")],
+)
+def test_what_the_study_has_not_is_said_before_anything_is_made(
+    words, missing, tmp_path, capsys
+) -> None:
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert repr(missing) in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_figures_of_a_run() -> None:
