@@ -10,6 +10,7 @@ from pathlib import Path
 from time import process_time
 
 from experiments.command_line import exit_code_of
+from experiments.gap.models import DIAGNOSED, MODELS
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.core.threads import take_one_thread
@@ -28,8 +29,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--models",
         metavar="NAME,NAME",
-        help="whose model: some of nominal, refit, diagnosed, known_cause, true; without "
-        "`diagnosed` nothing is diagnosed",
+        help=f"whose model: some of {', '.join(MODELS)}; "
+        f"without `{DIAGNOSED}` nothing is diagnosed",
     )
     parser.add_argument("--without-separation", action="store_true", help="tracking alone")
     parser.add_argument(
@@ -49,7 +50,6 @@ def _parser() -> argparse.ArgumentParser:
 def _study(arguments: argparse.Namespace) -> int:
     from experiments.gap import page
     from experiments.gap.closing_loop import control, diagnose, record, rigs_of, sizes_of
-    from experiments.gap.models import DIAGNOSED, MODELS
     from experiments.gap.rigs import read_study
     from experiments.gap.separation import separate
     from experiments.page_tables import print_tables

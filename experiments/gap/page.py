@@ -19,7 +19,7 @@ from experiments.page_tables import markdown, write_tables
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, FIGURES = ROOT / "docs" / "closing-the-loop.md", ROOT / "docs" / "figures" / "closing_loop"
 SCHEMA = "trms.closing_loop/1"
-#: What models are called in heads of tables; others keep their name.
+#: What models are called in tables and figures; others keep their name.
 _WORDS = {KNOWN_CAUSE: "cause known"}
 #: Share by which the nominal model's error has to exceed the true one's for a share to be told.
 _SUFFERS = 0.2
@@ -268,7 +268,7 @@ def _errors(runs: Sequence[Tracking]) -> Any:
                     1e3 * errors(r)[axis] for r in runs if r.effect == effect and r.model == model
                 ]
                 at = i + 0.2 * (j - (len(models) - 1) / 2)
-                label = model if i == 0 else None
+                label = _WORDS.get(model, model) if i == 0 else None
                 panel.bar(at, np.mean(values), 0.17, color=_colour(model, models), label=label)
                 panel.plot([at] * len(values), values, ".", color=INK, ms=3)
         if max(errors(r)[axis] for r in runs) > _WIDE * min(errors(r)[axis] for r in runs):
@@ -297,7 +297,8 @@ def _traces(one: Tracking, all_runs: Sequence[Tracking], runs: Path) -> Any:
         error = 1e3 * (traces["angle"] - traces["reference"])
         for i in range(2):
             colour = _colour(model, models)
-            panels[1 + i].plot(traces["time"], error[:, i], color=colour, lw=1.0, label=model)
+            label = _WORDS.get(model, model)
+            panels[1 + i].plot(traces["time"], error[:, i], color=colour, lw=1.0, label=label)
     panels[0].set_ylabel("reference [rad]")
     for i, axis in enumerate(AXES):
         panels[1 + i].set_ylabel(f"{axis} error [mrad]")

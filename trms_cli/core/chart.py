@@ -332,14 +332,10 @@ def as_data(chart: Chart) -> dict[str, Any]:
 _KINDS = {kind: kind.__name__.lower() for kind in Mark.__args__}
 
 
-#: What a field is called in JSON, where that is not its own name.
-_KEYS = {"is_step": "held", "tooltips": "told", "step_shape": "joined"}
-
-
-#: Keys that are left out of the document where they are not set.
+#: Fields that are left out of the document where they are not set.
 _SILENT = (
-    "held", "filled", "linked", "ticks", "categories", "row_height", "together", "told", "joined",
-    "reach", "values", "note", "caption", "half", "variants",
+    "is_step", "filled", "linked", "ticks", "categories", "row_height", "together", "tooltips",
+    "step_shape", "reach", "values", "note", "caption", "half", "variants",
 )  # fmt: skip
 
 
@@ -352,14 +348,14 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if hasattr(value, "__dataclass_fields__"):
         kind = {"kind": _KINDS[type(value)]} if type(value) in _KINDS else {}
-        attributes = {_KEYS.get(f.name, f.name): getattr(value, f.name) for f in fields(value)}
+        attributes = {f.name: getattr(value, f.name) for f in fields(value)}
         return kind | {
-            key: _plain(item) for key, item in attributes.items() if not _is_silent(key, item)
+            name: _plain(item) for name, item in attributes.items() if not _is_silent(name, item)
         }
     return value
 
 
-def _is_silent(key: str, item: Any) -> bool:
-    if key == "opacity":
+def _is_silent(name: str, item: Any) -> bool:
+    if name == "opacity":
         return bool(item == 1.0)
-    return key in _SILENT and not (len(item) if hasattr(item, "__len__") else item)
+    return name in _SILENT and not (len(item) if hasattr(item, "__len__") else item)

@@ -36,7 +36,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.model_form import departures
 from trms_cli.gap.moved_parameters import WORTH_TELLING, moved_parameters
 from trms_cli.gap.next_experiment import advise
-from trms_cli.gap.posterior import OWN_DOING, Posterior
+from trms_cli.gap.posterior import Posterior, proposed_stand_in
 from trms_cli.gap.problem import (
     CandidateEffect,
     GapProblem,
@@ -381,13 +381,8 @@ def _remarks(stages: StageResults) -> tuple[str, ...]:
 
 def _withdrawn(posterior: Posterior) -> tuple[str, ...]:
     """Why the corrected model has nothing in the place of a law that has no name."""
-    flexible = posterior.flexible
-    if (
-        posterior.verdict != "none_of_these"
-        or posterior.corrected is not None
-        or flexible is None
-        or flexible.foretold <= OWN_DOING
-    ):
+    flexible = proposed_stand_in(posterior.verdict, posterior.flexible)
+    if flexible is None or posterior.stand_in is not None:
         return ()
     return (
         f"a force that depends on the motion foretells {100 * flexible.foretold:.0f} % of what is "

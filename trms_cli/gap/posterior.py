@@ -44,7 +44,7 @@ _NATS, _ERRORS = 3.0, 1.0
 #: Traces alike to this cosine cannot be told apart by a recording of this kind.
 _ALIKE = 0.99
 #: A force of which the flexible competitor foretells this share is the rig's own doing.
-OWN_DOING = 0.5
+_OWN_DOING = 0.5
 #: p-value from which a regression on a missing force is believed.
 _CERTAIN = 0.05
 _RESAMPLES = 200
@@ -304,8 +304,8 @@ def posterior_of(
     corrected = None
     if verdict in ("effect", "undecided"):
         corrected = entries.get(parts[0])
-    elif verdict == "none_of_these" and flexible is not None and flexible.foretold > OWN_DOING:
-        corrected = flexible.fitted
+    elif (proposal := proposed_stand_in(verdict, flexible)) is not None:
+        corrected = proposal.fitted
     return Posterior(
         probabilities, verdict, best, corrected, confusable, features, resampled, flexible
     )
@@ -347,6 +347,13 @@ def _confusable(race: Race, best: FittedModel) -> tuple[tuple[str, ...], ...]:
     if len(best.names) > 1 and group:
         pairs.append((*best.names, *dict.fromkeys(group)))
     return tuple(pairs)
+
+
+def proposed_stand_in(verdict: Verdict, flexible: Flexible | None) -> Flexible | None:
+    """A force that may take the place of a law without a name; None: nothing foretells the rig."""
+    if verdict != "none_of_these" or flexible is None or flexible.foretold <= _OWN_DOING:
+        return None
+    return flexible
 
 
 def special_cases(

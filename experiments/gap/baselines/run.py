@@ -18,7 +18,6 @@ from experiments.command_line import side_by_side
 from experiments.gap.baselines.baseline import Baseline
 from experiments.gap.baselines.oracle import RigTruth
 from experiments.gap.blind.judgement import CORRECTED, REFIT
-from experiments.gap.blind.nominal import nominal, relative_sds
 from experiments.gap.blind.run import recordings_of
 from experiments.gap.blind.sealing import open_key
 from trms_cli.core.errors import ConfigurationError, TrmsError
@@ -188,13 +187,9 @@ def bench_effects() -> dict[str, Effect]:
 
 def truths_of(key: Path, folder: Path) -> dict[str, RigTruth]:
     """What each rig of a set has, by recording: for those alone that know it."""
-    constants, sds = nominal(), relative_sds()
     truths = {}
     for name, case in open_key(key, folder).cases.items():
-        values = {
-            parameter: value * (1 + sds.get(parameter, 0.0) * case.deviations(parameter))
-            for parameter, value in constants.items()
-        }
+        values = case.parameter_values()
         for effect, sizes in case.effects.items():
             values |= {f"{effect}.{size}": value for size, value in sizes.items()}
         truths[name] = RigTruth(effects=tuple(case.effects), values=values)

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from experiments.gap.blind import severity
-from experiments.gap.blind.nominal import relative_sds
+from experiments.gap.blind.nominal import nominal, relative_sds
 from experiments.gap.blind.nuisances import (
     curved_laws,
     draw_duration,
@@ -70,9 +70,17 @@ class Case:
     moved: Mapping[str, float] = field(default_factory=dict)
     excitation: int = 0  #: Seed of the commands
 
-    def deviations(self, parameter: str) -> float:
-        """By how many prior standard deviations a parameter is off."""
-        return self.parameters.get(parameter, 0.0) + self.moved.get(parameter, 0.0)
+    def parameter_values(self) -> dict[str, float]:
+        """The rig's own parameters by name, SI units."""
+        sds = relative_sds()
+
+        def deviations(name: str) -> float:
+            return self.parameters.get(name, 0.0) + self.moved.get(name, 0.0)
+
+        return {
+            name: value * (1 + sds.get(name, 0.0) * deviations(name))
+            for name, value in nominal().items()
+        }
 
 
 #: Shares of rigs that a controller drives, and that record angles only.

@@ -19,7 +19,7 @@ from experiments.gap.blind.drivers import (
     rich_excitation,
     square_references,
 )
-from experiments.gap.blind.nominal import nominal, relative_sds
+from experiments.gap.blind.nominal import nominal
 from experiments.gap.blind.rig import PITCH_STOP, YAW_STOP, Driver, Nuisances, Rigs
 from experiments.gap.blind.truths import TRUTHS
 
@@ -180,11 +180,8 @@ def _onsets(cases: Sequence[Case]) -> dict[str, FloatArray]:
 
 
 def _constants(cases: Sequence[Case]) -> dict[str, FloatArray]:
-    sds = relative_sds()
-    return {
-        name: np.array([value * (1 + sds.get(name, 0.0) * case.deviations(name)) for case in cases])
-        for name, value in nominal().items()
-    }
+    rigs = [case.parameter_values() for case in cases]
+    return {name: np.array([values[name] for values in rigs]) for name in nominal()}
 
 
 def _sizes(cases: Sequence[Case]) -> dict[str, FloatArray]:
