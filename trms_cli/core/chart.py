@@ -332,10 +332,14 @@ def as_data(chart: Chart) -> dict[str, Any]:
 _KINDS = {kind: kind.__name__.lower() for kind in Mark.__args__}
 
 
-#: Fields that are left out of the document where they are not set.
+#: What a field is called in JSON, where that is not its own name.
+_KEYS = {"is_step": "held", "tooltips": "told", "step_shape": "joined"}
+
+
+#: Keys that are left out of the document where they are not set.
 _SILENT = (
-    "is_step", "filled", "linked", "ticks", "categories", "row_height", "together", "tooltips",
-    "step_shape", "reach", "values", "note", "caption", "half", "variants",
+    "held", "filled", "linked", "ticks", "categories", "row_height", "together", "told", "joined",
+    "reach", "values", "note", "caption", "half", "variants",
 )  # fmt: skip
 
 
@@ -348,14 +352,14 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if hasattr(value, "__dataclass_fields__"):
         kind = {"kind": _KINDS[type(value)]} if type(value) in _KINDS else {}
-        attributes = {f.name: getattr(value, f.name) for f in fields(value)}
+        attributes = {_KEYS.get(f.name, f.name): getattr(value, f.name) for f in fields(value)}
         return kind | {
-            name: _plain(item) for name, item in attributes.items() if not _is_silent(name, item)
+            key: _plain(item) for key, item in attributes.items() if not _is_silent(key, item)
         }
     return value
 
 
-def _is_silent(name: str, item: Any) -> bool:
-    if name == "opacity":
+def _is_silent(key: str, item: Any) -> bool:
+    if key == "opacity":
         return bool(item == 1.0)
-    return name in _SILENT and not (len(item) if hasattr(item, "__len__") else item)
+    return key in _SILENT and not (len(item) if hasattr(item, "__len__") else item)
