@@ -12,7 +12,9 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.resources import config_folder
 from trms_cli.library.tasks.run import score_of
 from trms_cli.models.estimate import Estimate
+from trms_cli.models.model import names
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.plants.landing import Landing
 from trms_cli.simulation.supervisor import Mode, Supervisor, SupervisorSetup, WatchingRun
 
 from .looping import composed, looped
@@ -21,12 +23,18 @@ T = 0.02
 CHANNELS = ("alpha_v", "alpha_h", "omega_v", "omega_h")
 
 
+def setup_with(landing: Landing | None = None) -> SupervisorSetup:
+    model = Newtonian()
+    ramp = (landing or Landing()).init(names(model.inputs), model.input_bounds(), T)
+    return SupervisorSetup(model, T, CHANNELS, ramp)
+
+
 class Watched:
     """A supervisor that is shown made-up samples."""
 
     def __init__(self, **changes: float) -> None:
         self.told: list[tuple[str, str]] = []
-        setup = SupervisorSetup(Newtonian(), T, CHANNELS)
+        setup = setup_with()
         self.run: WatchingRun = Supervisor(**changes).init(setup)
         self._generator = np.random.default_rng(0)
 
@@ -119,17 +127,17 @@ def test_innovations_far_beyond_their_deviation_are_said_but_change_nothing() ->
 
 
 def test_landing_goes_to_its_command_at_its_rate_and_stays_there_if_the_rig_can() -> None:
-    setup = SupervisorSetup(Newtonian(), T, CHANNELS)
-    run = Supervisor(landing_command={"u_v": 0.5}, landing_rate=2.0).init(setup)
+    setup = setup_with(Landing(command={"u_v": 0.5}, rate=2.0))
+    run = Supervisor().init(setup)
     u = np.array([1.5, -0.7])
     path = [u := run.landed(u) for _ in range(100)]
     moves = np.abs(np.diff([[1.5, -0.7], *path], axis=0))
     assert moves.max() <= 2.0 * T + 1e-12
     np.testing.assert_allclose(path[-1], [0.5, 0.0])
     with pytest.raises(ConfigurationError, match="9 given"):
-        Supervisor(landing_command={"u_v": 9.0}).init(setup)
+        setup_with(Landing(command={"u_v": 9.0}))
     with pytest.raises(ConfigurationError, match="no input"):
-        Supervisor(landing_command={"u_w": 0.0}).init(setup)
+        setup_with(Landing(command={"u_w": 0.0}))
 
 
 FAULTS = sorted(path.stem for path in Path(config_folder(), "fault").glob("*.yaml"))

@@ -3,11 +3,15 @@
 import enum
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
+
+#: Whether a command acts at the sample that it is asked for at, or one sample later, as it is
+#: reckoned with then; the loop reads it, like the control period
+Delay = Literal["none", "one_sample"]
 
 
 class Status(enum.Enum):

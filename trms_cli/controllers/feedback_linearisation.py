@@ -48,7 +48,13 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, PresentReference
+from trms_cli.controllers.controller import (
+    Command,
+    ControlSample,
+    ControlSetup,
+    Delay,
+    PresentReference,
+)
 from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
 from trms_cli.controllers.reference_forecast import ReferenceForecast
@@ -340,6 +346,7 @@ class FeedbackLinearisation(PresentReference):
     #: How fast the integral takes back what a rotor at its fastest cannot give, s
     tracking_time: Positive = 0.5
     sample_time: Positive | None = None  #: Control period, s; None takes every sample
+    delay: Delay = "none"
 
     def __post_init__(self) -> None:
         for key, values in (("poles", self.poles), ("reference_lag", self.reference_lag)):

@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.controllers.controller import ControlSetup
+from trms_cli.controllers.controller import ControlSetup, Delay
 from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction
@@ -56,6 +56,7 @@ class HorizonSettings:
     """What every controller with a horizon is configured by."""
 
     sample_time: Positive = 0.1  #: Control period, s
+    delay: Delay = "none"
     prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: N, control periods
     #: Lengths of the blocks over which an input is constant, in control periods (the control
     #: horizon). The last block lasts to the end of the prediction horizon; what is beyond it is

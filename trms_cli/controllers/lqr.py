@@ -23,7 +23,13 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, PresentReference
+from trms_cli.controllers.controller import (
+    Command,
+    ControlSample,
+    ControlSetup,
+    Delay,
+    PresentReference,
+)
 from trms_cli.controllers.fallback import NOT_FINITE, are_finite, hold_command
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
@@ -82,6 +88,7 @@ class Lqr(PresentReference):
     use_disturbance: bool = True  #: Whether the steady state is that at the estimated disturbance
     tracking_time: Positive = 1.0  #: How fast the integral unwinds at a limit, s
     sample_time: Positive | None = None  #: Control period, s; None takes every sample
+    delay: Delay = "none"
 
     def init(self, setup: ControlSetup) -> LqrState:
         model = setup.model

@@ -37,7 +37,13 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, PresentReference
+from trms_cli.controllers.controller import (
+    Command,
+    ControlSample,
+    ControlSetup,
+    Delay,
+    PresentReference,
+)
 from trms_cli.controllers.fallback import NOT_FINITE, hold_command
 from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PiecewiseLinear
 from trms_cli.controllers.pid_tuning import AxisDesign, AxisMargins, Gains, PidDesign
@@ -124,6 +130,7 @@ class Pid(PresentReference):
     tracking_time: Positive | None = None
     feed_forward: bool = True
     sample_time: Positive | None = None  #: Control period, s; None takes every sample
+    delay: Delay = "none"
 
     def __post_init__(self) -> None:
         if not self.operating_points:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import casadi as ca
@@ -34,12 +34,16 @@ from trms_cli.models.model import FloatArray, Model, Signal, names
 from trms_cli.models.parameters import Parameter, ParameterSet
 from trms_cli.models.rest import rest_equations
 from trms_cli.plants.disturbance import ScheduledDisturbance
+from trms_cli.plants.envelope import Envelope
 from trms_cli.plants.faults.fault import Fault, FaultRun, FaultSetup
+from trms_cli.plants.landing import Landing
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 
 #: No initial angle (rad) or speed (rad/s) of such a rig is larger: its rotors reach some hundreds.
 _FASTEST = 1e4
+#: rad; see :meth:`SimulatedRig.__post_init__`.
+_TWO_TURNS = 4 * math.pi
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +131,15 @@ class SimulatedRig:
     disturbances: Mapping[str, ScheduledDisturbance] = field(default_factory=dict)
     faults: Mapping[str, Fault] = field(default_factory=dict)  #: What breaks during a run, by name
     mechanical_stops: bool = True  #: Whether the frame ends the travel of each axis
+    #: How it is brought to rest; a simulated rig needs no landing at the end of a run
+    landing: Landing = field(default_factory=lambda: Landing(after_run=False))
+    envelope: Envelope = field(default_factory=Envelope)  #: What it may do
+
+    def __post_init__(self) -> None:
+        if not self.mechanical_stops and self.envelope.beyond_stops is not None:
+            # nothing stops such a rig: what has turned round twice is no longer under control
+            free = replace(self.envelope, beyond_stops=_TWO_TURNS)
+            object.__setattr__(self, "envelope", free)
 
     def init(self, setup: PlantSetup) -> SimulatedRun:
         """The rig at time zero."""

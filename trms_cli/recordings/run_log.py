@@ -79,7 +79,8 @@ class AppendStream:
             self._descriptor = -1
 
 
-Outcome = Literal["completed", "interrupted", "failed"]
+#: ``landed``: the rig had to be landed before the end
+Outcome = Literal["completed", "interrupted", "landed", "failed"]
 
 RUN_SCHEMA = "trms.run/1"
 LIBRARY = f"trms {__version__}"

@@ -124,6 +124,25 @@ CONTROLLER_TOPIC = Topic(
 )
 
 
+TIMING_TOPIC = Topic(
+    "/timing",
+    (
+        Field("due_s", "s", "when the sample was due"),
+        Field("lateness_s", "s", "by how much later it began"),
+        Field("command_s", "s", "from the beginning of the reading until the command was sent"),
+        Field("observer_s", "s", "from there until the estimate was made"),
+        Field("controller_s", "s", "from the estimate until the command was decided"),
+        Field("log_s", "s", "of writing down the sample before"),
+    ),
+    "When a sample of a real rig was due, when it began, and what it took",
+)
+
+
+def landing_topic(signals: Iterable[Field]) -> Topic:
+    """Build /landing: commands and readings after the run's last sample, until the rig rests."""
+    return Topic("/landing", tuple(signals), "Commands and readings of the landing after the run")
+
+
 def standard_topics(
     *,
     references: Sequence[Field] = (),

@@ -3,17 +3,19 @@
 At each sample the rig is measured, the observer takes the measurement, the controller (at its own,
 slower or equal rate) takes the estimate, and the command is held until the next sample. A
 supervisor watches and may keep a reading from the observer, or land the rig in the controller's
-place. All that passes is written to the history. Nothing in here depends on the wall clock but the
-times that the controller's work took.
+place. All that passes is written to the history, once the command is out. In a simulation nothing
+depends on the wall clock but the times that the controller's work took; beside a real rig samples
+keep absolute deadlines, and whatever ends the loop lands the rig and closes it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,10 +24,16 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, Signal, names
+from trms_cli.models.one_step_ahead import OneStepAhead
 from trms_cli.observers.observer import Observer, ObserverSetup
+from trms_cli.plants.envelope import EnvelopeSetup, EnvelopeWatch, beyond_reach, envelope_of
+from trms_cli.plants.landing import landing_of
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.history import History, Writer
+from trms_cli.simulation.pace import Clock, LatePolicy, Pace, undisturbed
+from trms_cli.simulation.rig_life import RigLanded, RigLife, check_reading, check_run
+from trms_cli.simulation.stop import StopRequest
 from trms_cli.simulation.supervisor import (
     Mode,
     SupervisorPlugin,
@@ -38,6 +46,8 @@ from trms_cli.simulation.supervisor import (
 Progress = Callable[[float, float], None]
 #: A run is kept in memory until it is scored; beyond this the keys are a slip.
 _MOST_SAMPLES = 100_000_000
+#: V; no landing is reckoned to begin farther from the safe command, where a rig has no limits.
+_FARTHEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -55,6 +65,9 @@ class Experiment:
     #: Every how many control samples the controller's prediction is logged; 0 for never
     prediction_every: int = 10
     supervisor: SupervisorPlugin = field(default_factory=Unsupervised)
+    #: Whether samples wait for their time on the clock; None: as the plant wants it
+    pace: Literal["real_time", "simulated"] | None = None
+    late: LatePolicy = field(default_factory=LatePolicy)
 
     def __post_init__(self) -> None:
         if not (self.sample_time > 0 and math.isfinite(self.sample_time)):
@@ -79,6 +92,18 @@ class Experiment:
         return round(self.duration / self.sample_time)
 
     @property
+    def has_delay(self) -> bool:
+        """Whether a command acts one sample after it was asked for."""
+        return getattr(self.controller, "delay", "none") == "one_sample"
+
+    @property
+    def in_real_time(self) -> bool:
+        """Whether samples wait for their time on the clock."""
+        if self.pace is None:
+            return bool(getattr(self.plant, "real_time", False))
+        return self.pace == "real_time"
+
+    @property
     def samples_per_control(self) -> int:
         """Samples between two control steps.
 
@@ -98,6 +123,15 @@ class Experiment:
 
 
 @dataclass
+class _Answer:
+    """What a sample's command comes from: written down once it is out."""
+
+    u: FloatArray  #: As it is applied, (n_u,), V
+    command: Command | None = None  #: The controller's words, where it was asked
+    spent: float = math.nan  #: Time of the control step, s
+
+
+@dataclass
 class Loop:
     """A run under way: made by :meth:`start`, advanced by :meth:`run`."""
 
@@ -108,129 +142,295 @@ class Loop:
     references: FloatArray
     preview: int  #: Control periods that the controller sees ahead
     history: History
+    life: RigLife
+    pace: Pace | None  #: None where no sample waits
     _observer_state: Any
     _controller_state: Any
     _supervisor: SupervisorRun
+    _envelope: EnvelopeWatch
     _now_ns: int = 0
     completed_samples: int = 0  #: Samples that are behind
     _gate: CommandGate = field(init=False)
     _tell_control: Writer = field(init=False)
     _tell_prediction: Writer = field(init=False)
+    _tell_landing: Writer = field(init=False)
+    _u: FloatArray = field(init=False)  #: The command in force
+    _was_landing: bool = False  #: Whether the controller starts afresh when it is asked again
+    _ahead: OneStepAhead | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
+        e = self.experiment
         self._tell_control = self.history.writer("/controller")
         self._tell_prediction = self.history.writer("/prediction")
+        self._tell_landing = self.history.writer("/landing")
         self._gate = CommandGate(names(self.plant.inputs), self.plant.input_limits, self._tell)
+        self._u = np.array(self.plant.first_command, dtype=float)
+        if e.has_delay:
+            self._ahead = OneStepAhead(e.model, e.sample_time, self._u)
 
     @classmethod
-    def start(cls, experiment: Experiment, make_history: Callable[[PlantRun], History]) -> Loop:
+    def start(
+        cls,
+        experiment: Experiment,
+        make_history: Callable[[PlantRun], History],
+        clock: Clock | None = None,
+    ) -> Loop:
         """Everything ready for the first sample.
 
+        A real rig is opened once all that may take long or fail has been done without it.
         ``make_history``: given the plant, returns where its run is kept. Called last: a plugin that
-        refuses its configuration leaves no file behind.
+        refuses its configuration, and a rig that does not answer, leave no file behind. ``clock``:
+        another than the machine's, in tests.
         """
         e = experiment
         ratio = e.samples_per_control
-        plant = e.plant.init(PlantSetup(e.sample_time, e.samples, e.seed))
-        if names(plant.inputs) != names(e.model.inputs):
+        landing = landing_of(e.plant)
+        beyond_end = landing.samples(_farthest(e.model), e.sample_time) * landing.after_run
+        plant = e.plant.init(PlantSetup(e.sample_time, e.samples + beyond_end, e.seed))
+        check_run(plant)
+        inputs, outputs = names(plant.inputs), names(plant.outputs)
+        if inputs != names(e.model.inputs):
             raise ConfigurationError(
-                f"the rig takes {', '.join(names(plant.inputs))}, "
-                f"the model {', '.join(names(e.model.inputs))}",
+                f"the rig takes {', '.join(inputs)}, the model {', '.join(names(e.model.inputs))}",
                 where="plant.model",
                 remedy="rig and model need the same inputs",
             )
+        ramp = landing.init(inputs, plant.input_limits, e.sample_time)
         control = ControlSetup(e.model, ratio * e.sample_time, plant.first_command)
         preview = e.controller.preview(control)
         # Sampled once, as far as the last preview reaches.
-        times = np.arange(e.samples + preview * ratio, dtype=np.float64) * e.sample_time
+        length = e.samples + preview * ratio + e.has_delay
+        times = np.arange(length, dtype=np.float64) * e.sample_time
         references = e.reference.restricted_to(e.model.controlled).sample(times)
         _check_finite(references, times, e.model.controlled)
-        observing = ObserverSetup(
-            e.model,
-            e.sample_time,
-            names(plant.outputs),
-            plant.noise_sd,
-            plant.measure(),
-            plant.first_command,
+        envelope = envelope_of(e.plant).init(
+            EnvelopeSetup(e.sample_time, inputs, outputs, e.model.stops)
         )
-        observer_state = e.observer.init(observing)
-        controller_state = e.controller.init(control)
-        supervisor = e.supervisor.init(
-            SupervisorSetup(e.model, e.sample_time, names(plant.outputs))
-        )
+        supervisor = e.supervisor.init(SupervisorSetup(e.model, e.sample_time, outputs, ramp))
+
+        def observing(reading: FloatArray) -> ObserverSetup:
+            return ObserverSetup(
+                e.model, e.sample_time, outputs, plant.noise_sd, reading, plant.first_command
+            )
+
+        pace = Pace(e.sample_time, e.late, clock) if e.in_real_time else None
+        if pace is not None:
+            _refuse_beyond_reach(e, references)
+            _rehearse(e, control, observing, references[: preview * ratio + 1 : ratio])
+        life = RigLife(plant, ramp, pace)
+        try:
+            life.connect()
+            reading = check_reading(plant, plant.measure())
+            observer_state = e.observer.init(observing(reading))
+            controller_state = e.controller.init(control)
+            history = make_history(plant)
+        except BaseException:
+            life.close("failed")
+            raise
         return cls(
             e,
             plant,
             references,
             preview,
-            make_history(plant),
+            history,
+            life,
+            pace,
             observer_state,
             controller_state,
             supervisor,
+            envelope,
         )
 
-    def run(self, progress: Progress | None = None) -> None:
-        """Run to the end; what is done stays in the history if an exception ends it."""
+    def run(self, progress: Progress | None = None, stop: StopRequest | None = None) -> None:
+        """Run to the end, land and close; what is done stays in the history if it ends before.
+
+        ``stop``: read once a sample. Raises RigLanded where the rig had to be landed,
+        KeyboardInterrupt (Termination) where `stop` asks for it, and what a plugin raises; the rig
+        is landed and closed by then.
+        """
+        stop = stop or StopRequest()
+        with ExitStack() as machine:
+            if self.pace is not None:
+                for words in machine.enter_context(undisturbed()):
+                    self._tell("note", "machine", words)
+            try:
+                self.life.start(self._u, self._log_landing)
+                if self.pace is not None:
+                    self.pace.begin()
+                self._run_samples(progress, stop)
+            except BaseException as error:
+                self._end(_ending(error), stop)
+                raise
+            self._end("completed", stop)
+
+    def _end(self, reason: str, stop: StopRequest) -> None:
+        """Land and close the rig, whatever went before; a further signal shortens the ramp."""
+        try:
+            if landing_of(self.experiment.plant).after_run:
+                self.life.land(self._u, self._log_landing, lambda: stop.at_once)
+        except KeyboardInterrupt:  # swallowed here alone: the rig comes first
+            self.life.land(self._u, self._log_landing, lambda: True)
+            raise
+        finally:
+            self.life.close(reason)
+            self.history.flush()
+
+    def _log_landing(self, u: FloatArray, y: FloatArray) -> None:
+        """A sample of a ramp, after the run's last."""
+        self._u = u
+        if self.completed_samples:
+            step = round(self.experiment.sample_time * 1e9)
+            now_ns = self._now_ns + step
+            self._now_ns = now_ns if self.pace is None else max(now_ns, self._clock_ns())
+            self._tell_landing(self._now_ns, [*u.tolist(), *np.asarray(y, dtype=float).tolist()])
+
+    def _clock_ns(self) -> int:
+        """The run's time on the clock, ns; later than that of the sample before."""
+        assert self.pace is not None
+        return max(self._now_ns + 1, round(self.pace.elapsed() * 1e9))
+
+    def _run_samples(self, progress: Progress | None, stop: StopRequest) -> None:
+        """From the first sample to the last."""
         e, plant, history, watch = self.experiment, self.plant, self.history, self._supervisor
-        ratio = e.samples_per_control
-        period = ratio * e.sample_time
+        pace, envelope, tell = self.pace, self._envelope, self._tell
         per_second = max(1, round(1.0 / e.sample_time))
-        seen_ahead = self.preview * ratio + 1
         controlled = [e.model.state_index(name) for name in e.model.controlled]
         state_names = names(plant.states)
         log_reference, log_command = history.writer("/reference"), history.writer("/command")
         log_measurement, log_state = history.writer("/measurement"), history.writer("/plant/state")
         log_estimate, log_known = history.writer("/estimate"), history.writer("/disturbance")
+        log_timing = history.writer("/timing")
         measured, known_torques = self._known_torques()
         faults = getattr(plant, "faults", ())
-        u = plant.first_command.copy()
-        landing = False
+        delayed = self._ahead is not None
+        pending = self._u  # with a delay: the command that is due next
+        now, written = perf_counter, 0.0
+        k = self.completed_samples
 
-        for k in range(self.completed_samples, e.samples):
-            now_ns = self._now_ns = round(k * e.sample_time * 1e9)
+        while k < e.samples:
+            if pace is None:
+                self._now_ns = round(k * e.sample_time * 1e9)
+            else:
+                k = self._wait(pace, k)
+            if stop.requests:
+                raise stop.error()
+            now_ns = self._now_ns
             if faults:
                 self._tell_of_faults(faults, k)
+            read_at = now()
             y = plant.measure()
-            screened_y = watch.screen(y)
             truth_row = plant.state.tolist()
+            before = self._u
+            if delayed:
+                self._apply(pending)
+                sent_at = now()
+            screened_y = watch.screen(envelope.screen(y, tell))
             truth = dict(zip(state_names, truth_row, strict=True)) if state_names else None
             if known_torques is None:
-                estimate = e.observer.step(self._observer_state, u, screened_y, truth)
+                estimate = e.observer.step(self._observer_state, before, screened_y, truth)
             else:
                 # What acted until now is what was measured at the sample before.
+                known = known_torques[max(k - 1, 0)]
                 estimate = e.observer.step(
-                    self._observer_state, u, screened_y, truth, known=known_torques[max(k - 1, 0)]
+                    self._observer_state, before, screened_y, truth, known=known
                 )
-                log_known(now_ns, measured[k].tolist())
-            watch.judge(estimate, self._tell)
-            if watch.mode is Mode.LANDING:
-                landing = True
-                u = self._gate.applied(Command(watch.landed(u)), u)
-                if k % ratio == 0:
-                    overridden = Status.OVERRIDDEN  # the controller is not asked
-                    self._log_control(Command(u, overridden, message=overridden.meaning))
-            elif k % ratio == 0:
-                if landing:
-                    control = ControlSetup(e.model, period, u.copy())
-                    self._controller_state, landing = e.controller.init(control), False
-                ahead = self.references[k : k + seen_ahead : ratio].copy()
-                sample = ControlSample(k * e.sample_time, ahead, estimate, u)
-                u = self._control(sample, k // ratio, period)
-            log_reference(now_ns, self.references[k].tolist())
-            log_command(now_ns, u.tolist())
-            log_measurement(now_ns, y.tolist())
-            log_state(now_ns, truth_row)
-            log_estimate(now_ns, estimate_row(estimate))
-            if any(estimate.rejected.tolist()):
-                tell_rejected(history, now_ns, estimate, plant.outputs)
-            plant.advance(u)
-            self.completed_samples = k + 1
-            if self.completed_samples % per_second == 0:
+            estimated_at = now()
+            watch.judge(estimate, tell)
+            if self._ahead is None:
+                answer = self._decide(estimate, k)
+            else:  # every sample, for what the model remembers of commands
+                answer = self._decide(self._ahead(estimate, self._u), k, acts_at=k + 1)
+            if envelope.landing_reason:
+                raise RigLanded(
+                    f"the rig was landed: {envelope.landing_reason}",
+                    where="plant.envelope",
+                    remedy="see /event of the log for what went before",
+                )
+            decided_at = now()
+            try:
+                if delayed:
+                    pending = answer.u
+                else:
+                    self._apply(answer.u)
+                    sent_at = now()
+            finally:
+                self._log_answer(answer)
+                log_reference(now_ns, self.references[k].tolist())
+                log_command(now_ns, self._u.tolist())
+                log_measurement(now_ns, y.tolist())
+                log_state(now_ns, truth_row)
+                log_estimate(now_ns, estimate_row(estimate))
+                if known_torques is not None:
+                    log_known(now_ns, measured[k].tolist())
+                if any(estimate.rejected.tolist()):
+                    tell_rejected(history, now_ns, estimate, plant.outputs)
+            k += 1
+            self.completed_samples = k
+            if pace is not None:
+                parts = (sent_at - read_at, estimated_at - read_at, decided_at - estimated_at)
+                log_timing(now_ns, ((k - 1) * e.sample_time, pace.lateness, *parts, written))
+            if k % per_second == 0:
                 history.flush()
                 if progress is not None:
-                    error = estimate.x[controlled] - self.references[k]
-                    progress(self.completed_samples * e.sample_time, float(np.abs(error).max()))
+                    error = estimate.x[controlled] - self.references[k - 1]
+                    progress(k * e.sample_time, float(np.abs(error).max()))
+            written = now() - sent_at
         history.flush()
+
+    def _wait(self, pace: Pace, k: int) -> int:
+        """Wait for sample k; the sample that it is then, where some had to be left out.
+
+        Raises RigLanded where the loop cannot keep up.
+        """
+        pace.step()
+        self._now_ns = self._clock_ns() if k else 0
+        if pace.lost:
+            raise RigLanded(
+                f"the rig was landed: {pace.late.land_after} samples in a row came a whole period "
+                f"({self.experiment.sample_time:g} s) late, the last one by "
+                f"{1e3 * pace.lateness:.0f} ms",
+                where="sim.late.land_after",
+                remedy="a longer sim.sample_time, a faster controller, or "
+                "controller.delay=one_sample; `trms doctor` measures this machine",
+            )
+        if not pace.is_behind:
+            return k
+        count = min(pace.periods_behind, self.experiment.samples - 1 - k)
+        if pace.late.policy == "hold" or not count:
+            return k
+        self._tell("skipped", "loop", "samples were left out (value: how many)", count)
+        lost = np.full(len(self.plant.outputs), np.nan)
+        for _ in range(count):  # the observer predicts over them
+            self.experiment.observer.step(self._observer_state, self._u, lost, None)
+            pace.skip()
+        return k + count
+
+    def _apply(self, u: FloatArray) -> None:
+        """Send a command (n_u,); from then on it is in force."""
+        self._u = u
+        self.plant.advance(u)
+
+    def _decide(self, estimate: Estimate, k: int, acts_at: int | None = None) -> _Answer:
+        """The command from this sample on, or from the one at which it ``acts_at``."""
+        e, watch = self.experiment, self._supervisor
+        ratio = e.samples_per_control
+        if watch.mode is Mode.LANDING:
+            self._was_landing = True
+            u = self._gate.applied(Command(watch.landed(self._u)), self._u)
+            if k % ratio:
+                return _Answer(u)
+            overridden = Status.OVERRIDDEN  # the controller is not asked
+            return _Answer(u, Command(u, overridden, message=overridden.meaning))
+        if k % ratio or (self.pace is not None and self.pace.is_behind):
+            return _Answer(self._u)
+        period = ratio * e.sample_time
+        if self._was_landing:
+            control = ControlSetup(e.model, period, self._u.copy())
+            self._controller_state, self._was_landing = e.controller.init(control), False
+        begin = k if acts_at is None else acts_at
+        ahead = self.references[begin : begin + self.preview * ratio + 1 : ratio].copy()
+        sample = ControlSample(begin * e.sample_time, ahead, estimate, self._u)
+        return self._control(sample, k // ratio)
 
     def _known_torques(self) -> tuple[FloatArray, FloatArray | None]:
         """Measured torques as logged (samples, n), and on the model's equations (samples, n_w)."""
@@ -244,9 +444,8 @@ class Loop:
                 model_torques[:, equations.index(equation)] = torque
         return np.column_stack(list(torques.values())), model_torques
 
-    def _control(self, sample: ControlSample, count: int, deadline: float) -> FloatArray:
-        """One control step: its command within the limits, its words in the log."""
-        now_ns = self._now_ns
+    def _control(self, sample: ControlSample, count: int) -> _Answer:
+        """One control step: its command within the limits."""
         every = self.experiment.prediction_every
         want_prediction = every > 0 and count % every == 0
         begin = perf_counter()
@@ -255,23 +454,21 @@ class Loop:
         )
         spent = perf_counter() - begin
         u = self._gate.applied(command, sample.previous_command)
+        u = self._envelope.limited(u, sample.previous_command, self._tell)
         if self._gate.holds:  # whatever the controller says of it, it has failed
             command = replace(command, fallback="held")
         self._supervisor.note_command(command)
-        self._log_control(command, spent, missed=spent > deadline)
-        if command.prediction is not None:
-            p = command.prediction
-            self._tell_prediction(now_ns, (p.time, *p.states.T, *p.inputs.T))
-        if command.status is Status.FAILED:
-            self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
-        return u
+        return _Answer(u, command, spent)
 
-    def _log_control(self, command: Command, spent: float = math.nan, missed: bool = False) -> None:
+    def _log_answer(self, answer: _Answer) -> None:
         """The controller's row: its words, the time that it took, and the supervisor's mode."""
+        command, now_ns = answer.command, self._now_ns
+        if command is None:
+            return
         self._tell_control(
-            self._now_ns,
+            now_ns,
             (
-                spent,
+                answer.spent,
                 command.linearise_time,
                 command.qp_time,
                 command.iterations,
@@ -280,13 +477,18 @@ class Loop:
                 command.slack,
                 command.kkt_residual,
                 bool(command.fallback),
-                missed,
+                answer.spent > self.experiment.sample_time,  # false for what took no time (NaN)
                 command.message,
                 self._supervisor.mode.value,
                 self._supervisor.reasons(),
                 command.terminal_residual,
             ),
         )
+        if command.prediction is not None:
+            p = command.prediction
+            self._tell_prediction(now_ns, (p.time, *p.states.T, *p.inputs.T))
+        if command.status is Status.FAILED:
+            self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
 
     def _tell(self, kind: str, source: str, words: str, value: float = math.nan) -> None:
         self.history.event(self._now_ns, kind, source, words, value)
@@ -298,6 +500,57 @@ class Loop:
                 self._tell("fault_injected", "plant", fault.words)
             elif k == fault.active.stop and fault.active:
                 self._tell("fault_removed", "plant", fault.words)
+
+
+def _farthest(model: Model) -> float:
+    """How far any command is from any other, V; something large where there are no limits."""
+    lower, upper = model.input_bounds()
+    return float(min(np.max(upper - lower, initial=0.0), 2 * _FARTHEST))
+
+
+def _ending(error: BaseException) -> str:
+    """Why a rig is closed, in a word."""
+    if isinstance(error, RigLanded):
+        return "landed"
+    return "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+
+
+def _refuse_beyond_reach(experiment: Experiment, references: FloatArray) -> None:
+    """A real rig is not asked for what it cannot do."""
+    sentences = out_of_reach(experiment, references)
+    if sentences and getattr(experiment.plant, "real_time", False):
+        raise ConfigurationError(
+            "; ".join(sentences),
+            where="ref",
+            remedy="a smaller reference, or other bounds in plant.envelope.readings",
+        )
+
+
+def out_of_reach(experiment: Experiment, references: FloatArray) -> list[str]:
+    """A sentence for each reference (samples, n_r) that goes beyond a stop or the envelope, rad."""
+    model = experiment.model
+    if not getattr(experiment.controller, "follows_reference", True):
+        return []
+    return beyond_reach(references, model.controlled, envelope_of(experiment.plant), model.stops)
+
+
+def _rehearse(
+    experiment: Experiment,
+    control: ControlSetup,
+    observing: Callable[[FloatArray], ObserverSetup],
+    references: FloatArray,
+) -> None:
+    """Ask observer and controller once for nothing, so that all is compiled and allocated."""
+    e, model = experiment, experiment.model
+    rest = dict(zip(model.state_names, model.rest().tolist(), strict=True))
+    setup = observing(np.array([]))
+    reading = np.array([rest.get(name, 0.0) for name in setup.outputs])
+    observer_state = e.observer.init(observing(reading))
+    controller_state = e.controller.init(control)
+    for want_prediction in (False, True):
+        estimate = e.observer.step(observer_state, control.first_command, reading, rest)
+        sample = ControlSample(0.0, references.copy(), estimate, control.first_command)
+        e.controller.step(controller_state, sample, want_prediction=want_prediction)
 
 
 def _check_finite(references: FloatArray, times: FloatArray, axes: Sequence[str]) -> None:

@@ -20,19 +20,18 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from trms_cli.controllers.controller import Command, Status
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import Positive
 from trms_cli.models.estimate import Estimate
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model
+from trms_cli.plants.landing import LandingRamp
 
 #: Takes a kind, a source and a sentence.
 Tell = Callable[[str, str, str], None]
@@ -90,6 +89,7 @@ class SupervisorSetup:
     model: Model  #: What controller and observer believe
     sample_time: float  #: s
     outputs: tuple[str, ...]  #: Measured channels, the order of y
+    landing: LandingRamp  #: How the rig is brought to rest
 
 
 class SupervisorRun:
@@ -139,28 +139,9 @@ class Supervisor:
     innovation_window: Positive = 1.0  #: s, over which that mean is taken (exponentially)
     clear_after: Positive = 0.5  #: s without the cause, after which a reason ends
     land_after: Positive = 2.0  #: s, for which an angle may be unknown or the controller may fail
-    #: V, where the command goes; 0 where none is given
-    landing_command: Mapping[str, float] = field(default_factory=dict)
-    landing_rate: Positive = 1.0  #: V/s
 
     def init(self, setup: SupervisorSetup) -> WatchingRun:
-        """Ready for the first sample.
-
-        Raises ConfigurationError for an input that the model does not have, or a command beyond its
-        limit.
-        """
-        input_names = names(setup.model.inputs)
-        for name in self.landing_command:
-            if name not in {"u_v", "u_h"}:
-                words = f"the model has no input {name!r}"
-                require_known(name, input_names, words, f"landing_command.{name}")
-            limit = setup.model.input_limits.get(name, math.inf)
-            if not abs(self.landing_command[name]) <= limit:
-                raise ConfigurationError(
-                    f"{self.landing_command[name]:g} given",
-                    where=f"landing_command.{name}",
-                    remedy=f"at most {limit:g} V to either side",
-                )
+        """Ready for the first sample."""
         return WatchingRun(self, setup)
 
 
@@ -190,9 +171,7 @@ class WatchingRun(SupervisorRun):
         self._stops = [setup.model.stops.get(name, math.inf) for name in setup.outputs]
         self._sum, self._mean = [0.0] * n, [1.0] * n
         self._angles = set(setup.model.controlled) & set(setup.outputs)
-        inputs = names(setup.model.inputs)
-        self._goal = np.array([config.landing_command.get(name, 0.0) for name in inputs])
-        self._largest_move = config.landing_rate * setup.sample_time
+        self._landing = setup.landing
         self._failing = self._out_of_reach = False
         #: By reason and channel: samples since it began, and since its cause was last seen.
         self._active: dict[tuple[Reason, str], list[int]] = {}
@@ -284,8 +263,7 @@ class WatchingRun(SupervisorRun):
         return reason in _CRITICAL and (not channel or channel in self._angles)
 
     def landed(self, u: FloatArray) -> FloatArray:
-        move = np.clip(self._goal - u, -self._largest_move, self._largest_move)
-        return np.asarray(u + move)
+        return self._landing.next(u)
 
     def note_command(self, command: Command) -> None:
         self._failing = command.status is Status.FAILED or bool(command.fallback)

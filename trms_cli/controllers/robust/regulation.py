@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from trms_cli.controllers.controller import ControlSample, ControlSetup, PresentReference
+from trms_cli.controllers.controller import ControlSample, ControlSetup, Delay, PresentReference
 from trms_cli.controllers.lqr import in_order
 from trms_cli.controllers.robust.coordinates import Coordinates, thrust_demand
 from trms_cli.controllers.robust.lmi import Task
@@ -33,6 +33,7 @@ class RegulationDesign(PresentReference):
     """What is regulated, and how dear deviations are."""
 
     sample_time: Positive = 0.1  #: Control period, s
+    delay: Delay = "none"
     #: Commands whose rotors are regulated by their thrust
     thrust_inputs: tuple[str, ...] = ("u_h",)
     smallest_speed: Positive = 5.0  #: ε, rad/s: below it the thrust counts as linear in the speed

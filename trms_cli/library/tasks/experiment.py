@@ -12,17 +12,26 @@ import yaml
 
 from trms_cli.composition.composer import Composition
 from trms_cli.composition.plain_values import number, whole_number
-from trms_cli.core.errors import interrupted_code
+from trms_cli.core.errors import ConfigurationError, interrupted_code
 from trms_cli.core.invocation import command_line
-from trms_cli.core.plugins import build, check_contract
+from trms_cli.core.plugins import build, check_contract, construct, nearest
 from trms_cli.core.versions import versions
 from trms_cli.library.tasks.task import Interrupted
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import ParameterSet
+from trms_cli.plants.landing import landing_of
 from trms_cli.plants.plant import PlantRun
-from trms_cli.recordings.topics import Field, Topic, prediction_topic, standard_topics
+from trms_cli.recordings.topics import (
+    TIMING_TOPIC,
+    Field,
+    Topic,
+    landing_topic,
+    prediction_topic,
+    standard_topics,
+)
 from trms_cli.scoring.score import LIMITS_KEY
 from trms_cli.simulation.closed_loop import Experiment
+from trms_cli.simulation.pace import LatePolicy
 
 if TYPE_CHECKING:
     from trms_cli.recordings.for_model import RecordedRun
@@ -57,7 +66,17 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
         seed=whole_number(config["seed"], "seed"),
         prediction_every=whole_number(simulation["prediction_every"], "sim.prediction_every"),
         supervisor=parts["supervisor"],
+        pace=_one_of(simulation.get("pace"), (None, "real_time", "simulated"), "sim.pace"),
+        late=construct(LatePolicy, simulation.get("late") or {}, "sim.late"),
     )
+
+
+def _one_of(value: Any, allowed: tuple[Any, ...], where: str) -> Any:
+    """Raises ConfigurationError for what is not allowed."""
+    if value not in allowed:
+        names = [str(name) for name in allowed if name is not None]
+        raise ConfigurationError(f"{value!r} given", where=where, remedy=nearest(str(value), names))
+    return value
 
 
 def raise_explained(
@@ -107,7 +126,12 @@ def topics_of(experiment: Experiment, plant: PlantRun) -> list[Topic]:
         ],
         controller=True,
     )
-    return [*topics, prediction_topic([*states, *inputs])]
+    topics.append(prediction_topic([*states, *inputs]))
+    if experiment.in_real_time:
+        topics.append(TIMING_TOPIC)
+    if landing_of(experiment.plant).after_run:
+        topics.append(landing_topic([*inputs, *(_field(signal) for signal in plant.outputs)]))
+    return topics
 
 
 def run_metadata(

@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from trms_cli.scoring.findings import in_short, short_tables, warnings_of
 
 if TYPE_CHECKING:
     from trms_cli.simulation.closed_loop import Experiment
+    from trms_cli.simulation.stop import StopRequest
 
 _TO_THE_END = 1e-9  # s; what begins so shortly before the end has no sample either
 
@@ -43,8 +45,9 @@ def perform(composition: Composition, listener: Listener) -> Done:
     from trms_cli.library.tasks.git_revision import GitRevision
     from trms_cli.library.tasks.scene import RunScene
     from trms_cli.reporting.run_picture import Painter
-    from trms_cli.simulation.closed_loop import Loop
+    from trms_cli.simulation.closed_loop import Loop, out_of_reach
     from trms_cli.simulation.history import History
+    from trms_cli.simulation.rig_life import RigLanded
 
     begin = perf_counter()
     check_files(composition.config)
@@ -86,11 +89,16 @@ def perform(composition: Composition, listener: Listener) -> Done:
         except Exception as error:
             assembly.raise_explained(error, experiment, 0.0)
         log = logs[0]
+        for sentence in out_of_reach(experiment, loop.references):
+            note(f"note   {sentence}")
         title = _title(composition, experiment)
         try:
             started = perf_counter()
-            with listener.simulation(experiment.duration) as progress:
-                loop.run(progress)
+            with (
+                listener.simulation(experiment.duration) as progress,
+                stop_request(loop, composition) as stop,
+            ):
+                loop.run(progress, stop)
             spent = perf_counter() - started
             score = score_of(loop, log.path, complete=True)
             log.close("completed", score)
@@ -102,6 +110,10 @@ def perform(composition: Composition, listener: Listener) -> Done:
             reached = loop.completed_samples * experiment.sample_time
             raise assembly.interruption_of(error, reached, log.path, then) from None
         except BaseException as error:
+            if isinstance(error, RigLanded):
+                score = score_of(loop, log.path, complete=False)
+                log.close("landed", score)
+                write_document(score, log.path.with_name(SCORE_NAME))
             log.close("failed")
             if isinstance(error, Exception):
                 reached = loop.completed_samples * experiment.sample_time
@@ -130,6 +142,16 @@ def perform(composition: Composition, listener: Listener) -> Done:
         next=_next(composition, experiment, shlex.quote(str(log.path))),
     )
     return Done(log.path.parent, findings, objective=_objective(score), command="run")
+
+
+def stop_request(loop: Any, composition: Composition) -> AbstractContextManager[StopRequest]:
+    """What Ctrl-C and SIGTERM ask for meanwhile; a job of a sweep has signals of its own."""
+    from trms_cli.simulation.stop import StopRequest
+
+    if composition.job is not None:
+        return nullcontext(StopRequest())
+    is_real = loop.pace is not None
+    return StopRequest("landing the rig (once more: stop at once)" if is_real else "")
 
 
 def score_of(loop: Any, path: Path, *, complete: bool) -> dict[str, Any]:

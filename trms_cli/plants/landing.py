@@ -1,0 +1,85 @@
+"""How a rig is brought to rest: the safe command, how fast it is approached, how long it lasts.
+
+One landing serves every end: that of a run, Ctrl-C, a failure, an envelope that was left. It needs
+neither model nor estimate, for one of them may be what has failed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.plugins import require_known
+from trms_cli.core.ranges import NotNegative, Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Landing:
+    """Where the command goes when a rig is to rest, and how."""
+
+    #: V, the safe command by input; 0 where none is given
+    command: Mapping[str, float] = field(default_factory=dict)
+    rate: Positive = 1.0  #: V/s, of the ramp to the safe command, and of that into a run
+    hold: NotNegative = 0.0  #: s, for which the safe command is held before the rig is let go
+    #: Whether every run ends with it; a simulated rig needs none
+    after_run: bool = True
+
+    def samples(self, farthest: float, sample_time: float) -> int:
+        """Most samples that it takes from a command so far (V) from the safe one."""
+        ramp = math.ceil(farthest / (self.rate * sample_time) - 1e-9)
+        return ramp + round(self.hold / sample_time) + 1
+
+    def init(
+        self,
+        inputs: Sequence[str],
+        limits: tuple[FloatArray, FloatArray],
+        sample_time: float,
+    ) -> LandingRamp:
+        """Ready to land a rig with these inputs; ``limits``: lower and upper, (n_u,) each, V.
+
+        Raises ConfigurationError for an input that the rig does not have, or a command beyond its
+        limit.
+        """
+        safe = np.zeros(len(inputs))
+        for name, value in self.command.items():
+            where = f"landing.command.{name}"
+            if name not in {"u_v", "u_h"}:  # a rig of one axis lands the input that it has
+                require_known(name, inputs, f"the rig has no input {name!r}", where)
+            if name not in inputs:
+                continue
+            i = inputs.index(name)
+            low, high = float(limits[0][i]), float(limits[1][i])
+            if not low <= value <= high:
+                raise ConfigurationError(
+                    f"{value:g} given", where=where, remedy=f"from {low:g} to {high:g} V"
+                )
+            safe[i] = value
+        return LandingRamp(safe, self.rate * sample_time, round(self.hold / sample_time))
+
+
+@dataclass(frozen=True)
+class LandingRamp:
+    """A landing in samples."""
+
+    safe: FloatArray  #: The safe command (n_u,), V
+    step: float  #: Largest change of a command in one sample, V
+    hold_samples: int  #: For which the safe command is held once it is reached
+
+    def toward(self, goal: FloatArray, u: FloatArray) -> FloatArray:
+        """The command (n_u,) one sample after ``u`` on the way to a goal (n_u,), V."""
+        return np.asarray(u + np.clip(goal - u, -self.step, self.step))
+
+    def next(self, u: FloatArray) -> FloatArray:
+        """The command (n_u,) one sample after ``u`` on the way to the safe one, V."""
+        return self.toward(self.safe, u)
+
+
+def landing_of(plant: object) -> Landing:
+    """A rig's landing; one that says nothing of it lands at the end of every run, at 1 V/s."""
+    landing = getattr(plant, "landing", None)
+    return landing if isinstance(landing, Landing) else Landing()
