@@ -111,7 +111,8 @@ class TestTheSameAgain:
         then = yaml.safe_load(read_log(log).config)
         now = yaml.safe_load(read_log(tmp_path / "b" / "run.mcap").config)
         assert now["seed"] == then["seed"] == 3 and now["sim"]["duration"] == 2.0
-        assert now["plant"]["model"]["parameters"] == {"k_g": 0.1}  # means what it always means
+        assert now["model"]["parameters"] == {"k_g": 0.1}
+        assert now["plant"]["model"] == then["plant"]["model"]  # the rig is that of the log
         assert list(now["plant"]["effects"]) == ["tail_dead_zone"]
         assert now["controller"] == then["controller"]
 

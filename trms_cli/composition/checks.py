@@ -417,15 +417,20 @@ class DeclaredKeys:
         content = read_yaml(option.file) if option is not None else None
         if not isinstance(content, dict):
             return {}
+        before, after = _beside_self(content)
+        body = {key: value for key, value in content.items() if key != "defaults"}
+        return _merged(_merged(self._inside(before, place), body), self._inside(after, place))
+
+    def _inside(self, entries: Sequence[tuple[str, str, Any]], place: str) -> dict[str, Any]:
+        """What entries of a defaults list put inside of the option at a place."""
         inside: dict[str, Any] = {}
-        for inner_group, inner_place, default in defaults_list(content):
+        for inner_group, inner_place, default in entries:
             for inner in self._option_names(inner_group, f"{place}.{inner_place}", default):
                 node = self._option(inner_group, inner, f"{place}.{inner_place}")
                 for step in reversed(inner_place.split(".")):
                     node = {step: node}
                 inside = _merged(inside, node)
-        content.pop("defaults", None)
-        return _merged(inside, content)
+        return inside
 
     def places(self) -> list[tuple[str, str]]:
         """Groups that the chosen options include at a place: ``(signal, ref.alpha_v)``."""
@@ -450,6 +455,20 @@ def defaults_list(content: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
             if match:
                 entries.append((match[1], match[2], option))
     return entries
+
+
+def _beside_self(
+    content: Mapping[str, Any],
+) -> tuple[list[tuple[str, str, Any]], list[tuple[str, str, Any]]]:
+    """The entries of a defaults list that the YAML's own keys replace, and those that replace them.
+
+    What stands behind ``_self_`` does: ``model@plant.model=newtonian`` in place of a reference.
+    """
+    entries = content.get("defaults") or []
+    position = entries.index("_self_") if "_self_" in entries else len(entries)
+    parts = (entries[:position], entries[position:])
+    before, after = (defaults_list({"defaults": part}) for part in parts)
+    return before, after
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

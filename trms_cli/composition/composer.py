@@ -191,6 +191,22 @@ class Composer:
             assert isinstance(config, dict)
             return self._checked({str(k): v for k, v in config.items()}, choices, request)
 
+    def before_values(
+        self, choices: Sequence[str]
+    ) -> tuple[Mapping[str, Any], Mapping[str, Any]] | None:
+        """What choices of options compose to before a value is typed, and the option in each group.
+
+        The configuration is unresolved and to be read only. None where the choices do not go
+        together. Raises ConfigurationError for an option that does not exist.
+        """
+        try:
+            base = self._base(tuple(choices))
+        except _Unusual:
+            return None
+        several = [group for group, o in self._declared.defaults.items() if isinstance(o, list)]
+        named = {group: list(base.config.get(group) or {}) for group in several}
+        return base.config, {str(key): name for key, name in base.choices.items()} | named
+
     def _by_hydra(
         self, prepared: Sequence[str], typed: Sequence[str]
     ) -> tuple[Any, dict[Any, Any]]:

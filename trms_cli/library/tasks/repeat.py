@@ -10,37 +10,45 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.given_object import refuse_objects
+from trms_cli.composition.on_top import OnTop, on_top
+from trms_cli.composition.plain_values import value_at
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.invocation import note, program
-from trms_cli.core.plugins import TARGET
+from trms_cli.core.plugins import TARGET, locate
+from trms_cli.core.wording import listing
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
 
 #: What a run is given for itself: a repetition writes elsewhere.
 _OWN_KEYS = ("out",)
+#: Overrides that are told to be left out; of more their number.
+_MOST_DROPPED = 4
 
 
 def repetition(log: Path, argv: Sequence[str], primary: str) -> list[str] | Composition:
     """The experiment of a log, with the overrides of `argv` on top.
 
     What was typed then and what is typed now are composed together, so that an override means
-    what it always means: these words are given back. That needs option files that say what they
-    said: where they have changed since, the log's own configuration still runs, and is given
-    back, but nothing can be laid on top.
+    what it always means, but that the rig stays the one of the log under another model and that
+    values of options that are replaced go with them (:mod:`trms_cli.composition.on_top`): these
+    words are given back. That needs option files that say what they said: where they have changed
+    since, the log's own configuration still runs, and is given back, but nothing can be laid on
+    top.
     """
     run = _read(log)
-    then = _words(run, "overrides")
-    folders = [Path(folder) for folder in _words(run, "config_dirs")]
     logged = _config(run)
     refuse_objects(logged, "", str(log))
-    typed = [word for word in then if not _is_own(word)]
+    typed = [word for word in _words(run, "overrides") if not _is_own(word)]
+    folders = [Path(folder) for folder in _words(run, "config_dirs")]
     places = [f"--config-dir={folder}" for folder in folders]
     _tell_what_differs(run)
-    changed = _changed_keys(logged, [*places, *typed], primary)
-    if not changed:
-        return [*places, *typed, *argv]
+    earlier, changed = _composed_again(logged, [*places, *typed], primary)
+    if earlier is not None:
+        layers = on_top(earlier, typed, argv, primary, played=_is_open(run))
+        _tell_what_goes(run, earlier, layers, argv)
+        return [*places, *layers.words, *argv]
     own = [word for word in argv if _is_own(word)]
     if len(own) != len(argv):
         raise ConfigurationError(
@@ -52,6 +60,49 @@ def repetition(log: Path, argv: Sequence[str], primary: str) -> list[str] | Comp
         )
     note(f"note   option files have changed since; the log's own count ({changed})")
     return _as_logged(run, _completed(logged, primary), own, folders)
+
+
+def is_repeatable(path: Path, primary: str = "run") -> bool:
+    """Whether a recording is the log of a closed loop that something can be laid on.
+
+    A replayed recording is none: there is no rig to be driven in it.
+    """
+    from trms_cli.library.tasks.replay import is_replay
+
+    try:
+        run = _read(path)
+        logged = _config(run)
+        refuse_objects(logged, "", str(path))
+        folders = [f"--config-dir={folder}" for folder in _words(run, "config_dirs")]
+        typed = [word for word in _words(run, "overrides") if not _is_own(word)]
+        earlier, _ = _composed_again(logged, [*folders, *typed], primary)
+        return earlier is not None and not is_replay(logged)
+    except (TrmsError, KeyError):
+        return False
+
+
+def _is_open(run: LoggedRun) -> bool:
+    """Whether commands were played, and no reference followed."""
+    return run.run.get("loop") == "open"
+
+
+def _tell_what_goes(
+    run: LoggedRun, earlier: Composition, layers: OnTop, argv: Sequence[str]
+) -> None:
+    """Say what was typed for an option that is replaced, and what is followed where nothing was."""
+    if layers.dropped:
+        words = listing(layers.dropped, most=_MOST_DROPPED)
+        note(f"note   left out, as typed for an option that is replaced: {words}")
+    target = value_at(layers.config, f"controller.{TARGET}")
+    if not _is_open(run) or target is None:
+        return
+    controller = locate(str(target), "controller")
+    heads = [word.lstrip("+").partition("=")[0] for word in argv]
+    if getattr(controller, "follows_reference", True) and not any(h == "ref" for h in heads):
+        duration = value_at(earlier.config, "sim.duration")
+        last = f" for its {duration:g} s" if "sim.duration" not in heads else ""
+        name = layers.choices.get("ref")
+        note(f"note   the log followed no reference; now ref {name}{last} (ref=… for another)")
 
 
 def _read(path: Path) -> LoggedRun:
@@ -101,14 +152,18 @@ def _config(run: LoggedRun) -> dict[str, Any]:
     return {str(key): value for key, value in config.items()}
 
 
-def _changed_keys(logged: Mapping[str, Any], argv: Sequence[str], primary: str) -> str:
-    """The first keys whose value is not what it was; empty if all are."""
+def _composed_again(
+    logged: Mapping[str, Any], argv: Sequence[str], primary: str
+) -> tuple[Composition | None, str]:
+    """What was typed then, composed today; None, and the first keys, if it is not what it was."""
     try:
-        now = compose(argv, primary).config
+        now = compose(argv, primary)
     except TrmsError as error:
-        return f"{error.where}: {error.problem}"
-    keys = list(_differences(logged, now, ""))
-    return ", ".join(keys[:3]) + (f" and {len(keys) - 3} more" if len(keys) > 3 else "")
+        return None, f"{error.where}: {error.problem}"
+    keys = list(_differences(logged, now.config, ""))
+    if not keys:
+        return now, ""
+    return None, ", ".join(keys[:3]) + (f" and {len(keys) - 3} more" if len(keys) > 3 else "")
 
 
 def _differences(then: Any, now: Any, where: str) -> list[str]:
@@ -130,7 +185,7 @@ def _completed(logged: Mapping[str, Any], primary: str) -> dict[str, Any]:
     They get the default of today, which is told: a key that is new leaves runs as they were,
     or its note in the changelog says otherwise.
     """
-    completed, new = dict(logged), []
+    completed, new = _with_moved_keys(logged), []
     for key, default in compose((), primary).config.items():
         if key not in completed:
             completed[key] = default
@@ -144,6 +199,20 @@ def _completed(logged: Mapping[str, Any], primary: str) -> dict[str, Any]:
     if new:
         note(f"note   newer than that run, and at their default: {', '.join(new)}")
     return completed
+
+
+def _with_moved_keys(logged: Mapping[str, Any]) -> dict[str, Any]:
+    """A log's configuration with the keys that stood elsewhere when it was written."""
+    moved = dict(logged)
+    supervisor, plant = logged.get("supervisor"), logged.get("plant")
+    if isinstance(supervisor, Mapping) and isinstance(plant, Mapping):
+        # until 2026-11 the supervisor had the landing, which is the rig's
+        names = {"landing_command": "command", "landing_rate": "rate"}
+        landing = {new: supervisor[old] for old, new in names.items() if old in supervisor}
+        if landing and "landing" not in plant:
+            moved["plant"] = {**plant, "landing": {**landing, "after_run": False}}
+            moved["supervisor"] = {k: v for k, v in supervisor.items() if k not in names}
+    return moved
 
 
 def _as_logged(
