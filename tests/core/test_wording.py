@@ -129,3 +129,21 @@ _FIT = {"path": "fit/model.yaml"}
 def test_a_simulated_rig_is_called_by_the_equations_it_has(choices, config, rig) -> None:
     shown = wording.choice_labels({"controller": "lqr", "plant": "simulated"} | choices, config)
     assert wording.headline(shown, follows=False).endswith(f"plant simulated ({rig})")
+
+
+@pytest.mark.parametrize(
+    ("plant", "config", "shown"),
+    [
+        ({"effect": "none"}, {}, "simulated (newtonian)"),
+        ({"effect": "yaw_coulomb_friction, tail_dead_zone"}, {"prior_seed": 3},
+         "simulated (newtonian + yaw_coulomb_friction + tail_dead_zone, prior_seed 3)"),
+        ({}, {"parameters": {"k_g": 0.05}}, "simulated (newtonian, k_g 0.05)"),
+        ({}, {"parameters": {"k_g": 1, "k_ov": 2, "k_oh": 3}},
+         "simulated (newtonian, 3 own parameters)"),
+        ({"plant": "bench", "effect": "none"}, {}, "bench"),
+    ],
+)  # fmt: skip
+def test_the_header_says_which_plant_acts(plant, config, shown) -> None:
+    choices = {"plant": "simulated", "model": "fit", "model@plant.model": "newtonian"} | plant
+    assert wording.plant_in_full(choices, config) == shown
+    assert f"model fit · plant {shown}" in wording.headline(choices, plant=config)

@@ -235,6 +235,8 @@ _SIMULATED = ("simulated", "ideal")
 #: Groups that say which equations a simulated rig has, the first that does.
 _OF_RIG = ("model@plant.model", "model@model.rig", "model")
 _NOBODY = ("", "none")
+#: Parameters of a rig's own that are named; of more their number is told.
+_MOST_VALUES = 2
 
 
 def plant_name(choices: Mapping[str, str], own: str = "") -> str:
@@ -250,18 +252,51 @@ def plant_name(choices: Mapping[str, str], own: str = "") -> str:
     return f"{plant} ({rig})" if rig else plant
 
 
-def headline(choices: Mapping[str, str], *, follows: bool = True, rig: str = "") -> str:
+def plant_in_full(choices: Mapping[str, str], plant: object = None, own: str = "") -> str:
+    """``simulated (newtonian + yaw_coulomb_friction, prior_seed 3)``: with what is not the model's.
+
+    ``choices``, ``own``: as for :func:`plant_name`. ``plant``: the plant's part of the
+    configuration, which says where its parameters are its own.
+    """
+    name = plant_name(choices, own)
+    effects = choices.get("effect", "")
+    extras = [] if effects in _NOBODY else effects.split(", ")
+    parameters = _own_parameters(plant if isinstance(plant, Mapping) else {})
+    if not name.endswith(")"):  # nothing is known of its equations
+        return f"{name} ({', '.join([*extras, *parameters])})" if extras or parameters else name
+    equations = " + ".join([name.removesuffix(")"), *extras])
+    return f"{', '.join([equations, *parameters])})"
+
+
+def _own_parameters(plant: Mapping[str, Any]) -> list[str]:
+    """How a rig's parameters differ from those of its equations, in a few words."""
+    values, seed = plant.get("parameters"), plant.get("prior_seed")
+    words = [] if seed is None else [f"prior_seed {seed}"]
+    if isinstance(values, Mapping) and values:
+        plain = len(values) <= _MOST_VALUES and not any(
+            isinstance(v, Mapping) for v in values.values()
+        )
+        named = [f"{name} {value}" for name, value in values.items()]
+        words += named if plain else [count(len(values), "own parameter")]
+    return words
+
+
+def headline(
+    choices: Mapping[str, str], *, follows: bool = True, rig: str = "", plant: object = None
+) -> str:
     """``lqr · ref square · observer ukf · model fit · plant simulated (newtonian)``.
 
-    ``choices``: as :func:`choice_labels` gives them. ``follows``: whether the controller follows a
-    reference. ``rig``: what the model of a user's own plant calls itself; "" if it is not known.
+    Which model controller and observer believe, and which plant acts. ``choices``: as
+    :func:`choice_labels` gives them. ``follows``: whether the controller follows a reference.
+    ``rig``: what the model of a user's own plant calls itself; "" if it is not known. ``plant``:
+    as for :func:`plant_in_full`.
     """
     parts = [choices.get("controller", "")]
     parts += [f"ref {choices.get('ref', '')}"] if follows else []
     parts += [f"{group} {choices.get(group, '')}" for group in ("observer", "model")]
-    parts.append(f"plant {plant_name(choices, rig)}")
-    extras = [(group, choices.get(group, "")) for group in ("effect", "fault")]
-    parts += [f"{group} {names}" for group, names in extras if names and names != "none"]
+    parts.append(f"plant {plant_in_full(choices, plant, rig)}")
+    faults = choices.get("fault", "")
+    parts += [] if faults in _NOBODY else [f"fault {faults}"]
     return " · ".join(parts)
 
 

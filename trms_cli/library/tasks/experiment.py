@@ -16,6 +16,7 @@ from trms_cli.core.errors import ConfigurationError, interrupted_code
 from trms_cli.core.invocation import command_line
 from trms_cli.core.plugins import build, check_contract, construct, nearest
 from trms_cli.core.versions import versions
+from trms_cli.core.wording import plant_in_full
 from trms_cli.library.tasks.task import Interrupted
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import ParameterSet
@@ -143,8 +144,12 @@ def run_metadata(
         for name, (low, high) in limits_of(plant, model).items()
         if name not in model.stops or high < float("inf")
     }
+    labels = composition.choice_labels
+    own = str(getattr(getattr(plant, "model", None), "name", ""))
     return {
         "command": command_line(),
+        "model": labels.get("model", ""),
+        "plant": plant_in_full(labels, composition.config["plant"], own),
         "seed": str(composition.config["seed"]),
         "git": revision,
         VERSIONS_KEY: json.dumps(versions()),

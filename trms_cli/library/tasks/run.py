@@ -223,7 +223,9 @@ def _objective(score: Mapping[str, Any]) -> float | None:
 
 def _title(composition: Composition, experiment: Experiment) -> str:
     rig = str(getattr(getattr(experiment.plant, "model", None), "name", ""))
-    return headline(composition.choice_labels, follows=_follows(experiment), rig=rig)
+    plant = composition.config["plant"]
+    labels = composition.choice_labels
+    return headline(labels, follows=_follows(experiment), rig=rig, plant=plant)
 
 
 def _time(score: Mapping[str, Any], experiment: Experiment, spent: float, whole: float) -> str:
