@@ -32,7 +32,7 @@ from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.history import History, Writer
 from trms_cli.simulation.pace import Clock, LatePolicy, Pace, undisturbed
-from trms_cli.simulation.rig_life import RigLanded, RigLife, check_reading, check_run
+from trms_cli.simulation.rig_life import Confirm, RigLanded, RigLife, check_reading, check_run
 from trms_cli.simulation.stop import StopRequest
 from trms_cli.simulation.supervisor import (
     Mode,
@@ -241,10 +241,16 @@ class Loop:
             envelope,
         )
 
-    def run(self, progress: Progress | None = None, stop: StopRequest | None = None) -> None:
+    def run(
+        self,
+        progress: Progress | None = None,
+        stop: StopRequest | None = None,
+        confirm: Confirm | None = None,
+    ) -> None:
         """Run to the end, land and close; what is done stays in the history if it ends before.
 
-        ``stop``: read once a sample. Raises RigLanded where the rig had to be landed,
+        ``stop``: read once a sample. ``confirm``: asks a person whether a real rig may move.
+        Raises RigLanded where the rig had to be landed,
         KeyboardInterrupt (Termination) where `stop` asks for it, and what a plugin raises; the rig
         is landed and closed by then.
         """
@@ -254,7 +260,7 @@ class Loop:
                 for words in machine.enter_context(undisturbed()):
                     self._tell("note", "machine", words)
             try:
-                self.life.start(self._u, self._log_landing)
+                self.life.start(self._u, self._log_landing, confirm)
                 if self.pace is not None:
                     self.pace.begin()
                 self._run_samples(progress, stop)

@@ -33,6 +33,8 @@ _NEEDED = (
 )
 #: Takes the command (n_u,) and the reading (n_y,) of a sample outside the run itself.
 Sample = Callable[[FloatArray, FloatArray], None]
+#: Takes what is about to happen; whether a person agrees.
+Confirm = Callable[[str], bool]
 
 
 class RigLanded(SimulationError):
@@ -85,12 +87,27 @@ class RigLife:
 
     def connect(self) -> None:
         """Open the rig."""
+        try:
+            self._call("connect")
+        except BaseException:
+            self._is_closed = True
+            self._call("close", "failed")
+            raise
         self._is_connected = True
-        self._call("connect")
 
-    def start(self, first_command: FloatArray, sample: Sample) -> None:
-        """Check, arm, and ramp from the safe command to the first one."""
+    def start(self, first_command: FloatArray, sample: Sample, confirm: Confirm | None) -> None:
+        """Check, arm, and ramp from the safe command to the first one.
+
+        Raises ConfigurationError where a person has to confirm and does not.
+        """
         self._call("check")
+        question = getattr(self._run, "confirmation", "")
+        if question and not (confirm is not None and confirm(question)):
+            raise ConfigurationError(
+                "the rig was not armed: nobody confirmed",
+                where="plant.arm",
+                remedy="answer y on the terminal, or plant.arm=true where nobody is to be asked",
+            )
         self._call("arm")
         u = self._landing.safe.copy()
         if self._pace is not None:
@@ -112,12 +129,17 @@ class RigLife:
         self._run.advance(safe.copy())
 
     def close(self, reason: str) -> None:
-        """Disarm and close; a second call does nothing."""
+        """Disarm and close; a second call does nothing.
+
+        Raises what the rig says where it cannot be disarmed, but not where the run failed before:
+        that comes first.
+        """
         if self._is_closed or not self._is_connected:
             return
         self._is_closed = True
         try:
-            self._call("disarm")
+            with suppress(*(() if reason == "completed" else (Exception,))):
+                self._call("disarm")
         finally:
             self._call("close", reason)
 

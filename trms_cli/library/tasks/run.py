@@ -98,7 +98,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
                 listener.simulation(experiment.duration) as progress,
                 stop_request(loop, composition) as stop,
             ):
-                loop.run(progress, stop)
+                loop.run(progress, stop, listener.confirm)
             spent = perf_counter() - started
             score = score_of(loop, log.path, complete=True)
             log.close("completed", score)

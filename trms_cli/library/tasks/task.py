@@ -95,6 +95,10 @@ class Listener:
         """Gives what a loop of so many seconds is to call, if anything."""
         return nullcontext(None)
 
+    def confirm(self, question: str) -> bool:
+        """Whether a person agrees with what is about to happen; nobody is there to be asked."""
+        return False
+
 
 class Screen(Listener):
     """Shows it on standard output."""
@@ -119,6 +123,14 @@ class Screen(Listener):
 
         command = "" if self._has_begun else result.command or self.command
         show(result.findings, command, result.subject, rows=_ROWS)
+
+    def confirm(self, question: str) -> bool:
+        """Whether the person at the terminal agrees."""
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            return False
+        sys.stderr.write(f"{question}; go on? [y/N] ")
+        sys.stderr.flush()
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
 
     def simulation(self, duration: float) -> AbstractContextManager[LoopProgress | None]:
         """Gives what moves a bar, on a terminal."""

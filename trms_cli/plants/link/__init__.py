@@ -1,0 +1,1 @@
+"""Rigs behind a wire: frames, what carries them, and both of its ends."""
