@@ -419,6 +419,9 @@ class DeclaredKeys:
             return {}
         before, after = _beside_self(content)
         body = {key: value for key, value in content.items() if key != "defaults"}
+        for base in content.get("defaults") or []:  # another option of the group: plant=ideal
+            if isinstance(base, str) and base not in ("_self_", name):
+                body = _merged(self._option(group, base, place), body)
         return _merged(_merged(self._inside(before, place), body), self._inside(after, place))
 
     def _inside(self, entries: Sequence[tuple[str, str, Any]], place: str) -> dict[str, Any]:

@@ -65,12 +65,7 @@ def on_top(
     more, rest = take_config_dirs(argv)
     folders = tuple(dict.fromkeys((*earlier.config_dirs, *more)))
     layers = _Layers(earlier, typed, rest, primary, folders)
-    kept, dropped = list(typed), []
-    if layers.chosen_now:
-        for word in typed:
-            if not layers.stays(word, played):
-                kept.remove(word)
-                dropped.append(word)
+    kept, dropped = layers.sift(typed, played) if layers.chosen_now else (list(typed), [])
     config, choices = layers.first or ({}, {})
     return OnTop(tuple(kept), tuple(layers.rig_words(kept)), tuple(dropped), config, choices)
 
@@ -93,10 +88,14 @@ class _Layers:
         words = [word for word in argv if "=" in word and not word.startswith("-")]
         self._now = [parse(word, self._groups) for word in words]
         self._swept = bool(_MULTIRUN.intersection(argv))
-        self.chosen_now = [str(o) for o in self._now if self._is_choice(o)]
+        self._placed_now = [f"{o.key}{o.package}" for o in self._now if o.package]
+        self.chosen_now = [str(o) for o in self._now if self._is_choice(o) or o.package]
         self._chosen_then = [w for w in typed if self._is_choice(parse(w, self._groups))]
         #: What each alternative of the options chosen now composes to.
-        self._alternatives = [
+        self._alternatives = self._composed()
+
+    def _composed(self) -> list[tuple[Mapping[str, Any], Mapping[str, Any]] | None]:
+        return [
             self._composer.before_values([*self._chosen_then, *variant])
             for variant in (self._variants() if self.chosen_now else ())
         ]
@@ -125,42 +124,76 @@ class _Layers:
             for word in words[1:]:
                 yield [*first[:number], word, *first[number + 1 :]]
 
-    def stays(self, word: str, played: bool) -> bool:
-        """Whether an override of then still has its place, whatever is chosen now."""
+    def sift(self, typed: Sequence[str], played: bool) -> tuple[list[str], list[str]]:
+        """Overrides of then that still have their place, and those that have none."""
+        typed = [
+            w for w in typed if not w.startswith(tuple(f"{spot}=" for spot in self._placed_now))
+        ]
+        placed = [w for w in typed if parse(w, self._groups).package]
+        staying = {w for w in placed if self._stays(w, played)}
+        # values are held against the options inside that stay
+        self._chosen_then += [word for word in placed if word in staying]
+        self._alternatives = self._composed()
+        kept = [w for w in typed if w in staying or (w not in placed and self._stays(w, played))]
+        return kept, [word for word in typed if word not in kept]
+
+    def _stays(self, word: str, played: bool) -> bool:
         override = parse(word, self._groups)
         if self._is_choice(override):
             return True
         place = override.package.removeprefix("@") or override.key
-        group = place.partition(".")[0]
         return all(
             alternative is None
-            or not self._is_replaced(group, *alternative)
-            or self._fits(override, place, group, alternative[0], played)
+            or not self._is_replaced(place, *alternative)
+            or self._fits(override, place, *alternative, played=played)
             for alternative in self._alternatives
         )
 
     def _is_replaced(
-        self, group: str, config: Mapping[str, Any], choices: Mapping[str, Any]
+        self, place: str, config: Mapping[str, Any], choices: Mapping[str, Any]
     ) -> bool:
+        """Whether the option that a place belongs to is another now."""
+        group = place.partition(".")[0]
         if isinstance(self._declared.defaults.get(group), list):
             return any(
                 name not in (config.get(group) or {}) for name in self._earlier.config[group]
             )
         if group not in self._declared.defaults:
             return False
+        if self._is_replaced_inside(place, choices):
+            return True
         if choices.get(group) != self._earlier.choices.get(group):
             return True
         path = f"{group}.path"  # of the model: another file is another option
         return bool(value_at(self._earlier.config, path) != value_at(config, path))
 
+    def _is_replaced_inside(self, place: str, choices: Mapping[str, Any]) -> bool:
+        """Likewise of an option at a place of its own: ``signal@controller.u_v=chirp``."""
+        return any(
+            f"{place}.".startswith(f"{spot.partition('@')[2]}.")
+            and choices.get(spot) != self._earlier.choices.get(spot)
+            for spot in self._placed_now
+        )
+
     def _fits(
-        self, override: Override, place: str, group: str, config: Mapping[str, Any], played: bool
+        self,
+        override: Override,
+        place: str,
+        config: Mapping[str, Any],
+        choices: Mapping[str, Any],
+        *,
+        played: bool,
     ) -> bool:
-        if group == "model" or (group == "controller" and played):
+        """Whether the option that replaces another has a place for an override too."""
+        group = place.partition(".")[0]
+        is_of_rig = place.startswith(f"{RIG}.") and self._is_replaced_inside(place, choices)
+        if group == "model" or is_of_rig:
             return False  # values of one model's parameters say nothing of another model's
+        if group == "controller" and played and not self._is_same("controller"):
+            return False
         if override.package:
-            choices = [*self._chosen_then, *self._first_alternative, str(override)]
-            return self._composer.before_values(choices) is not None
+            words = [*self._chosen_then, *self._first_alternative, str(override)]
+            return self._composer.before_values(words) is not None
         parts = place.split(".")
         node: Any = config
         for depth, name in enumerate(parts):
@@ -173,6 +206,11 @@ class _Layers:
                 return False
             node = node[name]
         return _is_alike(override.value or "", node)
+
+    def _is_same(self, group: str) -> bool:
+        """Whether every alternative has the earlier run's option."""
+        earlier = self._earlier.choices.get(group)
+        return all(each is None or each[1].get(group) == earlier for each in self._alternatives)
 
     @property
     def _first_alternative(self) -> list[str]:
@@ -212,7 +250,7 @@ class _Layers:
             yield f"{RIG}={text_of(equations)}"
             return
         yield pinned
-        yield from _differences(RIG, value_at(base[0], RIG) or {}, equations)
+        yield from differing_words(RIG, value_at(base[0], RIG) or {}, equations)
 
     def _plant_words(self, kept: Sequence[str]) -> list[str]:
         """Choices of a plant, then and now, of a sweep the first alternative."""
@@ -232,14 +270,14 @@ def _is_alike(typed: str, node: Any) -> bool:
     return node is None or isinstance(value, Mapping) == isinstance(node, Mapping)
 
 
-def _differences(place: str, base: Any, node: Any) -> Iterator[str]:
+def differing_words(place: str, base: Any, node: Any) -> Iterator[str]:
     """Overrides that make ``base`` what ``node`` is."""
     if isinstance(base, Mapping) and isinstance(node, Mapping):
         for key, value in node.items():
             if key not in base or base[key] != value:
-                yield from _differences(f"{place}.{key}", base.get(key), value)
+                yield from differing_words(f"{place}.{key}", base.get(key), value)
     elif isinstance(node, Mapping) and node:
         for key, value in node.items():
-            yield from _differences(f"{place}.{key}", None, value)
+            yield from differing_words(f"{place}.{key}", None, value)
     else:
         yield f"{place}={text_of(node)}"

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from trms_cli.composition.catalogue import read_groups, read_primary
+from trms_cli.composition.checks import DeclaredKeys
 from trms_cli.composition.composer import Composition, compose
 from trms_cli.composition.given_object import refuse_objects
-from trms_cli.composition.on_top import OnTop, on_top
+from trms_cli.composition.on_top import OnTop, differing_words, on_top
+from trms_cli.composition.overrides import parse
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
@@ -25,6 +29,7 @@ if TYPE_CHECKING:
 _OWN_KEYS = ("out",)
 #: Overrides that are told to be left out; of more their number.
 _MOST_DROPPED = 4
+_NEWER = "note   newer than that run, and at their default: {}"
 
 
 def repetition(log: Path, argv: Sequence[str], primary: str) -> list[str] | Composition:
@@ -37,48 +42,118 @@ def repetition(log: Path, argv: Sequence[str], primary: str) -> list[str] | Comp
     since, the log's own configuration still runs, and is given back, but nothing can be laid on
     top.
     """
-    run = _read(log)
-    logged = _config(run)
-    refuse_objects(logged, "", str(log))
-    typed = [word for word in _words(run, "overrides") if not _is_own(word)]
-    folders = [Path(folder) for folder in _words(run, "config_dirs")]
-    places = [f"--config-dir={folder}" for folder in folders]
+    then = _then(log, primary)
+    run, own = then.run, [word for word in argv if _is_own(word)]
     _tell_what_differs(run)
-    earlier, changed = _composed_again(logged, [*places, *typed], primary)
-    if earlier is not None:
-        layers = on_top(earlier, typed, argv, primary, played=_is_open(run))
-        _tell_what_goes(run, earlier, layers, argv)
-        return [*places, *layers.words, *argv]
-    own = [word for word in argv if _is_own(word)]
-    if len(own) != len(argv):
+    has_more = len(own) != len(argv)
+    if then.composition is not None and (has_more or not then.new_keys):
+        if then.new_keys:
+            note(_NEWER.format(", ".join(then.new_keys)))
+        layers = on_top(then.composition, then.typed, argv, primary, played=_is_open(run))
+        _tell_what_goes(run, then.composition, layers, argv)
+        return [*then.places, *layers.words, *argv]
+    if has_more:
         raise ConfigurationError(
             f"option files have changed since that run, so {' '.join(argv)} cannot be laid on it: "
-            f"{changed}",
+            f"{then.changed}",
             where=str(log),
             remedy=f"repeat it as it was: {program()} run --from {shlex.quote(str(log))}\n"
-            f"or run anew: {program()} run {shlex.join([*typed, *argv])}",
+            f"or run anew: {program()} run {shlex.join([*then.typed, *argv])}",
         )
-    note(f"note   option files have changed since; the log's own count ({changed})")
-    return _as_logged(run, _completed(logged, primary), own, folders)
+    note(f"note   option files have changed since; the log's own count ({then.changed})")
+    return _as_logged(run, _completed(then.logged, primary), own, then.folders)
 
 
-def is_repeatable(path: Path, primary: str = "run") -> bool:
-    """Whether a recording is the log of a closed loop that something can be laid on.
+@dataclass(frozen=True)
+class LoggedLoop:
+    """The log of a closed loop that something can be laid on: its rig can be driven again."""
 
-    A replayed recording is none: there is no rig to be driven in it.
+    path: Path
+    choices: Mapping[str, Any]  #: The option in each group
+    inputs: tuple[str, ...]  #: Of the rig, by name
+
+
+def loop_of(path: Path, primary: str = "run") -> LoggedLoop | None:
+    """The closed loop that a recording is the log of; None for any other recording.
+
+    None too for what has no rig to be driven (a recording that was replayed), and for a log that
+    nothing can be laid on.
     """
     from trms_cli.library.tasks.replay import is_replay
 
     try:
-        run = _read(path)
-        logged = _config(run)
-        refuse_objects(logged, "", str(path))
-        folders = [f"--config-dir={folder}" for folder in _words(run, "config_dirs")]
-        typed = [word for word in _words(run, "overrides") if not _is_own(word)]
-        earlier, _ = _composed_again(logged, [*folders, *typed], primary)
-        return earlier is not None and not is_replay(logged)
-    except (TrmsError, KeyError):
-        return False
+        then = _then(path, primary, topics=("/command",))
+        if then.composition is None or is_replay(then.composition.config):
+            return None
+        inputs = tuple(then.run.table("/command").columns)
+    except TrmsError:
+        return None
+    return LoggedLoop(path, then.composition.choices, inputs)
+
+
+@dataclass(frozen=True)
+class _Then:
+    """The run of a log, and what it is composed to today."""
+
+    run: LoggedRun
+    logged: dict[str, Any]  #: Its configuration
+    typed: tuple[str, ...]  #: Overrides, but for its folder
+    folders: tuple[Path, ...]  #: The user's folders of options
+    composition: Composition | None  #: None where that is another run today
+    new_keys: tuple[str, ...]  #: That the log did not have yet; they have their default
+    changed: str  #: The first keys, where it is another run, or has new ones
+
+    @property
+    def places(self) -> list[str]:
+        return [f"--config-dir={folder}" for folder in self.folders]
+
+
+def _then(log: Path, primary: str, topics: Sequence[str] = ()) -> _Then:
+    run = _read(log, topics)
+    logged = _config(run)
+    refuse_objects(logged, "", str(log))
+    folders = tuple(Path(folder) for folder in _words(run, "config_dirs"))
+    moved = _with_moved_keys(logged)
+    typed = tuple(word for word in _words(run, "overrides") if not _is_own(word))
+    if moved != logged:
+        typed += tuple(differing_words("plant.landing", {}, value_at(moved, "plant.landing")))
+    places = [f"--config-dir={folder}" for folder in folders]
+    try:
+        now = compose([*places, *typed], primary)
+    except TrmsError as error:
+        changed = f"{error.where}: {error.problem}"
+        return _Then(run, logged, typed, folders, None, (), changed)
+    keys = list(_differences(moved, now.config, ""))
+    changed = ", ".join(keys[:3]) + (f" and {len(keys) - 3} more" if len(keys) > 3 else "")
+    new = _new_keys(moved, now.config, keys, typed, primary)
+    same = len(new) == len(keys)
+    return _Then(run, logged, typed, folders, now if same else None, new, changed)
+
+
+def _new_keys(
+    then: Mapping[str, Any],
+    now: Mapping[str, Any],
+    keys: Sequence[str],
+    typed: Sequence[str],
+    primary: str,
+) -> tuple[str, ...]:
+    """Those of some keys that a log does not have, and the program's own options have by default.
+
+    What a user's option file or an experiment says is none of these.
+    """
+    if not keys:
+        return ()
+    groups = read_groups()
+    choices = [word for word in typed if parse(word, groups).key in groups]
+    declared = DeclaredKeys(read_primary(primary), groups, choices)
+
+    def is_new(key: str) -> bool:
+        stem, _, name = key.rpartition(".")
+        before, today = value_at(then, stem), value_at(now, key)
+        lacks = isinstance(before, Mapping) and name not in before
+        return lacks and declared.value(stem) != {} and declared.value(key) == today
+
+    return tuple(key for key in keys if is_new(key))
 
 
 def _is_open(run: LoggedRun) -> bool:
@@ -105,11 +180,11 @@ def _tell_what_goes(
         note(f"note   the log followed no reference; now ref {name}{last} (ref=… for another)")
 
 
-def _read(path: Path) -> LoggedRun:
+def _read(path: Path, topics: Sequence[str] = ()) -> LoggedRun:
     from trms_cli.recordings.log_reader import read_log
     from trms_cli.recordings.run_log import RUN_SCHEMA
 
-    run = read_log(path, topics=())
+    run = read_log(path, topics=topics)
     schema = run.run.get("schema", "")
     if schema != RUN_SCHEMA:
         raise RecordingError(
@@ -152,20 +227,6 @@ def _config(run: LoggedRun) -> dict[str, Any]:
     return {str(key): value for key, value in config.items()}
 
 
-def _composed_again(
-    logged: Mapping[str, Any], argv: Sequence[str], primary: str
-) -> tuple[Composition | None, str]:
-    """What was typed then, composed today; None, and the first keys, if it is not what it was."""
-    try:
-        now = compose(argv, primary)
-    except TrmsError as error:
-        return None, f"{error.where}: {error.problem}"
-    keys = list(_differences(logged, now.config, ""))
-    if not keys:
-        return now, ""
-    return None, ", ".join(keys[:3]) + (f" and {len(keys) - 3} more" if len(keys) > 3 else "")
-
-
 def _differences(then: Any, now: Any, where: str) -> list[str]:
     if isinstance(then, Mapping) and isinstance(now, Mapping):
         places = []
@@ -197,7 +258,7 @@ def _completed(logged: Mapping[str, Any], primary: str) -> dict[str, Any]:
                 completed[key] = {**present, **missing}
                 new += [f"{key}.{name}" for name in missing]
     if new:
-        note(f"note   newer than that run, and at their default: {', '.join(new)}")
+        note(_NEWER.format(", ".join(new)))
     return completed
 
 
