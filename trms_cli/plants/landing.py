@@ -50,15 +50,15 @@ class Landing:
             where = f"landing.command.{name}"
             if name not in {"u_v", "u_h"}:  # a rig of one axis lands the input that it has
                 require_known(name, inputs, f"the rig has no input {name!r}", where)
-            if name not in inputs:
-                continue
-            i = inputs.index(name)
-            low, high = float(limits[0][i]), float(limits[1][i])
+            if name in inputs:
+                safe[inputs.index(name)] = value
+        for name, value, low, high in zip(inputs, safe, *limits, strict=True):
             if not low <= value <= high:
                 raise ConfigurationError(
-                    f"{value:g} given", where=where, remedy=f"from {low:g} to {high:g} V"
+                    f"{value:g} given" if name in self.command else f"0 V, and {name} has limits",
+                    where=f"landing.command.{name}",
+                    remedy=f"a safe command from {low:g} to {high:g} V",
                 )
-            safe[i] = value
         return LandingRamp(safe, self.rate * sample_time, round(self.hold / sample_time))
 
 

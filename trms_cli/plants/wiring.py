@@ -6,10 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
@@ -26,7 +25,7 @@ class Wire:
     sign: Literal[1, -1]  #: Never assumed: a wrong one drives the rig into its stop
     scale: float = 1.0  #: Of what is left once the offset is taken off, in ``unit`` per raw 1
     offset: float = 0.0  #: What the interface shows at zero
-    unit: str = ""  #: Of the scaled value: deg, rpm, …; empty for SI
+    unit: str | None = None  #: Of the scaled value: deg, rpm, …; None for SI
     #: Readings beyond are left out like lost samples, commands cut to it; SI
     limit: tuple[float, float] | None = None
     #: Pairs of raw and value (in ``unit``) between which lines are drawn, in place of scale and
@@ -49,9 +48,6 @@ class Wire:
                 where="table",
                 remedy="pairs [raw, value], at least two, by increasing raw value",
             )
-
-
-_Wires = Annotated[Mapping[str, Wire], Meta(min_length=1)]
 
 
 class Wiring:
@@ -138,7 +134,7 @@ def check_wires(wires: Mapping[str, Wire], where: str) -> None:
             )
 
 
-def _unit_factor(unit: str, name: str, where: str) -> float:
+def _unit_factor(unit: str | None, name: str, where: str) -> float:
     """What one of a unit is in SI."""
     if not unit:
         return 1.0
