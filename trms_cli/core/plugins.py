@@ -392,6 +392,7 @@ _METHODS = {
     "plant": ("init",),
     "ref": ("restricted_to", "sample"),
     "supervisor": ("init",),
+    "gap_watch": ("init",),
 }
 #: First words of a key that names its place in the whole configuration.
 _PLACES = ("model", "plant", "observer", "controller", "ref", "effect", "sim")

@@ -223,6 +223,7 @@ def run(
     effect: Any = None,
     fault: Any = None,
     supervisor: Any = None,
+    gap_watch: Any = None,
     experiment: str | None = None,
     sim: Mapping[str, Any] | None = None,
     seed: int | None = None,
@@ -242,7 +243,7 @@ def run(
     *overrides : str, or Experiment
         ``"KEY=VALUE"`` as on the command line; or one `Experiment`, all of whose parts are
         objects.
-    controller, ref, model, plant, observer, supervisor : str, mapping or object
+    controller, ref, model, plant, observer, supervisor, gap_watch : str, mapping or object
         A name: ``"lqr"``. Keys of the one that is chosen: ``{"alpha_h": {"amplitude": 0.3}}``. A
         name with keys: ``{"sine": {"alpha_h": {"amplitude": 0.3}}}``. An object, whole or for a
         part: ``MyController(gain=2.0)``, ``{"alpha_h": lambda t: 0.3 * np.sin(t)}``. For `model`
@@ -297,6 +298,7 @@ def run(
         effect=effect,
         fault=fault,
         supervisor=supervisor,
+        gap_watch=gap_watch,
         experiment=experiment,
         sim=sim,
         seed=seed,
@@ -352,7 +354,7 @@ def _with_experiment(
             "controller=…",
         )
     whole: Experiment = others[0]
-    parts = {
+    parts: dict[str, Any] = {
         "controller": whole.controller,
         "ref": whole.reference,
         "model": whole.model,
@@ -360,7 +362,11 @@ def _with_experiment(
         "observer": whole.observer,
         "supervisor": whole.supervisor,
     }
-    twice = [key for key in (*parts, "effect", "fault", "sim") if keywords[key] is not None]
+    gap_watch = getattr(whole, "gap_watch", None)
+    if gap_watch is not None:
+        parts["gap_watch"] = gap_watch
+    keys = (*parts, "gap_watch", "effect", "fault", "sim")
+    twice = [key for key in keys if keywords[key] is not None]
     if twice:
         raise ConfigurationError(
             f"{twice[0]} is given, and an experiment that has one",

@@ -18,6 +18,7 @@ SUMMARY = "a run or a sweep as it goes on, or a finished run replayed"
 
 HELP = """\
 usage: trms watch [LOG|FOLDER] [--speed N] [--from T] [--span T] [--once] [--plain]
+       trms watch --gap [LOG|FOLDER] [--json]
 
 Shows a run while it goes on: reference, angle and estimate of each axis, errors, commands and
 their limits, the solver's time against its deadline, what the supervisor says, and what happens.
@@ -30,6 +31,9 @@ It only reads the log. A run that has ended is shown once more, as fast as it wa
   --span T     seconds that the curves show (20)
   --once       print what there is now, and end
   --plain      without Unicode
+  --gap        compare the rig with the log's own model in place of the picture, as fast as it can
+               be read: what has changed, since when, by how much (docs/gap-watch.md)
+  --json       with --gap: what there was to say as JSON, once the log has ended
 
 keys
   q  quit      space  pause      left, right  5 s back, forward      home  to the beginning
@@ -45,6 +49,7 @@ examples
   trms watch outputs/2026-11-22/sweep          how far a sweep is, its best and its failed jobs
   trms watch outputs/…/run.mcap --speed 4      a finished run, four times as fast
   trms watch run.mcap --once --from 30         one picture, of 30 s
+  trms watch --gap run.mcap                    since when is the rig not what its model says?
 """
 
 
@@ -54,6 +59,8 @@ def main(argv: list[str]) -> int:
     from trms_cli.sweeps.outcome import SweepFollower
 
     what = _target(arguments.what)
+    if arguments.gap:
+        return _watch_gap(what, arguments)
     if what.is_dir():
         for option, value in (("--speed", arguments.speed), ("--from", arguments.begin)):
             if value is not None:
@@ -72,8 +79,14 @@ def _parse_arguments(argv: list[str]) -> Any:
     options.add_argument("--speed", type=float)
     options.add_argument("--from", type=float, dest="begin")
     options.add_argument("--span", type=float, default=20.0)
-    options.add_flags("--once", "--plain")
+    options.add_flags("--once", "--plain", "--gap", "--json")
     arguments = options.parse_args(argv)
+    if arguments.json and not arguments.gap:
+        raise ConfigurationError(
+            "only what --gap has to say is there as JSON",
+            where="--json",
+            remedy=f"{program()} watch --gap LOG --json; of a run: {program()} score LOG --json",
+        )
     for name, value, low in (("--speed", arguments.speed, 0.0), ("--span", arguments.span, 0.0)):
         if value is not None and not low < value < 1e6:
             raise ConfigurationError(f"{value:g} given", where=name, remedy="a number above 0")
@@ -140,6 +153,22 @@ def _watch_run(log: Path, arguments: Any) -> int:
     return (
         EXIT_OK if not live or run.state in ("completed", "running", "unfinished") else EXIT_WORSE
     )
+
+
+def _watch_gap(log: Path, arguments: Any) -> int:
+    from trms_cli.commands.watch.gap import show_gap
+    from trms_cli.library.tasks.gap_watch import GapReplay
+
+    if log.is_dir():
+        raise ConfigurationError(
+            "this is the folder of a sweep", where="--gap", remedy=f"name one of its runs: {log}/0"
+        )
+    replay = GapReplay(log)
+    try:
+        show_gap(replay, as_json=arguments.json, plain=_plain(arguments))
+    finally:
+        replay.close()
+    return EXIT_OK
 
 
 def _begin(run: RunFollower, log: Path, begin: float | None) -> None:
