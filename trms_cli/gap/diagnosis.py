@@ -137,13 +137,21 @@ class Rejected:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ControlCommand:
+    """A line that controls with the corrected model."""
+
+    command: str
+    why: str  #: which rig it drives
+
+
+@dataclass(frozen=True, kw_only=True)
 class Worth:
     """What the correction gains in the loop, simulated on the corrected model."""
 
     before: Mapping[str, float]  #: RMS tracking error by angle with the model as it was, rad
     after: Mapping[str, float]  #: the same with the corrected model in the controller
     controller: str  #: its name
-    command: str  #: that drives with the corrected model
+    command: str  #: of the loop with it: the corrected model is controller's and rig's
     words: str  #: in a sentence
 
 
@@ -272,6 +280,8 @@ class DiagnosisResult:
     #: Probability of each effect to be part of the answer, descending
     inclusion: Mapping[str, float] = field(default_factory=dict)
     worth: Worth | None = None  #: None where nothing is corrected
+    #: Where something is corrected: on the rig that was recorded, or a clone of the model
+    control: tuple[ControlCommand, ...] = ()
     moved: tuple[MovedParameter, ...] = ()  #: descending by probability
     rejected: tuple[Rejected, ...] = ()  #: every other suspect, the nearest first
     excitation: tuple[str, ...] = ()  #: what the recordings cannot tell, said first

@@ -220,15 +220,13 @@ def _facts(diagnosis: DiagnosisResult) -> dict[str, str]:
 
 def _next(diagnosis: DiagnosisResult, folder: Path | None) -> Iterator[report.NextCommand]:
     model = "" if folder is None else shlex.quote(str(folder / "corrected_model.yaml"))
-    worth, experiment = diagnosis.worth, diagnosis.next_experiment
-    if worth is not None:
+    experiment = diagnosis.next_experiment
+    if diagnosis.control:
+        for line in diagnosis.control:
+            yield report.NextCommand(line.command, line.why)
+    elif diagnosis.worth is not None:  # of a file without such lines
         yield report.NextCommand(
-            worth.command, "drive with the corrected model: the loop that is told"
-        )
-    elif model and diagnosis.verdict not in ("no_gap", "no_change"):
-        yield report.NextCommand(
-            f"{program()} run model={model} controller=newton_mpc",
-            "control with the corrected model; `model=` takes it anywhere",
+            diagnosis.worth.command, "the loop that is told, on a simulated clone of the model"
         )
     if experiment is not None:
         yield report.NextCommand(experiment.command, experiment.why)

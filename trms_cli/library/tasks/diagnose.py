@@ -27,7 +27,6 @@ from trms_cli.core.errors import (
 from trms_cli.core.findings import Chart, Findings, RigDiagram
 from trms_cli.core.invocation import command_line, program
 from trms_cli.core.plugins import TARGET, build, construct, nearest
-from trms_cli.core.trust import allowed_for_now
 from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
@@ -36,7 +35,9 @@ from trms_cli.gap.belief import simulated_part
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
+    ControlCommand,
     DiagnosisResult,
+    NextExperiment,
     Worth,
     compared_with_a_state,
     likeliest,
@@ -48,6 +49,12 @@ from trms_cli.identification.data import DataOptions, load_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.identification.problem import free_parameters
+from trms_cli.library.tasks.control_advice import (
+    CONTROLLER,
+    control_commands,
+    on_recorded_rig,
+    own_options,
+)
 from trms_cli.library.tasks.files import effect_arguments, names_of_files, origin_of, write_config
 from trms_cli.library.tasks.subject import model_of, several
 from trms_cli.library.tasks.task import Done, Interrupted, Listener
@@ -555,6 +562,12 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     if request.options.advises:
         worth = _worth(composition, request, diagnosis, files["model"])
         diagnosis = replace(diagnosis, worth=worth)
+    control = _control(composition, request, diagnosis, files["model"])
+    diagnosis = replace(
+        diagnosis,
+        control=tuple(control),
+        next_experiment=_on_the_rig(composition, request, diagnosis.next_experiment),
+    )
     write_document(document_of(diagnosis), files["figures"])
     result = findings(diagnosis, request.remarks, folder)
     if request.options.page:
@@ -583,39 +596,73 @@ def _without_drawings(result: Findings) -> Findings:
     return replace(result, sections=sections)
 
 
-#: What closes the loop in which a correction shows its worth.
-_CONTROLLER = "newton_mpc"
-
-
 def _worth(
     composition: Composition, request: DiagnosisRequest, diagnosis: DiagnosisResult, file: Path
 ) -> Worth | None:
     """What the corrected model gains in the loop; None where none is corrected, or it cannot be."""
     from trms_cli.composition.composer import compose
-    from trms_cli.gap.worth import DURATION, FREQUENCY, LARGEST, sine_within, worth_of
+    from trms_cli.gap.worth import DURATION, worth_of
     from trms_cli.library.tasks.experiment import experiment_of
 
     if applied_cause(diagnosis) is None and diagnosis.verdict != "parameters_only":
         return None
-    model = request.problem.model
-    reference = sine_within(request.problem.datasets, model.controlled)
-    if set(reference) != set(model.controlled):
+    reference = _reference(request)
+    if not reference:
         return None
-    words = [f"controller={_CONTROLLER}", "ref=sine", f"sim.duration={DURATION:g}"]
-    for axis, (amplitude, offset) in reference.items():
+    words = [f"controller={CONTROLLER}", *reference, f"sim.duration={DURATION:g}"]
+    overrides = [f"model={file}", *words]
+    command = shlex.join([*program().split(), "run", *overrides, *own_options(composition)])
+    try:
+        config = compose(overrides, config_dirs=composition.config_dirs).config
+        model = request.problem.model
+        return worth_of(experiment_of(config), model, controller=CONTROLLER, command=command)
+    except TrmsError:
+        return None  # a rig that the loop does not suit is diagnosed all the same
+
+
+def _reference(request: DiagnosisRequest) -> list[str]:
+    """Overrides of a sine within the recorded range; none where an angle was not recorded."""
+    from trms_cli.gap.worth import FREQUENCY, LARGEST, sine_within
+
+    model = request.problem.model
+    sines = sine_within(request.problem.datasets, model.controlled)
+    if set(sines) != set(model.controlled):
+        return []
+    words = ["ref=sine"]
+    for axis, (amplitude, offset) in sines.items():
         values = {"frequency": FREQUENCY, "amplitude": amplitude, "offset": offset}
         usual = {"amplitude": LARGEST[axis], "offset": 0.0}
         words += [f"ref.{axis}.{k}={v:g}" for k, v in values.items() if v != usual.get(k)]
-    # options of one's own, and their classes, are named again
-    mine = [f"--config-dir={folder}" for folder in composition.config_dirs]
-    mine += [f"--allow={package}" for package in sorted(allowed_for_now()) if mine]
-    command = shlex.join([*program().split(), "run", f"model={file}", *words, *mine])
-    try:
-        overrides = [f"model={file}", *words]
-        config = compose(overrides, config_dirs=composition.config_dirs).config
-        return worth_of(experiment_of(config), model, controller=_CONTROLLER, command=command)
-    except TrmsError:
-        return None  # a rig that the loop does not suit is diagnosed all the same
+    return words
+
+
+def _control(
+    composition: Composition, request: DiagnosisRequest, diagnosis: DiagnosisResult, file: Path
+) -> Iterator[ControlCommand]:
+    """What controls with the corrected model; nothing where none is corrected.
+
+    Where its worth was simulated, the same reference; on a rig that is known by its log alone.
+    """
+    if diagnosis.verdict in ("no_gap", "no_change"):
+        return
+    sources = [dataset.source for dataset in request.problem.datasets]
+    words = _reference(request) if diagnosis.worth is not None else []
+    for line in control_commands(
+        request.problem.model, file, sources, composition, kind="corrected", words=words
+    ):
+        yield ControlCommand(command=line.text, why=line.why)
+
+
+def _on_the_rig(
+    composition: Composition, request: DiagnosisRequest, experiment: NextExperiment | None
+) -> NextExperiment | None:
+    """An experiment, on the rig that was recorded where its log knows it."""
+    if experiment is None:
+        return None
+    problem = request.problem
+    sources = [dataset.source for dataset in problem.datasets]
+    command = on_recorded_rig(experiment.command, problem.model, sources, composition)
+    return replace(experiment, command=command)
 
 
 def _words(composition: Composition, request: DiagnosisRequest) -> str:

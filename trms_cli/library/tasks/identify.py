@@ -36,6 +36,7 @@ from trms_cli.identification.problem import (
     free_parameters,
 )
 from trms_cli.library.tasks import files
+from trms_cli.library.tasks.control_advice import control_commands
 from trms_cli.library.tasks.subject import driven_model, driven_recordings, model_of, several
 from trms_cli.library.tasks.task import Done, Listener
 from trms_cli.models.model import Model, names
@@ -417,7 +418,13 @@ def _next(
     model = shlex.quote(str(folder / MODEL_NAME))
     commands = [
         NextCommand(f"{program()} validate model={model} {_judging(composition, request)}"),
-        NextCommand(f"{program()} run model={model}"),
+        *control_commands(
+            request.model,
+            folder / MODEL_NAME,
+            [recording.source for recording in request.recordings],
+            composition,
+            kind="fitted",
+        ),
     ]
     if document["outcome"] in ("interrupted", "budget_spent") and (folder / STATE_NAME).is_file():
         line = f"{program()} identify resume={shlex.quote(str(folder))}"

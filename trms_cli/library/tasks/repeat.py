@@ -71,6 +71,8 @@ class LoggedLoop:
     path: Path
     choices: Mapping[str, Any]  #: The option in each group
     inputs: tuple[str, ...]  #: Of the rig, by name
+    typed: tuple[str, ...]  #: Overrides, but for its folder
+    seed: int
 
 
 def loop_of(path: Path, primary: str = "run") -> LoggedLoop | None:
@@ -88,7 +90,8 @@ def loop_of(path: Path, primary: str = "run") -> LoggedLoop | None:
         inputs = tuple(then.run.table("/command").columns)
     except TrmsError:
         return None
-    return LoggedLoop(path, then.composition.choices, inputs)
+    seed = then.composition.config["seed"]
+    return LoggedLoop(path, then.composition.choices, inputs, then.typed, seed)
 
 
 @dataclass(frozen=True)
