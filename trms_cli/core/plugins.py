@@ -72,13 +72,33 @@ def locate(target: str, where: str) -> Any:
     Raises ConfigurationError if it is not ours and of no package that is allowed; if no such module
     or attribute exists; if it is not defined in that package.
     """
-    module_name, _, attribute = target.rpartition(".")
     key = f"{where}.{TARGET}" if where else TARGET
+    return _locate(target, key, "Class", inspect.isclass)
+
+
+def locate_function(name: str, where: str) -> Callable[..., Any]:
+    """Import the function that a dotted name points to, of a package that the user allowed.
+
+    Raises ConfigurationError as :func:`locate` does, and for what is no function, or one of ours.
+    """
+    function = _locate(name, where, "function", inspect.isfunction)
+    if not inspect.isfunction(function) or name.partition(".")[0] == "trms_cli":
+        raise ConfigurationError(
+            f"{name!r} is no function of yours",
+            where=where,
+            remedy="name a function of a package of yours: package.module.function",
+        )
+    return function
+
+
+def _locate(target: str, key: str, noun: str, is_one: Callable[[Any], bool]) -> Any:
+    """What a dotted name points to; a ``noun``, by which ``is_one`` knows what may be meant."""
+    module_name, _, attribute = target.rpartition(".")
     if not all(part.isidentifier() for part in target.split(".")) or not module_name:
         raise ConfigurationError(
             f"{target!r} is not a dotted name",
             where=key,
-            remedy="write it as package.module.Class",
+            remedy=f"write it as package.module.{noun}",
         )
     trust.check_allowed(target, key)
     try:
@@ -92,7 +112,7 @@ def locate(target: str, where: str) -> Any:
         raise ConfigurationError(
             f"module {module_name!r} has no {attribute!r}",
             where=key,
-            remedy=nearest(attribute, [n for n in public if inspect.isclass(vars(module)[n])]),
+            remedy=nearest(attribute, [n for n in public if is_one(vars(module)[n])]),
         )
     plugin = getattr(module, attribute)
     trust.check_own(plugin, target, key)
@@ -436,10 +456,17 @@ def _at_work(error: Exception, parts: Mapping[str, Any]) -> str | None:
     while trace is not None:
         acting = trace.tb_frame.f_locals.get("self")
         for key, part in parts.items():
-            if acting is part:
+            if acting is part or (key == "plant" and _is_run_of_a_plant(acting)):
                 return key
         trace = trace.tb_next
     return None
+
+
+def _is_run_of_a_plant(acting: Any) -> bool:
+    """Whether it is the run that a user's own plant made; ours tell of themselves."""
+    kind = type(acting)
+    is_ours = kind.__module__.partition(".")[0] == "trms_cli"
+    return not is_ours and all(callable(getattr(kind, m, None)) for m in ("measure", "advance"))
 
 
 def _words(error: Exception, key: str, part: Any, time: float) -> SimulationError:

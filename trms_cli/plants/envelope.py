@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 
@@ -127,8 +127,22 @@ class EnvelopeWatch:
         self.landing_reason = ""  #: Why the rig has to land; empty while it need not
 
     def screen(self, y: FloatArray, tell: Tell) -> FloatArray:
-        """The reading (n_y,) without what no rig can give, which is NaN like a lost sample."""
-        values = y.tolist()
+        """The reading (n_y,) without what no rig can give, which is NaN like a lost sample.
+
+        Raises SimulationError for what is no reading: a mistake in a plant's code.
+        """
+        try:
+            values = y.tolist()
+            count = len(values)
+        except (AttributeError, TypeError):
+            count = -1
+        if count != len(self._outputs):
+            raise SimulationError(
+                f"the plant's measure() returned {y!r:.60}",
+                where="plant",
+                remedy=f"a float array of shape ({len(self._outputs)},) at every sample: "
+                f"{', '.join(self._outputs)}",
+            )
         if all(map(_is_possible, values, self._possible)):
             if any(self._impossible):
                 self._end_impossible(values, tell)

@@ -7,7 +7,7 @@ calls; a simulated one needs none of them.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.models.model import Signal
 from trms_cli.plants.landing import LandingRamp
 from trms_cli.simulation.pace import Pace
 
@@ -31,6 +32,7 @@ _NEEDED = (
     "measure",
     "advance",
 )
+_PAGE = "docs/writing-a-plugin.md, A plant"
 #: Takes the command (n_u,) and the reading (n_y,) of a sample outside the run itself.
 Sample = Callable[[FloatArray, FloatArray], None]
 #: Takes what is about to happen; whether a person agrees.
@@ -46,12 +48,62 @@ def check_run(run: Any) -> None:
 
     Raises ConfigurationError with the file and line of its class.
     """
+    kind = type(run)
+    if run is None or isinstance(run, type):
+        raise ConfigurationError(
+            f"the plant's init() returned {_short(run)}, which is no run of it",
+            where="plant",
+            remedy=f"an object with {', '.join(_NEEDED)} ({_PAGE})",
+        )
     missing = [name for name in _NEEDED if not hasattr(run, name)]
     if missing:
+        # a property that is there and has no value: what it says of itself is nearer to the mistake
+        own = next((name for name in missing if hasattr(kind, name)), None)
         raise ConfigurationError(
-            f"the plant's run {type(run).__qualname__} has no {', '.join(missing)}",
-            where=_place(type(run)),
-            remedy=f"a run of a plant has {', '.join(_NEEDED)} (docs/writing-a-plugin.md, A plant)",
+            f"the plant's run {kind.__qualname__} has no {', '.join(missing)}"
+            + (f" ({_reason(run, own)})" if own else ""),
+            where=_place(kind),
+            remedy=f"a run of a plant has {', '.join(_NEEDED)} ({_PAGE})",
+        )
+    for problem, remedy in _wrong_values(run):
+        raise ConfigurationError(
+            f"{problem} (the plant's run {kind.__qualname__})", where=_place(kind), remedy=remedy
+        )
+
+
+def _wrong_values(run: Any) -> Iterator[tuple[str, str]]:
+    """What is wrong with a run's attributes, and what each has to be."""
+    for name in ("inputs", "outputs", "states"):
+        signals = getattr(run, name)
+        if not isinstance(signals, tuple) or not all(isinstance(s, Signal) for s in signals):
+            yield (
+                f"{name} is {_short(signals)}",
+                "a tuple of trms_cli.models.model.Signal: "
+                f"{name} = (Signal('alpha_v', 'rad', 'pitch angle'),)",
+            )
+    inputs = ", ".join(signal.name for signal in run.inputs)
+    n_u, n_x, limits = len(run.inputs), len(run.states), run.input_limits
+    if not (isinstance(limits, tuple) and [_is_array(x, (n_u,)) for x in limits] == [True, True]):
+        yield (
+            f"input_limits is {_short(limits)}",
+            f"two float arrays of shape ({n_u},), lower and upper, V: each a number for {inputs}",
+        )
+    if not _is_array(run.first_command, (n_u,)):
+        yield (
+            f"first_command is {_short(run.first_command)}",
+            f"a float array of shape ({n_u},), V: a number for {inputs}",
+        )
+    if not _is_array(run.state, (n_x,)):
+        yield (
+            f"state is {_short(run.state)}",
+            f"a float array of shape ({n_x},), the order of states; where nobody knows the true "
+            "state: states = (), state = np.zeros(0)",
+        )
+    without_noise = [signal.name for signal in run.outputs if signal.name not in run.noise_sd]
+    if without_noise:
+        yield (
+            f"noise_sd has no {', '.join(without_noise)}",
+            "a standard deviation above 0 for each channel of outputs, in its unit",
         )
 
 
@@ -61,17 +113,16 @@ def check_reading(run: Any, reading: Any) -> FloatArray:
     Raises ConfigurationError with the file and line of its ``measure`` for what is none.
     """
     channels = [signal.name for signal in run.outputs]
-    try:
-        y = np.asarray(reading, dtype=float)
-    except (TypeError, ValueError):
-        y = np.empty(0)
-    if reading is None or y.shape != (len(channels),):
+    if not _is_array(reading, (len(channels),)):
+        is_array = isinstance(reading, np.ndarray)
+        form = f" (shape {reading.shape}, {reading.dtype})" if is_array else ""
         raise ConfigurationError(
-            f"the plant's measure() returned {_short(reading)}",
+            f"the plant's measure() returned {_short(reading)}{form}",
             where=_place(type(run).measure),
-            remedy=f"an array of {len(channels)} numbers, in this order: {', '.join(channels)}; "
-            "NaN where there is no sample",
+            remedy=f"a float array of shape ({len(channels)},), in this order: "
+            f"{', '.join(channels)}; NaN where there is no sample",
         )
+    y: FloatArray = reading
     return y
 
 
@@ -155,7 +206,7 @@ class RigLife:
         if self._pace is not None:
             self._pace.step()
         try:
-            y = self._run.measure()
+            y = check_reading(self._run, self._run.measure())
         except Exception:
             y = np.full(len(self._run.outputs), np.nan)
         self._run.advance(u.copy())
@@ -174,6 +225,19 @@ def _place(what: Any) -> str:
         return f"{inspect.getsourcefile(what)}:{line}"
     except (OSError, TypeError):
         return f"{getattr(what, '__module__', '')}.{getattr(what, '__qualname__', what)}"
+
+
+def _is_array(value: Any, shape: tuple[int, ...]) -> bool:
+    return isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f"
+
+
+def _reason(run: Any, name: str) -> str:
+    """What a property says that has no value."""
+    try:
+        getattr(run, name)
+    except AttributeError as error:
+        return f"{name}: {error}"
+    return name
 
 
 def _short(value: Any) -> str:
