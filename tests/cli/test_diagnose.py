@@ -121,6 +121,9 @@ class TestDiagnosis:
         # what drives with the corrected model stands in the file as it is typed
         assert "model=d/corrected_model.yaml" in document["worth"]["command"]
         assert set(document["worth"]["after"]) == {"alpha_v", "alpha_h"}
+        clone, real = document["control"]  # of a CSV: only a plant option knows its rig
+        assert "clone" in clone["why"] and clone["command"] in done.stdout
+        assert "plant=NAME" in real["command"] and "model=d/corrected_model.yaml" in real["command"]
         for name in ("diagnosis.json", "corrected_model.yaml", "report.html"):
             assert (lab / "d" / name).is_file() and f"d/{name}" in done.stdout
         assert "refit" in (lab / "d" / "log.txt").read_text(encoding="utf-8")
@@ -459,7 +462,7 @@ class TestWhole:
         trms("diagnose", "resume=parted")
         whole, parted = (read(lab / f / "diagnosis.json") for f in ("whole", "parted"))
         for document in (whole, parted):
-            del document["seconds"]
+            del document["seconds"], document["control"]  # which names the folder
         assert parted == whole
 
     def test_a_quick_one_leaves_out_what_takes_long(self, done, lab):

@@ -54,7 +54,9 @@ class TestControllers:
         assert trms("run", "--from", "pid", "picture=false", "out=again").stderr == ""
 
     def test_commands_of_a_file(self, trms, tmp_path):
-        (tmp_path / "commands.csv").write_text("t[s],u_v[V],u_h[V]\n0,0.1,0\n1,0.2,0.1\n", encoding="utf-8")
+        (tmp_path / "commands.csv").write_text(
+            "t[s],u_v[V],u_h[V]\n0,0.1,0\n1,0.2,0.1\n", encoding="utf-8"
+        )
         played = ("controller=played", "controller.u_v.file=commands.csv")
         trms("run", *played, *QUICK, "out=rig")
         done = trms("run", "--from", "rig", "controller=pid", "picture=false", "out=pid")

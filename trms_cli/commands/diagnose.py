@@ -34,7 +34,7 @@ examples
   trms diagnose real=rig.csv 'data.channels=[alpha_v,alpha_h]' two angles alone
   trms diagnose resume=outputs/…-diagnose                      a stopped diagnosis goes on
   trms validate model=DIR/corrected_model.yaml real=other.csv  on a recording it has not seen
-  trms run model=DIR/corrected_model.yaml                      control with the corrected model
+  trms run --from LOG controller=newton_mpc model=DIR/corrected_model.yaml   control the same rig
 
 options
 """ + help_of_options("diagnosis")

@@ -35,6 +35,7 @@ examples
   trms run controller=pid --cfg job                         every key with its value, no run
   trms run --from outputs/…/run.mcap                        that run again, bit for bit
   trms run --from outputs/…/run.mcap controller=lqr         the same, but for the controller
+  trms run --from rig/run.mcap controller=newton_mpc model=fit/model.yaml   that rig, another belief
   trms run --config-dir mylab/configs --allow my_lab controller=mine   a plugin of your own
   trms run plant=replay plant.file=rig.csv model=tras       an observer over a recording
 
@@ -46,7 +47,8 @@ keys that are changed most
   effect.NAME.SIZE (the unit: `trms list effect NAME`)
 
 options
-  --from LOG         repeat the run of a log (or of a run's folder); what follows changes it
+  --from LOG         repeat the run of a log (or of a run's folder); what follows changes it, and
+                     model= only what is believed: the rig stays the log's
 """ + help_of_options("run")
 
 
