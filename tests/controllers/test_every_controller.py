@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trms_cli.cli import main
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
-from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.compilation import BufferedFunction, compiler
+from trms_cli.core.trust import allow_export
 from trms_cli.library.tasks.experiment import experiment_of
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
@@ -41,6 +43,14 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: Any) -> tuple[Control
         rows = "0.0,1.0,0.5\n0.5,2.0,-0.5\n10.0,0.0,0.0\n"
         path.write_text("t[s],u_v[V],u_h[V]\n" + rows, encoding="utf-8")
         overrides.append(f"controller.u_v.file={path}")
+    if request.param == "exported":
+        if compiler() is None:
+            pytest.skip("needs a C compiler")
+        path = tmp_path_factory.mktemp("exported") / "c"
+        words = ("controller.prediction_horizon=8", "measure=false", f"out={path}")
+        assert main(["export-controller", "newton_mpc", *words]) == 0
+        allow_export(path)
+        overrides.append(f"controller.folder={path}")
     experiment = experiment_of(compose(overrides).config)
     return experiment.controller, experiment.model
 

@@ -115,6 +115,12 @@ class Export:
             "model": self.setup.model.name,
             "control_period_s": self.source.period,
             "sizes": self.source.sizes,
+            "signals": {
+                "states": self.setup.model.state_names,
+                "disturbances": names(self.setup.model.disturbances),
+                "inputs": names(self.setup.model.inputs),
+                "controlled": self.setup.model.controlled,
+            },
             "observer": None
             if self.observer is None
             else {"channels": self.observer.channels, "sample_time_s": self.observer.period},

@@ -12,6 +12,9 @@ a name is only followed into
   configuration folder, which ``trms allow`` writes: each with the folder that it lies in, or as an
   installed one.
 
+C source runs as well where an exported controller drives a rig. Its folder stands in no file: only
+the command that names it on its own line allows it, for its process.
+
 Folders of configuration are never put on Python's module search path: a file ``numpy.py`` in one of
 them is not imported by anybody. A package that was allowed is found in them by its name alone.
 """
@@ -22,6 +25,7 @@ import inspect
 import json
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -99,6 +103,30 @@ def write_allowed(packages: Mapping[str, Path | None]) -> None:
     places = {name: None if at is None else str(at) for name, at in sorted(packages.items())}
     text = json.dumps({"schema": SCHEMA, "packages": places}, indent=2, ensure_ascii=False)
     replace_whole(file, f"{text}\n".encode())
+
+
+#: Folders of exported controllers that this process may compile and run.
+_exports: set[Path] = set()
+
+
+def allow_export(folder: Path) -> None:
+    """Let this process compile and run the exported controller in a folder."""
+    _exports.add(folder.resolve())
+
+
+def check_export(folder: Path, where: str) -> None:
+    """Refuse C source that whoever typed the command did not name.
+
+    Raises ConfigurationError with the line that runs it.
+    """
+    if folder.resolve() not in _exports:
+        raise ConfigurationError(
+            f"the controller in {str(folder)!r} is C source, which this call does not allow to run",
+            where=where,
+            remedy="if you know whose it is and trust it, drive with it:\n"
+            f"  trms rig drive --exported {shlex.quote(str(folder))}\n"
+            "another law: controller=newton_mpc observer=ukf",
+        )
 
 
 def check_name(package: str) -> None:
