@@ -31,7 +31,7 @@ from trms_cli.plants.landing import landing_of
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
 from trms_cli.simulation.history import History, Writer
-from trms_cli.simulation.pace import Clock, LatePolicy, Pace, undisturbed
+from trms_cli.simulation.pace import Clock, LatePolicy, Pace, WallClock, undisturbed
 from trms_cli.simulation.rig_life import Confirm, RigLanded, RigLife, check_reading, check_run
 from trms_cli.simulation.stop import StopRequest
 from trms_cli.simulation.supervisor import (
@@ -256,7 +256,7 @@ class Loop:
         """
         stop = stop or StopRequest()
         with ExitStack() as machine:
-            if self.pace is not None:
+            if self.pace is not None and isinstance(self.pace.clock, WallClock):
                 for words in machine.enter_context(undisturbed()):
                     self._tell("note", "machine", words)
             try:

@@ -195,7 +195,9 @@ class RigLife:
             self._call("close", reason)
 
     def _ramp(self, u: FloatArray, goal: FloatArray) -> Sequence[FloatArray]:
-        commands = []
+        commands: list[FloatArray] = []
+        if not np.all(np.isfinite(u)):
+            return commands  # from nowhere leads no ramp
         while not np.array_equal(u, goal):
             u = self._landing.toward(goal, u)
             commands.append(u)

@@ -56,12 +56,11 @@ class Wire:
             arrival = now + n.latency + (n.jitter * draw() if n.jitter else 0.0)
             heapq.heappush(self._queue, (arrival, next(self._count), data))
 
-    def due(self, now: float) -> list[bytes]:
-        """The frames that have arrived by a time (s), in the order of their arrival."""
-        frames = []
-        while self._queue and self._queue[0][0] <= now:
-            frames.append(heapq.heappop(self._queue)[2])
-        return frames
+    def take(self, now: float) -> bytes | None:
+        """The next frame that has arrived by a time (s), in the order of arrival."""
+        if self._queue and self._queue[0][0] <= now:
+            return heapq.heappop(self._queue)[2]
+        return None
 
     @property
     def next_arrival(self) -> float:

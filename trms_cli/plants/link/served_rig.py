@@ -52,7 +52,7 @@ class ServedRig:
         self.time = 0.0  #: s, up to which the rig has moved
         self.status = State(0)
         self._session: int | None = None
-        self._sequence = 0  # of the last command that was applied
+        self.sequence = 0  #: Of the last command that was applied
         self._command_time = 0.0
         self.commands = 0  #: Commands that were applied
         self.refused = 0  #: Frames that were none, of another session, old, or not to be obeyed
@@ -60,6 +60,11 @@ class ServedRig:
         self._order = [names(run.outputs).index(name) for name in order]
         self._low, self._high = run.input_limits
         self._steps = 0
+
+    def begin_at(self, time: float) -> None:
+        """Go on with a rig that has moved up to a time (s), as after a restart of its computer."""
+        self._steps = round(time / self._step_time)
+        self.time = self._steps * self._step_time
 
     def advance_to(self, now: float) -> None:
         """Let the rig move up to a time (s); the watchdog acts when it is due."""
@@ -116,7 +121,7 @@ class ServedRig:
             self.refused += 1  # somebody drives the rig
             return None
         if frame.session != self._session:
-            self._session, self._sequence = frame.session, frame.sequence
+            self._session, self.sequence = frame.session, frame.sequence
             self._say(now, f"connected (session {frame.session:08x})")
         if len(frame.numbers) > 1 and 0.0 < frame.numbers[1] <= self._longest_watchdog:
             self.watchdog = frame.numbers[1]
@@ -126,13 +131,13 @@ class ServedRig:
     def _obey(self, frame: Frame, now: float) -> None:
         if (
             not self.status & State.ARMED
-            or not is_newer(frame.sequence, self._sequence)
+            or not is_newer(frame.sequence, self.sequence)
             or len(frame.numbers) < len(self.safe)
             or not all_finite(frame.numbers)
         ):
             self.refused += 1
             return
-        self._sequence, self._command_time = frame.sequence, now
+        self.sequence, self._command_time = frame.sequence, now
         self.command = np.clip(frame.numbers[: len(self.safe)], self._low, self._high)
         self.commands += 1
 
@@ -142,7 +147,7 @@ class ServedRig:
             frame.sequence,
             frame.session,
             int(self.time * 1e6),
-            self._sequence,
+            self.sequence,
             int(self.status),
             numbers,
         ).encode()

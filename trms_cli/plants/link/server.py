@@ -134,9 +134,9 @@ class RigServer:
             if data is not None:
                 self._there.put(data, now)
             rig.advance_to(now)
-            for frame in self._there.due(now):
+            while (frame := self._there.take(now)) is not None:
                 reply = rig.answer(frame, now)
                 if reply is not None:
                     self._back.put(reply, now)
-            for frame in self._back.due(now):
+            while (frame := self._back.take(now)) is not None:
                 self._listener.send(frame)
