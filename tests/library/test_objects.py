@@ -1,6 +1,7 @@
 """Parts may be objects; the log says what they were, and does not pretend to hold them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -53,6 +54,23 @@ def test_a_model_is_also_the_rigs_unless_that_is_chosen(here):
     assert parameters.count("k_g:\n    value: 0.1\n") == 2
     own = run("model@plant.model=newtonian_full", model=model, controller="lqr", **SHORT)
     assert len(own["/plant/state"].columns) == 8 and len(both["/plant/state"].columns) == 6
+
+
+def test_again_with_another_model_keeps_the_rig(here):
+    def gains(made) -> list[str]:
+        return re.findall(
+            r"k_g:\n    value: (.*)\n", made.logged.attachments["parameters.yaml"].decode()
+        )
+
+    light, heavy = (build("model", "newtonian", parameters={"k_g": k}) for k in (0.1, 0.3))
+    first = run(model=light, controller="lqr", **SHORT)
+    assert gains(first.again(model=heavy, out="objects")) == ["0.3", "0.1"]  # the model, the rig
+    assert gains(first.again(model="newtonian", out="name"))[1] == "0.1"
+    named = run("model.parameters.k_g=0.2", controller=Steady(), **SHORT)
+    assert gains(named.again(model=heavy, out="own")) == ["0.3", "0.2"]
+    plain = run("model.parameters.k_g=0.2", controller="lqr", **SHORT)
+    assert gains(load(plain.folder).again(model=heavy, out="loaded")) == ["0.3", "0.2"]
+    assert gains(plain.again(model="lagrangian", out="another"))[1] == "0.2"
 
 
 def test_effects_and_references_of_ones_own(here):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -145,7 +146,7 @@ class Run(Result):
         if self.arguments is not None and (self.arguments.objects or more.objects):
             mine = tuple(word for word in self.arguments.words if not word.startswith("out="))
             before = Arguments(mine, self.arguments.objects, self.arguments.config_dirs)
-            return run_as(before.with_more(more), verbose)
+            return run_as(_with_its_rig(before, more).with_more(more), verbose)
         return _repeated(self, more, verbose)
 
     @property
@@ -316,8 +317,34 @@ def run_as(arguments: Arguments, verbose: bool) -> Run:
     return _run_of(call_command("run", arguments, perform, verbose=verbose), arguments)
 
 
+#: Typed in the place of a model that is an object, to see what stays of a run under another model.
+_OBJECT = ["model=newtonian"]
+
+
 def _run_of(result: Done, arguments: Arguments | None = None) -> Run:
     return Run(result.folder, result.folder / "run.mcap", text=result.text, arguments=arguments)
+
+
+def _with_its_rig(before: Arguments, more: Arguments) -> Arguments:
+    """The arguments of a run with its rig chosen, where `more` gives another model.
+
+    As of ``trms run --from LOG`` (:mod:`trms_cli.composition.on_top`), for a run with objects.
+    """
+    from trms_cli.composition.composer import compose
+    from trms_cli.composition.on_top import RIG, RIG_CHOICE, on_top
+
+    places = {word.lstrip("+").partition("=")[0] for word in (*before.words, *more.words)}
+    given = {*before.objects, *more.objects}
+    if RIG_CHOICE in places or {"plant", RIG} & given:
+        return before
+    typed = [*more.words, *_OBJECT[: "model" in more.objects]]
+    if "model" in before.objects:
+        if not any(re.match(r"model\b", word) for word in typed):
+            return before
+        return replace(before, objects={**before.objects, RIG: before.objects["model"]})
+    earlier = compose(before.argv, "run")
+    rig = on_top(earlier, before.words, typed, "run", played=False).rig
+    return replace(before, words=(*before.words, *rig))
 
 
 def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
@@ -328,7 +355,9 @@ def _repeated(run: Run, more: Arguments, verbose: bool) -> Run:
     from trms_cli.library.tasks.run import perform
 
     def again(listener: Listener) -> Done:
-        request = repetition(run.log, more.argv, "run")
+        request = repetition(run.log, [*more.argv, *_OBJECT[: "model" in more.objects]], "run")
+        if isinstance(request, list) and "model" in more.objects:
+            del request[-1]
         composition = request if isinstance(request, Composition) else compose(request, "run")
         return perform(with_objects(composition, more.objects), listener)
 
