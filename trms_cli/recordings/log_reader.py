@@ -157,7 +157,8 @@ class LoggedRun:
 
     path: Path  #: The file
     complete: bool  #: The file was finished and is undamaged. False for a run that died.
-    outcome: str  #: "completed", "interrupted" or "failed"; "died" when the run left no last word
+    #: "completed", "interrupted", "landed" or "failed"; "died" when the run left no last word
+    outcome: str
     tables: dict[str, TopicTable]  #: By topic
     run: dict[str, str]  #: The last ``trms.run`` record
     #: dict of str to anything; the last ``trms.score`` record; empty when the run was not scored
@@ -172,11 +173,12 @@ class LoggedRun:
 
     @property
     def duration_s(self) -> float:
-        """From the first sample to the end of the last one's interval, of any topic but /event [s].
+        """From the first sample to the end of the last one's interval, without the landing [s].
 
         The interval is that of the topic sampled most often: 0, 0.02, …, 79.98 s are 80 s.
         """
-        tables = [t for name, t in self.tables.items() if name != "/event" and len(t)]
+        aside = ("/event", "/landing")
+        tables = [t for name, t in self.tables.items() if name not in aside and len(t)]
         if not tables:
             return 0.0
         start = min(int(t.time_ns[0]) for t in tables)

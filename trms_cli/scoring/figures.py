@@ -20,7 +20,7 @@ from trms_cli.core import wording
 #: Part of the score that a figure stands in; ``states`` are the two tables of ``estimate``, with a
 #: figure a state, and ``run`` what is told of a run as a whole.
 Group = Literal[
-    "channels", "inputs", "states", "constraint_violations", "estimate", "solver", "run"
+    "channels", "inputs", "states", "constraint_violations", "estimate", "solver", "timing", "run"
 ]
 
 
@@ -161,6 +161,18 @@ FIGURES: list[Figure] = [
            about="samples on which the solver failed or a fall-back acted"),
     Figure("solver", "objective_total", "objective, summed", better="", column="objective",
            about="of the solver, summed", short=False),
+    Figure("timing", "late_share", "samples late by over 1 ms", "", column="late",
+           about="share of the samples of a real rig that began over 1 ms late"),
+    Figure("timing", "lateness_ms.p99", "lateness, p99", "ms", column="lateness_p99",
+           about="of the samples of a real rig"),
+    Figure("timing", "lateness_ms.max", "lateness, worst", "ms", column="lateness_max",
+           about="of the samples of a real rig"),
+    Figure("timing", "command_ms.median", "command after the reading, median", "ms",
+           column="command_median", about="from a reading of a real rig to its command"),
+    Figure("timing", "command_ms.p99", "command after the reading, p99", "ms",
+           column="command_p99", about="from a reading of a real rig to its command"),
+    Figure("timing", "skipped", "samples left out", whole=True,
+           about="samples of a real rig that were left out"),
     Figure("constraint_violations", "samples", "samples outside", "", _moves(0.0, 0.0),
            whole=True),
     Figure("constraint_violations", "worst", "worst excess", "{}", _moves(1e-4, 0.0)),
@@ -170,6 +182,9 @@ FIGURES: list[Figure] = [
            about="time in which the loop was not normal"),
     Figure("run", "landings", "landings", whole=True, about="how often the rig was landed",
            of=lambda score: finite(part(score, "degraded").get("landings"))),
+    Figure("run", "gap_alarms", "gap alarms", whole=True,
+           about="how often the gap watch said that rig and model differ",
+           of=lambda score: finite(score.get("gap_alarms"))),
     Figure("estimate", "nees_mean", "NEES", better="", column="nees",
            about="estimate's squared error over its covariance, mean"),
     Figure("estimate", "nees_expected", "NEES expected", better="", about="of a consistent filter",

@@ -81,7 +81,13 @@ def _present_entries(
 
 def tables_of(score: Mapping[str, Any]) -> list[Table]:
     """Tracking, inputs, estimate, solver and exceeded limits."""
-    tables = *_by_names(score), _estimate(score), _solver(score), _exceeded(score)
+    tables = (
+        *_by_names(score),
+        _estimate(score),
+        _solver(score),
+        _timing(score),
+        _exceeded(score),
+    )
     return [table for table in tables if table.rows]
 
 
@@ -115,7 +121,27 @@ def in_short(score: Mapping[str, Any]) -> dict[str, str]:
     if times:
         troubles = wording.listing(trouble_of(score, marks=False)) or "nothing missed"
         lines["solver"] = f"{', '.join(times)} a step; {troubles}"
+    if words := timing_in_words(score):
+        lines["timing"] = words
     return lines
+
+
+def timing_in_words(score: Mapping[str, Any]) -> str:
+    """How punctual a real rig's samples were; empty for a run that waited for no clock."""
+    timing = part(score, "timing")
+    late = finite(timing.get("late_share"))
+    if late is None:
+        return ""
+    worst = wording.quantity(finite(part(timing, "lateness_ms").get("max")), "ms")
+    after = [
+        f"{wording.quantity(finite(part(timing, 'command_ms').get(key)), 'ms')} {key}"
+        for key in ("median", "p99")
+    ]
+    words = f"{wording.percent(late, 1)} of the samples over 1 ms late, worst {worst}"
+    words += f"; commands {', '.join(after)} after the reading"
+    if skipped := finite(timing.get("skipped")):
+        words += f"; {wording.count(int(skipped), 'sample')} left out"
+    return words
 
 
 def consistency(estimate: Mapping[str, Any]) -> str:
@@ -311,6 +337,17 @@ def _solver(score: Mapping[str, Any]) -> Table:
     ]
     timed = finite(part(solver, "time_ms").get("median")) is not None
     return Table(["solver", "value"], rows if timed else [])
+
+
+def _timing(score: Mapping[str, Any]) -> Table:
+    """A row a figure: how punctual the samples of a real rig were."""
+    timing = part(score, "timing")
+    rows: list[list[Cell]] = [
+        [wording.with_unit(figure.label, figure.unit), Datum(value)]
+        for figure in figures.of_group("timing")
+        if (value := figure.value(timing)) is not None
+    ]
+    return Table(["time of the samples", "value"], rows)
 
 
 def _exceeded(score: Mapping[str, Any]) -> Table:

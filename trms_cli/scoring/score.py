@@ -91,6 +91,10 @@ def score_tables(
         "constraint_violations": _violations(tables, limits),
         "degraded": degraded_figures(tables.get("/controller")),
     }
+    if alarms := _count_events(tables.get("/event"), "gap_alarm"):
+        document["gap_alarms"] = alarms
+    if (timing := timing_figures(tables.get("/timing"))) is not None:
+        document["timing"] = timing
     return json_data(document)
 
 
@@ -260,6 +264,56 @@ def degraded_figures(words: Columns | None) -> dict[str, Any] | None:
         "first_s": float(time[strange[0]]) if strange.size else None,
         "landings": int(np.count_nonzero(landing[1:] & ~landing[:-1]) + bool(landing[0])),
     }
+
+
+def _count_events(events: Columns | None, kind: str) -> int:
+    """How many events of a kind there are."""
+    if events is None or len(events.time) == 0:
+        return 0
+    return int(np.count_nonzero(np.asarray(events.columns["kind"], dtype=object) == kind))
+
+
+#: ms, that a sample may be late and still be in time.
+_IN_TIME = 1.0
+#: ms, edges of the histogram of lateness.
+_LATENESS_EDGES = (0.0, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+def timing_figures(timing: Columns | None) -> dict[str, Any] | None:
+    """How punctual the samples of a real rig were; None for a run that did not wait for a clock.
+
+    ``timing``: a row a sample. Gives ``samples``, ``skipped``; ``late_share``, of those over 1 ms
+    late; ``lateness_ms`` and ``command_ms`` (from the reading to the command) with median, p99 and
+    max; ``histogram`` of the lateness: ``edges_ms`` and ``counts`` between them, the last one of
+    all that is beyond.
+    """
+    if timing is None or len(timing.time) == 0:
+        return None
+    lateness, command = (1e3 * floats(timing, name) for name in ("lateness_s", "command_s"))
+    due = floats(timing, "due_s")
+    period = float(np.median(np.diff(due))) if due.size > 1 else math.inf
+    expected = round((due[-1] - due[0]) / period) + 1 if due.size > 1 else due.size
+    edges = np.array([*_LATENESS_EDGES, np.inf])
+    return {
+        "samples": int(due.size),
+        "skipped": int(expected - due.size),
+        "late_share": float(np.mean(lateness > _IN_TIME)),
+        "lateness_ms": _spread(lateness),
+        "command_ms": _spread(command),
+        "histogram": {
+            "edges_ms": list(_LATENESS_EDGES),
+            "counts": np.histogram(np.maximum(lateness, 0.0), edges)[0].tolist(),
+        },
+    }
+
+
+def _spread(values: Array) -> dict[str, float]:
+    """Median, 99th percentile and maximum of (n,) values."""
+    present = values[~np.isnan(values)]
+    if not present.size:
+        return {"median": math.nan, "p99": math.nan, "max": math.nan}
+    median, p99, largest = np.percentile(present, [50, 99, 100])
+    return {"median": float(median), "p99": float(p99), "max": float(largest)}
 
 
 #: Share of a run in which an observer may find its feet before its innovations are judged.

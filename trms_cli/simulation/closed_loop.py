@@ -30,6 +30,7 @@ from trms_cli.plants.envelope import EnvelopeSetup, EnvelopeWatch, beyond_reach,
 from trms_cli.plants.landing import landing_of
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
+from trms_cli.simulation.gap_watch import GapWatchPlugin, GapWatchRun, NoGapWatch
 from trms_cli.simulation.history import History, Writer
 from trms_cli.simulation.pace import Clock, LatePolicy, Pace, WallClock, undisturbed
 from trms_cli.simulation.rig_life import Confirm, RigLanded, RigLife, check_reading, check_run
@@ -65,6 +66,7 @@ class Experiment:
     #: Every how many control samples the controller's prediction is logged; 0 for never
     prediction_every: int = 10
     supervisor: SupervisorPlugin = field(default_factory=Unsupervised)
+    gap_watch: GapWatchPlugin = field(default_factory=NoGapWatch)  #: What compares rig and model
     #: Whether samples wait for their time on the clock; None: as the plant wants it
     pace: Literal["real_time", "simulated"] | None = None
     late: LatePolicy = field(default_factory=LatePolicy)
@@ -148,6 +150,7 @@ class Loop:
     _controller_state: Any
     _supervisor: SupervisorRun
     _envelope: EnvelopeWatch
+    _gap_watch: GapWatchRun
     _now_ns: int = 0
     completed_samples: int = 0  #: Samples that are behind
     _gate: CommandGate = field(init=False)
@@ -222,6 +225,7 @@ class Loop:
             life.connect()
             reading = check_reading(plant, plant.measure())
             observer_state = e.observer.init(observing(reading))
+            gap_watch = e.gap_watch.init(observing(reading))
             controller_state = e.controller.init(control)
             history = make_history(plant)
         except BaseException:
@@ -239,6 +243,7 @@ class Loop:
             controller_state,
             supervisor,
             envelope,
+            gap_watch,
         )
 
     def run(
@@ -298,7 +303,7 @@ class Loop:
     def _run_samples(self, progress: Progress | None, stop: StopRequest) -> None:
         """From the first sample to the last."""
         e, plant, history, watch = self.experiment, self.plant, self.history, self._supervisor
-        pace, envelope, tell = self.pace, self._envelope, self._tell
+        pace, envelope, tell, gap_watch = self.pace, self._envelope, self._tell, self._gap_watch
         per_second = max(1, round(1.0 / e.sample_time))
         controlled = [e.model.state_index(name) for name in e.model.controlled]
         state_names = names(plant.states)
@@ -370,6 +375,8 @@ class Loop:
                     log_known(now_ns, measured[k].tolist())
                 if any(estimate.rejected.tolist()):
                     tell_rejected(history, now_ns, estimate, plant.outputs)
+            for alarm in gap_watch.step(before, screened_y):
+                tell("gap_alarm", alarm.location, alarm.words, alarm.size)
             k += 1
             self.completed_samples = k
             if pace is not None:
@@ -552,6 +559,8 @@ def _rehearse(
     setup = observing(np.array([]))
     reading = np.array([rest.get(name, 0.0) for name in setup.outputs])
     observer_state = e.observer.init(observing(reading))
+    gap_watch = e.gap_watch.init(observing(reading))
+    gap_watch.step(control.first_command, reading)
     controller_state = e.controller.init(control)
     for want_prediction in (False, True):
         estimate = e.observer.step(observer_state, control.first_command, reading, rest)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import platform
 from collections.abc import Iterable, Mapping
@@ -70,14 +69,8 @@ def experiment_of(config: Mapping[str, Any]) -> Experiment:
         supervisor=parts["supervisor"],
         pace=_one_of(simulation.get("pace"), (None, "real_time", "simulated"), "sim.pace"),
         late=construct(LatePolicy, simulation.get("late") or {}, "sim.late"),
-        **_gap_watch(parts["gap_watch"]),
+        gap_watch=parts["gap_watch"],
     )
-
-
-def _gap_watch(plugin: Any) -> dict[str, Any]:
-    """The argument of an experiment that takes a gap watch."""
-    takes = any(field.name == "gap_watch" for field in dataclasses.fields(Experiment))
-    return {"gap_watch": plugin} if takes else {}
 
 
 def _one_of(value: Any, allowed: tuple[Any, ...], where: str) -> Any:
@@ -97,16 +90,14 @@ def raise_explained(
     """
     from trms_cli.core.plugins import plugin_failure
 
-    parts: dict[str, Any] = {
+    parts = {
         "controller": experiment.controller,
         "observer": experiment.observer,
         "plant": experiment.plant,
         "ref": experiment.reference,
         "supervisor": experiment.supervisor,
+        "gap_watch": experiment.gap_watch,
     }
-    gap_watch: Any = getattr(experiment, "gap_watch", None)
-    if gap_watch is not None:
-        parts["gap_watch"] = gap_watch
     failure = plugin_failure(error, parts, time)
     if failure is None:
         raise error

@@ -232,10 +232,10 @@ def _time(score: Mapping[str, Any], experiment: Experiment, spent: float, whole:
     """How long the loop took, and the run in all (s)."""
     duration = score["duration_s"]
     speed = duration / spent if spent > 0 else float("inf")
-    return (
-        f"{duration:g} s at {1 / experiment.sample_time:g} Hz simulated in "
-        f"{spent:.2f} s ({speed:.0f}× real time), {whole:.2f} s in all"
-    )
+    samples = f"{duration:g} s at {1 / experiment.sample_time:g} Hz"
+    if experiment.in_real_time:
+        return f"{samples} by the clock, {whole:.2f} s in all"
+    return f"{samples} simulated in {spent:.2f} s ({speed:.0f}× real time), {whole:.2f} s in all"
 
 
 def _next(composition: Composition, experiment: Experiment, log: str) -> list[NextCommand]:
