@@ -57,7 +57,13 @@ class Recording:
 
 
 def record(
-    cases: Sequence[Case], timing: Timing, seed: int, *, fresh: bool = False, jobs: int = 1
+    cases: Sequence[Case],
+    timing: Timing,
+    seed: int,
+    *,
+    fresh: bool = False,
+    jobs: int = 1,
+    tries: int = _TRIES,
 ) -> tuple[list[Case], list[Recording]]:
     """Run all cases.
 
@@ -72,6 +78,8 @@ def record(
         within the first is there all the time.
     jobs : int
         Processes.
+    tries : int
+        How often a rig that comes near a stop is driven, each time with less.
 
     Returns
     -------
@@ -83,7 +91,13 @@ def record(
     of_length = np.searchsorted(_TOGETHER, [case.duration for case in timed])
     groups = [np.flatnonzero(of_length == length) for length in np.unique(of_length)]
     tasks = [
-        ([timed[i] for i in group], timing.sample_time, [seed, int(of_length[group[0]])], fresh)
+        (
+            [timed[i] for i in group],
+            timing.sample_time,
+            [seed, int(of_length[group[0]])],
+            fresh,
+            tries,
+        )
         for group in groups
     ]
     if jobs == 1 or len(tasks) == 1:
@@ -123,12 +137,12 @@ def _timed(case: Case, duration: float, fresh: bool) -> Case:
 
 
 def _run_off_stops(
-    cases: list[Case], sample_time: float, seed: list[int], fresh: bool
+    cases: list[Case], sample_time: float, seed: list[int], fresh: bool, tries: int
 ) -> tuple[list[Case], list[Recording]]:
     scaled_cases = list(cases)
     recordings = _run(scaled_cases, sample_time, [*seed, 0, fresh], fresh)
-    for turn in range(1, _TRIES):
-        hit = [i for i, recording in enumerate(recordings) if _at_stops(recording)]
+    for turn in range(1, tries):
+        hit = [i for i, recording in enumerate(recordings) if at_stops(recording)]
         if not hit:
             break
         for i in hit:
@@ -223,7 +237,7 @@ def _driver(cases: Sequence[Case], longest: float, sample_time: float, fresh: bo
     return MixedDrivers(parts)
 
 
-def _at_stops(recording: Recording) -> bool:
+def at_stops(recording: Recording) -> bool:
     """Whether a rig came near a stop: there is none in the model, and none in the key."""
     reach = np.abs(recording.measured[:, :2]).max(axis=0)
     return bool((reach > np.array([PITCH_STOP - _NEAR_STOP, YAW_STOP - _NEAR_STOP])).any())

@@ -13,7 +13,7 @@ excitation or in closed loop by a controller that knows no model.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,14 +21,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from experiments.gap.blind.cases import Case, plan
-from experiments.gap.blind.recording import Recording, Timing, record
+from experiments.gap.blind.cases import Case, Drive, plan
+from experiments.gap.blind.recording import Recording, Timing, at_stops, record
 
 FloatArray = npt.NDArray[np.float64]
 
 SAMPLE_TIME = 0.02  #: s
 #: Share of the priors' standard deviation by which parameters of a rig scatter.
 _SCATTER = 1 / 3
+#: Of effects that begin.
+_SEVERITY = "medium"
+#: Share of the usual excitation: fewer rigs come near a stop.
+_LESS = 0.85
 #: Rigs that are simulated at once, and the cases that they are drawn among.
 _AT_ONCE, _DRAWN = 400, 12_000
 
@@ -46,73 +50,84 @@ class Watched:
     recording: Recording
 
 
-def cases_of(kind: str, count: int, seed: int, duration: float, severity: str) -> list[Case]:
+def cases_of(kind: str, count: int, seed: int) -> list[Case]:
     """So many rigs of a kind, every other one in closed loop."""
     source = {"steady": "offset", "offset": "offset", "onset": "onset"}[kind]
     drawn = [case for case in plan("development", seed, _DRAWN) if case.kind == source]
     if kind == "onset":
-        drawn = [case for case in drawn if severity in case.severity.values()]
+        drawn = [case for case in drawn if _SEVERITY in case.severity.values()]
+    if len(drawn) < count:
+        raise ValueError(f"{len(drawn)} cases of kind {kind!r} are drawn, and {count} asked for")
     cases = []
     for number, case in enumerate(drawn[:count]):
+        parameters = case.parameters
         if kind == "steady":
-            scattered = {name: round(_SCATTER * by, 4) for name, by in case.parameters.items()}
-            case = replace(case, parameters=scattered)
-        share = duration / case.duration
+            parameters = {name: round(_SCATTER * by, 4) for name, by in parameters.items()}
+        drive: Drive = "closed_loop" if number % 2 else "rich"
+        amplitude = round(_LESS * case.amplitude, 4)
         cases.append(
-            replace(
-                case,
-                drive="closed_loop" if number % 2 else "rich",
-                channels="four",
-                duration=duration,
-                onset={effect: round(time * share, 2) for effect, time in case.onset.items()},
-            )
+            replace(case, parameters=parameters, drive=drive, channels="four", amplitude=amplitude)
         )
-    if len(cases) < count:
-        raise ValueError(f"{len(cases)} cases of kind {kind!r} are drawn, and {count} asked for")
     return cases
 
 
-def make(
-    folder: Path, kind: str, count: int, seed: int, duration: float, severity: str = "medium"
-) -> Path:
-    """Simulate what a folder does not hold yet."""
+def make(folder: Path, sets: Mapping[str, tuple[int, int]], duration: float) -> None:
+    """Simulate what a folder does not hold yet; rigs that come near a stop are left out.
+
+    ``sets``: by kind a seed and a number of rigs.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    cases = cases_of(kind, count, seed, duration, severity)
-    for begin in range(0, count, _AT_ONCE):
-        end = min(begin + _AT_ONCE, count)
-        path = folder / f"{kind}-{severity}-{seed}-{duration:g}s-{begin}-{end}.npz"
+    kinds = [kind for kind, (_, count) in sets.items() for _ in range(count)]
+    cases = [case for kind, (seed, count) in sets.items() for case in cases_of(kind, count, seed)]
+    cases = [_as_long_as(case, duration) for case in cases]
+    seed = next(iter(sets.values()))[0]
+    for begin in range(0, len(cases), _AT_ONCE):
+        path = folder / f"rigs-{begin}-{min(begin + _AT_ONCE, len(cases))}.npz"
         if path.is_file():
             continue
-        driven, recordings = record(cases[begin:end], Timing(duration=duration), seed + begin)
-        _write(path, kind, driven, recordings)
-    return folder
+        part = cases[begin : begin + _AT_ONCE]
+        driven, recordings = record(part, Timing(duration=duration), seed + begin, tries=1)
+        inside = [i for i, recording in enumerate(recordings) if not at_stops(recording)]
+        _write(
+            path,
+            [kinds[begin + i] for i in inside],
+            [driven[i] for i in inside],
+            [recordings[i] for i in inside],
+        )
 
 
-def _write(path: Path, kind: str, cases: Sequence[Case], recordings: Sequence[Recording]) -> None:
+def _as_long_as(case: Case, duration: float) -> Case:
+    """What begins within a recording does so at the same share of it."""
+    share = duration / case.duration
+    onset = {effect: round(time * share, 2) for effect, time in case.onset.items()}
+    return replace(case, duration=duration, onset=onset)
+
+
+def _write(
+    path: Path, kinds: Sequence[str], cases: Sequence[Case], recordings: Sequence[Recording]
+) -> None:
     arrays: dict[str, Any] = {
         "time": recordings[0].time,
         "commands": np.stack([r.commands for r in recordings]),
         "measured": np.stack([r.measured for r in recordings]),
-        "kind": np.array(kind),
+        "kinds": np.array(kinds),
         "cases": np.array([json.dumps(asdict(case)) for case in cases]),
     }
-    scratch = path.with_suffix(".part.npz")
+    scratch = path.with_name(f"part-{path.name}")
     np.savez_compressed(scratch, **arrays)
     scratch.replace(path)
 
 
-def read(folder: Path, kind: str) -> Iterator[Watched]:
-    """All recordings of a kind in a folder."""
-    for path in sorted(folder.glob(f"{kind}-*.npz")):
-        if path.name.endswith(".part.npz"):
-            continue
+def read(folder: Path) -> Iterator[Watched]:
+    """All recordings in a folder."""
+    for path in sorted(folder.glob("rigs-*.npz")):
         with np.load(path) as content:
-            arrays = {name: content[name] for name in ("time", "commands", "measured", "cases")}
+            arrays = {name: content[name] for name in content.files}
         for i, text in enumerate(arrays["cases"].tolist()):
             case = json.loads(text)
             effect, time = next(iter(case["onset"].items()), ("", np.nan))
             yield Watched(
-                kind=kind,
+                kind=str(arrays["kinds"][i]),
                 drive=case["drive"],
                 effect=effect,
                 severity=case["severity"].get(effect, ""),

@@ -1,11 +1,11 @@
 """The watch over the gap: learns what is usual, tests, and says what has changed.
 
-    learn (20 s) ─▶ does the model fit at all? ─▶ test ─▶ beyond the threshold ─▶ confirm (1 s)
+    learn (20 s) ─▶ does the model fit at all? ─▶ test ─▶ beyond the threshold ─▶ confirm (2 s)
                                                    ▲                                │
                                                    └──── learn anew (10 s) ◀──── alarm
 
 The threshold is one for all tests: :mod:`experiments.gap.watch` counts the false alarms. Between
-crossing and alarm a second passes, in which the tests see who explains the change best: at the
+crossing and alarm two seconds pass, in which the tests see who explains the change best: at the
 first samples the jump of an encoder looks like a blow on its axis.
 """
 
@@ -40,8 +40,8 @@ class GapWatch:
     relearning: Annotated[float, Meta(ge=4.0)] = 10.0  #: s, the same after an alarm
     #: Of the levelled statistic (chi-squared of one degree of freedom, its maximum over tests and
     #: onsets)
-    threshold: Positive = 50.0
-    confirmation: NotNegative = 1.0  #: s from crossing the threshold to the alarm
+    threshold: Positive = 80.0
+    confirmation: NotNegative = 2.0  #: s from crossing the threshold to the alarm
     #: Deviations of a parameter's prior; a model with one that surely lies further off does not fit
     misfit: Positive = 1.0
     #: s, over which usual errors of the equations forget themselves

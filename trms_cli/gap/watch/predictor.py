@@ -86,6 +86,7 @@ class Predictor:
     def __init__(self, setup: ObserverSetup, correlation_time: float) -> None:
         model = self.model = setup.model
         self.sample_time = setup.sample_time
+        self._per_second = max(1, round(1.0 / setup.sample_time))
         channels = setup.channels()
         noise_sd = np.array([setup.noise_sd.get(name, 0.0) for name in setup.outputs])
         for name, sd in zip(setup.outputs, noise_sd, strict=True):
@@ -206,6 +207,8 @@ class Predictor:
             self.restart(everything=True)
             return False
         self._learn_noise()
+        if self.samples % self._per_second == 0:
+            self.limit_deviations()
         return True
 
     def _learn_noise(self) -> None:
@@ -218,6 +221,13 @@ class Predictor:
         change = self.sample_time / average * (shown - own.r)
         own.r += np.where(own.state == own.used, change, 0.0)
         np.maximum(own.r, self._least_noise, out=own.r)
+
+    def limit_deviations(self) -> None:
+        """Let no parameter be less known than its prior, however long it has not shown itself."""
+        own, d = self.arrays, self.arrays.d
+        scale = np.ones(own.n)
+        scale[d:] = 1.0 / np.sqrt(np.maximum(np.diag(own.p)[d:], 1.0))
+        own.p *= scale[:, None] * scale
 
     def adapt_forces(self, factors: FloatArray) -> None:
         """Multiply the variances of the coloured forces, (n_w,)."""
