@@ -17,11 +17,16 @@ SUMMARY = "serve a simulated rig in real time, or check a real one"
 
 HELP = """\
 usage: trms rig serve [effect=NAME] [fault=NAME] [KEY=VALUE]…
+       trms rig check [plant=OPTION] [KEY=VALUE]…
        trms rig drive --exported FOLDER [GROUP=OPTION]… [KEY=VALUE]…
 
 `serve` lets a simulated rig move in real time, in a process of its own, and answers the frames of
 docs/rig-frames.md as a real rig's computer does: over UDP, or over a pseudo-terminal. It lands by
 itself where no command comes. It ends with its time, or with Ctrl-C.
+
+`check` shows what a real rig reads, raw and in SI. On a terminal it goes on to the zero of the
+angles, and, with a pulse, to the signs: each rotor turns for a moment, and you say which way the
+beam went. It writes a wiring. Without a pulse nothing moves.
 
 `drive` is `trms run plant=udp` with what `trms export-controller` wrote to FOLDER in the place of
 controller and observer: its C is compiled, and the run lives, is logged and scored as any other. It
@@ -34,6 +39,9 @@ examples
   trms rig serve wire.latency=0.004 wire.loss=0.01      a poor network
   trms rig serve wire.pulled_at=20                      a cable that is pulled after 20 s
   trms rig serve serial=true                            a serial line; it tells its name
+  trms rig check plant=udp plant.host=192.168.0.10      what the channels read
+  trms rig check plant=udp pulse=0.5 out=lab/configs/wiring/my_rig.yaml
+  trms rig check plant=udp zero=true duration=2 out=…   nobody asked: zero is here
   trms rig drive --exported rig_c plant.arm=true        the same rig, driven by exported C
   trms rig drive --exported rig_c plant=simulated       software in the loop, no clock
 
@@ -44,7 +52,7 @@ options
 """
 
 #: Its words, and the module of the task that does each.
-_TASKS = {"serve": "trms_cli.library.tasks.serve"}
+_TASKS = {"serve": "trms_cli.library.tasks.serve", "check": "trms_cli.library.tasks.rig_check"}
 _WORDS = (*_TASKS, "drive")
 
 

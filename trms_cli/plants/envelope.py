@@ -28,8 +28,8 @@ Action = Literal["warn", "clamp", "land"]
 class Bound:
     """A range, and what is done where it is left."""
 
-    lower: float = -math.inf
-    upper: float = math.inf
+    lower: float = -math.inf  #: In the signal's own unit, of rates per second
+    upper: float = math.inf  #: Likewise
     action: Action = "land"  #: clamp for commands alone: a reading is what it is
     after: NotNegative = 0.0  #: s without a break, after which a reading outside counts
 

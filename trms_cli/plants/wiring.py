@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -132,6 +132,21 @@ def check_wires(wires: Mapping[str, Wire], where: str) -> None:
                 where=f"{where}.{name}",
                 remedy=nearest(name, allowed),
             )
+
+
+def zeroed(wire: Wire, name: str, raw: float, value: float) -> Wire:
+    """The wire of a signal with the offset at which a raw number stands for a value (SI).
+
+    Raises ConfigurationError for a table, which has its zero in itself.
+    """
+    if wire.table:
+        raise ConfigurationError(
+            f"{name} has a table, and a table has no offset",
+            where=f"plant.wiring.{name}.table",
+            remedy="shift the raw values of the table",
+        )
+    factor = wire.sign * wire.scale * _unit_factor(wire.unit, name, f"plant.wiring.{name}.unit")
+    return replace(wire, offset=raw - value / factor)
 
 
 def _unit_factor(unit: str | None, name: str, where: str) -> float:

@@ -103,6 +103,8 @@ class HardwareRun:
         self.first_command = np.zeros(len(self.inputs))
         lower, upper = self._commands.limits()
         for name, (low, high) in rig.limits.items():
+            if name in _COMMANDS and name not in self._commands.names:
+                continue  # a rig of one axis has the limits of the rotor that it has
             words = f"the rig has no command {name!r}"
             require_known(name, self._commands.names, words, f"plant.limits.{name}")
             i = self._commands.names.index(name)
@@ -123,6 +125,8 @@ class HardwareRun:
             self._commands.names, self.input_limits, setup.sample_time
         ).safe
         self._silent_since: float | None = None
+        #: The last reading as it came, by channel; None where none came in time
+        self.raw_reading: Mapping[int | str, float] | None = None
 
     @property
     def confirmation(self) -> str:
@@ -167,7 +171,7 @@ class HardwareRun:
 
         Raises RigLost where none has come for ``lost_after``.
         """
-        raw = self._read()
+        raw = self.raw_reading = self._read()
         now = self._now()
         if raw is None:
             self._silent_since = now if self._silent_since is None else self._silent_since
