@@ -7,63 +7,87 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 from trms_cli import __version__
-from trms_cli.commands.plain_options import as_options
+from trms_cli.commands.doctor.check import BROKEN, OK, SLOWER, Check
+from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.printable import print_json
 
 SUMMARY = "tell whether this machine is ready, and what to install"
 
 HELP = """\
-usage: trms doctor [--json]
+usage: trms doctor [--jitter [SECONDS]] [--json]
 
   Checks Python, the packages, the C compiler, the cache folder, disk, cores and the terminal,
   and tells what to install. Exit code 0: trms works here (a missing compiler only makes it
   slower); 1: it does not.
 
-  --json    the same as JSON (schema trms.doctor/1)
+  --jitter [SECONDS]   also whether it can drive a rig in real time: how late it wakes up at 50 and
+                       200 Hz (measured for 10 s), what it lacks, and what to do about that
+  --json               the same as JSON (schema trms.doctor/1)
 """
 
 EXIT_NOT_READY = 1
+USUAL_DURATION = 10.0  #: s, of a measurement of jitter
 OLDEST_PYTHON = (3, 11)
 LOW_DISK = 1e9  #: bytes; a run's log takes some 10 MB
-
-OK, SLOWER, BROKEN = "ok", "note", "broken"
-
-
-class Check(NamedTuple):
-    """One line of the report."""
-
-    what: str
-    state: str  #: ok, note (works all the same), broken
-    found: str
-    remedy: str = ""
 
 
 def main(argv: Sequence[str]) -> int:
     """Print the findings; exit code 1 when one of them keeps trms from working."""
-    argv = as_options(argv, {"json": False})
-    unknown = [word for word in argv if word != "--json"]
-    if unknown:
-        raise ConfigurationError(
-            f"cannot use {unknown[0]!r}", where="trms doctor", remedy="usage: trms doctor [--json]"
-        )
+    options = PlainOptions("trms doctor", HELP)
+    options.add_argument("--jitter", nargs="?", type=float, const=USUAL_DURATION)
+    options.add_flags("--json")
+    arguments = options.parse_args(argv)
     checks = [_python, _packages, _compiler, _cache, _disk, _cores, _terminal]
     findings = [finding for check in checks for finding in check()]
     usable = all(finding.state != BROKEN for finding in findings)
-    if "--json" in argv:
-        document = {
+    wake_ups: list[Check] = []
+    jitter: list[dict[str, Any]] = []
+    if arguments.jitter is not None:
+        more, wake_ups, jitter = _real_time(arguments.jitter)
+        findings += more
+    if arguments.json:
+        document: dict[str, Any] = {
             "schema": "trms.doctor/1",
             "trms": __version__,
             "usable": usable,
             "findings": [finding._asdict() for finding in findings],
         }
+        if jitter:
+            document["jitter"] = jitter
         print_json(document)
     else:
-        sys.stdout.write(_report(findings, usable))
+        sys.stdout.write(_report([*findings, *wake_ups], usable))
     return EXIT_OK if usable else EXIT_NOT_READY
+
+
+def _real_time(duration: float) -> tuple[list[Check], list[Check], list[dict[str, Any]]]:
+    """What the machine offers, its wake-ups over a time (s) as lines, and the same as data.
+
+    Raises ConfigurationError for a time that nothing can be measured in.
+    """
+    from trms_cli.commands.doctor.real_time import (
+        DURATIONS,
+        document_of,
+        lines_of,
+        machine,
+        measure,
+    )
+
+    if not DURATIONS[0] <= duration <= DURATIONS[1]:
+        raise ConfigurationError(
+            f"{duration:g} s given",
+            where="--jitter",
+            remedy=f"{DURATIONS[0]:g} to {DURATIONS[1]:g} s",
+        )
+    if sys.stderr.isatty():
+        sys.stderr.write(f"measuring for {duration:g} s …\r")
+    measurement = measure(duration)
+    jitter = measurement.jitter
+    return machine(measurement), lines_of(jitter), document_of(jitter)
 
 
 def _report(findings: Sequence[Check], usable: bool) -> str:
