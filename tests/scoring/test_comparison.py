@@ -282,3 +282,17 @@ def test_rigs_that_each_took_their_own_model_are_told(own, differ):
     _, notes, data = _title_and_notes(runs)
     assert data["rigs_differ_by_model"] is differ
     assert ("The rigs differ" in notes) is differ
+
+
+def test_a_rig_that_is_chosen_to_be_what_it_was_is_no_difference():
+    """``trms run --from first model=fit`` after a run that chose no equations for its rig."""
+    equations = [{"a": 1, "b": 2}, {"b": 2, "a": 1}]  # composed in another order
+    runs = []
+    for model, own, rig in zip(("newtonian", "fit"), ("none", "newtonian"), equations, strict=True):
+        made = run("lqr", config={"plant": {"model": rig}})
+        chosen = {"model": model, "model@plant.model": own}
+        runs.append(replace(made, coordinates={**made.coordinates, **chosen}))
+    title, notes, data = _title_and_notes(complete_coordinates(runs))
+    assert "2 entrants by model, 1 condition" in title and "plant.model" not in title
+    assert data["rigs_differ_by_model"] is False and "The rigs differ" not in notes
+    assert [row[0] for row in pair(*runs).settings] == ["model"]

@@ -8,7 +8,13 @@ from typing import Any
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.scoring.comparison import ranking as ranked
-from trms_cli.scoring.comparison.runs import ComparisonRun, RunCollection, State, differences
+from trms_cli.scoring.comparison.runs import (
+    ComparisonRun,
+    RunCollection,
+    State,
+    differences,
+    with_rigs,
+)
 from trms_cli.scoring.figures import Group, entries, metrics
 
 _GROUPS: tuple[Group, ...] = ("channels", "inputs", "solver", "run")
@@ -44,6 +50,7 @@ class Pair:
 
 def pair(one: ComparisonRun, other: ComparisonRun) -> Pair:
     """Put two runs side by side."""
+    one, other = with_rigs((one, other))
     options = [
         (key, one.coordinates.get(key, "–"), other.coordinates.get(key, "–"))
         for key in dict.fromkeys([*one.coordinates, *other.coordinates])

@@ -12,6 +12,7 @@ the same ones, which keeps the pairing. Efron & Tibshirani, An Introduction to t
 chapter 13.
 """
 
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -63,7 +64,9 @@ class ComparisonGroup:
                 plant = run.config.get("plant")
                 model = plant.get("model") if isinstance(plant, Mapping) else None
                 if model is not None:
-                    rigs.setdefault(condition, set()).add(str(model))
+                    # in one order, whatever they were composed in
+                    text = json.dumps(model, sort_keys=True, default=str)
+                    rigs.setdefault(condition, set()).add(text)
         return any(len(models) > 1 for models in rigs.values())
 
     def condition_name(self, condition: int) -> str:

@@ -102,6 +102,8 @@ _NO_COORDINATES = frozenset({"out", "picture", "sim.prediction_every", "sim.scen
 _COPIES = ("plant.effects", "plant.model", "plant.faults")
 _GROUPS = ("model", "plant", "effect", "fault", "observer", "controller", "ref", "supervisor")
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
+#: The choice of a rig's own equations, and what stands there where none are chosen.
+_RIG, _NOTHING = "model@plant.model", "none"
 #: Coordinates that a run without a word of them shares with the others.
 _NONE = "–"
 
@@ -133,7 +135,7 @@ def of_overrides(overrides: Sequence[str]) -> dict[str, str]:
 
 def complete_coordinates(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
     """Give every run a value for each coordinate, and the keys in which configurations differ."""
-    runs = _with_settings(runs)
+    runs = _with_settings(with_rigs(runs))
     usual: dict[str, Counter[str]] = {}
     for run in runs:
         for key, value in run.coordinates.items():
@@ -148,6 +150,28 @@ def complete_coordinates(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
                 filled[key] = _NONE if "." in key else values.most_common(1)[0][0]
         whole.append(replace(run, coordinates=filled))
     return whole
+
+
+def with_rigs(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
+    """The runs with the equations of each rig named, where a run among them chose its rig's.
+
+    The rig of a run that chose none has those of its model: what is chosen to be what it was
+    (``trms run --from LOG model=…``) is no difference.
+    """
+    if all(run.coordinates.get(_RIG, _NOTHING) == _NOTHING for run in runs):
+        return list(runs)
+    return [
+        replace(run, coordinates={**run.coordinates, _RIG: _equations(run.coordinates)})
+        if _RIG in run.coordinates
+        else run
+        for run in runs
+    ]
+
+
+def _equations(coordinates: Mapping[str, str]) -> str:
+    keys = (_RIG, "model@model.rig", "model")
+    names = (coordinates.get(key, _NOTHING) for key in keys)
+    return next((name for name in names if name != _NOTHING), _NOTHING)
 
 
 def _is_implied(key: str, runs: Sequence[ComparisonRun]) -> bool:
