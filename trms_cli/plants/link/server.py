@@ -13,7 +13,6 @@ import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.plants.link.nuisances import Wire, WireNuisances
-from trms_cli.plants.link.served_rig import ServedRig
 from trms_cli.plants.link.transport import StreamTransport
 from trms_cli.simulation.pace import WallClock
 
@@ -110,11 +109,25 @@ class PseudoTerminal:
         os.close(self._other)
 
 
+class AnsweringRig(Protocol):
+    """What is served; a :class:`trms_cli.plants.link.served_rig.ServedRig`."""
+
+    @property
+    def time(self) -> float:
+        """Up to which the rig has moved, s."""
+
+    def advance_to(self, now: float) -> None:
+        """Let the rig move up to a time (s)."""
+
+    def answer(self, data: bytes, now: float) -> bytes | None:
+        """What is answered to a frame at a time (s)."""
+
+
 class RigServer:
     """A rig, its listener, and the wire between them."""
 
     def __init__(
-        self, rig: ServedRig, listener: Listener, nuisances: WireNuisances, seed: int
+        self, rig: AnsweringRig, listener: Listener, nuisances: WireNuisances, seed: int
     ) -> None:
         self._rig, self._listener = rig, listener
         streams = np.random.SeedSequence([seed, 0x57495245]).spawn(2)
