@@ -20,7 +20,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export REASON
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test slow package docs docs-links notebook fuzz lint format check bench regression regression-update \
+.PHONY: help setup run rig test slow package docs docs-links notebook fuzz lint format check bench regression regression-update \
 	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
 
 help: ## tell what each target does
@@ -41,6 +41,9 @@ $(READY): requirements.lock pyproject.toml
 
 run: $(READY) ## set up and close the loop: newton_mpc follows a square (ARGS="ref=sine" changes it)
 	@$(BIN)/trms run controller=newton_mpc ref=square $(ARGS)
+
+rig: $(READY) ## a simulated rig in a process of its own, driven over UDP, watched and landed (40 s)
+	@$(BIN)/python -m experiments.rig $(ARGS)
 
 test: $(READY) ## set up and run the tests
 	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m 'not slow' -q $(ARGS)
