@@ -31,8 +31,8 @@ _TRMS = (sys.executable, "-m", "trms_cli")
 _RIG = (
     "effect=yaw_coulomb_friction",
     "effect.yaw_coulomb_friction.torque=0.003",
-    "wire.latency=0.001",
-    "wire.jitter=0.0005",
+    "wire.latency=0.0005",
+    "wire.jitter=0.0003",
     "wire.loss=0.003",
 )
 #: The controller's computer: a step of the reference every ten seconds.
@@ -41,6 +41,7 @@ _RUN = (
     "ref.alpha_v.frequency=0.05",
     "ref.alpha_h.frequency=0.05",
     "plant.arm=true",
+    "plant.reply_timeout=0.008",  # s; a quarter of a sample is little where much else is running
 )
 _START = 120.0  # s, in which either process has to begin; compiling takes most of it
 _LANDING = 30.0  # s, in which a run that was asked to end has to land its rig
