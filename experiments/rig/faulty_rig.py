@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.models.newtonian import Newtonian
-from trms_cli.plants.link.frames import BadFrame, Kind, State, decode, is_newer
+from trms_cli.plants.link.frames import BadFrame, Kind, RigStatus, decode, is_newer
 from trms_cli.plants.link.served_rig import ServedRig
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.simulated import SimulatedRig
@@ -100,6 +100,6 @@ class FaultyRig:
         return {
             "applied": self.applied,
             "old_commands": self.old_commands,
-            "safe": not self._rig.status & State.ARMED and not self._rig.command.any(),
+            "safe": not self._rig.status & RigStatus.ARMED and not self._rig.command.any(),
             "command": self._rig.command.tolist(),
         }

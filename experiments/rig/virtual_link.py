@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.rig.faulty_rig import FaultyRig
 from trms_cli.plants.link.linked_rig import LinkedRig, LinkedRun
-from trms_cli.plants.link.nuisances import Wire, WireNuisances
+from trms_cli.plants.link.nuisances import LossyWire, WireNuisances
 from trms_cli.plants.link.transport import Transport
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.simulation.pace import VirtualClock
@@ -33,7 +33,7 @@ class VirtualLink:
     def __post_init__(self) -> None:
         streams = np.random.SeedSequence([self.seed, 0x57495245]).spawn(2)
         self._there, self._back = (
-            Wire(self.nuisances, np.random.default_rng(stream)) for stream in streams
+            LossyWire(self.nuisances, np.random.default_rng(stream)) for stream in streams
         )
 
     def send(self, data: bytes) -> None:

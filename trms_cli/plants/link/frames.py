@@ -11,7 +11,7 @@ All numbers are little-endian::
     12      4      session, drawn by the computer when it connects
     16      8      time of the sender's clock, µs, from any moment
     24      4      sequence number of the last command that was applied (of the rig)
-    28      4      status of the rig, see :class:`State`
+    28      4      status of the rig, see :class:`RigStatus`
     32      4 n    numbers, IEEE 754 of 32 bits
     32+4n   4      CRC-32 of all before (that of zlib, Ethernet and PNG)
 """
@@ -49,7 +49,7 @@ class Kind(enum.IntEnum):
     DISARM = 9  #: Safe command at once, commands no longer act; answered by a READING
 
 
-class State(enum.IntFlag):
+class RigStatus(enum.IntFlag):
     """Bits of a rig's status."""
 
     ARMED = 1
@@ -71,7 +71,7 @@ class Frame:
     session: int
     time: int = 0  #: µs of the sender's clock
     applied: int = 0  #: Sequence number of the last command that was applied
-    status: int = 0  #: See :class:`State`
+    status: int = 0  #: See :class:`RigStatus`
     numbers: tuple[float, ...] = ()  #: In the units of the wiring
 
     def encode(self) -> bytes:

@@ -24,7 +24,7 @@ from trms_cli.plants.link.frames import (
     BadFrame,
     Frame,
     Kind,
-    State,
+    RigStatus,
     all_finite,
     decode,
 )
@@ -324,14 +324,14 @@ class LinkedRun(HardwareRun):
 
         Raises RigLost where the rig does not say that they do.
         """
-        self._change_state(Kind.ARM, State.ARMED)
+        self._change_state(Kind.ARM, RigStatus.ARMED)
         self._is_armed = True
 
     def disarm(self) -> None:
         """Commands act no longer; the rig holds its safe command."""
         self._is_armed = False
         if self._transport is not None:
-            self._change_state(Kind.DISARM, State(0))
+            self._change_state(Kind.DISARM, RigStatus(0))
 
     def close(self, reason: str) -> None:
         """Let go of the wire."""
@@ -339,13 +339,13 @@ class LinkedRun(HardwareRun):
             self._transport.close()
             self._transport = None
 
-    def _change_state(self, kind: Kind, wanted: State) -> None:
+    def _change_state(self, kind: Kind, wanted: RigStatus) -> None:
         end = self._now() + max(1.0, 3 * _AGAIN)
         while self._now() < end:
             answer = self._ask(kind, (), _AGAIN, (Kind.READING,))
-            if answer is not None and State(answer.status) & State.ARMED == wanted:
+            if answer is not None and RigStatus(answer.status) & RigStatus.ARMED == wanted:
                 return
-        status = "no answer" if answer is None else _status_words(State(answer.status))
+        status = "no answer" if answer is None else _status_words(RigStatus(answer.status))
         raise RigLost(
             f"the rig did not {kind.name.lower()} ({status})",
             where="plant",
@@ -357,10 +357,10 @@ class LinkedRun(HardwareRun):
         if answer is None or len(answer.numbers) < self._n_y:
             self.lost_readings += 1
             return None
-        status = State(answer.status)
-        if status & (State.EMERGENCY | State.FAULT):
+        status = RigStatus(answer.status)
+        if status & (RigStatus.EMERGENCY | RigStatus.FAULT):
             raise RigLost(f"the rig reports: {_status_words(status)}", where="plant")
-        if self._is_armed and not status & State.ARMED:
+        if self._is_armed and not status & RigStatus.ARMED:
             raise RigLost(
                 f"the rig is no longer armed: {_status_words(status)}",
                 where="plant",
@@ -419,11 +419,11 @@ class LinkedRun(HardwareRun):
             self.stray_frames += 1
 
 
-def _status_words(status: State) -> str:
+def _status_words(status: RigStatus) -> str:
     words = {
-        State.EMERGENCY: "emergency stop",
-        State.FAULT: "fault",
-        State.WATCHDOG: "watchdog",
-        State.ARMED: "armed",
+        RigStatus.EMERGENCY: "emergency stop",
+        RigStatus.FAULT: "fault",
+        RigStatus.WATCHDOG: "watchdog",
+        RigStatus.ARMED: "armed",
     }
     return ", ".join(text for flag, text in words.items() if status & flag) or "disarmed"

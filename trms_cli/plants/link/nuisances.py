@@ -35,7 +35,7 @@ class WireNuisances:
         return now < self.pulled_at + (math.inf if self.pulled_for is None else self.pulled_for)
 
 
-class Wire:
+class LossyWire:
     """One direction of a wire: frames in, the same frames out, later and not all of them."""
 
     def __init__(self, nuisances: WireNuisances, generator: np.random.Generator) -> None:

@@ -14,7 +14,15 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.models.model import names
-from trms_cli.plants.link.frames import BadFrame, Frame, Kind, State, all_finite, decode, is_newer
+from trms_cli.plants.link.frames import (
+    BadFrame,
+    Frame,
+    Kind,
+    RigStatus,
+    all_finite,
+    decode,
+    is_newer,
+)
 
 #: The order of the numbers in a frame; a rig that lacks one leaves it out.
 READINGS = ("alpha_v", "alpha_h", "omega_v", "omega_h")
@@ -50,7 +58,7 @@ class ServedRig:
         self.safe = np.array(safe, dtype=float)
         self.command = self.safe.copy()  #: In force now, V
         self.time = 0.0  #: s, up to which the rig has moved
-        self.status = State(0)
+        self.status = RigStatus(0)
         self._session: int | None = None
         self.sequence = 0  #: Of the last command that was applied
         self._command_time = 0.0
@@ -70,8 +78,8 @@ class ServedRig:
         """Let the rig move up to a time (s); the watchdog acts when it is due."""
         while self.time + self._step_time <= now:
             silence = self.time - self._command_time
-            if self.status & State.ARMED and silence > self.watchdog:
-                self.status = (self.status & ~State.ARMED) | State.WATCHDOG
+            if self.status & RigStatus.ARMED and silence > self.watchdog:
+                self.status = (self.status & ~RigStatus.ARMED) | RigStatus.WATCHDOG
                 self.command = self.safe.copy()
                 self._say(self.time, f"watchdog: no command for {silence:.3f} s, safe command")
             self._run.advance(self.command)
@@ -80,7 +88,7 @@ class ServedRig:
 
     def press_emergency_stop(self) -> None:
         """Safe command at once, and no other until the rig is started anew."""
-        self.status = (self.status & ~State.ARMED) | State.EMERGENCY
+        self.status = (self.status & ~RigStatus.ARMED) | RigStatus.EMERGENCY
         self.command = self.safe.copy()
         self._say(self.time, "emergency stop")
 
@@ -102,14 +110,14 @@ class ServedRig:
             self._obey(frame, now)
             return None
         if frame.kind == Kind.ARM:
-            if not self.status & (State.EMERGENCY | State.FAULT | State.ARMED):
-                self.status = (self.status & ~State.WATCHDOG) | State.ARMED
+            if not self.status & (RigStatus.EMERGENCY | RigStatus.FAULT | RigStatus.ARMED):
+                self.status = (self.status & ~RigStatus.WATCHDOG) | RigStatus.ARMED
                 self._command_time = now
                 self._say(now, "armed")
         elif frame.kind == Kind.DISARM:
-            if self.status & State.ARMED:
+            if self.status & RigStatus.ARMED:
                 self._say(now, "disarmed")
-            self.status &= ~State.ARMED
+            self.status &= ~RigStatus.ARMED
             self.command = self.safe.copy()
         elif frame.kind != Kind.READ:
             self.refused += 1
@@ -117,7 +125,7 @@ class ServedRig:
         return self._reply(frame, Kind.READING, tuple(self._run.measure()[self._order].tolist()))
 
     def _welcome(self, frame: Frame, now: float) -> bytes | None:
-        if self.status & State.ARMED and frame.session != self._session:
+        if self.status & RigStatus.ARMED and frame.session != self._session:
             self.refused += 1  # somebody drives the rig
             return None
         if frame.session != self._session:
@@ -130,7 +138,7 @@ class ServedRig:
 
     def _obey(self, frame: Frame, now: float) -> None:
         if (
-            not self.status & State.ARMED
+            not self.status & RigStatus.ARMED
             or not is_newer(frame.sequence, self.sequence)
             or len(frame.numbers) < len(self.safe)
             or not all_finite(frame.numbers)

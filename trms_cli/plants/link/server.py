@@ -12,12 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.plants.link.nuisances import Wire, WireNuisances
+from trms_cli.plants.link.nuisances import LossyWire, WireNuisances
 from trms_cli.plants.link.transport import StreamTransport
 from trms_cli.simulation.pace import WallClock
 
 
-class Listener(Protocol):
+class RigPort(Protocol):
     """The rig's end of a wire."""
 
     address: str  #: What the computer calls the rig by, as overrides of ``trms run``
@@ -127,11 +127,11 @@ class RigServer:
     """A rig, its listener, and the wire between them."""
 
     def __init__(
-        self, rig: AnsweringRig, listener: Listener, nuisances: WireNuisances, seed: int
+        self, rig: AnsweringRig, listener: RigPort, nuisances: WireNuisances, seed: int
     ) -> None:
         self._rig, self._listener = rig, listener
         streams = np.random.SeedSequence([seed, 0x57495245]).spawn(2)
-        self._there, self._back = (Wire(nuisances, np.random.default_rng(s)) for s in streams)
+        self._there, self._back = (LossyWire(nuisances, np.random.default_rng(s)) for s in streams)
 
     def serve(self, duration: float, step_time: float, is_over: Callable[[], bool]) -> None:
         """Move and answer for a time (s), by the machine's clock."""
