@@ -5,7 +5,9 @@ Trans. Autom. Control 21; Basseville & Nikiforov, Detection of Abrupt Changes, 1
 every onset of a grid it carries along what a change of unit size would have done to the whitened
 innovations, the filter's own adaptation included, and matches them with what was measured.
 
-    T = (Σ s'z)²/Σ s's          size = Σ s'z/Σ s's          sd = (Σ s's)^−½
+    T = (Σ s'z)²/J          size = Σ s'z/J          sd = J^−½          J = Σ s's + 1/σ²
+
+σ is the size that is believed possible: what a resting axis shows of friction would else be any.
 
 With the model's usual errors as the filter has them, T is a chi-squared variable of one degree of
 freedom; a change makes it grow as time goes on. No model's errors are exactly so. Two things keep
@@ -15,7 +17,9 @@ the tests level on a rig that does not change:
   mean, so that the innovations are as white as the rig allows;
 - what is left of that, by test and by time since the onset, divides T.
 
-Both are learnt in the first seconds of a run, and follow slowly from then on.
+A sensor that rounds may err by half a step to either side for as long as nothing moves: a bias
+counts by what it is beyond a step. Levels and steps are learnt in the first seconds of a run; the
+levels follow slowly from then on.
 """
 
 from dataclasses import dataclass
@@ -28,6 +32,7 @@ from trms_cli.gap.discrepancy import SENSORS
 from trms_cli.gap.watch.filter_step import SignatureArrays
 from trms_cli.gap.watch.predictor import Predictor, angle_of
 from trms_cli.models.model import names
+from trms_cli.observers.augmentation import InitialSd
 
 #: s between onsets, and how many: fine ones of the last seconds, coarse ones beyond.
 _GRIDS = ((0.25, 16), (1.5, 8))
@@ -41,6 +46,9 @@ _LEVELLING = (0.4, 6.0)
 _MOST = 6.0
 #: s, time constants: of the usual forces and of the levels, while learning and later.
 _FORCE_TIMES, _LEVEL_TIMES = (5.0, 60.0), (8.0, 60.0)
+#: Sizes of changes, in an observer's first uncertainties of torques (10 mN m on an axis), angles
+#: (0.1 rad) and speeds (20 rad/s).
+_LIKELY = 3.0
 #: Rate of the axis and speed of the rotor at which friction has three quarters of its size.
 _RATE, _SPEED = 0.05, 20.0  # rad/s
 
@@ -88,6 +96,10 @@ class ChangeTests:
         )
         own = self.signatures
         own.on_outputs[n_f:] = np.eye(len(outputs))
+        #: (tests,) array; sizes up to which a change may come from a sensor's rounding alone
+        self._dead_bands: FloatArray = np.zeros(len(self.tests))
+        #: (tests,) array; of the sizes that are believed possible, about none
+        self._precisions: FloatArray = self._likely_sizes(outputs) ** -2.0
         n_x = predictor.n_x
         self._constant = own.on_state[0:n_f:2, :n_x]
         self._frictional = own.on_state[1:n_f:2, :n_x]
@@ -103,6 +115,15 @@ class ChangeTests:
             return list(range(model.n_w))
         equations = enumerate(names(model.disturbances))
         return [e for e, name in equations if angle_of(model, name) is not None]
+
+    def _likely_sizes(self, outputs: tuple[str, ...]) -> FloatArray:
+        """Standard deviation of each size beforehand: what is larger is no change of a rig."""
+        predictor = self._predictor
+        forces = np.repeat(predictor.usual_force[self._equations_of], 2)
+        angles = {axis.angle for axis in predictor.model.axes.values()}
+        first = InitialSd()
+        readings = [first.angle if name in angles else first.rotor for name in outputs]
+        return _LIKELY * np.concatenate([forces, readings])
 
     def _motion(self) -> None:
         """Which state says which way an equation moves: the change of an angle, or a speed."""
@@ -121,6 +142,7 @@ class ChangeTests:
         """Forget all onsets and levels; what is usual is learnt anew."""
         self.signatures.clear()
         self._samples = self._jumps = 0
+        self._latest_onset: float = np.inf
         #: (tests, ages) array; mean of T
         self.levels: FloatArray = np.ones((len(self.tests), len(_AGES) - 1))
 
@@ -141,6 +163,14 @@ class ChangeTests:
                 self._begin_at(first + (self._samples // period) % count)
             first += count
 
+    def take_quanta(self, quanta: FloatArray) -> None:
+        """Bear with biases of a step of each sensor, (n_y,): so much may its rounding shift."""
+        self._dead_bands[-len(quanta) :] = quanta
+
+    def confine_onsets(self, *, to_the_past: bool) -> None:
+        """Look for onsets before now alone: what has been noticed has begun; or for all again."""
+        self._latest_onset = self._samples if to_the_past else np.inf
+
     def note_jump(self) -> None:
         """Try this moment as an onset, too; to be called before :meth:`step`."""
         self._begin_at(self.signatures.slots - _JUMPS + self._jumps % _JUMPS)
@@ -155,21 +185,22 @@ class ChangeTests:
         own = self.signatures
         age = (self._samples - self._begin) * self._sample_time
         age[own.live == 0.0] = -1.0
-        t = own.product**2 / np.maximum(own.energy, 1e-9)
+        energy = own.energy + self._precisions[:, None]
+        beyond = np.abs(own.product) / energy - self._dead_bands[:, None]
+        t = np.maximum(beyond, 0.0) ** 2 * energy
         seconds = self._every * self._sample_time
         self._adapt_forces(t, age, seconds / _FORCE_TIMES[not learning])
         classes = np.searchsorted(_AGES, age) - 1  # −1: too young
-        old_enough = classes >= 0
+        is_candidate = (classes >= 0) & (self._begin <= self._latest_onset)
         levels = np.maximum(self.levels, 1.0)
-        levelled = np.where(old_enough, t / levels[:, classes], 0.0)
+        levelled = np.where(is_candidate, t / levels[:, classes], 0.0)
         self._adapt_levels(t, classes, seconds / _LEVEL_TIMES[not learning])
         test, slot = np.unravel_index(levelled.argmax(), levelled.shape)
-        energy = max(float(own.energy[test, slot]), 1e-300)
         return Change(
             test=int(test),
             statistic=float(levelled[test, slot]),
-            size=float(own.product[test, slot]) / energy,
-            sd=float(np.sqrt(levels[test, classes[slot]] / energy)),
+            size=float(own.product[test, slot] / energy[test, slot]),
+            sd=float(np.sqrt(levels[test, classes[slot]] / energy[test, slot])),
             since=float(age[slot]),
         )
 

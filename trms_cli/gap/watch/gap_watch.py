@@ -11,7 +11,7 @@ first samples the jump of an encoder looks like a blow on its axis.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -46,6 +46,9 @@ class GapWatch:
     misfit: Positive = 1.0
     #: s, over which usual errors of the equations forget themselves
     correlation_time: Positive = 1.0
+    #: s; a rig that is sampled faster is looked at so often: what a rounding sensor errs by is no
+    #: noise from sample to sample then
+    period: Positive = 0.02
     #: Innovations beyond this many of their standard deviations are left out …
     spike: Positive = 8.0
     #: … for so long, s: what lasts is no spike, but a change
@@ -60,12 +63,24 @@ class WatchingGap:
     """See :class:`trms_cli.simulation.gap_watch.GapWatchRun`."""
 
     def __init__(self, config: GapWatch, setup: ObserverSetup) -> None:
+        #: Samples that are taken as one, of rigs that are sampled fast
+        self._together = max(1, math.floor(config.period / setup.sample_time + 1e-9))
+        setup = replace(setup, sample_time=self._together * setup.sample_time)
         self._config, self._sample_time = config, setup.sample_time
+        self._commands, self._count = np.zeros(setup.model.n_u), 0
         self._every = self._samples_in(_LOOK)
         self._predictor = Predictor(setup, config.correlation_time)
         self.tests = ChangeTests(self._predictor, setup.outputs, self._every)
         self._patience = self._samples_in(config.longest_spike)
         self._spikes = [0] * len(setup.outputs)
+        #: (n_y,) arrays; the readings before, and the least that they have changed by
+        self._last = setup.first_measurement.copy()
+        self._quanta = np.full(len(self._spikes), np.inf)
+        angles = {axis.angle for axis in setup.model.axes.values()}
+        #: (n_y,) array; steps of encoders as declared, whose deviation is a twelfth's root of them
+        self._declared = np.array(
+            [12**0.5 * setup.noise_sd[n] if n in angles else 0.0 for n in setup.outputs]
+        )
         self._samples = self._since_restart = 0
         self._learning = self._samples_in(config.learning)
         self._crossed: int | None = None
@@ -79,7 +94,17 @@ class WatchingGap:
 
     def step(self, command: FloatArray, measurement: FloatArray) -> Sequence[GapAlarm]:
         """See :class:`trms_cli.simulation.gap_watch.GapWatchRun`."""
+        if self._together > 1:
+            # the first sample is one by itself: nothing has acted before it
+            self._commands += command
+            self._count += 1
+            if self._samples and self._count < self._together:
+                return ()
+            command = self._commands / self._count
+            self._commands[:], self._count = 0.0, 0
         self._take(command, measurement)
+        if self._first:
+            self._learn_quanta(measurement)
         self._samples += 1
         self._since_restart += 1
         if self._since_restart * self._sample_time <= _SETTLING:
@@ -114,6 +139,12 @@ class WatchingGap:
             elif spikes[j] and self._is_quiet(j):
                 spikes[j] = 0
 
+    def _learn_quanta(self, measurement: FloatArray) -> None:
+        """The least that each reading ever changes by is the step of its sensor."""
+        moves = np.abs(measurement - self._last)
+        np.fmin(self._quanta, np.where(moves > 0.0, moves, np.inf), out=self._quanta)
+        self._last = measurement.copy()
+
     def _is_quiet(self, j: int) -> bool:
         """Whether a channel that was believed in spite of its spikes has come back to normal."""
         own = self._predictor.arrays
@@ -127,6 +158,8 @@ class WatchingGap:
         if self._since_restart + self._every <= self._learning:
             return ()
         self._first = False
+        quanta = np.where(np.isfinite(self._quanta), self._quanta, 0.0)
+        self.tests.take_quanta(np.maximum(quanta, self._declared))
         predictor, config = self._predictor, self._config
         if not len(predictor.free):
             return ()
@@ -165,9 +198,11 @@ class WatchingGap:
             if change.statistic <= config.threshold:
                 return ()
             self._crossed = self._samples
+            self.tests.confine_onsets(to_the_past=True)
         if (self._samples - self._crossed) * self._sample_time < config.confirmation - 1e-9:
             return ()
         self._crossed = None
+        self.tests.confine_onsets(to_the_past=False)
         if change.statistic <= config.threshold:
             return ()
         test = self.tests.tests[change.test]
