@@ -383,19 +383,16 @@ def _with_experiment(
             "controller=…",
         )
     whole: Experiment = others[0]
-    parts: dict[str, Any] = {
+    parts = {
         "controller": whole.controller,
         "ref": whole.reference,
         "model": whole.model,
         "plant": whole.plant,
         "observer": whole.observer,
         "supervisor": whole.supervisor,
+        "gap_watch": whole.gap_watch,
     }
-    gap_watch = getattr(whole, "gap_watch", None)
-    if gap_watch is not None:
-        parts["gap_watch"] = gap_watch
-    keys = (*parts, "gap_watch", "effect", "fault", "sim")
-    twice = [key for key in keys if keywords[key] is not None]
+    twice = [key for key in (*parts, "effect", "fault", "sim") if keywords[key] is not None]
     if twice:
         raise ConfigurationError(
             f"{twice[0]} is given, and an experiment that has one",
