@@ -27,7 +27,7 @@ PICTURE = """\
 #: (a test holds the two equal; the copy spares importing every module for one line of it).
 COMMANDS: dict[str, str] = {
     "run": "close the loop: simulate or replay, log, score, draw",
-    "rig": "serve a simulated rig in real time, or check a real one",
+    "rig": "serve a simulated rig in real time, check a real one, drive one by exported C",
     "excite": "design an excitation: band and amplitude from the model",
     "identify": "fit a model's parameters, or a network, to recordings",
     "validate": "how well models foretell recordings: errors, residual tests, spectra",

@@ -10,6 +10,7 @@ from trms_cli import read_log
 from trms_cli.cli import main
 from trms_cli.core import trust
 from trms_cli.core.compilation import compiler
+from trms_cli.library.tasks.drive import run_words
 
 #: V, and states' units: what the export promises (docs/export-controller.md).
 EQUAL = 1e-9
@@ -81,7 +82,11 @@ def test_without_an_observer_another_one_estimates_and_the_model_is_the_exported
 @needs_compiler
 def test_a_reference_out_of_reach_and_a_landing_are_as_in_python(trms, small, tmp_path):
     rig = ("plant=simulated", "model=newtonian_vertical", "sim.duration=8", FAST)
-    for more in (["ref.alpha_v.amplitude=1.2"], ["fault=pitch_encoder_dead"]):
+    for more in (
+        ["ref.alpha_v.amplitude=1.2"],
+        ["fault=pitch_encoder_dead"],
+        ["controller.delay=one_sample"],
+    ):
         for folder in ("c", "python"):
             shutil.rmtree(tmp_path / folder, ignore_errors=True)
         trms("rig", "drive", "--exported", str(small), *rig, *more, "out=c", code=None)
@@ -122,6 +127,21 @@ def test_its_log_is_a_run_like_any_other(trms, small, tmp_path):
     trms("rig", "drive", "--exported", str(small), "--from", "pid", "out=back")
     back, first = (read_log(tmp_path / name)["/command"] for name in ("back", "c"))
     assert (back == first).all(axis=None)
+
+
+def test_the_loop_is_that_of_the_export(tmp_path):
+    """Model, sample time and delay come with it, unless something else is typed."""
+    words = ("controller.delay=one_sample", "sim.sample_time=0.05", "controller.sample_time=0.1")
+    folder = exported_to(tmp_path / "rig", *SMALL, *words)
+    own = run_words(folder, ["seed=2"])
+    assert own == [
+        *("plant=udp", "controller=exported", f'controller.folder="{folder}"'),
+        *("controller.delay=one_sample", "observer=exported", "sim.sample_time=0.05"),
+        *("model=newtonian_vertical", "seed=2"),
+    ]
+    typed = ["plant=serial", "model=tras", "observer=ekf", "controller.delay=none"]
+    assert run_words(folder, typed)[2:] == typed
+    assert trust._exports == {folder}
 
 
 def test_only_what_is_typed_runs(refused, small, tmp_path, monkeypatch):

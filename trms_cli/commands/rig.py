@@ -13,7 +13,7 @@ from trms_cli.core.plugins import nearest
 if TYPE_CHECKING:
     from trms_cli.composition.composer import Task
 
-SUMMARY = "serve a simulated rig in real time, or check a real one"
+SUMMARY = "serve a simulated rig in real time, check a real one, drive one by exported C"
 
 HELP = """\
 usage: trms rig serve [effect=NAME] [fault=NAME] [KEY=VALUE]…

@@ -34,6 +34,8 @@ def _words(export: ExportFolder, is_given: set[str]) -> list[str]:
     again = bool({"--from", "experiment"} & is_given)  # rig and model come with it
     if "plant" not in is_given and not again:
         words.insert(0, _PLANT)
+    if "controller.delay" not in is_given:  # the loop's part of the law, which no C holds
+        words += [word for word in export.overrides if word.startswith("controller.delay=")]
     if "observer" not in is_given and export.observer_period is not None:
         words.append("observer=exported")
         if "sim.sample_time" not in is_given:
