@@ -206,8 +206,8 @@ class RunSignals:
 
     @property
     def deadline(self) -> float | None:
-        """The time between two control steps, ms."""
-        time = self.time("/controller")
+        """The time of a sample, in which a control step has to be done, ms."""
+        time = self.time("/command")
         return float(f"{1e3 * np.median(np.diff(time)):.4g}") if len(time) > 1 else None
 
     def deadline_misses(self) -> npt.NDArray[np.bool_]:

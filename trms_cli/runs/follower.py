@@ -6,6 +6,7 @@ RMSE, share of saturation, percentile and misses (:mod:`trms_cli.scoring.score`)
 
 import contextlib
 import math
+import platform
 import re
 from bisect import bisect_right
 from collections import deque
@@ -69,7 +70,7 @@ class Solver:
     #: those until now
     now_ms: float
     p99_ms: float
-    deadline_ms: float  #: The control period
+    deadline_ms: float  #: The time of a sample
     #: ``steps``, ``misses``, ``fallbacks``: Control steps until now, those that took longer, those
     #: on which a fall-back acted or the solve failed
     steps: int
@@ -81,6 +82,16 @@ class Solver:
     #: ``mode``, ``reasons``: Of the supervisor: normal, degraded or landing, and why
     mode: str
     reasons: str
+
+
+@dataclass(frozen=True)
+class Punctuality:
+    """How well a real rig's samples keep their time, until now."""
+
+    now_ms: float  #: Lateness of the latest sample
+    worst_ms: float  #: Largest lateness
+    late_share: float  #: Share of the samples over 1 ms late
+    command_ms: float  #: From the latest reading to its command
 
 
 @dataclass(frozen=True)
@@ -105,6 +116,7 @@ class Moment:
     solver: Solver | None  #: None before the first control step, and in recordings
     events: tuple[Event, ...]  #: The latest ones until now, the last one last
     event_count: int  #: All of them until now
+    timing: Punctuality | None = None  #: None for a run that waits for no clock
 
 
 class GrowingArray:
@@ -228,8 +240,9 @@ class RunSamples:
     @property
     def latest(self) -> float:
         """Time of the last sample so far (s); 0 before the first one."""
+        aside = ("/event", "/landing")
         times = [
-            t.time.values[-1] for n, t in self._topics.items() if n != "/event" and len(t.time)
+            t.time.values[-1] for n, t in self._topics.items() if n not in aside and len(t.time)
         ]
         return float(max(times, default=0.0))
 
@@ -243,6 +256,7 @@ class RunSamples:
             axes=tuple(self._axis(name, time, span) for name in self._axis_names()),
             inputs=tuple(self._inputs(time)),
             solver=self._solver(time),
+            timing=self._timing(time),
             events=tuple(last),
             event_count=self._forgotten + happened,
         )
@@ -373,11 +387,11 @@ class RunSamples:
         spent = words.numbers.get("solve_time_s")
         present = np.empty(0) if spent is None else spent.values[:count]
         present = present[~np.isnan(present)]
-        last = words.time.values[max(0, count - 50) : count]
+        commands = self._topics.get("/command", words).time.values[:50]
         return Solver(
             now_ms=1e3 * words.number("solve_time_s", count),
             p99_ms=1e3 * float(np.percentile(present, 99)) if present.size else NAN,
-            deadline_ms=1e3 * float(np.median(np.diff(last))) if count > 1 else NAN,
+            deadline_ms=1e3 * float(np.median(np.diff(commands))) if len(commands) > 1 else NAN,
             steps=count,
             misses=int(self._misses.until(count)[0]),
             fallbacks=int(self._fell_back.until(count)[0]),
@@ -386,6 +400,19 @@ class RunSamples:
             message=words.text("message", count),
             mode=words.text("mode", count),
             reasons=words.text("reasons", count),
+        )
+
+    def _timing(self, time: float) -> Punctuality | None:
+        samples = self._topics.get("/timing")
+        count = 0 if samples is None else samples.count_until(time)
+        if samples is None or not count or "lateness_s" not in samples.numbers:
+            return None
+        lateness = 1e3 * samples.numbers["lateness_s"].values[:count]
+        return Punctuality(
+            now_ms=float(lateness[-1]),
+            worst_ms=float(np.max(lateness)),
+            late_share=float(np.mean(lateness > 1.0)),
+            command_ms=1e3 * samples.number("command_s", count),
         )
 
     def _speed(self, time: float) -> float:
@@ -418,7 +445,7 @@ def _start_ns(run: dict[str, str]) -> int | None:
         return None
 
 
-_WHOLE = ("/reference", "/command", "/measurement", "/plant/state", "/event")
+_WHOLE = ("/reference", "/command", "/measurement", "/plant/state", "/event", "/timing")
 _TIMES = ("solve_time_s", "iterations", "fallback", "deadline_missed")
 _CONTROLLER = (*_TIMES, "status", "message", "mode", "reasons")
 _DERIVED = ("sd_", "predicted_", "innovation_")
@@ -450,6 +477,15 @@ class RunFollower(RunSamples):
         """The option of each group; empty for what is no run of the loop."""
         options = json_or_none(self.tail.run.get("choices"))
         return options if isinstance(options, dict) else {}
+
+    @property
+    def process(self) -> int | None:
+        """The process of a run that drives a real rig on this machine now; None for any other."""
+        run = self.tail.run
+        if self.has_ended or run.get("machine") != platform.node() or not self.tail.has_writer():
+            return None
+        number = run.get("process", "")
+        return int(number) if number.isdecimal() else None
 
     @property
     def total(self) -> float | None:

@@ -1,10 +1,13 @@
 """A picture of a run at one moment, in characters: as wide and as high as the terminal is."""
 
 import math
+import os
+import signal
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
 import numpy as np
@@ -13,7 +16,7 @@ from rich.cells import set_cell_size
 from rich.text import Text
 
 from trms_cli.core.wording import named_files
-from trms_cli.runs.follower import AxisMoment, Input, Moment, RunFollower, Solver
+from trms_cli.runs.follower import AxisMoment, Input, Moment, Punctuality, RunFollower, Solver
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -210,6 +213,8 @@ def run_frame(view: View, width: int, height: int, *, plain: bool = False) -> li
     head = [*_header(view, width, plain), *_table(moment.axes)]
     body = [_bar(command, width, plain) for command in moment.inputs]
     body += _solver_lines(moment.solver)
+    if moment.timing is not None:
+        body.append(_timing_line(moment.timing))
     if view.problem:
         body.append(Text(f"damaged  {view.problem}", _ALARM))
     foot = [Text(view.keys, "dim")] if view.keys else []
@@ -410,6 +415,14 @@ def _solver_lines(solver: Solver | None) -> list[Text]:
     return [line, mode]
 
 
+def _timing_line(timing: Punctuality) -> Text:
+    line = Text("timing   ")
+    line.append(f"{_short(timing.now_ms)} ms", _ALARM if timing.now_ms > 1.0 else "bold")
+    line.append(f" late now · {_short(100 * timing.late_share)} % over 1 ms")
+    line.append(f" · worst {_short(timing.worst_ms)} ms")
+    return line.append(f" · command {_short(timing.command_ms)} ms after the reading")
+
+
 def between(left: Text, right: Text, width: int) -> Text:
     """One at each end of a line; the left one gives way."""
     room = max(0, width - right.cell_len - 1)
@@ -458,9 +471,11 @@ def _tick(value: float) -> str:
 
 _STEP = 5.0  # s of an arrow key
 _FASTEST, _SLOWEST = 1024.0, 1 / 64
+_BETWEEN_SIGNALS = 0.05  # s
 #: s that a picture may wait for reading: a long log is shown as it is read.
 _BUDGET = 0.1
 LIVE_KEYS = "q quit  space pause  ← → 5 s  home begin  end live"
+RIG_KEYS = "l land  x stop at once  " + LIVE_KEYS
 REPLAY_KEYS = "q quit  space pause  + - speed  ← → 5 s  home begin  end"
 
 
@@ -506,7 +521,9 @@ class Player:
         """Take a key; False to quit."""
         if key in ("q", "Q", "\x03"):
             return False
-        if key == " ":
+        if key in ("l", "L", "x", "X"):
+            self._stop_run(at_once=key in ("x", "X"))
+        elif key == " ":
             self.paused = not self.paused
         elif key in ("+", "="):
             self.speed = min(2 * self.speed, _FASTEST)
@@ -520,6 +537,17 @@ class Player:
         elif key == "end":
             self._go(math.inf)
         return True
+
+    def _stop_run(self, *, at_once: bool) -> None:
+        """Ask a run that goes on by the clock to land its rig, as Ctrl-C in its terminal does."""
+        process = self.run.process
+        if process is None:
+            return
+        with suppress(OSError):
+            os.kill(process, signal.SIGINT)
+            if at_once:
+                sleep(_BETWEEN_SIGNALS)  # two at once would count as one
+                os.kill(process, signal.SIGINT)
 
     def _go(self, target: float) -> None:
         """Forward; beyond the latest sample of a run that goes on is to follow it."""
@@ -545,9 +573,14 @@ class Player:
             replay=replay,
             silent=monotonic() - run.last_growth,
             span=self._span,
-            keys=(LIVE_KEYS if self.live else REPLAY_KEYS) if keys else "",
+            keys=self._keys() if keys else "",
             problem=run.tail.problems[-1] if run.tail.problems else "",
         )
+
+    def _keys(self) -> str:
+        if self.run.process is not None:
+            return RIG_KEYS
+        return LIVE_KEYS if self.live else REPLAY_KEYS
 
     def frame(self, width: int, height: int, *, keys: bool) -> list[Text]:
         """The picture."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import shlex
 from collections.abc import Iterator, Mapping
@@ -71,7 +72,8 @@ def perform(composition: Composition, listener: Listener) -> Done:
             composition.folder("run") / LOG_NAME,
             [*topics, *scene.topics()],
             assembly.run_metadata(composition, experiment.model, plant, revision.answer())
-            | {"loop": "closed" if _follows(experiment) else "open"},
+            | {"loop": "closed" if _follows(experiment) else "open"}
+            | _process_of(experiment),
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
         )
         logs.append(log)
@@ -166,6 +168,13 @@ def score_of(loop: Any, path: Path, *, complete: bool) -> dict[str, Any]:
         log=str(path),
         complete=complete,
     )
+
+
+def _process_of(experiment: Experiment) -> dict[str, str]:
+    """What a run by the clock says of itself, so that `trms watch` can ask it to land."""
+    if not experiment.in_real_time:
+        return {}
+    return {"process": str(os.getpid()), "machine": platform.node()}
 
 
 def never_begun(plant: Any, duration: float) -> Iterator[str]:
