@@ -22,6 +22,7 @@ counts by what it is beyond a step. Levels and steps are learnt in the first sec
 levels follow slowly from then on.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,7 +40,9 @@ _GRIDS = ((0.25, 16), (1.5, 8))
 #: Onsets at which a reading jumped: beside such a jump a grid is coarse.
 _JUMPS = 8
 #: s since the onset, between the classes whose level is learnt apart.
-_AGES = (0.1, 1.3, 3.0, 5.3, np.inf)
+_AGES = np.array([0.1, 1.3, 3.0, 5.3, np.inf])
+_CLASSES = np.arange(len(_AGES) - 1)
+_OLDEST = 13.0  #: s; an older onset is no candidate any more
 #: s since the onset, of those that say how large the usual force is.
 _LEVELLING = (0.4, 6.0)
 #: T that counts at most in means: a change is not learnt as if it were usual.
@@ -96,10 +99,10 @@ class ChangeTests:
         )
         own = self.signatures
         own.on_outputs[n_f:] = np.eye(len(outputs))
-        #: (tests,) array; sizes up to which a change may come from a sensor's rounding alone
-        self._dead_bands: FloatArray = np.zeros(len(self.tests))
-        #: (tests,) array; of the sizes that are believed possible, about none
-        self._precisions: FloatArray = self._likely_sizes(outputs) ** -2.0
+        #: (tests, 1) array; sizes up to which a change may come from a sensor's rounding alone
+        self._dead_bands: FloatArray = np.zeros((len(self.tests), 1))
+        #: (tests, 1) array; of the sizes that are believed possible, about none
+        self._precisions: FloatArray = self._likely_sizes(outputs)[:, None] ** -2.0
         n_x = predictor.n_x
         self._constant = own.on_state[0:n_f:2, :n_x]
         self._frictional = own.on_state[1:n_f:2, :n_x]
@@ -165,7 +168,7 @@ class ChangeTests:
 
     def take_quanta(self, quanta: FloatArray) -> None:
         """Bear with biases of a step of each sensor, (n_y,): so much may its rounding shift."""
-        self._dead_bands[-len(quanta) :] = quanta
+        self._dead_bands[-len(quanta) :, 0] = quanta
 
     def confine_onsets(self, *, to_the_past: bool) -> None:
         """Look for onsets before now alone: what has been noticed has begun; or for all again."""
@@ -184,40 +187,40 @@ class ChangeTests:
         """The most likely change; levels follow. To be called every so many samples."""
         own = self.signatures
         age = (self._samples - self._begin) * self._sample_time
-        age[own.live == 0.0] = -1.0
-        energy = own.energy + self._precisions[:, None]
-        beyond = np.abs(own.product) / energy - self._dead_bands[:, None]
-        t = np.maximum(beyond, 0.0) ** 2 * energy
+        age[(own.live == 0.0) | (age > _OLDEST)] = -1.0
+        energy = own.energy + self._precisions
+        beyond = np.maximum(np.abs(own.product) / energy - self._dead_bands, 0.0)
+        t = beyond * beyond * energy
+        capped = np.minimum(t, _MOST)
         seconds = self._every * self._sample_time
-        self._adapt_forces(t, age, seconds / _FORCE_TIMES[not learning])
-        classes = np.searchsorted(_AGES, age) - 1  # −1: too young
-        is_candidate = (classes >= 0) & (self._begin <= self._latest_onset)
-        levels = np.maximum(self.levels, 1.0)
-        levelled = np.where(is_candidate, t / levels[:, classes], 0.0)
-        self._adapt_levels(t, classes, seconds / _LEVEL_TIMES[not learning])
-        test, slot = np.unravel_index(levelled.argmax(), levelled.shape)
+        self._adapt_forces(capped, age, seconds / _FORCE_TIMES[not learning])
+        classes = np.searchsorted(_AGES, age) - 1  # −1: too young, or none
+        levels = np.maximum(self.levels, 1.0)[:, classes]
+        levelled = t / levels
+        levelled *= (classes >= 0) & (self._begin <= self._latest_onset)
+        self._adapt_levels(capped, classes, seconds / _LEVEL_TIMES[not learning])
+        test, slot = divmod(int(levelled.argmax()), own.slots)
+        precision = float(energy[test, slot])
         return Change(
-            test=int(test),
+            test=test,
             statistic=float(levelled[test, slot]),
-            size=float(own.product[test, slot] / energy[test, slot]),
-            sd=float(np.sqrt(levels[test, classes[slot]] / energy[test, slot])),
+            size=float(own.product[test, slot]) / precision,
+            sd=math.sqrt(float(levels[test, slot]) / precision),
             since=float(age[slot]),
         )
 
-    def _adapt_forces(self, t: FloatArray, age: FloatArray, step: float) -> None:
-        selection = (age > _LEVELLING[0]) & (age <= _LEVELLING[1])
-        if not selection.any():
+    def _adapt_forces(self, capped: FloatArray, age: FloatArray, step: float) -> None:
+        weights = ((age > _LEVELLING[0]) & (age <= _LEVELLING[1])).astype(float)
+        count = weights.sum()
+        if not count:
             return
-        n_f = 2 * len(self._equations_of)
-        mean = np.minimum(t[0:n_f:2, selection], _MOST).mean(axis=1)
+        mean = capped[: 2 * len(self._equations_of) : 2] @ (weights / count)
         factors = np.ones(self._predictor.n_w)
         factors[self._equations_of] = np.exp(step * np.minimum(mean - 1.0, 3.0))
         self._predictor.adapt_forces(factors)
 
-    def _adapt_levels(self, t: FloatArray, classes: IntArray, step: float) -> None:
-        capped = np.minimum(t, _MOST)
-        for c in range(self.levels.shape[1]):
-            selection = classes == c
-            if selection.any():
-                mean = capped[:, selection].mean(axis=1)
-                self.levels[:, c] += step * (mean - self.levels[:, c])
+    def _adapt_levels(self, capped: FloatArray, classes: IntArray, step: float) -> None:
+        members = (classes[:, None] == _CLASSES).astype(float)
+        counts = members.sum(axis=0)
+        mean = (capped @ members) / np.maximum(counts, 1.0)
+        self.levels += step * (counts > 0) * (mean - self.levels)

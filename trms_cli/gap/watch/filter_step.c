@@ -23,6 +23,8 @@
 /* Columns that are worked on at once, in registers. */
 #define LANES 8
 #define MOST_OUTPUTS 16
+/* Innovations that the noise is learnt from, in standard deviations. */
+#define NOISE_CLIP 5.0
 
 static void add_times(double *restrict to, const double *restrict from, double factor, int count)
 {
@@ -84,12 +86,13 @@ static int inverse_root(int y, double *s, double *root)
  * advance: 0 for the first sample, which has nothing before it. state: (y), in: 0 for a channel
  * that is missing, 1 for one that has to be within `gate` standard deviations, 2 for one that is
  * believed; out: 1 where it was used, 0 where it was missing, -1 where it was held back. h: (y, n),
- * e: (y): rows and entries of unused channels become zero. Returns 1 if a covariance is not
+ * e: (y): rows and entries of unused channels become zero. pace: share of the way by which r, of
+ * channels that were used, follows what this sample says of it, but not below least. Returns 1 if a covariance is not
  * positive: what comes out is then of no use. */
 int trms_watch_update(int advance, int d, int n, int y, const double *f, const double *q,
-                      double *h, const double *r, double *e, double gate, int *state, double *p,
+                      double *h, double *r, double *e, double gate, int *state, double *p,
                       double *root, double *w, double *z, double *dx, double *remainder,
-                      double *scratch)
+                      const double *least, double pace, double *scratch)
 {
     double *c = scratch + d * n, *s = c + n * y;
     if (advance)
@@ -150,6 +153,12 @@ int trms_watch_update(int advance, int d, int n, int y, const double *f, const d
         remainder[j] = e[j];
         for (int l = 0; l < n; ++l)
             remainder[j] -= h[j * n + l] * dx[l];
+        if (pace > 0.0 && state[j] == 1) { /* E[e remainder] = r */
+            double most = NOISE_CLIP * NOISE_CLIP * r[j], shown = e[j] * remainder[j];
+            shown = shown > most ? most : shown < -most ? -most : shown;
+            r[j] += pace * (shown - r[j]);
+            r[j] = r[j] < least[j] ? least[j] : r[j];
+        }
     }
     return 0;
 }

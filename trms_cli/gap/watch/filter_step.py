@@ -16,6 +16,8 @@ from trms_cli.core.compilation import compiled_source
 #: Onsets that lie together in memory, as the compiled loop wants them.
 LANES = 8
 _MOST_OUTPUTS = 16
+#: Innovations that the noise is learnt from, in standard deviations.
+_NOISE_CLIP = 5.0
 
 
 class FilterArrays:
@@ -42,27 +44,38 @@ class FilterArrays:
         self.z = np.zeros(y)  #: Whitened innovations
         self.dx = np.zeros(n)  #: Correction of the state
         self.remainder = np.zeros(y)  #: Measured less estimated
+        self.least_noise = np.zeros(y)  #: That ``r`` never falls below
         self._scratch = np.zeros(d * n + n * y + y * y)
 
-    def update(self, *, advance: bool, gate: float) -> bool:
-        """Predict the covariance and take a sample; False if a covariance is not positive."""
+    def update(self, *, advance: bool, gate: float, pace: float = 0.0) -> bool:
+        """Predict the covariance and take a sample; False if a covariance is not positive.
+
+        ``pace``: share of the way by which ``r`` follows what the sample says of it.
+        """
         if self._compiled is None:
-            return self._updated_arrays(advance, gate)
-        function, before, after = self._compiled
-        return not function(int(advance), *before, ctypes.c_double(gate), *after)
+            return self._updated_arrays(advance, gate, pace)
+        function, before, after, scratch = self._compiled
+        return not function(
+            int(advance),
+            *before,
+            ctypes.c_double(gate),
+            *after,
+            ctypes.c_double(pace),
+            scratch,
+        )
 
     @cached_property
-    def _compiled(self) -> tuple[Any, tuple[Any, ...], tuple[Any, ...]] | None:
+    def _compiled(self) -> tuple[Any, tuple[Any, ...], tuple[Any, ...], Any] | None:
         library = _library(self.y)
         if library is None:
             return None
         before: list[npt.NDArray[Any]] = [self.f, self.q, self.h, self.r, self.e]
         after: list[npt.NDArray[Any]] = [self.state, self.p, self.root, self.w, self.z, self.dx]
-        after += [self.remainder, self._scratch]
-        sizes = (self.d, self.n, self.y)
-        return library.trms_watch_update, (*sizes, *map(_at, before)), tuple(map(_at, after))
+        after += [self.remainder, self.least_noise]
+        places = (*(self.d, self.n, self.y), *map(_at, before))
+        return library.trms_watch_update, places, tuple(map(_at, after)), _at(self._scratch)
 
-    def _updated_arrays(self, advance: bool, gate: float) -> bool:
+    def _updated_arrays(self, advance: bool, gate: float, pace: float) -> bool:
         p, d = self.p, self.d
         if advance:
             t = self.f @ p
@@ -89,6 +102,11 @@ class FilterArrays:
         self.dx[:] = self.w @ self.z
         p -= self.w @ self.w.T
         self.remainder[:] = self.e - self.h @ self.dx
+        if pace > 0.0:
+            most = _NOISE_CLIP**2 * self.r
+            shown = np.clip(self.e * self.remainder, -most, most)
+            follows = np.maximum(self.r + pace * (shown - self.r), self.least_noise)
+            self.r[:] = np.where(unused, self.r, follows)
         return True
 
 
@@ -153,11 +171,12 @@ class SignatureArrays:
         before -= own.w @ white
 
 
+#: As it was when the module was read: who calls it was written for that.
+_SOURCE = Path(__file__).with_name("filter_step.c").read_text(encoding="utf-8")
+
+
 def _library(outputs: int) -> ctypes.CDLL | None:
-    if outputs > _MOST_OUTPUTS:
-        return None
-    source = Path(__file__).with_name("filter_step.c").read_text(encoding="utf-8")
-    return compiled_source("trms_gap_watch", source)
+    return None if outputs > _MOST_OUTPUTS else compiled_source("trms_gap_watch", _SOURCE)
 
 
 def _at(array: npt.NDArray[Any]) -> ctypes.c_void_p:

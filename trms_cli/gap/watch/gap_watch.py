@@ -107,7 +107,7 @@ class WatchingGap:
             self._learn_quanta(measurement)
         self._samples += 1
         self._since_restart += 1
-        if self._since_restart * self._sample_time <= _SETTLING:
+        if not self._has_settled:
             return ()
         self.tests.step()
         if self._since_restart % self._every:
@@ -133,7 +133,7 @@ class WatchingGap:
             return
         for j, taken in enumerate(state.tolist()):
             if taken == FilterArrays.held_back:
-                if not any(spikes):
+                if not any(spikes) and self._has_settled:
                     self.tests.note_jump()
                 spikes[j] += 1
             elif spikes[j] and self._is_quiet(j):
@@ -186,6 +186,11 @@ class WatchingGap:
                 threshold=config.misfit,
             ),
         )
+
+    @property
+    def _has_settled(self) -> bool:
+        """Whether the filter has come so near that tests make sense."""
+        return self._since_restart * self._sample_time > _SETTLING
 
     @property
     def _now(self) -> float:

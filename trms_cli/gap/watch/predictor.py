@@ -13,6 +13,7 @@ of the noise ν follow from E[e e_left] = R (Desroziers et al. 2005, Q. J. R. Me
 with e the innovations and e_left what the update leaves of them.
 """
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -43,8 +44,6 @@ _WALK = 0.02
 _LEAST_NOISE = 0.1
 #: s, over which the noise is averaged: at the beginning, and at most.
 _FIRST_AVERAGE, _LONGEST_AVERAGE = 2.0, 120.0
-#: Innovations that the noise is learnt from, in standard deviations.
-_NOISE_CLIP = 5.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class Predictor:
         own.q[:n_x] = self._noise_of_states**2 * self.sample_time
         own.q[d:] = _WALK**2 * self.sample_time
         own.r[:] = self._first_noise
-        self._least_noise = _LEAST_NOISE * self._first_noise
+        own.least_noise[:] = _LEAST_NOISE * self._first_noise
         self._least_force = (_LEAST_FORCE * self.usual_force) ** 2
         #: (n_w,) array; variance of each equation's coloured force
         self.force_variance = (_FIRST_FORCE * self.usual_force) ** 2
@@ -196,31 +195,26 @@ class Predictor:
         own.h[...] = 0.0
         own.h[:, :n_x] = h
         np.subtract(measurement, y, out=own.e)
-        if not own.update(advance=advance, gate=gate):
+        if not own.update(advance=advance, gate=gate, pace=self._pace()):
             self.restart(everything=True)
             return False
         self.x += own.dx[:n_x]
         self.forces += own.dx[n_x:d]
         self.deviations += own.dx[d:]
         self._p[self.free] = self._nominal[self.free] + self._spread * self.deviations
-        if not np.isfinite(self.x.sum()):
+        if not math.isfinite(sum(self.x.tolist())):
             self.restart(everything=True)
             return False
-        self._learn_noise()
         if self.samples % self._per_second == 0:
             self.limit_deviations()
         return True
 
-    def _learn_noise(self) -> None:
-        own = self.arrays
-        average = min(_FIRST_AVERAGE + self.samples * self.sample_time, _LONGEST_AVERAGE)
-        if self.samples * self.sample_time < 1.0:
-            return
-        most = _NOISE_CLIP**2 * own.r
-        shown = np.clip(own.e * own.remainder, -most, most)
-        change = self.sample_time / average * (shown - own.r)
-        own.r += np.where(own.state == own.used, change, 0.0)
-        np.maximum(own.r, self._least_noise, out=own.r)
+    def _pace(self) -> float:
+        """Share of the way by which the noise follows a sample; none in the first second."""
+        since = self.samples * self.sample_time
+        if since < 1.0:
+            return 0.0
+        return self.sample_time / min(_FIRST_AVERAGE + since, _LONGEST_AVERAGE)
 
     def limit_deviations(self) -> None:
         """Let no parameter be less known than its prior, however long it has not shown itself."""
