@@ -3,6 +3,7 @@ nothing is held back for ever. The moving-horizon estimator: its bounds, its two
 what stands in.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from trms_cli.models.discretisation import discretise
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model, names
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.quanser_aero import QuanserAero
+from trms_cli.models.vector_field import holds_at_rest
 from trms_cli.observers import mhe
 from trms_cli.observers.augmentation import FilterOptions, InitialSd, ProcessNoise
 from trms_cli.observers.ekf import Ekf
@@ -131,6 +134,64 @@ def test_a_constant_torque_on_yaw_is_estimated_without_bias(kind, torque) -> Non
         assert sd[1] < 0.3 * abs(torque)
     settled = np.abs(np.array(estimate.x) - rig.x)[[2, 5]]
     assert np.all(settled < 4 * estimate.sd[[2, 5]])
+
+
+STICKING = extend_model(NEWTONIAN, {"dry": CoulombFriction(axis="yaw", torque=0.005)})
+
+
+def _quantised(k: int, y: np.ndarray) -> np.ndarray:
+    """Angles of an encoder of 4096 lines: what an axis at rest shows."""
+    quantum = 2 * np.pi / 4096
+    return np.concatenate([quantum * np.round(y[:2] / quantum), y[2:]])
+
+
+@pytest.mark.parametrize("kind", [Ukf, FilterpyUkf, Ekf, StateDependentEkf, Mhe])
+def test_a_torque_that_friction_takes_up_does_not_wander(kind: type[FilterOptions]) -> None:
+    """At rest within the cone a torque is not observable: its estimate stays, and stays as sure."""
+    observer = made(kind)
+    rig = Rig(STICKING, names(STICKING.outputs))
+    setup = setup_for(STICKING)
+    setup = replace(setup, first_measurement=rig.measure())
+    state = observer.init(setup)
+    resting = np.tile([0.0, 0.0], (1500, 1))
+    torques, spreads = [], []
+    for k, estimate in followed(observer, state, rig, resting, spoil=_quantised):
+        if k >= 100:
+            torques.append(estimate.disturbance[1])
+            spreads.append(estimate.disturbance_sd[1])
+    assert np.ptp(torques) < 0.0003  # N m, of a cone of ±0.005
+    assert spreads[-1] < 1.02 * spreads[0]
+
+
+@pytest.mark.parametrize("kind", [Ukf, FilterpyUkf, Ekf, Mhe])
+def test_a_torque_that_overcomes_friction_is_estimated(kind: type[FilterOptions]) -> None:
+    observer = made(kind)
+    state, rig = observer.init(setup_for(STICKING)), Rig(STICKING, names(STICKING.outputs))
+    still, torque = np.tile([0.5, 0.3], (1000, 1)), np.array([0.0, 0.03, 0.0, 0.0])
+    errors = []
+    for k, estimate in followed(observer, state, rig, still, torque, spoil=_quantised):
+        if k >= 100 and abs(estimate.x[1]) > 0.05:  # it turns
+            errors.append(estimate.disturbance[1] - torque[1])
+    assert len(errors) > 100
+    assert abs(np.mean(errors)) < 0.002
+
+
+def test_the_unscented_filters_agree_on_an_axis_with_friction() -> None:
+    estimates = []
+    for kind in (Ukf, FilterpyUkf):
+        observer = made(kind)
+        state, rig = observer.init(setup_for(STICKING)), Rig(STICKING, names(STICKING.outputs))
+        run = followed(observer, state, rig, commands(300), spoil=_quantised)
+        estimates.append([np.concatenate([e.x, e.disturbance, e.sd]) for _, e in run])
+    np.testing.assert_allclose(*estimates, rtol=1e-6, atol=1e-9)
+
+
+def test_friction_that_stops_nothing_is_propagated_point_by_point() -> None:
+    """Of a model without dry friction, or with a regularised one, all filters are as they were."""
+    for model in (NEWTONIAN, QuanserAero(), extend_model(QuanserAero(), {})):
+        assert not holds_at_rest(model)
+    assert holds_at_rest(STICKING)
+    assert holds_at_rest(extend_model(STICKING, {"slow": InputDelay(rotor="main", delay=0.07)}))
 
 
 @pytest.mark.parametrize("kind", ALL)

@@ -44,11 +44,17 @@ from trms_cli.core.qp import Daqp, Qp, QpResult, QpSolver, solve_or_fail
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState, Target
+from trms_cli.models.vector_field import holds_at_rest
 
 _ARMIJO = 1e-4
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 #: Added to the Hessian's diagonal (1/V²): inputs without influence stay where they are.
 _REGULARISATION = 1e-6
+#: Least weight (1/V²) of an input's deviation from the steady state, of a model whose friction
+#: holds an axis. Inside the friction's cone the input moves nothing and nothing else prices it: it
+#: would drift to the cone's edge, where the axis slips at the least error of the estimate. Over the
+#: horizon a drift of 1 V costs what an error of 0.03 rad in one period does.
+_HOLDING_WEIGHT = 3e-5
 
 
 @dataclass
@@ -455,7 +461,7 @@ class NewtonMpcState:
             horizon = Horizon(
                 self.discrete,
                 blocks,
-                Weights(weights, config.rate_weights, config.input_weights, config.move_weights),
+                Weights(weights, config.rate_weights, input_weights, config.move_weights),
                 SoftLimits(config.soft_limits, config.soft_linear, config.soft_quadratic),
                 TerminalPrice(config.terminal_linear, config.terminal_quadratic, region)
                 if config.terminal != "none"
@@ -468,6 +474,10 @@ class NewtonMpcState:
         check_names(config.input_rate_limits, inputs, "input_rate_limits")
         rates = np.array([config.input_rate_limits.get(name, np.inf) for name in inputs])
         largest_moves = rates * setup.sample_time
+        input_weights = dict(config.input_weights)
+        if holds_at_rest(model):
+            for name in inputs:
+                input_weights[name] = max(input_weights.get(name, 0.0), _HOLDING_WEIGHT)
         limits = [config.soft_limits.get(name, (-np.inf, np.inf)) for name in model.controlled]
         self._goal_limits = np.array(limits) if config.soft_limits else None
         self.newton = engine(region=config.terminal == "quasi_infinite")

@@ -67,6 +67,7 @@ class AxisState:
     curve: PiecewiseLinear  #: Input by torque, V by N m
     torque_of: PiecewiseLinear  #: Its inverse
     holding: PiecewiseLinear | None  #: Torque by angle, N m by rad; None without feed-forward
+    friction: PiecewiseLinear | None  #: Torque by rate, N m by rad/s; None without
     #: c_1, c_2, c_3: torque by the derivatives of the reference, N m s/rad and so on
     inverse: list[float]
     keep: float  #: a, the share that the filter of D keeps
@@ -176,6 +177,7 @@ class Pid(PresentReference):
             curve=curve,
             torque_of=curve.inverse(),
             holding=design.holding if self.feed_forward else None,
+            friction=design.friction if self.feed_forward else None,
             inverse=list(design.inverse[1:]),
             keep=keep,
             derivative_gain=gains.kd * (1 - keep) / T,
@@ -206,6 +208,8 @@ class Pid(PresentReference):
             )
             axis.last_error = behind
             terms = gains.kp * (weight * goal - angle) + axis.integral + axis.derivative
+            if axis.friction is not None:
+                terms += axis.friction.at(axis.guide[1])
             axis.lagged = terms + axis.slow * (axis.lagged - terms)
             ahead = forward - axis.forward_lag
             axis.forward_rate = ahead / self.lead_filter

@@ -10,6 +10,7 @@ takes some hundred solutions, so the tables are kept between runs.
 
 from __future__ import annotations
 
+import copy
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
@@ -22,8 +23,12 @@ import numpy as np
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.process_cache import cached_result
 from trms_cli.models import steady_state
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.dry_friction import turning_rate
 from trms_cli.models.model import Model, names
+from trms_cli.models.rest import static_motor_command
 from trms_cli.models.steady_state import SteadyState, Target
+from trms_cli.models.vector_field import holds_at_rest, without_impulses
 
 #: Which rotor holds which axis.
 ROTOR_OF_AXIS = {"pitch": "main", "yaw": "tail"}
@@ -39,6 +44,10 @@ _ANGLES = 25  # of the table of holding torques
 _FURTHEST = 1.5  # rad, its range where an axis has no stops
 #: The memory of the input path is at its fixed point whatever the step, s.
 _MEMORY_STEP = 0.02
+#: rad/s at which dry friction is read off; below the first, the torque fades. s, of that reading.
+#: N m below which there is none.
+_RATES = (0.001, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+_FRICTION_STEP, _NO_FRICTION = 1e-3, 1e-7
 #: rad/s: the axes are followed up to about here.
 INVERTED = np.geomspace(0.1, 3.0, 24)
 
@@ -206,6 +215,45 @@ def holding_torques(
             points.append((value, torque_of.at(float(target.u[channel]))))
     table = sorted(dict(points).items()) or [(0.0, 0.0)]
     return PiecewiseLinear([p[0] for p in table], [p[1] for p in table])
+
+
+def friction_torques(model: Model, axis: str) -> PiecewiseLinear | None:
+    """Torque with which dry friction resists a rate of an axis, N m by rad/s.
+
+    With the beam level and at rest otherwise. Below the first of :data:`_RATES` it fades, so that a
+    reference that comes to rest asks for none. None for an axis without dry friction.
+    """
+    if not holds_at_rest(model):
+        return None
+    equation = names(model.disturbances).index(model.axes[axis].moment)
+    rate = turning_rate(model, equation)
+    assert rate is not None  # the torque is the axis' own
+    x, u, p, w = at = model.symbols()
+    steps = [discretise(m, _FRICTION_STEP).step for m in (model, without_impulses(model))]
+    inert = ca.SX.zeros(len(model.memory(_FRICTION_STEP)))
+    ends = [rate(step(ca.vertcat(x, inert), u, p, w)[: model.n_x, 0], u, p, w) for step in steps]
+    change = ends[1] - ends[0]
+    torque = change / ca.jacobian(ends[1], w[equation])
+    push = ca.jacobian(model.dynamics(*at), w[equation])
+    turned = push / ca.jtimes(rate(*at), x, push)
+    evaluate = ca.Function("friction", list(at), [torque, turned])
+    rest, idle = model.rest(), (np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w))
+    turning = np.array(evaluate(rest, *idle)[1]).ravel()
+    sides = [float(evaluate(rest + turning * v, *idle)[0]) for v in _RATES]
+    if max(sides) < _NO_FRICTION:
+        return None
+    rates = [-v for v in reversed(_RATES)] + [0.0] + list(_RATES)
+    return PiecewiseLinear(rates, [-f for f in reversed(sides)] + [0.0] + sides)
+
+
+def without_input_memory(model: Model) -> Model:
+    """The model whose commands reach the motors at once, as they would after a long time."""
+    prompt = copy.copy(model)
+    prompt.memory = lambda step: ()  # type: ignore[method-assign]
+    prompt.input_path = (  # type: ignore[method-assign]
+        lambda memory, u, p, window, step: (static_motor_command(model, u, p), memory)
+    )
+    return prompt
 
 
 def inverse(responses: Sequence[ComplexArray], omega: FloatArray) -> FloatArray:

@@ -39,9 +39,11 @@ from trms_cli.controllers.pid_feed_forward import (
     PiecewiseLinear,
     RotorTables,
     decoupling,
+    friction_torques,
     inverse,
     rotor_lag,
     rotor_tables,
+    without_input_memory,
 )
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
@@ -85,11 +87,8 @@ class AxisDesign:
     coupling: tuple[float, ...]
     curve: PiecewiseLinear  #: Input by torque, V by N m
     holding: PiecewiseLinear  #: torque by angle, N m by rad
-
-    @property
-    def rotor_lag(self) -> float:
-        """τ, s; 0 for a rotor without."""
-        return rotor_lag(np.array(self.inverse))
+    friction: PiecewiseLinear | None  #: torque by rate, N m by rad/s; None without dry friction
+    rotor_lag: float  #: τ, s, a delay of the commands left out; 0 for a rotor without
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +125,11 @@ class PidDesign:
             for point in self._points(model, step, steady)
         ]
         free = systems
+        prompt: list[_System] | None = None
+        if model.memory(step):
+            immediate = without_input_memory(model)
+            points = self._points(immediate, step, SteadyState(immediate))
+            prompt = [_driven_by_torques(point, channels, tables) for point in points]
         designs: dict[str, AxisDesign] = {}
         for name, axis in model.axes.items():
             channel, row = channels[name], model.controlled.index(axis.angle)
@@ -139,6 +143,9 @@ class PidDesign:
             plants = [AxisPlant(A, B[:, channel], C[row], step) for A, B, C in systems]
             polynomial = inverse(_responses(systems, channel, row, step), INVERTED)
             filters = self._filters(rotor_lag(polynomial))
+            lag = rotor_lag(polynomial)
+            if prompt is not None:
+                lag = rotor_lag(inverse(_responses(prompt, channel, row, step), INVERTED))
             gains = self._gains(name, plants, filters)
             designs[name] = AxisDesign(
                 angle=axis.angle,
@@ -150,11 +157,12 @@ class PidDesign:
                 coupling=tuple(coupling),
                 curve=tables[name].curve,
                 holding=tables[name].holding,
+                friction=friction_torques(model, name),
+                rotor_lag=lag,
             )
-            systems = [
-                with_loop_closed(plant, gains, filters, B, C)
-                for plant, (_, B, C) in zip(plants, systems, strict=True)
-            ]
+            systems = _with_loop(systems, channel, row, step, gains, filters)
+            if prompt is not None:
+                prompt = _with_loop(prompt, channel, row, step, gains, filters)
             following = list(model.axes)[len(designs) :]
             if any(self.requested_gains[other] == "auto" for other in following):
                 self._require_stable(name, systems)
@@ -210,6 +218,17 @@ def _driven_by_torques(
         volts = float(point.target.u[channel])
         B[:, channel] /= tables[name].curve.inverse().slope(volts)
     return point.A, B, point.C
+
+
+def _with_loop(
+    systems: Sequence[_System], channel: int, row: int, step: float, gains: Gains, filters: Filters
+) -> list[_System]:
+    """The rig at each point with the loop of one axis closed."""
+    plants = [AxisPlant(A, B[:, channel], C[row], step) for A, B, C in systems]
+    return [
+        with_loop_closed(plant, gains, filters, B, C)
+        for plant, (_, B, C) in zip(plants, systems, strict=True)
+    ]
 
 
 def _responses(

@@ -43,6 +43,7 @@ class ExtendedModel(Model):
             )
         self.base, self.effect, self.effect_name = base, effect, name
         self.take_over(base)
+        self.friction_holds = base.friction_holds or _has_impulse(effect)
         self.states = (*base.states, *_prefixed(effect.states(), name))
         self._sizes = tuple(parameter.name for parameter in own)
         self.parameters = base.parameters.concatenate(

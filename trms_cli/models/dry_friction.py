@@ -39,6 +39,26 @@ def moment_index(model: Model, axis: str) -> int:
     return index_of(model.disturbances, axis_of(model, axis).moment, "a disturbance")
 
 
+def turning_rate(model: Model, equation: int) -> ca.Function | None:
+    """``(x, u, p, w)`` → rate, rad/s, of the axis or rotor that a disturbance is a torque on.
+
+    ``equation``: position of the disturbance in ``w``. None: it is no such torque (of a black box,
+    or of a model that does not say where it acts).
+    """
+    if model.sample_time is not None:
+        return None
+    x, u, p, w = at = model.symbols()
+    f = model.dynamics(*at)
+    rotors = (rotor for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names)
+    named = {f"{rotor}_motor" for rotor in rotors} & {s.name for s in model.disturbances}
+    parts = (*model.axes, *(name.removesuffix("_motor") for name in sorted(named)))
+    for part in parts:
+        rate, torque = _turning(model, part, x, f)
+        if torque == equation:
+            return ca.Function("rate", [x, u, p, w], [rate])
+    return None
+
+
 def _turning(model: Model, part: str, x: ca.SX, f: ca.SX) -> tuple[ca.SX, int]:
     """Rate of an axis or rotor, rad/s, and the position in ``w`` of the torque on it."""
     if part in model.rotors:

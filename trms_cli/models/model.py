@@ -72,6 +72,9 @@ class Model(ABC):
     rotors: Mapping[str, str]  #: Input by rotor name (``main``, ``tail``)
     #: Whether an explicit integrator needs steps far below the dynamics of interest
     stiff: bool = False
+    #: Whether impulses, where there are any, hold an axis at rest; those of regularised friction,
+    #: which is no more than steep there, only slow it
+    friction_holds: bool = True
     #: s, of a model that only steps (:meth:`transition`); None for one with :meth:`dynamics`
     sample_time: float | None = None
 

@@ -45,6 +45,8 @@ class QuanserAero(BeamRig):
         Whether the speeds of the rotors are among what may be measured, besides the angles.
     """
 
+    friction_holds = False  # it is steep at rest, and has a slope there
+
     def __init__(
         self,
         *,

@@ -122,6 +122,11 @@ def has_impulses(model: Model) -> bool:
     return not ca.is_equal(ca.densify(model.impulse(x, u, p, w, 0.01)), x, 0)
 
 
+def holds_at_rest(model: Model) -> bool:
+    """Whether dry friction may stop an axis or rotor, set-valued as it is: then no push shows."""
+    return model.sample_time is None and model.friction_holds and has_impulses(model)
+
+
 def without_impulses(model: Model) -> Model:
     """The model with its axes gliding freely: no dry friction, no stops.
 

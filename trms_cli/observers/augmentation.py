@@ -28,13 +28,17 @@ from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import DiscreteModel, discretise, noise_of_states
+from trms_cli.models.dry_friction import turning_rate
 from trms_cli.models.model import Model, names
 from trms_cli.models.rest import resting_state
 from trms_cli.models.state_kinds import kinds_of_disturbances, kinds_of_states
+from trms_cli.models.vector_field import holds_at_rest, without_impulses
 from trms_cli.observers.observer import ObserverSetup
 
 #: Longest explicit integration step over which the rig's dynamics are smooth, s.
 _LONGEST_SUBSTEP = 0.02
+#: Friction stops an axis that a torque moves by less than this share of its free response.
+_STOPPED = 0.01
 #: Standard deviations never fall below this part of the initial ones.
 _FLOOR = 1e-9
 
@@ -171,6 +175,41 @@ class AugmentedModel:
         for k, equation in enumerate(self.equations):
             w[equation] += z[self.n_s + k]
         return w
+
+    def gliding(self) -> DiscreteModel | None:
+        """The same sample with the axes gliding freely; None for a model without dry friction."""
+        if not holds_at_rest(self.model):
+            return None
+        return discretise(
+            without_impulses(self.model), self.discrete.step_length, self.substeps, sensors=True
+        )
+
+    def observable(self) -> ca.Function | None:
+        """``(z, memory, u, p, w_known)`` → 1 for what a sample tells of, 0 for what it does not.
+
+        (n, 1). It does not tell of the torque on an axis or rotor that dry friction stops: the
+        friction takes up whatever that torque is. None for a model whose friction stops nothing.
+        """
+        gliding = self.gliding()
+        if gliding is None:
+            return None
+        z, memory, u, p, w_known = self.symbols()
+        x_0, w = ca.vertcat(z[: self.n_s, 0], memory), self.torques(z, w_known)
+        with_friction, without = (
+            step(x_0, u, p, w)[: self.model.n_x, 0] for step in (self.discrete.step, gliding.step)
+        )
+        entries = [ca.SX.ones(self.n_s)]
+        for k, equation in enumerate(self.equations):
+            rate, torque = turning_rate(self.model, equation), z[self.n_s + k]
+            if rate is None:
+                entries.append(ca.SX(1))
+                continue
+            response, free_response = (
+                ca.fabs(ca.jacobian(rate(x, u, p, w), torque)) for x in (with_friction, without)
+            )
+            entries.append(response > _STOPPED * free_response)
+        observable = ca.cse([ca.densify(ca.vertcat(*entries))])
+        return ca.Function("observable", [z, memory, u, p, w_known], observable)
 
     def measured(self, z: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         """The measured channels, (n_y, 1)."""

@@ -22,7 +22,13 @@ from trms_cli.core.ranges import NotNegative
 from trms_cli.observers.augmentation import Augmentation
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterStep, GatedFilter
-from trms_cli.observers.ukf import SigmaPoints, dynamics_stage, measurement_stage
+from trms_cli.observers.ukf import (
+    SigmaPoints,
+    dynamics_stage,
+    friction_stage,
+    measurement_stage,
+    step_stage,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +62,17 @@ class _FilterpyStep:
         self.inputs: tuple[FloatArray, ...] = tuple(np.zeros(size) for size in sizes)
         sizes = [n, (n, n), n_m, 1, n, n_w, n_w, n_y, n_y, n_y, n_y]
         self.outputs: tuple[FloatArray, ...] = tuple(np.zeros(size) for size in sizes)
-        self._advance = BufferedFunction(call_memoised(dynamics_stage, augmented.alone()))
+        alone = augmented.alone()
+        gliding, observable = alone.gliding(), alone.observable()
+        #: What dry friction adds, linearised at the mean, as the ukf has it; None without any.
+        self._friction: BufferedFunction | None = None
+        if gliding is None or observable is None:
+            self._advance = BufferedFunction(call_memoised(dynamics_stage, alone))
+        else:
+            self._advance = BufferedFunction(step_stage(alone, gliding.step))
+            self._friction = BufferedFunction(friction_stage(alone, gliding))
+            self._observable = BufferedFunction(observable)
+        self._mean = np.zeros(n)
         self._measure = BufferedFunction(call_memoised(measurement_stage, augmented.alone()))
         self._points = MerweScaledSigmaPoints(n, points.alpha, points.beta, points.kappa)
         self._filter = UnscentedKalmanFilter(
@@ -76,6 +92,10 @@ class _FilterpyStep:
         for function, values in ((self._advance, (memory, u, p, w_known)), (self._measure, (u, p))):
             for argument, value in zip(function.inputs[1:], values, strict=True):
                 argument[:] = value
+        if self._friction is not None:
+            self._mean[:] = m
+            self._friction.evaluate(m, memory, u, p, w_known)
+            q = q * self._observable.evaluate(m, memory, u, p, w_known)[0]
         peer = self._filter
         peer.x, peer.P, peer.Q = m.copy(), P.copy(), np.diag(q)
         memory_next = memory.copy()
@@ -112,7 +132,11 @@ class _FilterpyStep:
     def _transition(self, point: FloatArray, _: float) -> FloatArray:
         self._advance.inputs[0][:] = point
         self._advance()
-        return self._advance.outputs[0][: self._n].copy()
+        after = self._advance.outputs[0][: self._n].copy()
+        if self._friction is not None:
+            added, slope = self._friction.outputs
+            after += added + slope @ (point - self._mean)
+        return after
 
     def _measured(self, point: FloatArray) -> FloatArray:
         self._measure.inputs[0][:] = point

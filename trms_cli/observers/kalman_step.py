@@ -11,6 +11,7 @@ state-dependent coefficients at m, or a constant.
 
 import casadi as ca
 
+from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.discretisation import discretise
 from trms_cli.observers.augmentation import AugmentedModel
 from trms_cli.observers.recursive_filter import INPUTS, OUTPUTS
@@ -50,6 +51,18 @@ def gate_channels(mask: ca.MX, innovation: ca.MX, variance: ca.MX, gate: ca.MX) 
     return mask * (innovation * innovation <= gate * variance)
 
 
+def added_variances(augmented: AugmentedModel, q: ca.MX, *at: ca.MX) -> ca.MX:
+    """Variances that a sample adds to z: none to a torque that dry friction hides, (n, 1).
+
+    Whatever that torque does in the meantime shows only once the axis turns again. Until then its
+    estimate stays as sure as it was, or the first motion would overthrow it.
+
+    ``at``: (z, memory, u, p, w_known) at the sample's beginning.
+    """
+    observable = call_memoised(AugmentedModel.observable, augmented)
+    return q if observable is None else q * observable(*at)
+
+
 def step_inputs(augmented: AugmentedModel, n_p: int) -> list[ca.MX]:
     """Symbols of a step's inputs, in the order of :data:`INPUTS`; ``p`` has n_p entries."""
     n, n_y, model = augmented.n, len(augmented.channels), augmented.model
@@ -87,6 +100,7 @@ def kalman_step(
     m, P, memory, u, y, mask, advance, w_known, p, q, r, floor, gate = inputs
     z_next, A, memory_next = transition(m, memory, u, p, w_known)
     m_prior = ca.if_else(advance > 0, z_next, m)
+    q = added_variances(augmented, q, m, memory, u, p, w_known)
     P_prior = ca.if_else(advance > 0, A @ P @ A.T + diagonal(q), P)
     if n_m:
         memory_next = ca.if_else(advance > 0, memory_next, memory)

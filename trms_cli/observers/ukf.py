@@ -32,6 +32,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import call_memoised
 from trms_cli.core.ranges import NotNegative
+from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.observers import kalman_step as kalman
 from trms_cli.observers.augmentation import Augmentation, AugmentedModel
 from trms_cli.observers.observer import ObserverSetup
@@ -90,7 +91,6 @@ def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     """One sample; see :mod:`trms_cli.observers.recursive_filter` for inputs and outputs."""
     n, n_m = points.n, augmented.n_m
     spread = _spread_stage(points)
-    advance_one = dynamics_stage(augmented)
     predict = _prediction_stage(points)
     measure = measurement_stage(augmented)
     update = _update_stage(augmented, points)
@@ -99,8 +99,8 @@ def filter_step(augmented: AugmentedModel, points: SigmaPoints) -> ca.Function:
     m, P, memory, u, y, mask, advance, w_known, p, q, r, floor, gate = inputs
     sigma_points = spread(m, P)
     count = points.count
-    arguments = (ca.repmat(value, 1, count) for value in (memory, u, p, w_known))
-    successors = advance_one.map(count)(sigma_points, *arguments)
+    successors = propagated(augmented, points, sigma_points, memory, u, p, w_known)
+    q = kalman.added_variances(augmented, q, m, memory, u, p, w_known)
     m_prior, P_prior = predict(sigma_points, successors[:n, :], advance, q)
     memory_next = ca.if_else(advance > 0, successors[n:, 0], memory) if n_m else memory
     redrawn = spread(m_prior, P_prior)
@@ -121,17 +121,55 @@ def _spread_stage(points: SigmaPoints) -> ca.Function:
     return ca.Function("spread", [m, P], [points.around(m, P)])
 
 
+def propagated(
+    augmented: AugmentedModel, points: SigmaPoints, sigma_points: ca.MX, *at: ca.MX
+) -> ca.MX:
+    """Sigma points (and the memory) after a sample, the first from the mean, (n + n_m, 2n + 1).
+
+    ``at``: memory, u, p and w_known.
+
+    Dry friction is linearised at the mean. The points of an axis that is slow beside the deviation
+    of its rate lie on both sides of rest, and friction that opposed each would take out of the mean
+    the friction that acts. And of an axis that rests, some points would slip: quantisation noise
+    would then count as news of a torque that the friction takes up whatever it is.
+    """
+    n, count = augmented.n, points.count
+    arguments = [ca.repmat(value, 1, count) for value in at]
+    gliding = augmented.gliding()
+    if gliding is None:
+        return dynamics_stage(augmented).map(count)(sigma_points, *arguments)
+    successors = step_stage(augmented, gliding.step).map(count)(sigma_points, *arguments)
+    mean = sigma_points[:, 0]
+    added, slope = friction_stage(augmented, gliding)(mean, *at)
+    friction = ca.repmat(added, 1, count) + slope @ (sigma_points - ca.repmat(mean, 1, count))
+    return ca.vertcat(successors[:n, :] + friction, successors[n:, :])
+
+
 def dynamics_stage(augmented: AugmentedModel) -> ca.Function:
     """One sigma point (and the memory) over one sample."""
+    return step_stage(augmented, augmented.discrete.step)
+
+
+def step_stage(augmented: AugmentedModel, step: ca.Function) -> ca.Function:
+    """One sigma point (and the memory) over one sample by a step of its model."""
     n_s = augmented.n_s
     z, memory, u, p, w_known = augmented.symbols()
     w = augmented.torques(z, w_known)
-    after = augmented.discrete.step(ca.vertcat(z[:n_s, 0], memory), u, p, w)
+    after = step(ca.vertcat(z[:n_s, 0], memory), u, p, w)
     return ca.Function(
         "advance_one",
         [z, memory, u, p, w_known],
         [ca.densify(ca.vertcat(after[:n_s, 0], z[n_s:, 0], after[n_s:, 0]))],
     )
+
+
+def friction_stage(augmented: AugmentedModel, gliding: DiscreteModel) -> ca.Function:
+    """``(z, memory, u, p, w_known)`` → what dry friction adds to z in a sample, and its slope."""
+    at = augmented.symbols()
+    ends = [step_stage(augmented, step)(*at) for step in (augmented.discrete.step, gliding.step)]
+    added = (ends[0] - ends[1])[: augmented.n, 0]
+    results = ca.cse([added, ca.jacobian(added, at[0])])
+    return ca.Function("friction", list(at), [ca.densify(result) for result in results])
 
 
 def _prediction_stage(points: SigmaPoints) -> ca.Function:
