@@ -283,7 +283,7 @@ PLAIN = {
     "allow": ["json=true"],
     "doctor": ["json=true"],
 }
-NEITHER = {"blind", "sweep", "completion", "help"}  # these have words of their own
+NEITHER = {"blind", "rig", "sweep", "completion", "help"}  # these have words of their own
 
 
 def test_every_command_is_looked_at():

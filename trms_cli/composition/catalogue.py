@@ -27,6 +27,10 @@ _INSIDE_OTHERS = {
     "shaping": "smooths a reference: shaping@ref.shaping=NAME",
     "training": "of a network: training@method.training=NAME",
     "signal": "what one axis follows: signal@ref.alpha_v=NAME",
+    "wiring": "channels, scales and signs of a real rig: wiring@plant.wiring=NAME",
+    "landing": "how a rig is brought to rest: landing@plant.landing=NAME",
+    "envelope": "what a rig may do: envelope@plant.envelope=NAME",
+    "sensors": "how well a rig is measured: sensors@plant.sensors=NAME",
 }
 
 

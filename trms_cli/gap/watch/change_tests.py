@@ -65,7 +65,7 @@ class ChangeTest:
     unit: str  #: Of a size
 
 
-class Change(NamedTuple):
+class ChangeEstimate(NamedTuple):
     """The most likely change by all tests."""
 
     test: int
@@ -183,7 +183,7 @@ class ChangeTests:
         self.signatures.begin(slot)
         self._begin[slot] = self._samples
 
-    def judge(self, *, learning: bool) -> Change:
+    def judge(self, *, learning: bool) -> ChangeEstimate:
         """The most likely change; levels follow. To be called every so many samples."""
         own = self.signatures
         age = (self._samples - self._begin) * self._sample_time
@@ -201,7 +201,7 @@ class ChangeTests:
         self._adapt_levels(capped, classes, seconds / _LEVEL_TIMES[not learning])
         test, slot = divmod(int(levelled.argmax()), own.slots)
         precision = float(energy[test, slot])
-        return Change(
+        return ChangeEstimate(
             test=test,
             statistic=float(levelled[test, slot]),
             size=float(own.product[test, slot]) / precision,

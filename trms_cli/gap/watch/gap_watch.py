@@ -19,7 +19,7 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.ranges import NotNegative, Positive
-from trms_cli.gap.watch.change_tests import Change, ChangeTests
+from trms_cli.gap.watch.change_tests import ChangeEstimate, ChangeTests
 from trms_cli.gap.watch.filter_step import FilterArrays
 from trms_cli.gap.watch.predictor import Predictor
 from trms_cli.observers.observer import ObserverSetup
@@ -87,7 +87,7 @@ class WatchingGap:
         self._first = True  #: Nothing has been learnt yet
         n_w = self._predictor.n_w
         self._standing, self._standing_count = np.zeros(n_w), 0
-        self.latest: Change | None = None  #: As of the last look
+        self.latest: ChangeEstimate | None = None  #: As of the last look
 
     def _samples_in(self, seconds: float) -> int:
         return max(1, round(seconds / self._sample_time))
@@ -150,7 +150,7 @@ class WatchingGap:
         own = self._predictor.arrays
         return own.state[j] == own.used and abs(float(own.z[j])) < self._config.spike
 
-    def _learnt(self, change: Change) -> Sequence[GapAlarm]:
+    def _learnt(self, change: ChangeEstimate) -> Sequence[GapAlarm]:
         """At the end of learning: whether the model fits at all."""
         if 2 * self._since_restart > self._learning:
             self._standing += self._predictor.standing_forces() ** 2
@@ -196,7 +196,7 @@ class WatchingGap:
     def _now(self) -> float:
         return (self._samples - 1) * self._sample_time
 
-    def _look(self, change: Change) -> Sequence[GapAlarm]:
+    def _look(self, change: ChangeEstimate) -> Sequence[GapAlarm]:
         """Whether there is a change that is sure and has been looked at for long enough."""
         config = self._config
         if self._crossed is None:

@@ -25,8 +25,9 @@ from trms_cli.core.wording import listing
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
 
-#: What a run is given for itself: a repetition writes elsewhere.
-_OWN_KEYS = ("out",)
+#: What a run is given for itself: a repetition writes elsewhere, and each time a person arms a real
+#: rig.
+_OWN_KEYS = ("out", "plant.arm")
 #: Overrides that are told to be left out; of more their number.
 _MOST_DROPPED = 4
 _NEWER = "note   newer than that run, and at their default: {}"
@@ -285,8 +286,10 @@ def _as_logged(
     from trms_cli.composition.catalogue import make_importable
 
     make_importable(folders)
-    config = {**logged, "out": None}
-    config |= {word.partition("=")[0]: word.partition("=")[2] for word in own}
+    config: dict[str, Any] = {**logged, "out": None}
+    if "arm" in (config.get("plant") or {}):
+        config["plant"] = {**config["plant"], "arm": "plant.arm=true" in own}
+    config |= {key: value for key, _, value in (w.partition("=") for w in own) if key == "out"}
     overrides = _words(run, "overrides")
     choices = {
         key: value

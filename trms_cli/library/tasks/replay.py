@@ -51,6 +51,8 @@ def perform(composition: Composition, listener: Listener) -> Done:
     model = build(config["model"], "model")
     observer = build(config["observer"], "observer")
     check_contract(observer, "observer")
+    gap_watch = build(config["gap_watch"], "gap_watch")
+    check_contract(gap_watch, "gap_watch")
     plant = build(config["plant"], "plant")
     try:
         rig = plant.load(model)
@@ -76,7 +78,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
         note_run(log.path)
         return History(assembly.units_of(topics), scene.sink(log))
 
-    replay = Replay.start(model, rig, observer, make_history)
+    replay = Replay.start(model, rig, observer, make_history, gap_watch)
     log, whole = logs[0], len(rig) * rig.sample_time
     try:
         with listener.progress() as line:
@@ -90,7 +92,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
         log.close("failed")
         reached = replay.completed_samples * rig.sample_time
         if isinstance(error, Exception) and not isinstance(error, TrmsError):
-            failure = plugin_failure(error, {"observer": observer}, reached)
+            failure = plugin_failure(error, {"observer": observer, "gap_watch": gap_watch}, reached)
             if failure is not None:
                 raise failure from error
         raise

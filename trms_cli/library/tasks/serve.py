@@ -27,6 +27,7 @@ def perform(composition: Composition) -> int:
     from trms_cli.plants.link.server import PseudoTerminal, RigServer, UdpListener
     from trms_cli.plants.plant import PlantSetup
     from trms_cli.plants.simulated import SimulatedRig
+    from trms_cli.simulation.pace import undisturbed
     from trms_cli.simulation.stop import StopRequest
 
     config = composition.config
@@ -54,7 +55,7 @@ def perform(composition: Composition) -> int:
     server = RigServer(rig, listener, nuisances, seed)
     _say(0.0, f"a rig is served: {program()} run {listener.address}")
     try:
-        with StopRequest() as stop:
+        with StopRequest() as stop, undisturbed():
             server.serve(values["duration"], values["step"], lambda: stop.requests > 0)
     finally:
         listener.close()
