@@ -16,6 +16,7 @@ from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Observer, ObserverSetup
 from trms_cli.recordings.for_model import RecordedRun
 from trms_cli.simulation.closed_loop import Progress, estimate_row, tell_rejected
+from trms_cli.simulation.gap_watch import GapWatchPlugin, GapWatchRun, NoGapWatch
 from trms_cli.simulation.history import History
 
 
@@ -28,6 +29,7 @@ class Replay:
     observer: Observer
     history: History  #: Gets the rows, at the rig's own times
     _observer_state: Any
+    _gap_watch: GapWatchRun
     completed_samples: int = 0  #: Samples so far
 
     @classmethod
@@ -37,10 +39,12 @@ class Replay:
         rig: RecordedRun,
         observer: Observer,
         make_history: Callable[[RecordedRun], History],
+        gap_watch: GapWatchPlugin | None = None,
     ) -> Replay:
         """Everything ready for the first sample.
 
-        ``make_history``: given the recording, returns where the run is kept.
+        ``make_history``: given the recording, returns where the run is kept. ``gap_watch``: what
+        compares rig and model; None: nobody.
         """
         setup = ObserverSetup(
             model,
@@ -52,7 +56,8 @@ class Replay:
             rig.commands[0],
         )
         state = observer.init(setup)
-        return cls(model, rig, observer, make_history(rig), state)
+        watch = (gap_watch or NoGapWatch()).init(setup)
+        return cls(model, rig, observer, make_history(rig), state, watch)
 
     def run(self, progress: Progress | None = None) -> None:
         """Run to the end; what is done stays in the history if an exception ends it.
@@ -76,6 +81,8 @@ class Replay:
                 event = happenings.pop()
                 history.event(now_ns, event.kind, event.source, event.message, event.value)
             estimate = self.observer.step(self._observer_state, u, y, None)
+            for alarm in self._gap_watch.step(u, y):
+                history.event(now_ns, "gap_alarm", alarm.location, alarm.words, alarm.size)
             u = rig.commands[k]
             if references is not None:
                 log_reference(now_ns, references[k].tolist())
