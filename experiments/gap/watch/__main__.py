@@ -2,15 +2,15 @@
 
 ``calibrate`` counts how often the statistic passes each threshold on rigs that do not change;
 ``prove`` counts alarms with the standard configuration on other rigs, and delays and onsets where
-an effect of medium size begins. Recordings are simulated once; whatever is done is kept in the
-folder, and called again it goes on.
+an effect of medium size begins; ``long`` counts alarms in runs of ten minutes. Recordings are
+simulated once; whatever is done is kept in the folder, and called again it goes on.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from experiments.command_line import exit_code_of
@@ -20,17 +20,18 @@ from experiments.gap.watch.recordings import make, read
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.core.threads import take_one_thread
 
-#: s, of each recording.
-DURATION = 120.0
-#: Seed and rigs of each kind; a hundred seconds of each are watched.
-CALIBRATION = {"steady": (11, 120)}
-PROOF = {"onset": (102, 64), "steady": (101, 260), "offset": (103, 40)}
+#: By task: s of each recording, and by kind the seed and number of the rigs.
+TASKS: Mapping[str, tuple[float, Mapping[str, tuple[int, int]]]] = {
+    "calibrate": (120.0, {"steady": (11, 120)}),
+    "prove": (120.0, {"onset": (102, 64), "steady": (101, 260), "offset": (103, 40)}),
+    "long": (600.0, {"steady": (104, 20)}),
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate, watch, and print the tables."""
     parser = argparse.ArgumentParser(prog="python -m experiments.gap.watch", description=__doc__)
-    parser.add_argument("what", choices=("calibrate", "prove"))
+    parser.add_argument("what", choices=tuple(TASKS))
     parser.add_argument("--share", type=float, default=1.0, help="of the rigs: 0.1 for a trial")
     parser.add_argument("--out", type=Path, default=Path("outputs/gap_watch"))
     arguments = parser.parse_args(argv)
@@ -44,11 +45,11 @@ def _study(arguments: argparse.Namespace) -> int:
 
     config = build(compose(["gap_watch=standard"]).config["gap_watch"], "gap_watch")
     calibrates = arguments.what == "calibrate"
-    sets = CALIBRATION if calibrates else PROOF
+    duration, sets = TASKS[arguments.what]
     folder = arguments.out / arguments.what
     _tell("simulating")
     shares = {kind: (seed, max(2, round(n * arguments.share))) for kind, (seed, n) in sets.items()}
-    make(folder, shares, DURATION)
+    make(folder, shares, duration)
     rows = evaluate_all(
         read(folder),
         without_threshold(config) if calibrates else config,

@@ -69,6 +69,8 @@ def proof(rows: Sequence[Row], config: GapWatch) -> str:
     """False alarms, delays, onsets, places."""
     lines = [*_false_alarms(rows, config), ""]
     onsets = [row for row in rows if row["kind"] == "onset"]
+    if not onsets:
+        return "\n".join(lines[:-2])
     lines += [_header(), _summary("all", onsets)]
     for effect in sorted({row["effect"] for row in onsets}):
         lines.append(_summary(effect, [row for row in onsets if row["effect"] == effect]))
