@@ -9,6 +9,7 @@ import pytest
 from tests.program import in_process
 from trms_cli.commands.watch.gap import GapScreen, line_of, summary_of
 from trms_cli.library.tasks.gap_watch import GapReplay
+from trms_cli.recordings.log_reader import read_log
 
 RUN = ("run", "controller=lqr", "fault=yaw_encoder_slipped", "ref=sine", "sim.duration=40")
 
@@ -53,6 +54,16 @@ def test_lines_and_json_say_the_same(lab, replay):
 def test_the_loop_says_what_its_log_says_later(lab, replay):
     score = json.loads((lab / "one" / "score.json").read_text())
     assert score["gap_alarms"] == len(replay.alarms)
+
+
+def test_a_replay_has_the_alarms_in_its_log(lab):
+    words = ("plant=replay", "plant.file=one/run.mcap", "observer=ekf", "gap_watch=standard")
+    in_process(lab, "run", *words, "picture=false", "out=again", TRMS_RUNS="off")
+    with_event = read_log(lab / "again" / "run.mcap").table("/event")
+    kinds = list(with_event.columns["kind"])
+    assert "gap_alarm" in kinds
+    at = kinds.index("gap_alarm")
+    assert "yaw_sensor" in list(with_event.columns["source"])[at:]
 
 
 def test_a_log_that_ends_amid_a_chunk_is_watched_up_to_there(lab, replay, tmp_path):
