@@ -36,8 +36,8 @@ from trms_cli.library.tasks.experiment import topics_of, units_of
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.observers.ekf import Ekf
 from trms_cli.plants.envelope import Bound, Envelope
+from trms_cli.plants.hardware import RestCheck
 from trms_cli.plants.landing import Landing
-from trms_cli.plants.link.linked_rig import RestCheck
 from trms_cli.plants.link.nuisances import WireNuisances
 from trms_cli.plants.udp import UdpRig
 from trms_cli.plants.wiring import Wire

@@ -9,7 +9,7 @@ from experiments.rig import faults
 from trms_cli.plants.envelope import EnvelopeWatch
 from trms_cli.plants.link import served_rig
 from trms_cli.plants.link.served_rig import ServedRig
-from trms_cli.simulation.closed_loop import CommandGate
+from trms_cli.simulation.command_gate import CommandGate
 from trms_cli.simulation.rig_life import RigLife
 
 SEEDS = range(70_000, 70_040)

@@ -13,7 +13,7 @@ import pytest
 from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
 from trms_cli.core.plugins import build
 from trms_cli.plants.callable_rig import CallableRig
-from trms_cli.plants.link.linked_rig import RestCheck, RigLost
+from trms_cli.plants.hardware import RestCheck, RigLost
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.wiring import Wire
 

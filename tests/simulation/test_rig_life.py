@@ -4,6 +4,8 @@ import contextlib
 import math
 import os
 import signal
+import socket
+import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,6 +21,7 @@ from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.one_step_ahead import OneStepAhead
 from trms_cli.observers.ekf import Ekf
 from trms_cli.plants.envelope import Bound, Envelope
+from trms_cli.plants.heartbeat import Heartbeat
 from trms_cli.plants.landing import Landing
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.simulated import SimulatedRig
@@ -380,3 +383,27 @@ def test_the_delayed_law_plans_from_the_state_it_will_meet() -> None:
     step = BufferedFunction(discretise(model, T, 20).step)
     exact = step.evaluate(x, u, model.parameters.values, w)[0].ravel()
     np.testing.assert_allclose(ahead.x, exact, rtol=1e-6, atol=1e-9)
+
+
+def test_a_heartbeat_that_stops_lands_the_rig() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    silent = Envelope(heartbeat=Heartbeat(port=port, timeout=0.05))
+    bench = Bench(envelope=silent)
+    with pytest.raises(ConfigurationError, match="no heartbeat"):
+        ran(bench, Law())
+    assert "arm" not in words(bench)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+
+        def act(k: int, sample: ControlSample) -> None:
+            if k < 5:
+                sender.sendto(b"x", ("127.0.0.1", port))
+            else:
+                time.sleep(0.02)
+
+        bench = Bench(envelope=silent)
+        with pytest.raises(RigLanded, match="no heartbeat"):
+            ran(bench, Law(act=act), duration=2.0)
+    assert 5 <= commands(bench).count((1.0, 0.5)) < 20
+    assert_landed(bench, "landed")

@@ -17,7 +17,7 @@ from typing import Any
 from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
 from trms_cli.core.invocation import whole_trace
 from trms_cli.core.plugins import locate_function, nearest
-from trms_cli.plants.link.linked_rig import HardwareRig, HardwareRun
+from trms_cli.plants.hardware import HardwareRig, HardwareRun
 from trms_cli.plants.plant import PlantSetup
 
 _FUNCTIONS = ("read", "write", "open", "close")
@@ -71,7 +71,7 @@ class CallableRig(HardwareRig):
 
 
 class CallableRun(HardwareRun):
-    """See :class:`trms_cli.plants.link.linked_rig.HardwareRun`."""
+    """See :class:`trms_cli.plants.hardware.HardwareRun`."""
 
     rig: CallableRig
 

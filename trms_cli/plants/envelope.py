@@ -18,6 +18,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
+from trms_cli.plants.heartbeat import Heartbeat
 
 #: Takes kind, source, sentence and value of an event.
 Tell = Callable[[str, str, str, float], None]
@@ -57,6 +58,7 @@ class Envelope:
     #: rad beyond a mechanical stop from which on a reading is impossible; None: no such bound
     beyond_stops: Positive | None = 0.5
     impossible_after: NotNegative = 0.1  #: s of impossible readings, then the rig is landed
+    heartbeat: Heartbeat = field(default_factory=Heartbeat)  #: Datagrams that must not stop
 
     def __post_init__(self) -> None:
         for group, bounds in (("readings", self.readings), ("rates", self.rates)):
@@ -124,7 +126,21 @@ class EnvelopeWatch:
         ]
         self._last: list[float] = [math.nan] * len(setup.outputs)
         self._outside: dict[tuple[str, str], int] = {}
+        self._heartbeat = envelope.heartbeat.init()
         self.landing_reason = ""  #: Why the rig has to land; empty while it need not
+
+    def wait(self) -> None:
+        """Wait for the heartbeat, where there is to be one, before the rig moves.
+
+        Raises ConfigurationError where it does not come.
+        """
+        if self._heartbeat is not None:
+            self._heartbeat.wait()
+
+    def close(self) -> None:
+        """Listen no longer."""
+        if self._heartbeat is not None:
+            self._heartbeat.close()
 
     def screen(self, y: FloatArray, tell: Tell) -> FloatArray:
         """The reading (n_y,) without what no rig can give, which is NaN like a lost sample.
@@ -132,7 +148,9 @@ class EnvelopeWatch:
         Raises SimulationError for what is no reading: a mistake in a plant's code.
         """
         try:
-            values = y.tolist()
+            if self._heartbeat is not None and (silence := self._heartbeat.silence()):
+            self.landing_reason = f"no heartbeat for {silence:.2f} s"
+        values = y.tolist()
             count = len(values)
         except (AttributeError, TypeError):
             count = -1

@@ -21,18 +21,25 @@ import numpy as np
 
 from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.models.one_step_ahead import OneStepAhead
 from trms_cli.observers.observer import Observer, ObserverSetup
-from trms_cli.plants.envelope import EnvelopeSetup, EnvelopeWatch, beyond_reach, envelope_of
+from trms_cli.plants.envelope import EnvelopeSetup, EnvelopeWatch, envelope_of
 from trms_cli.plants.landing import landing_of
 from trms_cli.plants.plant import Plant, PlantRun, PlantSetup
 from trms_cli.references.trajectory import ReferenceTrajectory
+from trms_cli.simulation.command_gate import CommandGate
 from trms_cli.simulation.gap_watch import GapWatchPlugin, GapWatchRun, NoGapWatch
 from trms_cli.simulation.history import History, Writer
 from trms_cli.simulation.pace import Clock, LatePolicy, Pace, WallClock, undisturbed
+from trms_cli.simulation.preparation import (
+    check_finite,
+    farthest_command,
+    refuse_beyond_reach,
+    rehearse,
+)
 from trms_cli.simulation.rig_life import Confirm, RigLanded, RigLife, check_reading, check_run
 from trms_cli.simulation.stop import StopRequest
 from trms_cli.simulation.supervisor import (
@@ -47,8 +54,6 @@ from trms_cli.simulation.supervisor import (
 Progress = Callable[[float, float], None]
 #: A run is kept in memory until it is scored; beyond this the keys are a slip.
 _MOST_SAMPLES = 100_000_000
-#: V; no landing is reckoned to begin farther from the safe command, where a rig has no limits.
-_FARTHEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -188,7 +193,7 @@ class Loop:
         e = experiment
         ratio = e.samples_per_control
         landing = landing_of(e.plant)
-        beyond_end = landing.samples(_farthest(e.model), e.sample_time) * landing.after_run
+        beyond_end = landing.samples(farthest_command(e.model), e.sample_time) * landing.after_run
         plant = e.plant.init(PlantSetup(e.sample_time, e.samples + beyond_end, e.seed))
         check_run(plant)
         inputs, outputs = names(plant.inputs), names(plant.outputs)
@@ -205,7 +210,7 @@ class Loop:
         length = e.samples + preview * ratio + e.has_delay
         times = np.arange(length, dtype=np.float64) * e.sample_time
         references = e.reference.restricted_to(e.model.controlled).sample(times)
-        _check_finite(references, times, e.model.controlled)
+        check_finite(references, times, e.model.controlled)
         envelope = envelope_of(e.plant).init(
             EnvelopeSetup(e.sample_time, inputs, outputs, e.model.stops)
         )
@@ -218,8 +223,8 @@ class Loop:
 
         pace = Pace(e.sample_time, e.late, clock) if e.in_real_time else None
         if pace is not None:
-            _refuse_beyond_reach(e, references)
-            _rehearse(e, control, observing, references[: preview * ratio + 1 : ratio])
+            refuse_beyond_reach(e, references)
+            rehearse(e, control, observing, references[: preview * ratio + 1 : ratio])
         life = RigLife(plant, ramp, pace)
         try:
             life.connect()
@@ -265,6 +270,7 @@ class Loop:
                 for words in machine.enter_context(undisturbed()):
                     self._tell("note", "machine", words)
             try:
+                self._envelope.wait()
                 self.life.start(self._u, self._log_landing, confirm)
                 if self.pace is not None:
                     self.pace.begin()
@@ -283,6 +289,7 @@ class Loop:
             self.life.land(self._u, self._log_landing, lambda: True)
             raise
         finally:
+            self._envelope.close()
             self.life.close(reason)
             self.history.flush()
 
@@ -515,68 +522,11 @@ class Loop:
                 self._tell("fault_removed", "plant", fault.words)
 
 
-def _farthest(model: Model) -> float:
-    """How far any command is from any other, V; something large where there are no limits."""
-    lower, upper = model.input_bounds()
-    return float(min(np.max(upper - lower, initial=0.0), 2 * _FARTHEST))
-
-
 def _ending(error: BaseException) -> str:
     """Why a rig is closed, in a word."""
     if isinstance(error, RigLanded):
         return "landed"
     return "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
-
-
-def _refuse_beyond_reach(experiment: Experiment, references: FloatArray) -> None:
-    """A real rig is not asked for what it cannot do."""
-    sentences = out_of_reach(experiment, references)
-    if sentences and getattr(experiment.plant, "real_time", False):
-        raise ConfigurationError(
-            "; ".join(sentences),
-            where="ref",
-            remedy="a smaller reference, or other bounds in plant.envelope.readings",
-        )
-
-
-def out_of_reach(experiment: Experiment, references: FloatArray) -> list[str]:
-    """A sentence for each reference (samples, n_r) that goes beyond a stop or the envelope, rad."""
-    model = experiment.model
-    if not getattr(experiment.controller, "follows_reference", True):
-        return []
-    return beyond_reach(references, model.controlled, envelope_of(experiment.plant), model.stops)
-
-
-def _rehearse(
-    experiment: Experiment,
-    control: ControlSetup,
-    observing: Callable[[FloatArray], ObserverSetup],
-    references: FloatArray,
-) -> None:
-    """Ask observer and controller once for nothing, so that all is compiled and allocated."""
-    e, model = experiment, experiment.model
-    rest = dict(zip(model.state_names, model.rest().tolist(), strict=True))
-    setup = observing(np.array([]))
-    reading = np.array([rest.get(name, 0.0) for name in setup.outputs])
-    observer_state = e.observer.init(observing(reading))
-    gap_watch = e.gap_watch.init(observing(reading))
-    gap_watch.step(control.first_command, reading)
-    controller_state = e.controller.init(control)
-    for want_prediction in (False, True):
-        estimate = e.observer.step(observer_state, control.first_command, reading, rest)
-        sample = ControlSample(0.0, references.copy(), estimate, control.first_command)
-        e.controller.step(controller_state, sample, want_prediction=want_prediction)
-
-
-def _check_finite(references: FloatArray, times: FloatArray, axes: Sequence[str]) -> None:
-    wrong = np.argwhere(~np.isfinite(references))
-    if len(wrong):
-        k, axis = wrong[0]
-        raise ConfigurationError(
-            f"the reference is {references[k, axis]} at {times[k]:g} s",
-            where=f"ref.{axes[axis]}",
-            remedy="a reference needs a finite value at every sample",
-        )
 
 
 def estimate_row(estimate: Estimate) -> list[float]:
@@ -601,79 +551,3 @@ def tell_rejected(
             f"a sample of {signal.name} was taken for an outlier (innovation in {signal.unit})"
         )
         history.event(now_ns, "outlier", signal.name, message, innovation)
-
-
-#: Takes kind, source, sentence and value of an event.
-Tell = Callable[[str, str, str, float], None]
-
-
-class CommandGate:
-    """Cuts commands to the limits, holds what is not finite, and tells when either begins or ends.
-
-    ``limits``: (n_u,) each; lower and upper, V. ``tell``: takes kind, source, sentence and value
-    (V) of an event.
-    """
-
-    def __init__(
-        self, inputs: tuple[str, ...], limits: tuple[FloatArray, FloatArray], tell: Tell
-    ) -> None:
-        self._inputs, self._tell = inputs, tell
-        self._lower, self._upper = (bound.tolist() for bound in limits)
-        self._saturated: set[str] = set()
-        self._not_finite: set[str] = set()
-
-    @property
-    def holds(self) -> bool:
-        """Whether the last command had a value that is no number, and an older one is applied."""
-        return bool(self._not_finite)
-
-    def applied(self, command: Command, previous: FloatArray) -> FloatArray:
-        """The command (n_u,) as applied after ``previous``, V.
-
-        Raises SimulationError for what is no command at all: it is a mistake in the controller's
-        code.
-        """
-        if not isinstance(command, Command):
-            raise _no_command(f"step returned {command!r}, not a Command")
-        try:
-            request = np.asarray(command.u, dtype=float)
-        except (TypeError, ValueError):
-            raise _no_command(f"command is {command.u!r}, no array of numbers") from None
-        if request.shape != previous.shape:
-            raise _no_command(f"command has shape {request.shape}, the rig takes {previous.shape}")
-        values = request.tolist()
-        if not (self._saturated or self._not_finite) and all(
-            map(_between, self._lower, values, self._upper)
-        ):
-            return request.copy()  # as almost always: nothing to cut, nothing to tell
-        applied = previous.copy()
-        for i, value in enumerate(values):
-            name, finite = self._inputs[i], math.isfinite(value)
-            if finite:
-                applied[i] = min(max(value, self._lower[i]), self._upper[i])
-            saturated = finite and not self._lower[i] < value < self._upper[i]
-            if saturated != (name in self._saturated):
-                self._saturated ^= {name}
-                words = "reached its limit" if saturated else "left its limit"
-                kind = "saturation_begin" if saturated else "saturation_end"
-                self._tell(kind, name, f"{name} {words} (value in V)", value)
-            if finite == (name in self._not_finite):
-                self._not_finite ^= {name}
-                words = "is finite again" if finite else "is not finite; the last command is held"
-                kind = "fault_end" if finite else "fault"
-                self._tell(kind, "controller", f"{name} {words}", value)
-        return applied
-
-
-def _between(low: float, value: float, high: float) -> bool:
-    """False for what is not a number."""
-    return low < value < high
-
-
-def _no_command(what: str) -> SimulationError:
-    return SimulationError(
-        f"the controller's {what}",
-        where="controller",
-        remedy="step returns Command(u): one value (V) for each of the model's inputs, in their "
-        "order",
-    )

@@ -19,8 +19,8 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.model import names
 from trms_cli.plants.envelope import EnvelopeSetup, envelope_of
+from trms_cli.plants.hardware import HardwareRig
 from trms_cli.plants.landing import landing_of
-from trms_cli.plants.link.linked_rig import HardwareRig
 from trms_cli.plants.plant import Plant, PlantSetup
 from trms_cli.plants.wiring import Wire, zeroed
 from trms_cli.simulation.pace import LatePolicy, Pace

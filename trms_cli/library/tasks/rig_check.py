@@ -19,7 +19,7 @@ from trms_cli.core.invocation import program
 from trms_cli.core.plugins import build, construct
 
 if TYPE_CHECKING:
-    from trms_cli.plants.link.linked_rig import HardwareRig
+    from trms_cli.plants.hardware import HardwareRig
     from trms_cli.simulation.rig_check import Movement, RigCheck, RigCheckRequest, RigReadings
 
 _KEYS = ("duration", "step", "every", "zero", "rest", "pulse", "pulse_time", "settle", "out")
@@ -33,7 +33,7 @@ _LEAST_LEVEL = 1e-12
 
 def perform(composition: Composition) -> int:
     """Look at the rig that a configuration names, and write its wiring where that is asked for."""
-    from trms_cli.plants.link.linked_rig import HardwareRig
+    from trms_cli.plants.hardware import HardwareRig
     from trms_cli.simulation.rig_check import RigCheck, RigCheckRequest
 
     config = composition.config

@@ -46,8 +46,9 @@ def perform(composition: Composition, listener: Listener) -> Done:
     from trms_cli.library.tasks.git_revision import GitRevision
     from trms_cli.library.tasks.scene import RunScene
     from trms_cli.reporting.run_picture import Painter
-    from trms_cli.simulation.closed_loop import Loop, out_of_reach
+    from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
+    from trms_cli.simulation.preparation import out_of_reach
     from trms_cli.simulation.rig_life import RigLanded
 
     begin = perf_counter()
