@@ -163,6 +163,17 @@ def test_spikes_and_missing_samples_are_no_change(still):
     assert np.isfinite(run._predictor.x).all()
 
 
+def test_a_mechanical_stop_is_no_change():
+    """The beam is held at its stop for a while, against the thrust that falls."""
+    stop = Newtonian().stops["alpha_v"]
+    u, y = Rig().record()
+    rig_at_stop = (np.arange(len(y)) > 1500) & (np.arange(len(y)) < 2000)
+    held = y.copy()
+    held[rig_at_stop, 0] = -stop
+    _, alarms = watch(u, held)
+    assert not [alarm for alarm in alarms if alarm.since < 1999 * SAMPLE]
+
+
 def test_a_model_that_does_not_fit_is_told_once_and_changes_are_found_all_the_same():
     truth = Newtonian(parameters={"k_fvp": 1.62e-5 * 1.2, "k_ov": 0.012})
     rig = Rig(truth, shift=lambda t: np.array([0.0, 0.03, 0.0, 0.0]) * (t >= 40.0))

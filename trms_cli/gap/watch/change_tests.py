@@ -149,6 +149,11 @@ class ChangeTests:
         #: (tests, ages) array; mean of T
         self.levels: FloatArray = np.ones((len(self.tests), len(_AGES) - 1))
 
+    def forget_onsets(self) -> None:
+        """Begin with none again; what is usual stays learnt."""
+        self.signatures.clear()
+        self._latest_onset = np.inf
+
     def step(self) -> None:
         """One sample on, after the filter's."""
         predictor, own = self._predictor, self.signatures

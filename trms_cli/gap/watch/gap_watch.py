@@ -10,7 +10,7 @@ first samples the jump of an encoder looks like a blow on its axis.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -22,11 +22,14 @@ from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.gap.watch.change_tests import ChangeEstimate, ChangeTests
 from trms_cli.gap.watch.filter_step import FilterArrays
 from trms_cli.gap.watch.predictor import Predictor
+from trms_cli.models.model import names
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.simulation.gap_watch import GapAlarm
 
 #: Standard deviations by which a parameter's own must be beyond the limit of a misfit.
 _SURE = 2.0
+#: rad; an angle this close to its stop may rest there.
+_NEAR_STOP = 0.03
 #: s between two looks at the tests, and from the first sample to the first onset.
 _LOOK, _SETTLING = 0.1, 2.0
 
@@ -81,6 +84,9 @@ class WatchingGap:
         self._declared = np.array(
             [12**0.5 * setup.noise_sd[n] if n in angles else 0.0 for n in setup.outputs]
         )
+        #: Angles with a mechanical stop: place in y, where it is near, the state that it holds
+        self._stops = list(self._stops_of(setup))
+        self._since_contact = self._samples_in(_SETTLING) + 1
         self._samples = self._since_restart = 0
         self._learning = self._samples_in(config.learning)
         self._crossed: int | None = None
@@ -88,6 +94,14 @@ class WatchingGap:
         n_w = self._predictor.n_w
         self._standing, self._standing_count = np.zeros(n_w), 0
         self.latest: ChangeEstimate | None = None  #: As of the last look
+
+    def _stops_of(self, setup: ObserverSetup) -> Iterator[tuple[int, float, int]]:
+        model, equations = setup.model, names(setup.model.disturbances)
+        for axis in model.axes.values():
+            stop = model.stops.get(axis.angle, math.inf)
+            if axis.angle in setup.outputs and axis.moment in equations and math.isfinite(stop):
+                held = self._predictor.pushed[equations.index(axis.moment)]
+                yield setup.outputs.index(axis.angle), stop - _NEAR_STOP, held
 
     def _samples_in(self, seconds: float) -> int:
         return max(1, round(seconds / self._sample_time))
@@ -106,6 +120,8 @@ class WatchingGap:
         if self._first:
             self._learn_quanta(measurement)
         self._samples += 1
+        if self._rests_at_a_stop(measurement):
+            return ()
         self._since_restart += 1
         if not self._has_settled:
             return ()
@@ -117,6 +133,19 @@ class WatchingGap:
         if learning:
             return self._learnt(self.latest) if self._first else ()
         return self._look(self.latest)
+
+    def _rests_at_a_stop(self, measurement: FloatArray) -> bool:
+        """Whether a stop may push: the model does not know it, and nothing is learnt of the rig."""
+        touched = [held for j, near, held in self._stops if abs(measurement[j]) > near]
+        if not touched:
+            self._since_contact += 1
+            return False
+        if self._since_contact:
+            self.tests.forget_onsets()
+            self._crossed = None
+        self._since_contact = 0
+        self._predictor.loosen(touched)
+        return True
 
     def _take(self, command: FloatArray, measurement: FloatArray) -> None:
         """Let the filter have the sample; single spikes are held back."""
@@ -190,7 +219,8 @@ class WatchingGap:
     @property
     def _has_settled(self) -> bool:
         """Whether the filter has come so near that tests make sense."""
-        return self._since_restart * self._sample_time > _SETTLING
+        since = min(self._since_restart, self._since_contact)
+        return since * self._sample_time > _SETTLING
 
     @property
     def _now(self) -> float:

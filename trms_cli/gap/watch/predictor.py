@@ -14,6 +14,7 @@ with e the innovations and e_left what the update leaves of them.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -215,6 +216,11 @@ class Predictor:
         if since < 1.0:
             return 0.0
         return self.sample_time / min(_FIRST_AVERAGE + since, _LONGEST_AVERAGE)
+
+    def loosen(self, states: Sequence[int]) -> None:
+        """Know some states as little as at first: something else has hold of them."""
+        for i in states:
+            self.arrays.p[i, i] += self._prior_sd[i] ** 2
 
     def limit_deviations(self) -> None:
         """Let no parameter be less known than its prior, however long it has not shown itself."""
