@@ -147,10 +147,10 @@ class EnvelopeWatch:
 
         Raises SimulationError for what is no reading: a mistake in a plant's code.
         """
-        try:
-            if self._heartbeat is not None and (silence := self._heartbeat.silence()):
+        if self._heartbeat is not None and (silence := self._heartbeat.silence()):
             self.landing_reason = f"no heartbeat for {silence:.2f} s"
-        values = y.tolist()
+        try:
+            values = y.tolist()
             count = len(values)
         except (AttributeError, TypeError):
             count = -1

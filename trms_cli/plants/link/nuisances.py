@@ -48,7 +48,7 @@ class LossyWire:
         n, draw = self._nuisances, self._generator.random
         if n.is_pulled(now) or (n.loss and draw() < n.loss):
             return
-        if n.corruption and draw() < n.corruption:
+        if n.corruption and data and draw() < n.corruption:
             spoilt = bytearray(data)
             spoilt[int(draw() * len(data))] ^= 1 << int(draw() * 8)
             data = bytes(spoilt)
