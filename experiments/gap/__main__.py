@@ -20,7 +20,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the study, print its tables, write them into the documentation on request."""
     arguments = _parser().parse_args(argv)
     take_one_thread()
-    return exit_code_of(lambda: _study(arguments))
+    study = _every_effect if arguments.every_effect else _study
+    return exit_code_of(lambda: study(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -32,6 +33,15 @@ def _parser() -> argparse.ArgumentParser:
         help=f"whose model: some of {', '.join(MODELS)}; "
         f"without `{DIAGNOSED}` nothing is diagnosed",
     )
+    parser.add_argument(
+        "--every-effect",
+        action="store_true",
+        help="in place of the study: every effect of the library, its size known, in simulation; "
+        "--only is then a pattern of effects",
+    )
+    for name, meaning in (("controllers", "newton_mpc,pid"), ("references", "square,sine")):
+        parser.add_argument(f"--{name}", metavar="NAME,NAME", help=f"of --every-effect: {meaning}")
+    parser.add_argument("--seeds", type=int, default=1, help="of --every-effect: runs of each")
     parser.add_argument("--without-separation", action="store_true", help="tracking alone")
     parser.add_argument(
         "--publish",
@@ -85,6 +95,44 @@ def _study(arguments: argparse.Namespace) -> int:
         page.publish(findings, arguments.out)
     print(f"{findings.seconds:.0f} s of processor time; tables and figures: {arguments.out}")
     return EXIT_OK
+
+
+def _every_effect(arguments: argparse.Namespace) -> int:
+    from experiments.gap import every_effect as study
+    from experiments.gap.page import PAGE
+    from experiments.page_tables import markdown, print_tables, write_tables
+
+    effects = study.library_effects()
+    chosen = [name for name in effects if fnmatch.fnmatchcase(name, arguments.only)]
+    if not chosen:
+        raise ConfigurationError(
+            f"no effect is called {arguments.only!r}",
+            where="--only",
+            remedy=nearest(arguments.only, effects),
+        )
+    controllers = _chosen(arguments.controllers, study.CONTROLLERS, "--controllers")
+    references = _chosen(arguments.references, tuple(study.REFERENCES), "--references")
+    begin, out = process_time(), arguments.out / "every_effect"
+    seeds = range(arguments.seeds)
+    runs = study.compare_effects(chosen, controllers, references, seeds, out, _tell)
+    tables = study.tables(study.comparisons(runs))
+    _tell("")
+    print_tables(tables, width=140)
+    if arguments.publish:
+        write_tables(PAGE, {name: markdown(rows) for name, rows in tables.items()})
+    print(f"{process_time() - begin:.0f} s of processor time; runs: {out}")
+    return EXIT_OK
+
+
+def _chosen(words: str | None, known: Sequence[str], where: str) -> list[str]:
+    """Names between commas; all that there are where none is given."""
+    names = words.split(",") if words else list(known)
+    for name in names:
+        if name not in known:
+            raise ConfigurationError(
+                f"{name!r} is none of {', '.join(known)}", where=where, remedy=nearest(name, known)
+            )
+    return names
 
 
 def _tell(words: str) -> None:

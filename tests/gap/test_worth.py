@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
-from trms_cli.gap.worth import gain_in_words, sine_within, worth_of
+from trms_cli.gap.diagnosis import LoopGain
+from trms_cli.gap.worth import (
+    gain_in_words,
+    loops_of,
+    sine_within,
+    square_of,
+    warning_of,
+    worth_of,
+)
 from trms_cli.library.tasks.experiment import experiment_of
 from trms_cli.models.newtonian import Newtonian
 
@@ -49,3 +57,38 @@ def test_a_model_that_is_off_tracks_worse_than_the_rig_s_own(wrong) -> None:
         assert worth.after["alpha_h"] < 0.5 * worth.before["alpha_h"]
     else:
         assert worth.after == worth.before and "make up for" in worth.words
+
+
+def _gain(controller: str, reference: str, before: float, after: float, worse: bool) -> LoopGain:
+    return LoopGain(
+        controller=controller, reference=reference, before=before, after=after, is_worse=worse
+    )
+
+
+def test_a_loop_that_the_correction_makes_worse_is_named_with_what_to_use() -> None:
+    fine = _gain("newton_mpc", "rest", 0.005, 0.002, False)
+    worse = _gain("pid", "rest", 0.012, 0.016, True)
+    text = warning_of([fine, worse])
+    assert "pid at rest 12 → 16 mrad" in text and "use controller=newton_mpc with it (2)" in text
+    assert "keep the model as it was" in warning_of([worse])
+    assert warning_of([fine]) == ""
+
+
+def test_loops_are_judged_on_a_sine_and_on_a_square_as_a_whole_and_at_rest() -> None:
+    sine = ["ref=sine", "ref.alpha_v.frequency=0.1", "ref.alpha_h.frequency=0.1"]
+    assert square_of([*sine, "ref.alpha_v.amplitude=0.2"]) == [
+        "ref=square", "ref.alpha_v.frequency=0.05", "ref.alpha_h.frequency=0.05",
+        "ref.alpha_v.amplitude=0.2",
+    ]  # fmt: skip
+    common = ["model=newtonian", "controller=pid", "sim.duration=30"]
+    experiments = {
+        ("pid", name): experiment_of(compose([*common, *words]).config)
+        for name, words in (("sine", sine), ("square", square_of(sine)))
+    }
+    gains = loops_of(experiments, Newtonian(parameters={"k_fhp": 1.2e-6, "k_oh": 0.03}))
+    assert [(g.controller, g.reference) for g in gains] == [
+        ("pid", "sine"), ("pid", "square"), ("pid", "rest"),
+    ]  # fmt: skip
+    assert all(0 < g.after < 1 and 0 < g.before < 1 for g in gains)
+    whole, rest = gains[1:]
+    assert rest.after < 0.3 * whole.after

@@ -22,6 +22,9 @@ after Åström & Murray, "Feedback Systems", ch. 11 and 12.5, with what a rig of
   linear dynamics, rotor included. The third derivative is cut so that m_ff stays within the
   rotor's torque: r̃ never asks for what cannot be followed. As r̃ is smooth, D may act on r̃ − α
   without a kick; with ``reference_lag=0`` there is no r̃ to differentiate, and D acts on −α.
+- Of a model with dry friction, v has the friction of the rate that the axis is to have, r̃'s and
+  e/5 s. Without it an axis that stops short of its reference waits until the integral has grown
+  over the friction; with it, and inside the friction's cone, it gets there or stays.
 - A rotor that speeds up turns the rig the other way round. Yaw is told what the torque fed forward
   to pitch will do to it: d m_ff,pitch/dt, times a number from the model. Nothing measured passes
   from one axis to the other, so that this cannot make the loops unstable.
@@ -51,6 +54,9 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.model import Model
+
+#: s in which an axis that friction stopped beside its reference is to get there.
+_CLOSING = 5.0
 
 
 @dataclass(slots=True)
@@ -209,7 +215,7 @@ class Pid(PresentReference):
             axis.last_error = behind
             terms = gains.kp * (weight * goal - angle) + axis.integral + axis.derivative
             if axis.friction is not None:
-                terms += axis.friction.at(axis.guide[1])
+                terms += axis.friction.at(axis.guide[1] + (goal - angle) / _CLOSING)
             axis.lagged = terms + axis.slow * (axis.lagged - terms)
             ahead = forward - axis.forward_lag
             axis.forward_rate = ahead / self.lead_filter

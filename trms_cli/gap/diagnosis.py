@@ -145,6 +145,17 @@ class ControlCommand:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LoopGain:
+    """What the correction gains one controller on one reference."""
+
+    controller: str  #: its name
+    reference: str  #: ``sine``, ``square``, or ``rest``: where that square has stood still
+    before: float  #: RMS tracking error over all angles with the model as it was, rad
+    after: float  #: the same with the corrected model in controller and observer
+    is_worse: bool  #: whether it grows by more than 2 %, and more than the sensors' noise makes
+
+
+@dataclass(frozen=True, kw_only=True)
 class Worth:
     """What the correction gains in the loop, simulated on the corrected model."""
 
@@ -153,6 +164,8 @@ class Worth:
     controller: str  #: its name
     command: str  #: of the loop with it: the corrected model is controller's and rig's
     words: str  #: in a sentence
+    loops: tuple[LoopGain, ...] = ()  #: by controller and reference
+    warning: str = ""  #: where the correction makes a loop worse, and what to use; empty: nowhere
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,6 +67,8 @@ def findings(
         *evidence_sections(diagnosis, remarks),
     )
     warnings = [text for text in diagnosis.warnings if text not in remarks]
+    if diagnosis.worth is not None and diagnosis.worth.warning:
+        warnings.insert(0, diagnosis.worth.warning)
     if diagnosis.worse:
         worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
         warnings.insert(

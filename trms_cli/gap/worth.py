@@ -15,7 +15,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing, number, percent, signal, small_unit
-from trms_cli.gap.diagnosis import Worth
+from trms_cli.gap.diagnosis import LoopGain, Worth
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.plants.plant import PlantRun
@@ -38,6 +38,19 @@ _LONGEST = 10.0
 #: A change of an error is one from this share of it, and from so many standard deviations of the
 #: sensor's noise: below, the noise that the loop follows decides.
 _CHANGED, _ABOVE_NOISE = 0.05, 2.5
+
+
+#: A loop counts as worse from this growth of its error on.
+_WORSE = 0.02
+#: s that a reference has to stand still before an axis counts as at rest.
+_SETTLED = 6.0
+
+
+#: Controllers whose loops are judged, on that sine and on a square of its amplitude.
+JUDGED_CONTROLLERS = ("newton_mpc", "pid")
+#: Hz of the square: each level stands still for ten seconds.
+_SQUARE_FREQUENCY = 0.05
+_REFERENCE_WORDS = {"sine": "on a sine", "square": "on a square", "rest": "at rest"}
 
 
 class _TooSlow(Exception):
@@ -68,13 +81,26 @@ def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, t
     return sines
 
 
+def square_of(sine: Sequence[str]) -> list[str]:
+    """Overrides of a square of the amplitude and the offset of a sine's overrides."""
+    slow = f"={_SQUARE_FREQUENCY:g}"
+    renamed = ("ref=square" if word == "ref=sine" else word for word in sine)
+    return [w.partition("=")[0] + slow if ".frequency=" in w else w for w in renamed]
+
+
 def worth_of(
-    experiment: Experiment, before: Model, *, controller: str, command: str
+    experiment: Experiment,
+    before: Model,
+    *,
+    controller: str,
+    command: str,
+    loops: Mapping[tuple[str, str], Experiment] | None = None,
 ) -> Worth | None:
     """What the correction gains; None where the loop cannot be closed or takes too long.
 
     ``experiment``: the corrected model as rig and in the controller. ``before``: the model as it
     was. ``controller``, ``command``: their name, and what drives with the corrected model.
+    ``loops``: further ones, likewise, by controller and reference; see :func:`loops_of`.
     """
     until = process_time() + _LONGEST
     try:
@@ -85,7 +111,71 @@ def worth_of(
     if not after or after.keys() != errors.keys():
         return None
     words = gain_in_words(errors, after, noise, controller)
-    return Worth(before=errors, after=after, controller=controller, command=command, words=words)
+    gains = loops_of(loops or {}, before)
+    return Worth(
+        before=errors,
+        after=after,
+        controller=controller,
+        command=command,
+        words=words,
+        loops=gains,
+        warning=warning_of(gains),
+    )
+
+
+def loops_of(
+    experiments: Mapping[tuple[str, str], Experiment], before: Model
+) -> tuple[LoopGain, ...]:
+    """What the correction gains each loop; those that cannot be closed in time are left out.
+
+    ``experiments``: by controller and reference, ``sine`` or ``square``; see :func:`worth_of`.
+    """
+    gains = []
+    until = process_time() + _LONGEST
+    for (controller, reference), experiment in experiments.items():
+        try:
+            new, noise = _errors(experiment, until)
+            old, _ = _errors(replace(experiment, model=before), until)
+        except _TooSlow:
+            break
+        except (TrmsError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            continue
+        for name in (reference, "rest"):
+            if not (np.isfinite(old.get(name, np.nan)) and np.isfinite(new.get(name, np.nan))):
+                continue
+            grows = new[name] > (1 + _WORSE) * old[name]
+            is_worse = grows and new[name] - old[name] > _ABOVE_NOISE * noise
+            gains.append(
+                LoopGain(
+                    controller=controller,
+                    reference=name,
+                    before=old[name],
+                    after=new[name],
+                    is_worse=bool(is_worse),
+                )
+            )
+    return tuple(gains)
+
+
+def warning_of(loops: Sequence[LoopGain]) -> str:
+    """Where the correction makes a loop worse, and what to use there; empty if nowhere."""
+    unit, scale = small_unit("rad")
+    parts = []
+    for worse in (loop for loop in loops if loop.is_worse):
+        figures = f"{number(scale * worse.before, 2)} → {number(scale * worse.after, 2)} {unit}"
+        where = _REFERENCE_WORDS[worse.reference]
+        best = min(
+            (other for other in loops if other.reference == worse.reference),
+            key=lambda loop: min(loop.after, loop.before),
+        )
+        if best.controller != worse.controller and best.after < worse.before:
+            remedy = f"use controller={best.controller} with it ({number(scale * best.after, 2)})"
+        else:
+            remedy = "keep the model as it was there"
+        parts.append(f"{worse.controller} {where} {figures}: {remedy}")
+    if not parts:
+        return ""
+    return f"the correction is predicted to make a loop worse: {'; '.join(parts)}"
 
 
 def tracking(
@@ -95,6 +185,28 @@ def tracking(
 
     Both by angle. Raises _TooSlow beyond ``until``, of the process' time.
     """
+    differences, _, noise = _differences(experiment, until)
+    return {name: _rms(values) for name, values in differences.items()}, noise
+
+
+def _errors(experiment: Experiment, until: float) -> tuple[dict[str, float], float]:
+    """Errors over all angles by what was asked, and the largest sensor noise, rad."""
+    differences, reference, noise = _differences(experiment, until)
+    squares = np.sum([values**2 for values in differences.values()], axis=0)
+    settled = round(_SETTLED / experiment.sample_time)
+    changes = np.cumsum(np.any(np.diff(reference, axis=0, prepend=reference[:1]) != 0, axis=1))
+    is_still = changes == np.concatenate([np.full(settled, -1), changes[:-settled]])
+    # A sine never stands still, and the square counts as a whole and at rest.
+    errors = {"sine" if not is_still.any() else "square": float(np.sqrt(np.mean(squares)))}
+    if is_still.any():
+        errors["rest"] = float(np.sqrt(np.mean(squares[is_still])))
+    return errors, max(noise.values(), default=0.0)
+
+
+def _differences(
+    experiment: Experiment, until: float
+) -> tuple[dict[str, FloatArray], FloatArray, dict[str, float]]:
+    """State less reference by angle once the beam has risen, the references, and the noise."""
     controlled = experiment.model.controlled
 
     def make_history(plant: PlantRun) -> History:
@@ -111,12 +223,13 @@ def tracking(
     reference = loop.history.columns("/reference")
     state = loop.history.columns("/plant/state")
     is_counted = loop.history.times("/reference") >= _RISING
-    errors = {
-        name: _rms(np.asarray(state[name] - reference[name])[is_counted])
+    differences = {
+        name: np.asarray(state[name] - reference[name])[is_counted]
         for name in controlled
         if name in state
     }
-    return errors, {name: loop.plant.noise_sd.get(name, 0.0) for name in errors}
+    columns = np.column_stack([np.asarray(reference[name])[is_counted] for name in controlled])
+    return differences, columns, {n: loop.plant.noise_sd.get(n, 0.0) for n in differences}
 
 
 def gain_in_words(

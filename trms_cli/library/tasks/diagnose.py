@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from msgspec import Meta
 
@@ -59,6 +59,9 @@ from trms_cli.library.tasks.files import effect_arguments, names_of_files, origi
 from trms_cli.library.tasks.subject import model_of, several
 from trms_cli.library.tasks.task import Done, Interrupted, Listener
 from trms_cli.models.model import Model, names
+
+if TYPE_CHECKING:
+    from trms_cli.simulation.closed_loop import Experiment
 
 #: Keys of the configuration that are plugins of their own.
 _GROUPS = ("model", "effect", "data")
@@ -601,7 +604,7 @@ def _worth(
 ) -> Worth | None:
     """What the corrected model gains in the loop; None where none is corrected, or it cannot be."""
     from trms_cli.composition.composer import compose
-    from trms_cli.gap.worth import DURATION, worth_of
+    from trms_cli.gap.worth import DURATION, JUDGED_CONTROLLERS, square_of, worth_of
     from trms_cli.library.tasks.experiment import experiment_of
 
     if applied_cause(diagnosis) is None and diagnosis.verdict != "parameters_only":
@@ -612,10 +615,20 @@ def _worth(
     words = [f"controller={CONTROLLER}", *reference, f"sim.duration={DURATION:g}"]
     overrides = [f"model={file}", *words]
     command = shlex.join([*program().split(), "run", *overrides, *own_options(composition)])
+
+    def loop(words: Sequence[str]) -> Experiment:
+        return experiment_of(
+            compose([f"model={file}", *words], config_dirs=composition.config_dirs).config
+        )
+
     try:
-        config = compose(overrides, config_dirs=composition.config_dirs).config
-        model = request.problem.model
-        return worth_of(experiment_of(config), model, controller=CONTROLLER, command=command)
+        model, duration = request.problem.model, f"sim.duration={DURATION:g}"
+        loops = {
+            (controller, name): loop([f"controller={controller}", *its_words, duration])
+            for controller in JUDGED_CONTROLLERS
+            for name, its_words in (("sine", reference), ("square", square_of(reference)))
+        }
+        return worth_of(loop(words), model, controller=CONTROLLER, command=command, loops=loops)
     except TrmsError:
         return None  # a rig that the loop does not suit is diagnosed all the same
 
