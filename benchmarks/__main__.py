@@ -18,7 +18,8 @@ from trms_cli.core.threads import ONE_THREAD
 #: In the order of running; a module each under benchmarks.subjects.
 SUBJECTS = (
     *("newton_time", "exported", "peers", "objective", "tracking"),
-    *("parts", "identification", "program", "growth", "run_overhead", "sweeps", "diagnosis"),
+    *("parts", "real_time", "identification", "program", "growth", "run_overhead", "sweeps"),
+    "diagnosis",
 )
 
 

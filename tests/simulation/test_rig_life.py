@@ -133,7 +133,10 @@ def experiment(bench: Bench, law: Law, duration: float = 0.2, **changes: Any) ->
 
 def ran(bench: Bench, law: Law, clock: VirtualClock | None = None, **changes: Any) -> Loop:
     fields = {"/landing": ("u_v", "u_h", "alpha_v", "alpha_h", "omega_v", "omega_h")}
-    fields["/timing"] = ("due_s", "lateness_s", "command_s", "observer_s", "controller_s", "log_s")
+    fields["/timing"] = (
+        *("due_s", "lateness_s", "reading_s", "command_s", "observer_s", "controller_s"),
+        "log_s",
+    )
     fields["/command"] = ("u_v", "u_h")
     fields["/event"] = ("kind", "source", "message", "value")
     units = {topic: dict.fromkeys(names, "1") for topic, names in fields.items()}

@@ -129,8 +129,9 @@ TIMING_TOPIC = Topic(
     (
         Field("due_s", "s", "when the sample was due"),
         Field("lateness_s", "s", "by how much later it began"),
-        Field("command_s", "s", "from the beginning of the reading until the command was sent"),
-        Field("observer_s", "s", "from there until the estimate was made"),
+        Field("reading_s", "s", "from its beginning until the reading was there"),
+        Field("command_s", "s", "from the reading until the command was sent"),
+        Field("observer_s", "s", "from the reading until the estimate was made"),
         Field("controller_s", "s", "from the estimate until the command was decided"),
         Field("log_s", "s", "of writing down the sample before"),
     ),

@@ -93,7 +93,7 @@ def score_tables(
     }
     if alarms := _count_events(tables.get("/event"), "gap_alarm"):
         document["gap_alarms"] = alarms
-    if (timing := timing_figures(tables.get("/timing"))) is not None:
+    if (timing := timing_figures(tables.get("/timing"), tables.get("/controller"))) is not None:
         document["timing"] = timing
     return json_data(document)
 
@@ -279,17 +279,20 @@ _IN_TIME = 1.0
 _LATENESS_EDGES = (0.0, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-def timing_figures(timing: Columns | None) -> dict[str, Any] | None:
+def timing_figures(timing: Columns | None, words: Columns | None) -> dict[str, Any] | None:
     """How punctual the samples of a real rig were; None for a run that did not wait for a clock.
 
-    ``timing``: a row a sample. Gives ``samples``, ``skipped``; ``late_share``, of those over 1 ms
-    late; ``lateness_ms`` and ``command_ms`` (from the reading to the command) with median, p99 and
-    max; ``histogram`` of the lateness: ``edges_ms`` and ``counts`` between them, the last one of
+    ``timing``: a row a sample; ``words``: one a control step. Gives ``samples``, ``skipped``;
+    ``late_share``, of those over 1 ms late; ``lateness_ms`` and ``command_ms`` (from the reading to
+    the command, of the samples at which the controller was asked) with median, p99 and max; ``histogram`` of the lateness: ``edges_ms`` and ``counts`` between them, the last one of
     all that is beyond.
     """
     if timing is None or len(timing.time) == 0:
         return None
     lateness, command = (1e3 * floats(timing, name) for name in ("lateness_s", "command_s"))
+    if words is not None and len(words.time):
+        asked = np.isin(np.round(1e9 * timing.time), np.round(1e9 * words.time))
+        command = command[asked] if asked.any() else command
     due = floats(timing, "due_s")
     period = float(np.median(np.diff(due))) if due.size > 1 else math.inf
     expected = round((due[-1] - due[0]) / period) + 1 if due.size > 1 else due.size

@@ -335,8 +335,9 @@ class Loop:
             now_ns = self._now_ns
             if faults:
                 self._tell_of_faults(faults, k)
-            read_at = now()
+            begun_at = now()
             y = plant.measure()
+            read_at = now()
             truth_row = plant.state.tolist()
             before = self._u
             if delayed:
@@ -388,7 +389,8 @@ class Loop:
             self.completed_samples = k
             if pace is not None:
                 parts = (sent_at - read_at, estimated_at - read_at, decided_at - estimated_at)
-                log_timing(now_ns, ((k - 1) * e.sample_time, pace.lateness, *parts, written))
+                due, reading = (k - 1) * e.sample_time, read_at - begun_at
+                log_timing(now_ns, (due, pace.lateness, reading, *parts, written))
             if k % per_second == 0:
                 history.flush()
                 if progress is not None:
