@@ -163,70 +163,63 @@ int trms_watch_update(int advance, int d, int n, int y, const double *f, const d
     return 0;
 }
 
-static void add_lanes(double *restrict to, const double *restrict from, double factor)
-{
-    for (int k = 0; k < LANES; ++k)
-        to[k] += factor * from[k];
-}
+/* LANES numbers in registers; GCC and Clang make of it what the machine has. */
+typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(8)));
 
 /* Signatures of a number of tests with `slots` onsets each, LANES of which lie together:
  * signature: (tests, slots / LANES, n, LANES); a, energy: (tests, slots).
  * b: (tests, d), c: (tests, y), what a unit of each adds to state and outputs in a sample;
  * live: (slots), 1 for an onset that has been, else 0. f, h, root, w, z, state: as the update has
- * left them. scratch: (d, LANES); columns: (d, n + 1), scratch, too. */
+ * left them. scratch: (d, LANES); columns: (d + y, n + 1), scratch, too. */
 void trms_watch_signatures(int d, int n, int y, int tests, int slots, const double *f,
                            const double *h, const double *root, const double *w, const double *z,
                            const int *state, const double *b, const double *c,
                            const double *live, double *signature, double *a, double *energy,
                            double *scratch, int *columns)
 {
-    for (int i = 0; i < d; ++i) { /* where f is not zero, first how often */
+    lanes *moved = (lanes *)scratch;
+    for (int i = 0; i < d + y; ++i) { /* where a row is not zero, first how often */
+        const double *row = i < d ? f + i * n : h + (i - d) * n;
         int *of_row = columns + i * (n + 1), count = 0;
         for (int l = 0; l < n; ++l)
-            if (f[i * n + l] != 0.0)
+            if (row[l] != 0.0)
                 of_row[++count] = l;
         of_row[0] = count;
     }
     for (int test = 0; test < tests; ++test)
         for (int slot = 0; slot < slots; slot += LANES) {
-            double *of = signature + (size_t)(test * slots + slot) * n;
-            double white[LANES * MOST_OUTPUTS] = {0.0};
+            lanes *of = (lanes *)(signature + (size_t)(test * slots + slot) * n);
+            lanes *sums = (lanes *)(a + test * slots + slot);
+            lanes *squares = (lanes *)(energy + test * slots + slot);
+            lanes begun = *(const lanes *)(live + slot), white[MOST_OUTPUTS];
             for (int i = 0; i < d; ++i) {
                 const int *of_row = columns + i * (n + 1);
-                double sum[LANES];
-                for (int k = 0; k < LANES; ++k)
-                    sum[k] = b[test * d + i] * live[slot + k];
+                lanes sum = b[test * d + i] * begun;
                 for (int l = 1; l <= of_row[0]; ++l)
-                    add_lanes(sum, of + of_row[l] * LANES, f[i * n + of_row[l]]);
-                for (int k = 0; k < LANES; ++k)
-                    scratch[i * LANES + k] = sum[k];
+                    sum += f[i * n + of_row[l]] * of[of_row[l]];
+                moved[i] = sum;
             }
-            for (int k = 0; k < d * LANES; ++k)
-                of[k] = scratch[k];
-            for (int j = 0; j < y; ++j) {
-                double out[LANES];
-                for (int k = 0; k < LANES; ++k)
-                    out[k] = state[j] == 1 ? c[test * y + j] * live[slot + k] : 0.0;
-                for (int l = 0; l < n; ++l)
-                    if (h[j * n + l] != 0.0)
-                        add_lanes(out, of + l * LANES, h[j * n + l]);
-                for (int i = j; i < y; ++i)
-                    add_lanes(white + i * LANES, out, root[i * y + j]);
-            }
+            for (int i = 0; i < d; ++i)
+                of[i] = moved[i];
             for (int j = 0; j < y; ++j)
-                for (int k = 0; k < LANES; ++k) {
-                    double s = white[j * LANES + k];
-                    a[test * slots + slot + k] += z[j] * s;
-                    energy[test * slots + slot + k] += s * s;
-                }
+                white[j] = 0.0 * begun;
+            for (int j = 0; j < y; ++j) {
+                const int *of_row = columns + (d + j) * (n + 1);
+                lanes out = (state[j] == 1 ? c[test * y + j] : 0.0) * begun;
+                for (int l = 1; l <= of_row[0]; ++l)
+                    out += h[j * n + of_row[l]] * of[of_row[l]];
+                for (int i = j; i < y; ++i)
+                    white[i] += root[i * y + j] * out;
+            }
+            for (int j = 0; j < y; ++j) {
+                *sums += z[j] * white[j];
+                *squares += white[j] * white[j];
+            }
             for (int i = 0; i < n; ++i) {
-                double sum[LANES];
-                for (int k = 0; k < LANES; ++k)
-                    sum[k] = of[i * LANES + k];
+                lanes sum = of[i];
                 for (int j = 0; j < y; ++j)
-                    add_lanes(sum, white + j * LANES, -w[i * y + j]);
-                for (int k = 0; k < LANES; ++k)
-                    of[i * LANES + k] = sum[k];
+                    sum -= w[i * y + j] * white[j];
+                of[i] = sum;
             }
         }
 }

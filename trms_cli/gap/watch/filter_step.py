@@ -125,7 +125,7 @@ class SignatureArrays:
         self.product = np.zeros((tests, slots))  #: Σ s'z
         self.energy = np.zeros((tests, slots))  #: Σ s's
         self._scratch = np.zeros((d, LANES))
-        self._columns: npt.NDArray[np.int32] = np.zeros((d, n + 1), dtype=np.int32)
+        self._columns: npt.NDArray[np.int32] = np.zeros((d + y, n + 1), dtype=np.int32)
 
     def begin(self, slot: int) -> None:
         """Let the changes of a slot begin with the next sample."""
