@@ -284,8 +284,9 @@ def timing_figures(timing: Columns | None, words: Columns | None) -> dict[str, A
 
     ``timing``: a row a sample; ``words``: one a control step. Gives ``samples``, ``skipped``;
     ``late_share``, of those over 1 ms late; ``lateness_ms`` and ``command_ms`` (from the reading to
-    the command, of the samples at which the controller was asked) with median, p99 and max; ``histogram`` of the lateness: ``edges_ms`` and ``counts`` between them, the last one of
-    all that is beyond.
+    the command, of the samples at which the controller was asked) with median, p99 and max;
+    ``histogram`` of the lateness: ``edges_ms`` and ``counts`` between them, the last one of all
+    that is beyond.
     """
     if timing is None or len(timing.time) == 0:
         return None
