@@ -87,6 +87,8 @@ class WatchingGap:
         #: Angles with a mechanical stop: place in y, where it is near, the state that it holds
         self._stops = list(self._stops_of(setup))
         self._since_contact = self._samples_in(_SETTLING) + 1
+        #: (n_y,) array; biases that have been told: what a sensor reads is put right by them
+        self._offsets = np.zeros(len(self._spikes))
         self._samples = self._since_restart = 0
         self._learning = self._samples_in(config.learning)
         self._crossed: int | None = None
@@ -116,6 +118,7 @@ class WatchingGap:
                 return ()
             command = self._commands / self._count
             self._commands[:], self._count = 0.0, 0
+        measurement = measurement - self._offsets
         self._take(command, measurement)
         if self._first:
             self._learn_quanta(measurement)
@@ -253,7 +256,14 @@ class WatchingGap:
             statistic=change.statistic,
             threshold=config.threshold,
         )
-        self._predictor.restart()
+        channel = change.test - (len(self.tests.tests) - len(self._offsets))
+        if channel >= 0:
+            self._offsets[channel] += change.size
+        # what a sensor reads says nothing new of the rig itself, unless it was learnt from that
+        began = self._since_restart - round(change.since / self._sample_time)
+        if began < self._learning:
+            self._predictor.forget_deviations()
+        self._predictor.restart(parameters=channel < 0 or began < self._learning)
         self._restart(config.relearning)
         return (alarm,)
 

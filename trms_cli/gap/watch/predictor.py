@@ -39,6 +39,8 @@ _NOISE_SHARE = 0.1
 #: Sizes of the forces as shares of an observer's first uncertainty of a torque (10 mN m on an
 #: axis): at first, and at least.
 _FIRST_FORCE, _LEAST_FORCE = 0.02, 0.002
+#: s, in which the parameters are taken as given: a state that is not known yet would bend them.
+_KNOWN = 2.0
 #: 1/√s, by which a parameter spreads, in deviations of its prior.
 _WALK = 0.02
 #: Share of a channel's declared variance that it has at least.
@@ -159,19 +161,27 @@ class Predictor:
         #: State that each force moves most
         self.pushed: list[int] = of_states.argmax(axis=0).tolist()
 
-    def restart(self, *, everything: bool = False) -> None:
-        """Know as little as before the first sample; of the states themselves only if asked for."""
+    def restart(self, *, everything: bool = False, parameters: bool = True) -> None:
+        """Be as uncertain as before the first sample, of the parameters only if asked for.
+
+        ``everything``: begin with the first state and the parameters as given, too.
+        """
         n_x, d, own = self.n_x, self.arrays.d, self.arrays
+        kept = own.p[d:, d:].copy()
         own.p[...] = 0.0
         own.p[range(n_x), range(n_x)] = self._prior_sd**2
         own.p[range(n_x, d), range(n_x, d)] = self.force_variance
-        own.p[range(d, own.n), range(d, own.n)] = 1.0
+        own.p[d:, d:] = np.eye(own.n - d) if parameters or everything else kept
         self.forces[:] = 0.0
         if everything:
             self.x = self._rest.copy()
-            self.deviations[:] = 0.0
-            self._p[:] = self._nominal
+            self.forget_deviations()
         self.before = self.x
+
+    def forget_deviations(self) -> None:
+        """Take the parameters as they are given again."""
+        self.deviations[:] = 0.0
+        self._p[:] = self._nominal
 
     def step(self, command: FloatArray, measurement: FloatArray, gate: float) -> bool:
         """Predict a sample and take it in; False if the filter had to begin anew.
@@ -188,7 +198,8 @@ class Predictor:
             np.multiply(pull.reshape(n_x, -1), self._spread, out=self.pull)
             own.f[:n_x, :n_x] = a
             own.f[:n_x, n_x:d] = self.push
-            own.f[:n_x, d:] = self.pull
+            if self.samples * self.sample_time > _KNOWN:
+                own.f[:n_x, d:] = self.pull
             own.q[n_x:d] = self.force_variance * (1 - self._decay**2)
             self.forces *= self._decay
             self.x = after.copy()
