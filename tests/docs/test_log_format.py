@@ -24,6 +24,17 @@ def run_folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def paced_log(tmp_path_factory) -> Path:
+    """The log of a short run by the clock, with a landing."""
+    from trms_cli.cli import main
+
+    folder = tmp_path_factory.mktemp("docs") / "paced"
+    words = ["controller=pid", "sim.duration=0.2", "sim.pace=real_time", f"out={folder}"]
+    assert main(["run", *words, "plant.landing.after_run=true", "picture=false"]) == 0
+    return folder / "run.mcap"
+
+
 def test_its_python_runs(run_folder, monkeypatch, capsys):
     monkeypatch.chdir(run_folder)
     names: dict = {}
@@ -35,14 +46,19 @@ def test_its_python_runs(run_folder, monkeypatch, capsys):
     assert np.isfinite(names["state"].columns["alpha_v"]).all()
 
 
-def test_its_topics_and_fields_are_those_of_a_log(run_folder):
+def test_its_topics_and_fields_are_those_of_a_log(run_folder, paced_log):
     table = re.findall(r"^\| `(/[\w/]+)` \|(.*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     described = dict(table)
     log = read_log(run_folder / "run.mcap")
-    assert set(described) == set(log.tables)
+    paced = read_log(paced_log)
+    assert set(described) == set(log.tables) | set(paced.tables)
     for topic in ("/reference", "/command", "/measurement", "/controller", "/event"):
         for name in log.table(topic).columns:
             assert f"`{name}`" in described[topic], (topic, name)
+    for name in paced.table("/timing").columns:
+        assert f"`{name}`" in described["/timing"], name
+    signals = [*paced.table("/command").columns, *paced.table("/measurement").columns]
+    assert list(paced.table("/landing").columns) == signals
 
 
 def test_measured_torques_and_predictions_are_as_it_says(run_folder):
@@ -55,7 +71,8 @@ def test_measured_torques_and_predictions_are_as_it_says(run_folder):
 
 def test_its_kinds_of_events_are_those_that_are_written():
     package = PAGE.parents[1] / "trms_cli"
-    files = [*package.glob("simulation/*.py"), package / "recordings" / "for_model.py"]
+    files = [*package.glob("simulation/*.py"), *package.glob("plants/*.py")]
+    files.append(package / "recordings" / "for_model.py")
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     text = PAGE.read_text("utf-8")
     table = text[text.index("| `kind` of an event") : text.index("## Times")]

@@ -24,7 +24,7 @@ from trms_cli.plants.landing import landing_of
 from trms_cli.plants.plant import Plant, PlantSetup
 from trms_cli.plants.wiring import Wire, zeroed
 from trms_cli.simulation.pace import LatePolicy, Pace
-from trms_cli.simulation.rig_life import RigLife
+from trms_cli.simulation.rig_life import RigLanded, RigLife
 from trms_cli.simulation.stop import StopRequest
 
 #: The angle that each rotor moves, and the speed of that rotor.
@@ -126,7 +126,8 @@ class RigCheck:
         self._pace = Pace(step, LatePolicy())
         self._life = RigLife(self.run, self._landing, self._pace)
         setup = EnvelopeSetup(step, self.inputs, self.outputs, {})
-        self._envelope = envelope_of(plant).init(setup)
+        # bounds of readings are for a wiring that is right, which is what is not known yet
+        envelope = replace(envelope_of(plant), readings={}, rates={}, beyond_stops=None)
         self._channels = [plant.wiring[name].channel for name in self.outputs]
         self._u = self._landing.safe.copy()
         for i, name in enumerate(self.inputs):
@@ -138,14 +139,22 @@ class RigCheck:
                     where="pulse",
                     remedy="a smaller pulse, or another plant.limits",
                 )
+        self._envelope = envelope.init(setup)
 
     def __enter__(self) -> RigCheck:
-        self._life.connect()
+        try:
+            self._life.connect()
+        except BaseException:
+            self._envelope.close()
+            raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         ending = "interrupted" if kind and issubclass(kind, KeyboardInterrupt) else "failed"
-        self._life.close(ending if kind else "completed")
+        try:
+            self._life.close(ending if kind else "completed")
+        finally:
+            self._envelope.close()
 
     def look(self, duration: float, stop: StopRequest, show: Shown | None = None) -> RigReadings:
         """Read for a time (s); commands nothing.
@@ -188,9 +197,10 @@ class RigCheck:
     def pulse(self, name: str, stop: StopRequest) -> list[Movement]:
         """Pulse a rotor once, land, disarm; what each channel did.
 
-        Called where a person has agreed. Raises KeyboardInterrupt where `stop` asks for it; the rig
-        is landed by then.
+        Called where a person has agreed. Raises KeyboardInterrupt where `stop` asks for it, and
+        RigLanded where the heartbeat stops; the rig is landed by then.
         """
+        self._envelope.wait()
         before = self.wait_for_rest(stop)
         readings = RigReadings(self.outputs)
 
@@ -205,8 +215,10 @@ class RigCheck:
                 self._pace.step()
                 if stop.requests:
                     raise stop.error()
-                y = self.run.measure()
-                limited = self._envelope.limited(u, self._u, lambda *event: None)
+                y = self._envelope.screen(self.run.measure(), _ignored)
+                if self._envelope.landing_reason:
+                    raise RigLanded(self._envelope.landing_reason, where="plant.envelope")
+                limited = self._envelope.limited(u, self._u, _ignored)
                 self.run.advance(limited)
                 sample(limited, y)
         finally:
@@ -231,6 +243,10 @@ class RigCheck:
             [float("nan") if raw is None else float(raw[channel]) for channel in self._channels]
         )
         readings.values.append(y.tolist())
+
+
+def _ignored(*event: object) -> None:
+    """Events of an envelope, where there is no log."""
 
 
 def _movements(
