@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from trms_cli.controllers.controller import Status
+from trms_cli.controllers.controller import ControlSample, Status
 from trms_cli.controllers.horizon import blocks_of
 from trms_cli.controllers.linear_mpc import LinearMpc
 from trms_cli.controllers.newton_mpc import NewtonMpc
@@ -21,9 +21,11 @@ from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.qp import Daqp, Qp
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian
 
 from .closed_loop_case import (
@@ -625,3 +627,20 @@ def test_objective_falls_by_the_stage_cost_every_sample() -> None:
     stage += np.square(np.diff(u, axis=0))[: len(stage)] @ moves
     # The rig is integrated in finer steps than the prediction.
     assert (np.diff(cost) + stage <= 1e-4 * (1.0 + cost[:-1])).all()
+
+
+def test_inside_the_cone_of_friction_a_command_returns_to_the_steady_one() -> None:
+    """Nothing else prices it there, and what has drifted to the cone's edge slips at any error."""
+    dry = extend_model(Newtonian(), {"dry": CoulombFriction(axis="yaw", torque=0.005)})
+    mpc = NewtonMpc()
+    state = mpc.init(setup_of(dry, 0.1))
+    goal = np.array([[0.0, 0.5]])
+    target = state.steady_state.solve(goal[0])
+    command = target.u + np.array([0.0, 0.02])  # V, inside the cone
+    x = target.x.copy()
+    away = [0.02]
+    for k in range(40):
+        sample = ControlSample(0.1 * k, goal, Estimate(x, 0 * x, np.zeros(4), np.zeros(4)), command)
+        command = mpc.step(state, sample, want_prediction=False).u
+        away.append(abs(command[1] - target.u[1]))
+    assert away[-1] < 0.2 * away[0]

@@ -12,6 +12,7 @@ from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
     PiecewiseLinear,
     decoupling,
+    friction_torques,
     holding_torques,
     inverse,
     rotor_lag,
@@ -27,6 +28,9 @@ from trms_cli.controllers.pid_tuning import (
     margins,
 )
 from trms_cli.core.plugins import build
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.steady_state import SteadyState
 
@@ -212,3 +216,31 @@ def test_the_reference_asks_for_no_more_than_the_rotor_has() -> None:
     assert max(torques) > 0.9 * axis.most
     assert followed[-1] == pytest.approx(2.0, abs=1e-3)
     assert max(followed) < 2.1
+
+
+def test_the_friction_of_the_model_is_fed_forward() -> None:
+    dry = extend_model(BOTH, {"dry": CoulombFriction(axis="yaw", torque=0.005)})
+    friction = friction_torques(dry, "yaw")
+    assert friction is not None
+    for rate in (-0.4, -0.001, 0.001, 0.03, 0.7):
+        assert friction.at(rate) == pytest.approx(math.copysign(0.005, rate), rel=1e-3)
+    assert friction.at(0.0) == 0.0
+    assert friction_torques(dry, "pitch") is None and friction_torques(BOTH, "yaw") is None
+
+
+def test_an_axis_with_friction_gets_to_its_reference() -> None:
+    """Knowing the friction it does so within seconds; else once the integral has grown over it."""
+    dry = extend_model(BOTH, {"dry": CoulombFriction(axis="yaw", torque=0.005)})
+    left = []
+    for model in (BOTH, dry):
+        trajectory = close_loop(Pid(), model, squares(BOTH), 80.0, rig=dry)
+        left.append(np.sqrt(np.mean([e[-300:] ** 2 for e in trajectory.levels("alpha_h")])))
+    assert left[1] < 0.2 * left[0]
+
+
+def test_a_delay_does_not_slow_the_reference() -> None:
+    """Its lag is the rotor's, of which a delay is no part."""
+    late = extend_model(BOTH, {"late": InputDelay(rotor="tail", delay=0.06)})
+    prompt, delayed = (Pid().init(setup_of(model, SAMPLE_TIME)).axes for model in (BOTH, late))
+    for one, other in zip(prompt, delayed, strict=True):
+        assert other.reference_rate == pytest.approx(one.reference_rate, rel=1e-3)

@@ -15,6 +15,7 @@ from trms_cli.core.qp import Daqp, QpResult
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.quantisation import Quantisation
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model, names
@@ -192,6 +193,24 @@ def test_friction_that_stops_nothing_is_propagated_point_by_point() -> None:
         assert not holds_at_rest(model)
     assert holds_at_rest(STICKING)
     assert holds_at_rest(extend_model(STICKING, {"slow": InputDelay(rotor="main", delay=0.07)}))
+
+
+@pytest.mark.parametrize("kind", NONLINEAR)
+def test_a_rounding_sensor_is_taken_for_a_noisy_one(kind: type[FilterOptions]) -> None:
+    """Within a quantum all points of a filter read alike: it would follow nothing for a while."""
+    quantum = 0.006
+    coarse = extend_model(NEWTONIAN, {"coarse": Quantisation(axis="pitch", quantum=quantum)})
+    observer = made(kind)
+    state, rig = observer.init(setup_for(coarse)), Rig(NEWTONIAN, names(NEWTONIAN.outputs))
+
+    def rounded(k: int, y: np.ndarray) -> np.ndarray:
+        return np.concatenate([quantum * np.round(y[:1] / quantum), y[1:]])
+
+    errors = []
+    for k, estimate in followed(observer, state, rig, commands(600), spoil=rounded):
+        if k > 100:
+            errors.append(estimate.x[5] - rig.x[5])
+    assert np.sqrt(np.mean(np.square(errors))) < quantum / np.sqrt(12)
 
 
 @pytest.mark.parametrize("kind", ALL)

@@ -50,11 +50,12 @@ _ARMIJO = 1e-4
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 #: Added to the Hessian's diagonal (1/V²): inputs without influence stay where they are.
 _REGULARISATION = 1e-6
-#: Least weight (1/V²) of an input's deviation from the steady state, of a model whose friction
-#: holds an axis. Inside the friction's cone the input moves nothing and nothing else prices it: it
-#: would drift to the cone's edge, where the axis slips at the least error of the estimate. Over the
-#: horizon a drift of 1 V costs what an error of 0.03 rad in one period does.
-_HOLDING_WEIGHT = 3e-5
+#: Least weights (1/V²) of the rotors' inputs, of their deviation from the steady state, for a model
+#: whose friction holds an axis. Inside the friction's cone an input moves nothing and nothing else
+#: prices it: it would drift to the cone's edge, where the axis slips at the least error of the
+#: estimate, or serve the other axis at every whim of its noise. As large as
+#: tracking bears: sines are followed as without (measured: docs/closing-the-loop.md).
+_HOLDING_WEIGHTS = {"main": 2e-3, "tail": 3e-5}
 
 
 @dataclass
@@ -476,8 +477,9 @@ class NewtonMpcState:
         largest_moves = rates * setup.sample_time
         input_weights = dict(config.input_weights)
         if holds_at_rest(model):
-            for name in inputs:
-                input_weights[name] = max(input_weights.get(name, 0.0), _HOLDING_WEIGHT)
+            for rotor, name in model.rotors.items():
+                least = _HOLDING_WEIGHTS.get(rotor, 0.0)
+                input_weights[name] = max(input_weights.get(name, 0.0), least)
         limits = [config.soft_limits.get(name, (-np.inf, np.inf)) for name in model.controlled]
         self._goal_limits = np.array(limits) if config.soft_limits else None
         self.newton = engine(region=config.terminal == "quasi_infinite")

@@ -205,6 +205,13 @@ class Effect(ABC):
         """The measured outputs with what the sensors remember; see :meth:`Model.reading`."""
         return self.output(at, y)
 
+    def resolution(self, model: Model) -> tuple[str, int] | None:
+        """The size that is the quantum of an output, and its position in ``y``; None without one.
+
+        ``model``: that the effect is added to.
+        """
+        return None
+
     def noise_sd(self, at: EffectContext, step: float) -> ca.SX:
         """Standard deviation of what noise adds to each of :meth:`states` in a step (s)."""
         return ca.SX.zeros(len(self.states()))

@@ -138,6 +138,11 @@ class ExtendedModel(Model):
         at = self._context(ca.SX.zeros(self.n_x), ca.SX.zeros(self.n_u), p)
         return ca.vertcat(self.base.noise_sd(at.p, step), self.effect.noise_sd(at, step))
 
+    def resolutions(self) -> dict[str, int]:
+        own = self.effect.resolution(self.base)
+        size = {} if own is None else {f"{self.effect_name}.{own[0]}": own[1]}
+        return self.base.resolutions() | size
+
     def _sensors(self, memory: ca.SX, step: float) -> tuple[ca.SX, ca.SX]:
         """Sensors' memory of the model beneath, and the effect's."""
         n = len(self.base.sensor_memory(step))

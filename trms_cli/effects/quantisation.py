@@ -12,6 +12,7 @@ import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import EffectContext, SensorEffect
+from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
 
 #: A grid finer than doubles are: rounding to it changes no bit, but has a derivative of zero.
@@ -27,6 +28,9 @@ class Quantisation(SensorEffect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("quantum", "rad", (0.001, 0.007), "quantum q"),)
+
+    def resolution(self, model: Model) -> tuple[str, int]:
+        return "quantum", self.row(model)
 
     def output(self, at: EffectContext, y: ca.SX) -> ca.SX:
         row = self.row(at.model)

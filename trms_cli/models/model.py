@@ -183,6 +183,10 @@ class Model(ABC):
         """Standard deviation of what noise adds to each state in a step (s), shape (n_x, 1)."""
         return ca.SX.zeros(self.n_x)
 
+    def resolutions(self) -> dict[str, int]:
+        """Parameters that are the quantum of an output, and its position in ``y``."""
+        return {}
+
     # Conveniences that follow from the above.
 
     @property

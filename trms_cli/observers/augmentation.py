@@ -13,6 +13,7 @@ on an axis) is read off the model's structure, so that one table serves every mo
 :mod:`trms_cli.models.state_kinds`.
 """
 
+import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -246,7 +247,7 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
     Raises ConfigurationError for names that the model or the rig does not have, and for a channel
     whose noise nobody declared.
     """
-    model = setup.model
+    model, rounding_sd = _without_rounding(setup.model)
     equations = _equations(setup, options.disturbances)
     channels = setup.channels()
     substeps = options.substeps or max(1, int(np.ceil(setup.sample_time / _LONGEST_SUBSTEP)))
@@ -262,7 +263,7 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
         *(*kinds_of_states(model), *("past" for _ in sensor_states)),
         *(pushes[i] for i in equations),
     )
-    noise_sd = _noise_sd(setup, options.measurement_noise)
+    noise_sd = np.hypot(_noise_sd(setup, options.measurement_noise), rounding_sd[channels])
     sd = by_state(options.initial_sd, kinds, augmented, "initial_sd.states")
     for i, channel in _read_at_first(setup):
         # What is remembered of a channel starts from its first, noisy reading.
@@ -291,6 +292,23 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
         r=noise_sd**2,
         floor=floor,
     )
+
+
+def _without_rounding(model: Model) -> tuple[Model, FloatArray]:
+    """The model with sensors that do not round, and the deviation that rounding adds, (n_y,).
+
+    All sigma points may lie within a quantum: they would read alike, and a measurement would tell
+    nothing until the angle had gone a quantum astray. A filter therefore takes rounding for noise,
+    of the deviation of a uniform one.
+    """
+    sd, exact = np.zeros(model.n_y), {}
+    for name, row in model.resolutions().items():
+        sd[row] = np.hypot(sd[row], model.parameters[name].value / np.sqrt(12))
+        exact[name] = 0.0
+    if exact:
+        model = copy.copy(model)
+        model.parameters = model.parameters.replaced(exact)
+    return model, sd
 
 
 def _equations(setup: ObserverSetup, selection: tuple[str, ...] | None) -> list[int]:
