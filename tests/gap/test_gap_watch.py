@@ -151,6 +151,14 @@ def test_after_an_alarm_the_next_change_is_found():
     assert {alarm.location for alarm in alarms} == {"pitch_moment"}
 
 
+def test_what_slips_while_it_is_learnt_what_is_usual_is_told_after_it():
+    rig = Rig(shift=lambda t: np.array([0.0, 0.1, 0.0, 0.0]) * (t >= 12.0))
+    _, (alarm,) = watch(*rig.record())
+    assert (alarm.kind, alarm.location) == ("change", "yaw_sensor")
+    assert alarm.since == pytest.approx(12.0, abs=0.05)
+    assert alarm.size == pytest.approx(0.1, abs=0.003)
+
+
 def test_spikes_and_missing_samples_are_no_change(still):
     u, y = still
     y = y.copy()
