@@ -66,6 +66,7 @@ def test_nothing_is_commanded_or_written_that_was_not_asked_for(trms, refused, s
     assert not list(tmp_path.glob("**/*.yaml"))
     words = ("rig", "check", served[1], "duration=0.2")
     refused(*words, "pulse=0.5", words="nobody is at a terminal")
+    refused("rig", "check", "plant=simulated", words="plant=simulated is no rig with a wiring")
     refused(*words, "out=my_rig.yaml", words="FOLDER/wiring/NAME.yaml")
     there = tmp_path / "wiring" / "there.yaml"
     there.parent.mkdir()
@@ -123,6 +124,15 @@ def test_a_person_who_does_not_agree_sees_nothing_move(in_terminal, served, tail
     typed(screen, ("should this be its zero?", ""), ("tail rotor: 0.6 V", "n"))
     assert screen.end(30.0) == 0
     assert any("u_h was not tried" in line for line in screen.lines)
+    assert "armed" not in rest_of(served)
+
+
+def test_without_its_heartbeat_it_is_not_pulsed(in_terminal, served, tail):
+    words = (*tail, "pulse=0.6", "plant.envelope.heartbeat.port=0")
+    screen = in_terminal("rig", "check", served[1], *words, size=(60, 120))
+    typed(screen, ("should this be its zero?", ""), ("tail rotor: 0.6 V", "y"))
+    assert screen.end(30.0) == 2
+    assert any("heartbeat" in line for line in screen.lines)
     assert "armed" not in rest_of(served)
 
 
