@@ -33,6 +33,7 @@ COMMANDS: dict[str, str] = {
     "validate": "how well models foretell recordings: errors, residual tests, spectra",
     "stability": "equilibria, modes, phase portraits, limit cycles, Lyapunov sets, margins",
     "diagnose": "where a model and a rig differ, which effect causes it, how far the gap shrinks",
+    "investigate": "experiments, each advised by the last diagnosis, until one cause is sure",
     "blind": "prove diagnoses on sealed rigs: make a set, diagnose it, open its key",
     "watch": "a run or a sweep as it goes on, or a finished run replayed",
     "sweep": "go on with a sweep that was interrupted, or tell how one stands",

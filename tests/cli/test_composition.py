@@ -264,6 +264,7 @@ NEEDED = {
     "run": [],
     "excite": [],
     "stability": [],
+    "investigate": [],
     "export-controller": [],
     "identify": ["real=rig.csv"],
     "validate": ["real=rig.csv"],

@@ -215,11 +215,33 @@ class Shrink:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OpenLoopExperiment:
+    """Commands, what they are in words, and what to type for them."""
+
+    words: str
+    commands: FloatArray  #: (n, n_u) array; from rest, lead-in included, V
+    command: str
+    centre: FloatArray  #: (n_u,) array; about which the excitation is, V
+    first: int  #: Sample at which the excitation begins
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedExperiment:
+    """The experiment that a diagnosis advises, and what it was predicted to say."""
+
+    experiment: OpenLoopExperiment
+    apart: tuple[str, ...]  #: Effects that it is to tell apart; empty where it is to show some
+    nats: float  #: Between those, or by which the least visible of what is to be shown shows
+    longer: bool  #: Whether as much time in the way of the present recordings says more
+
+
+@dataclass(frozen=True, kw_only=True)
 class NextExperiment:
     """What to record next, as a command that can be typed."""
 
     why: str  #: a sentence
     command: str  #: that can be typed
+    prediction: PredictedExperiment | None = None  #: for an investigation alone: not in the file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,8 +348,11 @@ def document_of(diagnosis: DiagnosisResult) -> dict[str, Any]:
     Keys are the fields of :class:`DiagnosisResult` in their order, after the schema; horizons are
     keys in s with a decimal (``"2.0"``); what is not finite is None.
     """
-    content: dict[str, Any] = json_data(replace(diagnosis, traces=None))
+    advice = diagnosis.next_experiment and replace(diagnosis.next_experiment, prediction=None)
+    content: dict[str, Any] = json_data(replace(diagnosis, traces=None, next_experiment=advice))
     del content["traces"]
+    if diagnosis.next_experiment is not None:
+        del content["next_experiment"]["prediction"]
     for name in ("gap", "shrink"):
         content[name] = {
             channel: {horizon_key(h): rows[h] for h in sorted(rows, key=float)}

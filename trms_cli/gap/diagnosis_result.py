@@ -56,6 +56,8 @@ from trms_cli.identification.free_runs import simulated_windows
 
 #: Causes less probable than this are not listed.
 _LEAST_PROBABILITY = 0.002
+#: Probability from which two causes are to be told apart by the next experiment.
+_RIVAL = 0.05
 #: Places with less of the gap than this are not listed.
 _LEAST_SHARE = 0.02
 
@@ -403,6 +405,12 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
         for entry in race.entries:
             values = {**entry.values, **values}
         shares = best.metric.shares
+    elif best is not None and best.names[0] not in NO_EFFECT:
+        # the traces differ, and yet no answer is sure: the likeliest are to be told apart
+        rivals = [n for n, p in posterior.probabilities.items() if p >= _RIVAL and len(n) == 1]
+        apart = [name for (name,) in rivals if name in candidates] if len(rivals) > 1 else []
+        for entry in race.entries:
+            values = {**entry.values, **values}
     try:
         return advise(
             refit=race.refit,

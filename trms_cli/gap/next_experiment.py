@@ -15,7 +15,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing
 from trms_cli.gap.competing_model import CandidateFit, FittedModel, Metric, ModelStructure, Refit
-from trms_cli.gap.diagnosis import NextExperiment
+from trms_cli.gap.diagnosis import NextExperiment, OpenLoopExperiment, PredictedExperiment
 from trms_cli.gap.discrepancy import FLOOR, Discrepancy, TrajectoryLinearisation
 from trms_cli.gap.gain_drift import gain_drift
 from trms_cli.gap.problem import CandidateEffect
@@ -43,15 +43,6 @@ _WITHOUT_STOP = 1.35
 _SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05)
 #: Of an operating point's angles, the share of those at rest: as ``trms excite`` takes them.
 _FROM_REST = 0.5
-
-
-@dataclass(frozen=True)
-class OpenLoopExperiment:
-    """Commands, what they are in words, and what to type for them."""
-
-    words: str
-    commands: FloatArray  #: (n, n_u) array; from rest, lead-in included
-    command: str
 
 
 @dataclass(frozen=True)
@@ -247,7 +238,11 @@ def _designed_experiments(
             f"amplitude={{{amplitude_text}}}",
         ]
         yield OpenLoopExperiment(
-            words, commands(amplitude), _command_line("excite", model_name, keys, sample_time)
+            words=words,
+            commands=commands(amplitude),
+            command=_command_line("excite", model_name, keys, sample_time),
+            centre=centre,
+            first=len(head),
         )
 
 
@@ -280,7 +275,11 @@ def _played_experiments(
         keys += ["ref=speed"] * (not trial.angles)  # a rotor alone has no angle to refer to
         keys.append(f"sim.duration={DURATION + LEAD_IN:g}")
         yield OpenLoopExperiment(
-            words, commands(amplitude), _command_line("run", model_name, keys, sample_time)
+            words=words,
+            commands=commands(amplitude),
+            command=_command_line("run", model_name, keys, sample_time),
+            centre=np.zeros(len(inputs)),
+            first=0,
         )
 
 
@@ -382,7 +381,13 @@ def advise(
     )
     duration = sum(dataset.duration for dataset in refit.structure.problem.datasets)
     why = _why(question, now, best, experiment, duration, step, len(predictions))
-    return NextExperiment(why=why, command=experiment.command)
+    prediction = PredictedExperiment(
+        experiment=experiment,
+        apart=tuple(s.name for s in question.candidates) if question.apart else (),
+        nats=min(best),
+        longer=question.apart and min(best) * duration < min(now) * len(experiment.commands) * step,
+    )
+    return NextExperiment(why=why, command=experiment.command, prediction=prediction)
 
 
 def _question(

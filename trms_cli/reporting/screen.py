@@ -135,7 +135,7 @@ def show(
 
 def say(head: str, text: str) -> None:
     """Print a line behind its head, on standard output."""
-    print(f"{head:<{_LABEL}}{text}")
+    print(f"{f'{head} ':<{_LABEL}}{text}")
 
 
 def show_remarks(out: Terminal, items: Sequence[str | Datum]) -> None:

@@ -156,13 +156,7 @@ def _run_off_stops(
 
 
 def _run(cases: list[Case], sample_time: float, seed: list[int], fresh: bool) -> list[Recording]:
-    rigs = Rigs(
-        _constants(cases),
-        _sizes(cases),
-        _nuisances(cases),
-        int(np.random.SeedSequence(seed).generate_state(1)[0]),
-        _onsets(cases),
-    )
+    rigs = rigs_of(cases, int(np.random.SeedSequence(seed).generate_state(1)[0]))
     longest = max(case.duration for case in cases)
     driver = _driver(cases, longest, sample_time, fresh)
     run = rigs.run(driver, longest, sample_time, _SETTLING)
@@ -171,6 +165,11 @@ def _run(cases: list[Case], sample_time: float, seed: list[int], fresh: bool) ->
         k = round(case.duration / sample_time)
         recordings.append(Recording(run.time[:k], run.commands[i, :k], run.measured[i, :k]))
     return recordings
+
+
+def rigs_of(cases: Sequence[Case], seed: int) -> Rigs:
+    """The rigs of cases; ``seed``: of noise, jitter and drift."""
+    return Rigs(_constants(cases), _sizes(cases), _nuisances(cases), seed, _onsets(cases))
 
 
 def _nuisances(cases: Sequence[Case]) -> Nuisances:

@@ -529,13 +529,10 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     """
     begin = perf_counter()
     from trms_cli.gap.diagnose import diagnose
-    from trms_cli.gap.diagnosis import document_of
-    from trms_cli.gap.findings import findings
     from trms_cli.reporting.progress import LOG_NAME, STAGES_NAME, DiagnoseProgress
-    from trms_cli.runs.run_folder import write_document
 
     request = request_of(composition)
-    origin = model_origin(composition, request)
+    model_origin(composition, request)  # refused before anything is computed
     again = folder is not None
     folder = folder or composition.folder("diagnose")
     write_config(composition, folder)
@@ -558,6 +555,21 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
         if progress.exit_code == EXIT_TERMINATED:
             raise Interrupted(folder, how, EXIT_TERMINATED) from None
         raise Interrupted(folder, how) from None
+    result = conclude(composition, request, diagnosis, folder)
+    progress.finish(f"verdict {diagnosis.verdict}: {diagnosis.sentence}")
+    spent = {"time": wording.seconds(perf_counter() - begin)}
+    return Done(folder, replace(result, measures=(), facts=spent))
+
+
+def conclude(
+    composition: Composition, request: DiagnosisRequest, diagnosis: DiagnosisResult, folder: Path
+) -> Findings:
+    """Write models, figures and report of a diagnosis into its folder; what there is to tell."""
+    from trms_cli.gap.diagnosis import document_of
+    from trms_cli.gap.findings import findings
+    from trms_cli.runs.run_folder import write_document
+
+    origin = model_origin(composition, request)
     warnings = dict.fromkeys((*request.problem.warnings, *diagnosis.warnings))
     diagnosis = replace(diagnosis, versions=versions(), warnings=tuple(warnings))
     files = {"figures": folder / DOCUMENT_NAME}
@@ -582,9 +594,7 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
             page_findings = _without_drawings(page_findings)
         page = write_page(page_findings, folder / PAGE_NAME, pictures=False, interactive=False)
         files |= {"report": page} if page else {}
-    progress.finish(f"verdict {diagnosis.verdict}: {diagnosis.sentence}")
-    spent = {"time": wording.seconds(perf_counter() - begin)}
-    return Done(folder, replace(result, measures=(), facts=spent, files=files))
+    return replace(result, files=files)
 
 
 def _without_drawings(result: Findings) -> Findings:

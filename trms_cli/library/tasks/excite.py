@@ -1,7 +1,7 @@
 """An excitation: request, design, findings, files."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -126,7 +126,15 @@ def _play(document: Mapping[str, Any], folder: Path, composition: Composition) -
     model_overrides = [
         o for o in composition.overrides if o.partition("=")[0].split(".")[0] == "model"
     ]
-    inputs = list(document["inputs"])
+    play = playing(list(document["inputs"]), table, has_angles=bool(document["bounds_rad"]))
+    words = [program(), "run", *(shlex.quote(o) for o in model_overrides), *play]
+    if document["sample_time_s"] != 0.02:
+        words.append(f"sim.sample_time={document['sample_time_s']:g}")
+    return " ".join([*words, f"sim.duration={whole:g}"])
+
+
+def playing(inputs: Sequence[str], table: str, *, has_angles: bool) -> list[str]:
+    """Overrides of a run that plays the commands of a CSV; ``table``: its path, quoted."""
     if len(inputs) == 2:
         play = ["controller=played", f"controller.u_v.file={table}"]
     else:
@@ -137,9 +145,6 @@ def _play(document: Mapping[str, Any], folder: Path, composition: Composition) -
             f"controller.{name}.file={table}",
             f"controller.{name}.column={name}",
         ]
-    if not document["bounds_rad"]:  # a rotor alone: the references of a run are speeds
+    if not has_angles:  # a rotor alone: the references of a run are speeds
         play.insert(0, "ref=speed")
-    words = [program(), "run", *(shlex.quote(o) for o in model_overrides), *play]
-    if document["sample_time_s"] != 0.02:
-        words.append(f"sim.sample_time={document['sample_time_s']:g}")
-    return " ".join([*words, f"sim.duration={whole:g}"])
+    return play
