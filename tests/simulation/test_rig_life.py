@@ -410,3 +410,39 @@ def test_a_heartbeat_that_stops_lands_the_rig() -> None:
             ran(bench, Law(act=act), duration=2.0)
     assert 5 <= commands(bench).count((1.0, 0.5)) < 20
     assert_landed(bench, "landed")
+
+
+def test_the_ramp_into_a_run_is_watched_as_the_run_is() -> None:
+    stop = StopRequest()
+
+    @dataclass(frozen=True, kw_only=True)
+    class Impatient(Bench):
+        def init(self, setup: PlantSetup) -> BenchRun:
+            run = BenchRun(self, setup)
+            send = run.advance
+
+            def advance(command: np.ndarray) -> None:
+                send(command)
+                if command[0] > 0.25:
+                    stop.request()
+
+            run.advance = advance  # type: ignore[method-assign]
+            return run
+
+    bench = Impatient(first_command=1.0)
+    with pytest.raises(KeyboardInterrupt):
+        ran(bench, Law(), stop=stop)
+    assert max(u for u, _ in commands(bench)) == pytest.approx(0.3)
+    assert_landed(bench, "interrupted")
+    bench = Bench(first_command=1.0, readings=dict.fromkeys(range(3, 99), math.inf))
+    with pytest.raises(RigLanded, match="no rig can show"):
+        ran(bench, Law())
+    assert max(u for u, _ in commands(bench)) < 1.0
+    assert_landed(bench, "landed")
+
+
+def test_a_simulated_rig_by_the_clock_has_its_first_command_in_force_already() -> None:
+    bench = Bench(first_command=1.0, landing=Landing(after_run=False))
+    loop = ran(bench, Law())
+    assert commands(bench) == [(1.0, 0.5)] * loop.experiment.samples
+    assert words(bench)[-1] == "close completed"

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
 from typing import Any, Literal
 
@@ -193,8 +194,10 @@ class Loop:
         e = experiment
         ratio = e.samples_per_control
         landing = landing_of(e.plant)
-        beyond_end = landing.samples(farthest_command(e.model), e.sample_time) * landing.after_run
-        plant = e.plant.init(PlantSetup(e.sample_time, e.samples + beyond_end, e.seed))
+        # a real rig is ramped into the run as well
+        ramps = landing.samples(farthest_command(e.model), e.sample_time)
+        around = ramps * landing.after_run * (1 + e.in_real_time)
+        plant = e.plant.init(PlantSetup(e.sample_time, e.samples + around, e.seed))
         check_run(plant)
         inputs, outputs = names(plant.inputs), names(plant.outputs)
         if inputs != names(e.model.inputs):
@@ -269,9 +272,11 @@ class Loop:
             if self.pace is not None and isinstance(self.pace.clock, WallClock):
                 for words in machine.enter_context(undisturbed()):
                     self._tell("note", "machine", words)
+            # a rig that is not landed has its first command in force already
+            first_command = self._u if self._lands else self.life.safe_command
             try:
                 self._envelope.wait()
-                self.life.start(self._u, self._log_landing, confirm)
+                self.life.start(first_command, partial(self._ramp_in, stop), confirm)
                 if self.pace is not None:
                     self.pace.begin()
                 self._run_samples(progress, stop)
@@ -280,10 +285,15 @@ class Loop:
                 raise
             self._end("completed", stop)
 
+    @property
+    def _lands(self) -> bool:
+        """Whether the rig is ramped into the run, and out of it."""
+        return landing_of(self.experiment.plant).after_run
+
     def _end(self, reason: str, stop: StopRequest) -> None:
         """Land and close the rig, whatever went before; a further signal shortens the ramp."""
         try:
-            if landing_of(self.experiment.plant).after_run:
+            if self._lands:
                 self.life.land(self._u, self._log_landing, lambda: stop.at_once)
         except KeyboardInterrupt:  # swallowed here alone: the rig comes first
             self.life.land(self._u, self._log_landing, lambda: True)
@@ -293,14 +303,28 @@ class Loop:
             self.life.close(reason)
             self.history.flush()
 
-    def _log_landing(self, u: FloatArray, y: FloatArray) -> None:
-        """A sample of a ramp, after the run's last."""
+    def _ramp_in(self, stop: StopRequest, u: FloatArray, y: FloatArray) -> None:
+        """A sample of the ramp into the run: watched as those of the run are."""
         self._u = u
-        if self.completed_samples:
-            step = round(self.experiment.sample_time * 1e9)
-            now_ns = self._now_ns + step
-            self._now_ns = now_ns if self.pace is None else max(now_ns, self._clock_ns())
-            self._tell_landing(self._now_ns, [*u.tolist(), *np.asarray(y, dtype=float).tolist()])
+        if stop.requests:
+            raise stop.error()
+        self._envelope.screen(np.asarray(y, dtype=float), self._tell)
+        self._check_envelope()
+
+    def _check_envelope(self) -> None:
+        if self._envelope.landing_reason:
+            raise RigLanded(
+                f"the rig was landed: {self._envelope.landing_reason}",
+                where="plant.envelope",
+                remedy="see /event of the log for what went before",
+            )
+
+    def _log_landing(self, u: FloatArray, y: FloatArray) -> None:
+        """A sample of the landing, after the run's last."""
+        self._u = u
+        now_ns = self._now_ns + round(self.experiment.sample_time * 1e9)
+        self._now_ns = now_ns if self.pace is None else max(now_ns, self._clock_ns())
+        self._tell_landing(self._now_ns, [*u.tolist(), *np.asarray(y, dtype=float).tolist()])
 
     def _clock_ns(self) -> int:
         """The run's time on the clock, ns; later than that of the sample before."""
@@ -359,12 +383,7 @@ class Loop:
                 answer = self._decide(estimate, k)
             else:  # every sample, for what the model remembers of commands
                 answer = self._decide(self._ahead(estimate, self._u), k, acts_at=k + 1)
-            if envelope.landing_reason:
-                raise RigLanded(
-                    f"the rig was landed: {envelope.landing_reason}",
-                    where="plant.envelope",
-                    remedy="see /event of the log for what went before",
-                )
+            self._check_envelope()
             decided_at = now()
             try:
                 if delayed:

@@ -136,6 +136,11 @@ class RigLife:
         self._run, self._landing, self._pace = run, landing, pace
         self._is_connected = self._is_closed = False
 
+    @property
+    def safe_command(self) -> FloatArray:
+        """What the rig is landed to, (n_u,), V."""
+        return self._landing.safe
+
     def connect(self) -> None:
         """Open the rig."""
         try:
