@@ -226,7 +226,7 @@ def _summary(results: Sequence[Comparison]) -> list[list[str]]:
     for controller, reference in dict.fromkeys((r.controller, r.reference) for r in results):
         mine = [r for r in results if (r.controller, r.reference) == (controller, reference)]
         ratios = np.array([r.ratio for r in mine])
-        quantiles = [f"{v:.3f}" for v in np.nanquantile(ratios, [0.0, 0.5, 1.0])]
+        quantiles = [f"{v:.3f}" for v in np.nanquantile(ratios, [0.0, 0.5, 1.0], method="nearest")]
         worse = str(sum(r.is_worse for r in mine))
         rows.append([controller, reference, str(len(mine)), *quantiles, worse])
     return rows

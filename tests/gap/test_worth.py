@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import LoopGain
 from trms_cli.gap.worth import (
     gain_in_words,
@@ -72,6 +73,8 @@ def test_a_loop_that_the_correction_makes_worse_is_named_with_what_to_use() -> N
     assert "pid at rest 12 → 16 mrad" in text and "use controller=newton_mpc with it (2)" in text
     assert "keep the model as it was" in warning_of([worse])
     assert warning_of([fine]) == ""
+    refused = _gain("pid", "sine", 0.1, np.inf, True)
+    assert "pid on a sine cannot control with it: keep the model as it was" in warning_of([refused])
 
 
 def test_loops_are_judged_on_a_sine_and_on_a_square_as_a_whole_and_at_rest() -> None:
@@ -92,3 +95,12 @@ def test_loops_are_judged_on_a_sine_and_on_a_square_as_a_whole_and_at_rest() -> 
     assert all(0 < g.after < 1 and 0 < g.before < 1 for g in gains)
     whole, rest = gains[1:]
     assert rest.after < 0.3 * whole.after
+
+
+def test_a_controller_that_the_corrected_model_does_not_suit_is_worse_with_it() -> None:
+    """A cable's memory is no mode that pid could tune."""
+    words = ["effect=[yaw_cable_hysteresis]", "controller=pid", "ref=sine", "sim.duration=12"]
+    experiment = experiment_of(compose(words).config)
+    corrected = replace(experiment, model=extend_model(Newtonian(), experiment.plant.effects))
+    (gain,) = loops_of({("pid", "sine"): corrected}, Newtonian())
+    assert gain.is_worse and gain.after == np.inf and 0 < gain.before < 1

@@ -57,6 +57,10 @@ class _TooSlow(Exception):
     """The loops take longer than they are worth."""
 
 
+#: What a loop that cannot be closed raises.
+_REFUSALS = (TrmsError, ArithmeticError, ValueError, np.linalg.LinAlgError)
+
+
 def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Amplitude and offset, rad, of a sine within the recorded range of each angle.
 
@@ -106,7 +110,7 @@ def worth_of(
     try:
         after, noise = tracking(experiment, until)
         errors, _ = tracking(replace(experiment, model=before), until)
-    except (TrmsError, _TooSlow, ArithmeticError, ValueError, np.linalg.LinAlgError):
+    except (*_REFUSALS, _TooSlow):
         return None
     if not after or after.keys() != errors.keys():
         return None
@@ -126,7 +130,9 @@ def worth_of(
 def loops_of(
     experiments: Mapping[tuple[str, str], Experiment], before: Model
 ) -> tuple[LoopGain, ...]:
-    """What the correction gains each loop; those that cannot be closed in time are left out.
+    """What the correction gains each loop; those that take too long are left out.
+
+    A loop that the corrected model alone does not close has an infinite error with it.
 
     ``experiments``: by controller and reference, ``sine`` or ``square``; see :func:`worth_of`.
     """
@@ -134,27 +140,36 @@ def loops_of(
     until = process_time() + _LONGEST
     for (controller, reference), experiment in experiments.items():
         try:
-            new, noise = _errors(experiment, until)
-            old, _ = _errors(replace(experiment, model=before), until)
+            old, noise = _errors(replace(experiment, model=before), until)
+            new = _errors_or_none(experiment, until)
         except _TooSlow:
             break
-        except (TrmsError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+        except _REFUSALS:
             continue
         for name in (reference, "rest"):
-            if not (np.isfinite(old.get(name, np.nan)) and np.isfinite(new.get(name, np.nan))):
+            if not np.isfinite(old.get(name, np.nan)):
                 continue
-            grows = new[name] > (1 + _WORSE) * old[name]
-            is_worse = grows and new[name] - old[name] > _ABOVE_NOISE * noise
+            error = np.inf if new is None else new.get(name, np.inf)
+            grows = not error <= (1 + _WORSE) * old[name]
+            is_worse = grows and not error - old[name] <= _ABOVE_NOISE * noise
             gains.append(
                 LoopGain(
                     controller=controller,
                     reference=name,
                     before=old[name],
-                    after=new[name],
+                    after=float(error),
                     is_worse=bool(is_worse),
                 )
             )
     return tuple(gains)
+
+
+def _errors_or_none(experiment: Experiment, until: float) -> dict[str, float] | None:
+    """Errors of a loop; None for one that cannot be closed."""
+    try:
+        return _errors(experiment, until)[0]
+    except _REFUSALS:
+        return None
 
 
 def warning_of(loops: Sequence[LoopGain]) -> str:
@@ -163,6 +178,8 @@ def warning_of(loops: Sequence[LoopGain]) -> str:
     parts = []
     for worse in (loop for loop in loops if loop.is_worse):
         figures = f"{number(scale * worse.before, 2)} → {number(scale * worse.after, 2)} {unit}"
+        if not np.isfinite(worse.after):
+            figures = "cannot control with it"
         where = _REFERENCE_WORDS[worse.reference]
         best = min(
             (other for other in loops if other.reference == worse.reference),
@@ -195,7 +212,8 @@ def _errors(experiment: Experiment, until: float) -> tuple[dict[str, float], flo
     squares = np.sum([values**2 for values in differences.values()], axis=0)
     settled = round(_SETTLED / experiment.sample_time)
     changes = np.cumsum(np.any(np.diff(reference, axis=0, prepend=reference[:1]) != 0, axis=1))
-    is_still = changes == np.concatenate([np.full(settled, -1), changes[:-settled]])
+    before = np.concatenate([np.full(settled, -1), changes])[: len(changes)]
+    is_still = changes == before
     # A sine never stands still, and the square counts as a whole and at rest.
     errors = {"sine" if not is_still.any() else "square": float(np.sqrt(np.mean(squares)))}
     if is_still.any():
