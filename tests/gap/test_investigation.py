@@ -102,7 +102,7 @@ def test_what_several_experiments_tell_together_counts_as_far_as_the_budget(spen
     ending = ending_of(recorded(spent), believed(0.6, next_experiment=advice(nats)))
     assert (ending is None) == goes_on
     if ending is not None:
-        assert ending[0] == "not_told_apart" and "yaw coulomb friction" in ending[1]
+        assert ending[0] == "not_told_apart" and "yaw Coulomb friction" in ending[1]
 
 
 def test_without_a_predicted_experiment_it_ends():

@@ -110,7 +110,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         problem.block,
         problem.sealed_share,
         problem.model.stops,
-        _GLANCE if quick else np.inf,
+        _GLANCE if quick and not problem.investigates else np.inf,
+        of_each=problem.investigates,
     )
     free = nominal_parameters(problem.model)
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)

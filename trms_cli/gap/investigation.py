@@ -16,12 +16,14 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.wording import percent
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import effect_names, extend_model
 from trms_cli.effects.model_form import MODEL_FORM
 from trms_cli.gap.belief import simulated_part
 from trms_cli.gap.diagnosis import NO_EFFECT, Cause, DiagnosisResult
 from trms_cli.gap.next_experiment import DECIDES
+from trms_cli.gap.wording import cause_name
 from trms_cli.identification.excitation.design import ExcitationRequest, design
 from trms_cli.identification.excitation.excitation import ExcitationPlugin
 from trms_cli.models.model import Model, names
@@ -337,7 +339,7 @@ def ending_of(
     """
     if is_sure(diagnosis, investigation.sure):
         top = max(diagnosis.causes, key=lambda cause: cause.probability)
-        return "sure", f"{answer_name(top.effects)} is {top.probability:.1%} probable"
+        return "sure", f"{cause_name(top.effects)} has a probability of {percent(top.probability)}"
     advice = diagnosis.next_experiment
     if advice is None:
         return "no_experiment", "no experiment could be predicted that keeps the rig within bounds"
@@ -346,7 +348,7 @@ def ending_of(
         seconds = len(prediction.experiment.commands) * diagnosis.recordings[0].sample_time_s
         left = max(1, math.floor((investigation.budget - investigation.spent) / seconds))
         if left * prediction.nats < DECIDES:
-            pair = " and ".join(answer_name((name,)) for name in prediction.apart)
+            pair = " and ".join(cause_name((name,)) for name in prediction.apart)
             return (
                 "not_told_apart",
                 f"no experiment that could be advised tells {pair} apart: the best promises "
@@ -354,11 +356,6 @@ def ending_of(
                 f"{DECIDES:g}",
             )
     return None
-
-
-def answer_name(effects: Sequence[str]) -> str:
-    """An answer in words."""
-    return " with ".join(name.replace("_", " ") for name in effects)
 
 
 def advised_plan(diagnosis: DiagnosisResult, ensemble: Ensemble) -> ExperimentPlan | None:

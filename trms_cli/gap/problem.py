@@ -49,6 +49,9 @@ class GapProblem:
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
     advise: bool = True  #: Whether the next experiment is looked for
+    #: Whether the recordings are experiments each of which was made for what the ones before left
+    #: open: all of them are fitted, and the end of each is sealed
+    investigates: bool = False
     warnings: tuple[str, ...] = field(default=())  #: Of the admission, to stand in the report
 
 
@@ -143,17 +146,20 @@ def divide(
     share: float,
     stops: Mapping[str, float],
     most: float = np.inf,
+    *,
+    of_each: bool = False,
 ) -> Parts:
     """Seal the end of each recording, or the last recordings where there are several.
 
     ``block``: s; shortened for short recordings. ``share``: of the time, to be sealed. ``stops``:
     mechanical range of angles, rad: from a contact with a stop to the end of its block nothing is
     compared, for no model of free motion follows there. ``most``: s, fitted of what is not sealed,
-    the newest. Raises ConfigurationError if hardly anything would be left.
+    the newest. ``of_each``: seal the end of each also of several, for the last ones say what the
+    others do not. Raises ConfigurationError if hardly anything would be left.
     """
     whole = tuple(thin_dataset(dataset) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)
-    if len(whole) >= _SEVERAL:
+    if len(whole) >= _SEVERAL and not of_each:
         whole = tuple(with_noise(dataset) for dataset in whole)
         count = min(max(1, round(share * len(whole))), len(whole) - 1)
         fitted_count = len(whole) - count

@@ -29,7 +29,6 @@ from trms_cli.gap.investigation import (
     Investigation,
     RigLimits,
     advised_plan,
-    answer_name,
     columns_of,
     document_of,
     ending_of,
@@ -39,6 +38,7 @@ from trms_cli.gap.investigation import (
     read_document,
     wants_excitation,
 )
+from trms_cli.gap.wording import cause_name
 from trms_cli.library.tasks import diagnose, run
 from trms_cli.library.tasks.excite import playing
 from trms_cli.library.tasks.files import write_config
@@ -151,7 +151,7 @@ def diagnose_together(
         folder / STAGES_NAME, folder / LOG_NAME, request.fingerprint, quiet=quiet
     )
     with progress:
-        result = solve(replace(request.problem, advise=True), progress)
+        result = solve(replace(request.problem, advise=True, investigates=True), progress)
     progress.finish(f"verdict {result.verdict}: {result.sentence}")
     return request, replace(result, versions=versions())
 
@@ -365,7 +365,7 @@ class _Work:
         self.save()
         top = max(result.causes, key=lambda cause: cause.probability)
         count = wording.count(len(self.investigation.recordings), "recording")
-        note(f"diagnosis     {count}: {answer_name(top.effects)}, p = {top.probability:.2f}")
+        note(f"diagnosis     {count}: {cause_name(top.effects)}, p = {top.probability:.2f}")
         return result
 
     def conclude(self, diagnosis: DiagnosisResult) -> Findings:
@@ -433,7 +433,7 @@ def experiments_section(investigation: Investigation) -> Section:
                 *(None if p is None else f"{p:.2f}" for p in after),
             ]
         )
-    heads = ["", "experiment", "s", "amplitude", *(answer_name(n.split("+")) for n in answers)]
+    heads = ["", "experiment", "s", "amplitude", *(cause_name(n.split("+")) for n in answers)]
     caption = (
         "Amplitude: share of the advised one with which all rigs that were possible then stayed "
         "within bounds. Probabilities: of all recordings up to and with the experiment."
