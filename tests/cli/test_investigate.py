@@ -5,6 +5,7 @@ import json
 import sys
 import types
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,19 @@ def test_experiments_are_made_until_one_cause_is_sure(trms, answers, tmp_path):
     assert (tmp_path / "inv/diagnosis/corrected_model.yaml").is_file()
     assert (tmp_path / "inv/diagnosis/diagnosis.json").is_file()
     assert "After 2 experiments and 65 s of rig time" in done.stdout
+
+
+def test_a_recording_that_cannot_be_diagnosed_is_left_out(trms, answers, tmp_path):
+    still = advice(5.0)
+    commands = np.zeros_like(still.prediction.experiment.commands)
+    experiment = replace(still.prediction.experiment, commands=commands)
+    still = replace(still, prediction=replace(still.prediction, experiment=experiment))
+    counts = answers(believed(0.6, next_experiment=still))
+    done = trms("investigate", *SHORT)
+    assert counts == [1]  # the inputs of the second never moved
+    assert document(tmp_path)["ending"] == "unusable"
+    assert [e["usable"] for e in document(tmp_path)["experiments"]] == [True, False]
+    assert "yaw Coulomb friction" in done.stdout
 
 
 def test_the_budget_ends_it_and_more_of_it_goes_on(trms, answers, tmp_path):

@@ -235,6 +235,14 @@ def test_several_recordings_are_sealed_whole():
     assert parts.sealed == ((3, 0, len(dataset)),)
 
 
+def test_each_of_several_experiments_is_sealed_at_its_end():
+    dataset = recording(seconds=20.0)
+    parts = divide((dataset,) * 4, 10.0, 0.25, MODEL.stops, of_each=True)
+    assert len(parts.fitted) == 4
+    assert [i for i, _, _ in parts.sealed] == [0, 1, 2, 3]
+    assert all(end == len(dataset) and begin > len(dataset) / 2 for _, begin, end in parts.sealed)
+
+
 def test_a_cause_with_a_state_of_its_own_is_told_whole():
     cable = effect("yaw_cable_hysteresis", torque=0.008)
     diagnosis = diagnose(

@@ -32,7 +32,9 @@ from trms_cli.simulation.rollout import Rollout
 
 SCHEMA = "trms.investigation/1"
 #: Why an investigation ended.
-Ending = Literal["sure", "not_told_apart", "no_experiment", "too_large", "budget", "landed"]
+Ending = Literal[
+    "sure", "not_told_apart", "no_experiment", "too_large", "budget", "landed", "unusable"
+]
 
 #: Probability from which a cause is part of the ensemble.
 _POSSIBLE = 0.02
@@ -280,6 +282,7 @@ class ExperimentRecord:
     recorded: float  #: s, that the recording lasts
     share: float  #: Of the advised amplitude
     complete: bool = True  #: Whether it came to its end
+    usable: bool = True  #: Whether a diagnosis takes the recording
     verdict: str = ""  #: Of all recordings up to this; empty where they were not diagnosed
     #: Of the causes after it, by their effects joined by ``+``; descending
     probabilities: dict[str, float] = field(default_factory=dict)
@@ -314,7 +317,7 @@ class Investigation:
     @property
     def recordings(self) -> list[str]:
         """What is diagnosed."""
-        return [e.log for e in self.experiments if e.recorded >= _SHORTEST]
+        return [e.log for e in self.experiments if e.usable and e.recorded >= _SHORTEST]
 
     def allows(self, duration: float) -> bool:
         """Whether the budget leaves room for an experiment of a duration, s."""

@@ -16,7 +16,7 @@ from trms_cli.composition.arguments import text_of
 from trms_cli.composition.composer import Composition, compose
 from trms_cli.core import wording
 from trms_cli.core.data_file import read_json
-from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
+from trms_cli.core.errors import ConfigurationError, RecordingError, SimulationError, TrmsError
 from trms_cli.core.findings import Findings, NextCommand, Section, Table
 from trms_cli.core.invocation import note, program
 from trms_cli.core.plugins import build, construct
@@ -184,7 +184,13 @@ class _Work:
         diagnosis: DiagnosisResult | None = None
         while True:
             if investigation.recordings:
-                diagnosis = self._diagnose()
+                try:
+                    diagnosis = self._diagnose()
+                except RecordingError as error:
+                    if diagnosis is None:
+                        raise
+                    self._leave_out(error)
+                    break
                 if ending := ending_of(investigation, diagnosis):
                     investigation.end(*ending)
                     break
@@ -195,6 +201,15 @@ class _Work:
                 break
         self.save()
         return diagnosis
+
+    def _leave_out(self, error: RecordingError) -> None:
+        """Go no further with a recording that a diagnosis refuses; the ones before stand."""
+        last = self.investigation.experiments[-1]
+        last.usable = False
+        self.investigation.end(
+            "unusable",
+            f"the recording of experiment {last.number} is not one to diagnose: {error.problem}",
+        )
 
     def _plan(self, diagnosis: DiagnosisResult | None) -> ExperimentPlan | None:
         """The next experiment; None where no amplitude keeps all possible rigs within bounds."""
