@@ -17,8 +17,6 @@ from typing import Annotated, Literal, Protocol
 
 from msgspec import Meta
 
-from trms_cli.core.ranges import Positive
-
 #: s before a deadline from which on the clock is asked again and again: a sleep ends late by some
 #: tens of µs on an idle machine, by ten times that on a loaded one.
 _SPIN = 0.3e-3
@@ -71,7 +69,6 @@ class VirtualClock:
 class LatePolicy:
     """What is done with samples that are not in time."""
 
-    tolerance: Positive = 1e-3  #: s after its time, from which on a sample counts as late
     #: What is done where a whole period has passed: the command is held and the sample read
     #: without asking the controller, or the sample is left out
     policy: Literal["hold", "skip"] = "hold"
