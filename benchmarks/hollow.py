@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
 from trms_cli.observers.observer import ObserverSetup
+from trms_cli.plants.landing import Landing
 from trms_cli.plants.plant import PlantSetup
 
 
@@ -20,6 +21,7 @@ class HollowPlant:
     """Always the same state and measurement."""
 
     model: Model
+    landing: ClassVar[Landing] = Landing(after_run=False)
 
     def init(self, setup: PlantSetup) -> HollowRun:
         return HollowRun(self.model)

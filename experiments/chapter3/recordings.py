@@ -99,7 +99,7 @@ def cut_at_stops(dataset: Dataset, stops: Mapping[str, float], shortest: float) 
 @cache
 def bench_sensors() -> Sensors:
     """The sensors of the simulated rig's own configuration."""
-    sensors = build(option("plant", "simulated")["sensors"], "sensors")
+    sensors = build(option("sensors", "bench"), "sensors")
     assert isinstance(sensors, Sensors)
     return sensors
 

@@ -20,6 +20,8 @@ from trms_cli.core.errors import SimulationError
 from trms_cli.models.model import Model, by_name
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.rest import rest_equations
+from trms_cli.plants.envelope import Envelope
+from trms_cli.plants.landing import Landing
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
@@ -80,6 +82,10 @@ class CountedController:
 class RecordedPlant:
     """A rig, as the plant of an experiment, that remembers its states and its commands."""
 
+    #: Nothing bounds it: where it goes is what is asked.
+    landing = Landing(after_run=False)
+    envelope = Envelope(beyond_stops=None)
+
     def __init__(self, plant: SimulatedRig, path: Path | None, until: Until | None) -> None:
         self._plant, self._path, self._until = plant, path, until
         #: States before each sample; commands as given and as they arrived
@@ -93,6 +99,8 @@ class RecordedPlant:
         return self
 
     def __getattr__(self, name: str) -> object:
+        if "_rig" not in self.__dict__:  # before a run there is none
+            raise AttributeError(name)
         return getattr(self.__dict__["_rig"], name)
 
     def advance(self, command: FloatArray) -> None:
