@@ -23,6 +23,7 @@ from trms_cli.core.data_file import json_or_none
 from trms_cli.core.errors import RecordingError
 from trms_cli.recordings.log_head import read_log_head
 from trms_cli.recordings.log_reader import LogPiece, LogTail
+from trms_cli.simulation.pace import IN_TIME
 
 FloatArray = npt.NDArray[np.float64]
 NAN = float("nan")
@@ -411,7 +412,7 @@ class RunSamples:
         return Punctuality(
             now_ms=float(lateness[-1]),
             worst_ms=float(np.max(lateness)),
-            late_share=float(np.mean(lateness > 1.0)),
+            late_share=float(np.mean(lateness > 1e3 * IN_TIME)),
             command_ms=1e3 * samples.number("command_s", count),
         )
 

@@ -28,6 +28,7 @@ from trms_cli.core.findings import json_data
 from trms_cli.scoring import figures, metrics
 from trms_cli.scoring.metrics import Array, Columns, floats, hold_at, unit
 from trms_cli.scoring.metrics import Series as Series
+from trms_cli.simulation.pace import IN_TIME
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import LoggedRun
@@ -273,8 +274,6 @@ def _count_events(events: Columns | None, kind: str) -> int:
     return int(np.count_nonzero(np.asarray(events.columns["kind"], dtype=object) == kind))
 
 
-#: ms, that a sample may be late and still be in time.
-_IN_TIME = 1.0
 #: ms, edges of the histogram of lateness.
 _LATENESS_EDGES = (0.0, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
@@ -301,7 +300,7 @@ def timing_figures(timing: Columns | None, words: Columns | None) -> dict[str, A
     return {
         "samples": int(due.size),
         "skipped": int(expected - due.size),
-        "late_share": float(np.mean(lateness > _IN_TIME)),
+        "late_share": float(np.mean(lateness > 1e3 * IN_TIME)),
         "lateness_ms": _spread(lateness),
         "command_ms": _spread(command),
         "histogram": {

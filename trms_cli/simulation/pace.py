@@ -21,6 +21,8 @@ from msgspec import Meta
 #: tens of µs on an idle machine, by ten times that on a loaded one.
 _SPIN = 0.3e-3
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
+#: s after its time, from which on a sample counts as late.
+IN_TIME = 1e-3
 
 
 class Clock(Protocol):

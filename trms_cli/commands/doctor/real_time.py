@@ -16,7 +16,7 @@ import numpy as np
 
 from trms_cli.commands.doctor.check import OK, SLOWER, Check
 from trms_cli.core.wording import count, number, percent
-from trms_cli.simulation.pace import Clock, LatePolicy, Pace, undisturbed
+from trms_cli.simulation.pace import IN_TIME, Clock, LatePolicy, Pace, undisturbed
 
 RATES = (50.0, 200.0)  #: Hz; the loop's default, and what a fast rig takes
 DURATIONS = (0.1, 3600.0)  #: s, of all rates together
@@ -78,8 +78,8 @@ def _jitter(rate: float, duration: float, clock: Clock | None) -> Jitter:
         float(np.median(lateness)),
         float(np.quantile(lateness, 0.99)),
         float(lateness.max()),
-        policy.tolerance,
-        float(np.mean(lateness > policy.tolerance)),
+        IN_TIME,
+        float(np.mean(lateness > IN_TIME)),
     )
 
 
