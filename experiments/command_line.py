@@ -15,7 +15,12 @@ from time import perf_counter
 from typing import Any, TypeVar
 
 from trms_cli.cli import describe_error
-from trms_cli.core.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, ConfigurationError, TrmsError
+from trms_cli.core.errors import (
+    EXIT_TERMINATED,
+    ConfigurationError,
+    TrmsError,
+    interrupted_code,
+)
 from trms_cli.core.threads import ONE_THREAD
 
 Result = TypeVar("Result")
@@ -28,8 +33,8 @@ def exit_code_of(work: Callable[[], int]) -> int:
     except TrmsError as error:
         sys.stderr.write(describe_error(error, colour=sys.stderr.isatty()))
         return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as error:
+        return interrupted_code(error)
 
 
 def recorded_parser(chapter: str, about: str | None, study: Path) -> argparse.ArgumentParser:
