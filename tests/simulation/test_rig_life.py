@@ -5,6 +5,7 @@ import math
 import os
 import signal
 import socket
+import threading
 import time
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -145,8 +146,9 @@ def ran(bench: Bench, law: Law, clock: VirtualClock | None = None, **changes: An
         experiment(bench, law, **changes),
         lambda plant: History(units, None),
         clock or VirtualClock(),
+        confirm=lambda question: True,
     )
-    loop.run(stop=stop, confirm=lambda question: True)
+    loop.run(stop=stop)
     return loop
 
 
@@ -216,11 +218,13 @@ def test_a_rig_that_nobody_confirms_does_not_move() -> None:
             return Asking(self, setup)
 
     bench = AskingBench()
-    loop = Loop.start(experiment(bench, Law()), lambda plant: History({}, None), VirtualClock())
     with pytest.raises(ConfigurationError, match="nobody confirmed"):
-        loop.run()
-    assert "arm" not in words(bench)
-    assert not any(any(command) for command in commands(bench))
+        Loop.start(experiment(bench, Law()), lambda plant: pytest.fail("a log"), VirtualClock())
+    assert bench.calls == [
+        "connect",
+        "check",
+        "close failed",
+    ]  # and no command, not even a safe one
 
 
 def test_a_controller_that_raises_lands_the_rig() -> None:
@@ -397,17 +401,27 @@ def test_a_heartbeat_that_stops_lands_the_rig() -> None:
     with pytest.raises(ConfigurationError, match="no heartbeat"):
         ran(bench, Law())
     assert "arm" not in words(bench)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+    stopped = threading.Event()
 
-        def act(k: int, sample: ControlSample) -> None:
-            if k < 5:
+    def beat() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not stopped.wait(0.005):
                 sender.sendto(b"x", ("127.0.0.1", port))
-            else:
-                time.sleep(0.02)
 
-        bench = Bench(envelope=silent)
+    def act(k: int, sample: ControlSample) -> None:
+        if k >= 5 and sample.previous_command.any():
+            stopped.set()
+            time.sleep(0.02)
+
+    sender = threading.Thread(target=beat)
+    sender.start()
+    bench = Bench(envelope=silent)
+    try:
         with pytest.raises(RigLanded, match="no heartbeat"):
             ran(bench, Law(act=act), duration=2.0)
+    finally:
+        stopped.set()
+        sender.join()
     assert 5 <= commands(bench).count((1.0, 0.5)) < 20
     assert_landed(bench, "landed")
 
@@ -446,3 +460,20 @@ def test_a_simulated_rig_by_the_clock_has_its_first_command_in_force_already() -
     loop = ran(bench, Law())
     assert commands(bench) == [(1.0, 0.5)] * loop.experiment.samples
     assert words(bench)[-1] == "close completed"
+
+
+def test_bounds_of_a_reading_and_of_its_rate_wait_each_for_their_own_time() -> None:
+    envelope = Envelope(
+        readings={"alpha_v": Bound(lower=-0.5, after=0.1)},
+        rates={"alpha_v": Bound(upper=1e3, action="warn")},
+    )
+    bench = Bench(envelope=envelope)
+    with pytest.raises(RigLanded, match="reading of alpha_v"):
+        ran(bench, Law(), duration=1.0)
+    assert commands(bench).count((1.0, 0.5)) == 5  # 0.1 s of them
+
+
+def test_a_first_reading_that_is_infinite_is_a_missing_one() -> None:
+    bench = Bench(readings={1: math.inf})
+    loop = ran(bench, Law())
+    assert loop.completed_samples == loop.experiment.samples

@@ -24,3 +24,9 @@ def print_json(document: Any, *, allow_nan: bool = True) -> None:
 
     json.dump(document, sys.stdout, indent=2, ensure_ascii=False, allow_nan=allow_nan)
     sys.stdout.write("\n")
+
+
+def short_repr(value: object) -> str:
+    """How Python writes a value, at most 60 characters of it."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -17,6 +17,7 @@ from typing import Any
 from trms_cli.core.errors import ConfigurationError, SimulationError, TrmsError
 from trms_cli.core.invocation import whole_trace
 from trms_cli.core.plugins import locate_function, nearest
+from trms_cli.core.printable import short_repr
 from trms_cli.plants.hardware import HardwareRig, HardwareRun
 from trms_cli.plants.plant import PlantSetup
 
@@ -105,7 +106,7 @@ class CallableRun(HardwareRun):
     def _read(self) -> Mapping[int | str, float] | None:
         reading = self._call("read")
         if not isinstance(reading, Mapping):
-            raise self._wrong_reading(f"returned {_short(reading)}, no dictionary")
+            raise self._wrong_reading(f"returned {short_repr(reading)}, no dictionary")
         raw: dict[int | str, float] = {}
         for name, channel in zip(self._readings.names, self._readings.channels, strict=True):
             if channel not in reading:
@@ -120,7 +121,7 @@ class CallableRun(HardwareRun):
                 raw[channel] = float(value)
             except (TypeError, ValueError):
                 raise self._wrong_reading(
-                    f"returned {_short(value)} for {channel!r}, which is no number"
+                    f"returned {short_repr(value)} for {channel!r}, which is no number"
                 ) from None
         return None if all(map(math.isnan, raw.values())) else raw
 
@@ -168,8 +169,3 @@ def _line_of(function: Callable[..., Any] | None) -> str:
     if code is None:
         return repr(function)
     return f"{code.co_filename}, line {code.co_firstlineno}, in {code.co_name}"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -18,7 +18,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
-from trms_cli.plants.heartbeat import Heartbeat
+from trms_cli.plants.heartbeat import Heartbeat, HeartbeatMonitor
 
 #: Takes kind, source, sentence and value of an event.
 Tell = Callable[[str, str, str, float], None]
@@ -32,7 +32,7 @@ class Bound:
     lower: float = -math.inf  #: In the signal's own unit, of rates per second
     upper: float = math.inf  #: Likewise
     action: Action = "land"  #: clamp for commands alone: a reading is what it is
-    after: NotNegative = 0.0  #: s without a break, after which a reading outside counts
+    after: NotNegative = 0.0  #: s without a break, after which what is outside lands the rig
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -106,10 +106,6 @@ class EnvelopeWatch:
     """An envelope during one run."""
 
     def __init__(self, envelope: Envelope, setup: EnvelopeSetup) -> None:
-        self._tell_after = {
-            name: round(bound.after / setup.sample_time)
-            for name, bound in [*envelope.readings.items(), *envelope.rates.items()]
-        }
         self._outputs, self._inputs = setup.outputs, setup.inputs
         self._period = setup.sample_time
         margin = math.inf if envelope.beyond_stops is None else envelope.beyond_stops
@@ -126,7 +122,8 @@ class EnvelopeWatch:
         ]
         self._last: list[float] = [math.nan] * len(setup.outputs)
         self._outside: dict[tuple[str, str], int] = {}
-        self._heartbeat = envelope.heartbeat.init()
+        self._heartbeat_config = envelope.heartbeat
+        self._heartbeat: HeartbeatMonitor | None = None
         self.landing_reason = ""  #: Why the rig has to land; empty while it need not
 
     def wait(self) -> None:
@@ -134,6 +131,8 @@ class EnvelopeWatch:
 
         Raises ConfigurationError where it does not come.
         """
+        if self._heartbeat is None:
+            self._heartbeat = self._heartbeat_config.init()
         if self._heartbeat is not None:
             self._heartbeat.wait()
 
@@ -241,7 +240,7 @@ class EnvelopeWatch:
         words = f"the {group} of {name} is {value:g}, bounds {bound.lower:g} to {bound.upper:g}"
         if not count:
             tell("envelope_begin", name, words, value)
-        patience = self._tell_after.get(name, 0) if group != "command" else 0
+        patience = round(bound.after / self._period)
         if bound.action == "land" and count >= patience and not self.landing_reason:
             self.landing_reason = words
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -17,14 +18,14 @@ from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.model import Signal
 from trms_cli.plants.envelope import Envelope
-from trms_cli.plants.landing import Landing
+from trms_cli.plants.landing import ROTOR_COMMANDS, Landing
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.wiring import Wire, Wiring, check_wires
 
 #: Signals that can be wired, in their order.
 READINGS = ("alpha_v", "alpha_h", "omega_v", "omega_h")
-COMMANDS = ("u_v", "u_h")
+COMMANDS = ROTOR_COMMANDS
 
 
 class RigLost(SimulationError):
@@ -71,11 +72,11 @@ class HardwareRig:
                 )
 
 
-class HardwareRun:
+class HardwareRun(ABC):
     """What every real rig does during a run; a driver adds how it reads and writes.
 
-    A driver defines ``_read() -> list of raw numbers, or None where none came in time``, ``_write
-    (raw)``, and ``connect``, ``arm``, ``disarm``, ``close`` as it needs them.
+    Beside what is abstract here it defines ``connect``, ``arm``, ``disarm`` and ``close`` as it
+    needs them.
     """
 
     states: tuple[Signal, ...] = ()
@@ -181,11 +182,13 @@ class HardwareRun:
             values = self._safe.tolist()
         self._write(dict(zip(self._commands.channels, self._commands.raw(values), strict=True)))
 
+    @abstractmethod
     def _read(self) -> Mapping[int | str, float] | None:
-        raise NotImplementedError
+        """Raw numbers by channel; None where none came in time."""
 
+    @abstractmethod
     def _write(self, raw: Mapping[int | str, float]) -> None:
-        raise NotImplementedError
+        """Send raw numbers by channel."""
 
     def _now(self) -> float:
         return time.perf_counter()

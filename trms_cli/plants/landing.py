@@ -17,6 +17,9 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 
+#: Commands that a rig of both axes has.
+ROTOR_COMMANDS = ("u_v", "u_h")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Landing:
@@ -48,7 +51,7 @@ class Landing:
         safe = np.zeros(len(inputs))
         for name, value in self.command.items():
             where = f"landing.command.{name}"
-            if name not in {"u_v", "u_h"}:  # a rig of one axis lands the input that it has
+            if name not in ROTOR_COMMANDS:  # a rig of one axis lands the input that it has
                 require_known(name, inputs, f"the rig has no input {name!r}", where)
             if name in inputs:
                 safe[inputs.index(name)] = value

@@ -18,7 +18,14 @@ class PlantSetup:
 
 
 class PlantRun(Protocol):
-    """A plant during one run."""
+    """A plant during one run.
+
+    What moves has a life around it, and the loop calls what there is of it, in this order:
+    ``connect()``, ``check()``, ``arm()`` before a run; ``disarm()``, ``close(reason)`` after it,
+    once, whatever ended it. Between check and arm a person agrees to ``confirmation``, if that is
+    a text and not empty. The plant itself may have a ``landing``, an ``envelope``, and
+    ``real_time = True`` where it does not wait.
+    """
 
     @property
     def inputs(self) -> tuple[Signal, ...]: ...

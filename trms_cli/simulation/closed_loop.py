@@ -183,13 +183,15 @@ class Loop:
         experiment: Experiment,
         make_history: Callable[[PlantRun], History],
         clock: Clock | None = None,
+        confirm: Confirm | None = None,
     ) -> Loop:
         """Everything ready for the first sample.
 
         A real rig is opened once all that may take long or fail has been done without it.
         ``make_history``: given the plant, returns where its run is kept. Called last: a plugin that
-        refuses its configuration, and a rig that does not answer, leave no file behind. ``clock``:
-        another than the machine's, in tests.
+        refuses its configuration, a rig that does not answer or rest, and a person who does not
+        ``confirm`` that a real rig may move, leave no file behind. ``clock``: another than the
+        machine's, in tests.
         """
         e = experiment
         ratio = e.samples_per_control
@@ -231,12 +233,16 @@ class Loop:
         life = RigLife(plant, ramp, pace)
         try:
             life.connect()
+            life.prepare(confirm)
+            envelope.wait()
             reading = check_reading(plant, plant.measure())
+            reading = np.where(np.isinf(reading), np.nan, reading)  # as the envelope has it later
             observer_state = e.observer.init(observing(reading))
             gap_watch = e.gap_watch.init(observing(reading))
             controller_state = e.controller.init(control)
             history = make_history(plant)
         except BaseException:
+            envelope.close()
             life.close("failed")
             raise
         return cls(
@@ -258,12 +264,10 @@ class Loop:
         self,
         progress: Progress | None = None,
         stop: StopRequest | None = None,
-        confirm: Confirm | None = None,
     ) -> None:
         """Run to the end, land and close; what is done stays in the history if it ends before.
 
-        ``stop``: read once a sample. ``confirm``: asks a person whether a real rig may move.
-        Raises RigLanded where the rig had to be landed,
+        ``stop``: read once a sample. Raises RigLanded where the rig had to be landed,
         KeyboardInterrupt (Termination) where `stop` asks for it, and what a plugin raises; the rig
         is landed and closed by then.
         """
@@ -275,8 +279,7 @@ class Loop:
             # a rig that is not landed has its first command in force already
             first_command = self._u if self._lands else self.life.safe_command
             try:
-                self._envelope.wait()
-                self.life.start(first_command, partial(self._ramp_in, stop), confirm)
+                self.life.start(first_command, partial(self._ramp_in, stop))
                 if self.pace is not None:
                     self.pace.begin()
                 self._run_samples(progress, stop)
@@ -437,12 +440,15 @@ class Loop:
         if not pace.is_behind:
             return k
         count = min(pace.periods_behind, self.experiment.samples - 1 - k)
-        if pace.late.policy == "hold" or not count:
-            return k
+        is_real = getattr(self.experiment.plant, "real_time", False)
+        if pace.late.policy == "hold" or not count or not is_real:
+            return k  # a simulated rig stands still meanwhile: no sample of it has passed
         self._tell("skipped", "loop", "samples were left out (value: how many)", count)
         lost = np.full(len(self.plant.outputs), np.nan)
         for _ in range(count):  # the observer predicts over them
-            self.experiment.observer.step(self._observer_state, self._u, lost, None)
+            estimate = self.experiment.observer.step(self._observer_state, self._u, lost, None)
+            if self._ahead is not None:  # what the model remembers of commands goes on
+                self._ahead(estimate, self._u)
             pace.skip()
         return k + count
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from trms_cli.controllers.controller import Command
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import SimulationError
-
-#: Takes kind, source, sentence and value of an event.
-Tell = Callable[[str, str, str, float], None]
+from trms_cli.plants.envelope import Tell
 
 
 class CommandGate:

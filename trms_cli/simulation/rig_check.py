@@ -208,7 +208,8 @@ class RigCheck:
             self._u = u
             self._note(readings, y)
 
-        self._life.start(self._landing.safe, sample, lambda question: True)
+        self._life.prepare(lambda question: True)
+        self._life.start(self._landing.safe, sample)
         try:
             self._pace.begin()
             for u in self._pulse_commands(name):

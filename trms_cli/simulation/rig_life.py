@@ -15,6 +15,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.printable import short_repr
 from trms_cli.models.model import Signal
 from trms_cli.plants.landing import LandingRamp
 from trms_cli.simulation.pace import Pace
@@ -51,7 +52,7 @@ def check_run(run: Any) -> None:
     kind = type(run)
     if run is None or isinstance(run, type):
         raise ConfigurationError(
-            f"the plant's init() returned {_short(run)}, which is no run of it",
+            f"the plant's init() returned {short_repr(run)}, which is no run of it",
             where="plant",
             remedy=f"an object with {', '.join(_NEEDED)} ({_PAGE})",
         )
@@ -77,7 +78,7 @@ def _wrong_values(run: Any) -> Iterator[tuple[str, str]]:
         signals = getattr(run, name)
         if not isinstance(signals, tuple) or not all(isinstance(s, Signal) for s in signals):
             yield (
-                f"{name} is {_short(signals)}",
+                f"{name} is {short_repr(signals)}",
                 "a tuple of trms_cli.models.model.Signal: "
                 f"{name} = (Signal('alpha_v', 'rad', 'pitch angle'),)",
             )
@@ -85,17 +86,17 @@ def _wrong_values(run: Any) -> Iterator[tuple[str, str]]:
     n_u, n_x, limits = len(run.inputs), len(run.states), run.input_limits
     if not (isinstance(limits, tuple) and [_is_array(x, (n_u,)) for x in limits] == [True, True]):
         yield (
-            f"input_limits is {_short(limits)}",
+            f"input_limits is {short_repr(limits)}",
             f"two float arrays of shape ({n_u},), lower and upper, V: each a number for {inputs}",
         )
     if not _is_array(run.first_command, (n_u,)):
         yield (
-            f"first_command is {_short(run.first_command)}",
+            f"first_command is {short_repr(run.first_command)}",
             f"a float array of shape ({n_u},), V: a number for {inputs}",
         )
     if not _is_array(run.state, (n_x,)):
         yield (
-            f"state is {_short(run.state)}",
+            f"state is {short_repr(run.state)}",
             f"a float array of shape ({n_x},), the order of states; where nobody knows the true "
             "state: states = (), state = np.zeros(0)",
         )
@@ -117,7 +118,7 @@ def check_reading(run: Any, reading: Any) -> FloatArray:
         is_array = isinstance(reading, np.ndarray)
         form = f" (shape {reading.shape}, {reading.dtype})" if is_array else ""
         raise ConfigurationError(
-            f"the plant's measure() returned {_short(reading)}{form}",
+            f"the plant's measure() returned {short_repr(reading)}{form}",
             where=_place(type(run).measure),
             remedy=f"a float array of shape ({len(channels)},), in this order: "
             f"{', '.join(channels)}; NaN where there is no sample",
@@ -134,7 +135,7 @@ class RigLife:
 
     def __init__(self, run: Any, landing: LandingRamp, pace: Pace | None) -> None:
         self._run, self._landing, self._pace = run, landing, pace
-        self._is_connected = self._is_closed = False
+        self._is_connected = self._is_started = self._is_closed = False
 
     @property
     def safe_command(self) -> FloatArray:
@@ -151,8 +152,8 @@ class RigLife:
             raise
         self._is_connected = True
 
-    def start(self, first_command: FloatArray, sample: Sample, confirm: Confirm | None) -> None:
-        """Check, arm, and ramp from the safe command to the first one.
+    def prepare(self, confirm: Confirm | None) -> None:
+        """Check, and ask whether the rig may move; it is not touched so far.
 
         Raises ConfigurationError where a person has to confirm and does not.
         """
@@ -164,6 +165,10 @@ class RigLife:
                 where="plant.arm",
                 remedy="answer y on the terminal, or plant.arm=true where nobody is to be asked",
             )
+
+    def start(self, first_command: FloatArray, sample: Sample) -> None:
+        """Arm, and ramp from the safe command to the first one."""
+        self._is_started = True
         self._call("arm")
         u = self._landing.safe.copy()
         if self._pace is not None:
@@ -174,8 +179,11 @@ class RigLife:
     def land(self, u: FloatArray, sample: Sample, stop: Callable[[], bool]) -> None:
         """Ramp from a command (n_u,) to the safe one and hold it; at once where ``stop`` says so.
 
-        A rig that no longer answers gets its commands all the same.
+        A rig that no longer answers gets its commands all the same; one that was never to move
+        gets none.
         """
+        if not self._is_started:
+            return
         safe = self._landing.safe
         for command in [*self._ramp(u, safe), *[safe] * self._landing.hold_samples]:
             if stop():
@@ -245,8 +253,3 @@ def _reason(run: Any, name: str) -> str:
     except AttributeError as error:
         return f"{name}: {error}"
     return name
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -88,7 +88,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
         Painter(beside=has_picture and composition.job is None) as painter,
     ):
         try:
-            loop = Loop.start(experiment, make_history)
+            loop = Loop.start(experiment, make_history, confirm=listener.confirm)
         except Exception as error:
             assembly.raise_explained(error, experiment, 0.0)
         log = logs[0]
@@ -101,7 +101,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
                 listener.simulation(experiment.duration) as progress,
                 stop_request(loop, composition) as stop,
             ):
-                loop.run(progress, stop, listener.confirm)
+                loop.run(progress, stop)
             spent = perf_counter() - started
             score = score_of(loop, log.path, complete=True)
             log.close("completed", score)
@@ -122,6 +122,8 @@ def perform(composition: Composition, listener: Listener) -> Done:
                 reached = loop.completed_samples * experiment.sample_time
                 assembly.raise_explained(error, experiment, reached, log.path)
             raise
+        finally:  # also where it was interrupted before the run took over
+            loop.life.close("interrupted")
         write_document(score, log.path.with_name(SCORE_NAME))
         files = {"log": log.path}
         if has_picture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -70,12 +71,13 @@ class LinkedRun(HardwareRun):
         self.stray_frames = 0
         self.lost_readings = 0
 
+    @abstractmethod
     def _open(self) -> Transport:
-        raise NotImplementedError
+        """What carries the frames, from now on."""
 
+    @abstractmethod
     def _address(self) -> tuple[str, str]:
         """What the rig is called by, and where that stands in the configuration."""
-        raise NotImplementedError
 
     def connect(self) -> None:
         """Call the rig until it answers.

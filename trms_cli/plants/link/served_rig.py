@@ -14,6 +14,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.models.model import names
+from trms_cli.plants.hardware import READINGS
 from trms_cli.plants.link.frames import (
     BadFrame,
     Frame,
@@ -23,9 +24,6 @@ from trms_cli.plants.link.frames import (
     decode,
     is_newer,
 )
-
-#: The order of the numbers in a frame; a rig that lacks one leaves it out.
-READINGS = ("alpha_v", "alpha_h", "omega_v", "omega_h")
 
 
 class ServedRig:
@@ -64,6 +62,7 @@ class ServedRig:
         self._command_time = 0.0
         self.commands = 0  #: Commands that were applied
         self.refused = 0  #: Frames that were none, of another session, old, or not to be obeyed
+        # the order of the numbers in a frame; a rig that lacks one leaves it out
         order = [name for name in READINGS if name in names(run.outputs)]
         self._order = [names(run.outputs).index(name) for name in order]
         self._low, self._high = run.input_limits
