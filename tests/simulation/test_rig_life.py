@@ -220,11 +220,8 @@ def test_a_rig_that_nobody_confirms_does_not_move() -> None:
     bench = AskingBench()
     with pytest.raises(ConfigurationError, match="nobody confirmed"):
         Loop.start(experiment(bench, Law()), lambda plant: pytest.fail("a log"), VirtualClock())
-    assert bench.calls == [
-        "connect",
-        "check",
-        "close failed",
-    ]  # and no command, not even a safe one
+    # no command went out, not even a safe one
+    assert bench.calls == ["connect", "check", "disarm", "close failed"]
 
 
 def test_a_controller_that_raises_lands_the_rig() -> None:
