@@ -19,7 +19,7 @@ from trms_cli.core.data_file import read_json
 from trms_cli.core.errors import ConfigurationError, RecordingError, SimulationError, TrmsError
 from trms_cli.core.findings import Findings, NextCommand, Section, Table
 from trms_cli.core.invocation import note, program
-from trms_cli.core.plugins import build, construct
+from trms_cli.core.plugins import build, check_contract, construct
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.investigation import (
@@ -282,7 +282,7 @@ class _Work:
     def _record(self, plan: ExperimentPlan) -> bool:
         """Make an experiment; whether it came to its end."""
         r, number = self._request, len(self.investigation.experiments) + 1
-        while (self._folder / f"experiment-{number}").exists():  # of one that was refused
+        while (self._folder / f"experiment-{number}").exists():  # of one that left nothing to diagnose
             number += 1
         commands = self._folder / f"experiment-{number}.csv"
         write_commands(plan, r.model, r.options.sample_time, commands)
@@ -506,10 +506,7 @@ def _request(composition: Composition) -> _Request:
             where="effect",
             remedy="effects that are known already belong to the model: model=FILE.yaml",
         )
-    if not hasattr(plant, "init") or getattr(plant, "is_replay", False):
-        raise ConfigurationError(
-            "this plant cannot be driven", where="plant", remedy="simulated, udp, serial, callable"
-        )
+    check_contract(plant, "plant")
     setup = PlantSetup(options.sample_time, round(options.first / options.sample_time), 0)
     lower, upper = plant.init(setup).input_limits
     own_lower, own_upper = model.input_bounds()
