@@ -112,12 +112,12 @@ def test_an_interrupted_experiment_counts_as_far_as_it_came(trms, answers, tmp_p
     answers(believed(0.99))
     run = Loop.run
 
-    def broken_off(self: Loop, progress: Any, stop: Any, confirm: Any) -> None:
+    def broken_off(self: Loop, progress: Any, stop: Any) -> None:
         def tell(time: float, error: float) -> None:
             if time >= 12.0:
                 raise KeyboardInterrupt
 
-        run(self, tell, stop, confirm)
+        run(self, tell, stop)
 
     monkeypatch.setattr(Loop, "run", broken_off)
     trms("investigate", *SHORT, code=130)

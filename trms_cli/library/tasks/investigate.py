@@ -282,7 +282,7 @@ class _Work:
     def _record(self, plan: ExperimentPlan) -> bool:
         """Make an experiment; whether it came to its end."""
         r, number = self._request, len(self.investigation.experiments) + 1
-        while (self._folder / f"experiment-{number}").exists():  # of one that left nothing to diagnose
+        while (self._folder / f"experiment-{number}").exists():  # of one that was lost
             number += 1
         commands = self._folder / f"experiment-{number}.csv"
         write_commands(plan, r.model, r.options.sample_time, commands)
