@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from unittest.mock import patch
 
 
 def seeds(folder: Path) -> Iterator[bytes]:
@@ -27,17 +28,17 @@ def read(data: bytes, folder: Path) -> None:
     from trms_cli.core.trust import allowed_file, allowed_for_good
     from trms_cli.library.tasks.files import REQUEST_NAME
 
-    os.environ["XDG_CONFIG_HOME"] = str(folder)
-    allowed_file().parent.mkdir(exist_ok=True)
-    for path in (folder / "key.json", folder / REQUEST_NAME, allowed_file()):
-        path.write_bytes(data)
-    _commit(data, folder)
-    resumption = Resumption("fit", "fit", "identify", (), "", lambda folder, text: None)
-    with suppress(TrmsError):
-        resumption._request(folder / REQUEST_NAME)
-    with suppress(TrmsError):
-        open_key(folder / "key.json", folder)
-    allowed_for_good()
+    with patch.dict(os.environ, {"XDG_CONFIG_HOME": str(folder)}):
+        allowed_file().parent.mkdir(exist_ok=True)
+        for path in (folder / "key.json", folder / REQUEST_NAME, allowed_file()):
+            path.write_bytes(data)
+        _commit(data, folder)
+        resumption = Resumption("fit", "fit", "identify", (), "", lambda folder, text: None)
+        with suppress(TrmsError):
+            resumption._request(folder / REQUEST_NAME)
+        with suppress(TrmsError):
+            open_key(folder / "key.json", folder)
+        allowed_for_good()
 
 
 def _commit(data: bytes, folder: Path) -> None:
