@@ -29,6 +29,7 @@ def sources(notebook) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 class TestNotebook:
+    @pytest.mark.slow
     def test_runs_and_what_it_claims_holds(self, file, tmp_path, monkeypatch):
         """The claims are asserts in its cells: a cell that raises fails this."""
         monkeypatch.setenv("TRMS_RUNS", str(tmp_path / "index"))

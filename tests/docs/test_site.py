@@ -19,6 +19,9 @@ import trms_cli
 from trms_cli.cli import COMMANDS
 from trms_cli.core.resources import config_folder
 
+#: The build takes half a minute.
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 #: What makes a browser fetch something by itself, by element and attribute.
 _FETCHED = {("script", "src"), ("img", "src"), ("iframe", "src"), ("source", "src")}

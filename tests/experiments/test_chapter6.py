@@ -98,6 +98,7 @@ class TestClaims:
             assert feasible_states.feasible["equality", study.horizons[-1]].mean() > 0
 
 
+@pytest.mark.slow
 def test_the_quick_study_is_what_was_recorded(expected):
     study = read_study(quick=True)
     figures = figures_of(compute(study, 1, lambda part: None))

@@ -215,6 +215,7 @@ def test_a_sensor_whose_error_is_corrected_leaves_the_beam_where_it_is():
     assert spread[2] < 1.3 * spread[0] < 0.5 * spread[1]
 
 
+@pytest.mark.slow
 def test_an_encoder_that_slips_is_found_with_its_moment(reference_state):
     slips = {"yaw_sensor_bias": effect("yaw_sensor_bias", bias=0.033)}
     dataset = begins(slips, 15.4, values=VALUES, seconds=30.0, seed=17)
@@ -232,6 +233,7 @@ def test_an_encoder_that_slips_is_found_with_its_moment(reference_state):
     assert comparison.gains[0] > 15.0 > comparison.gains[1] + 10.0
 
 
+@pytest.mark.slow
 def test_a_torque_that_varies_is_told_from_a_law_that_nobody_wrote_down(reference_state):
     dataset = begins({}, 0.0, values=VALUES, seconds=60.0, seed=16)
     questioned = NewRecordings.of(reference_state, [dataset])

@@ -120,6 +120,7 @@ def test_the_fitted_residual_is_an_effect_of_a_model_file(detent, tmp_path):
     np.testing.assert_allclose(y, expected, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_residual_that_makes_free_runs_worse_is_left_out(monkeypatch):
     assert not Shrinkage({}, {"all": {}}, ()).leaves_more
     for fraction, leaves_more in ((0.3, False), (-0.3, True), (None, False)):

@@ -9,7 +9,9 @@ import pytest
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.core.errors import ConfigurationError, SimulationError
+from trms_cli.core.invocation import notes_to
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.full_state import FullState
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.simulated import SimulatedRig
@@ -202,3 +204,33 @@ def test_what_cannot_be_run_names_its_key(changes: dict[str, Any], where: str) -
 
 def test_every_status_has_words() -> None:
     assert all(status.meaning and status.label for status in Status)
+
+
+def remarks(controller: Any, **changes: Any) -> list[str]:
+    """What is said before the first sample."""
+    said: list[str] = []
+    with notes_to(said.append):
+        started(experiment(controller, **changes))
+    return said
+
+
+def test_a_level_that_no_command_holds_is_told_before_the_run() -> None:
+    script = Scripted(lambda k: (0.5, 0.2))
+    high = ReferenceTrajectory(alpha_v=Constant(offset=0.95), alpha_h=Constant(offset=0.2))
+    weak = Newtonian(main_voltage_limit=8.5 * 2.0)
+    rig = SimulatedRig(model=weak, sensors=Sensors())
+    (words,) = remarks(script, reference=high, duration=10.0, model=weak, plant=rig)
+    assert "the reference of alpha_v stands at 0.95 rad from 0 s on" in words
+    nearest = float(words.rsplit("at ", 1)[1].removesuffix(" rad"))
+    holding = SteadyState(MODEL).solve(np.array([nearest, 0.2]))
+    assert holding.exact and holding.u[0] == pytest.approx(2.0, abs=1e-3)
+
+
+def test_what_is_held_or_passes_by_is_not_remarked() -> None:
+    script = Scripted(lambda k: (0.5, 0.2))
+    low = ReferenceTrajectory(alpha_v=Constant(offset=0.3), alpha_h=Constant(offset=0.2))
+    assert remarks(script, reference=low, duration=10.0) == []
+    swings = ReferenceTrajectory(
+        alpha_v=Square(amplitude=0.95, frequency=0.5), alpha_h=Constant(offset=0.2)
+    )
+    assert remarks(script, reference=swings, duration=10.0) == []

@@ -399,6 +399,7 @@ def test_another_controller_is_only_run():
     assert found.results["runs"]["recovered"] == [True, True, True]
 
 
+@pytest.mark.slow
 def test_a_cut_duration_is_told_and_proofs_and_simulations_are_of_the_same_rig():
     found = answered("model=rahideh", "study.at={alpha_v: 0.343}", LYAPUNOV, *FEW)
     assert found.results["duration"] == 120.0

@@ -37,8 +37,8 @@ from trms_cli.simulation.history import History, Writer
 from trms_cli.simulation.pace import Clock, LatePolicy, Pace, WallClock, undisturbed
 from trms_cli.simulation.preparation import (
     check_finite,
+    check_reach,
     farthest_command,
-    refuse_beyond_reach,
     rehearse,
 )
 from trms_cli.simulation.rig_life import Confirm, RigLanded, RigLife, check_reading, check_run
@@ -216,6 +216,7 @@ class Loop:
         times = np.arange(length, dtype=np.float64) * e.sample_time
         references = e.reference.restricted_to(e.model.controlled).sample(times)
         check_finite(references, times, e.model.controlled)
+        check_reach(e, references)
         envelope = envelope_of(e.plant).init(
             EnvelopeSetup(e.sample_time, inputs, outputs, e.model.stops)
         )
@@ -228,7 +229,6 @@ class Loop:
 
         pace = Pace(e.sample_time, e.late, clock) if e.in_real_time else None
         if pace is not None:
-            refuse_beyond_reach(e, references)
             rehearse(e, control, observing, references[: preview * ratio + 1 : ratio])
         life = RigLife(plant, ramp, pace)
         try:

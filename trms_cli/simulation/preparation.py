@@ -10,7 +10,9 @@ import numpy as np
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.invocation import note
 from trms_cli.models.model import Model
+from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.plants.envelope import beyond_reach, envelope_of
 
@@ -19,6 +21,13 @@ if TYPE_CHECKING:
 
 #: V; no landing is reckoned to begin farther from the safe command, where a rig has no limits.
 _FARTHEST = 100.0
+#: s for which a reference stands still where the rig is meant to rest there
+_AT_REST = 2.0
+#: Levels that are looked at: more are those of a random signal, which tells the same of each
+_LEVELS = 50
+#: Share of a level by which the nearest steady state misses it before that is worth a word, and
+#: the least, rad (rad/s for a rotor on a bench)
+_SHORT, _LEAST_SHORT = 0.02, 0.005
 
 
 def farthest_command(model: Model) -> float:
@@ -27,23 +36,62 @@ def farthest_command(model: Model) -> float:
     return float(min(np.max(upper - lower, initial=0.0), 2 * _FARTHEST))
 
 
-def refuse_beyond_reach(experiment: Experiment, references: FloatArray) -> None:
-    """A real rig is not asked for what it cannot do."""
-    sentences = out_of_reach(experiment, references)
+def check_reach(experiment: Experiment, references: FloatArray) -> None:
+    """Remark what the rig cannot follow, references (samples, n_r) in rad.
+
+    Raises ConfigurationError where a real rig is asked to go beyond its stops or its envelope.
+    """
+    model = experiment.model
+    if not getattr(experiment.controller, "follows_reference", True):
+        return
+    sentences = beyond_reach(
+        references, model.controlled, envelope_of(experiment.plant), model.stops
+    )
     if sentences and getattr(experiment.plant, "real_time", False):
         raise ConfigurationError(
             "; ".join(sentences),
             where="ref",
             remedy="a smaller reference, or other bounds in plant.envelope.readings",
         )
+    for sentence in sentences or _beyond_thrust(model, references, experiment.sample_time):
+        note(f"note   {sentence}")
 
 
-def out_of_reach(experiment: Experiment, references: FloatArray) -> list[str]:
-    """A sentence for each reference (samples, n_r) that goes beyond a stop or the envelope, rad."""
-    model = experiment.model
-    if not getattr(experiment.controller, "follows_reference", True):
-        return []
-    return beyond_reach(references, model.controlled, envelope_of(experiment.plant), model.stops)
+def _beyond_thrust(model: Model, references: FloatArray, sample_time: float) -> list[str]:
+    """A sentence for each angle whose reference stands still where no command holds the model.
+
+    What moves on is not looked at: how far a rig swings beyond what it can hold is a matter of
+    time.
+    """
+    steady = SteadyState(model)
+    worst: dict[str, tuple[float, int, float, float]] = {}
+    for k, level in _levels_at_rest(references, max(1, round(_AT_REST / sample_time))):
+        target = steady.solve(level)
+        if not (target.converged and target.projected):
+            continue
+        for axis, name in enumerate(model.controlled):
+            short = abs(level[axis] - target.reference_reached[axis])
+            far_off = max(_LEAST_SHORT, _SHORT * abs(level[axis]))
+            if short > max(far_off, worst[name][0] if name in worst else 0.0):
+                worst[name] = (short, k, level[axis], target.reference_reached[axis])
+    unit = {signal.name: signal.unit for signal in model.states}
+    return [
+        f"the reference of {name} stands at {asked:.4g} {unit[name]} from "
+        f"{k * sample_time:g} s on, where no command holds {model.name}: the nearest "
+        f"steady state is at {nearest:.4g} {unit[name]}"
+        for name, (_, k, asked, nearest) in worst.items()
+    ]
+
+
+def _levels_at_rest(references: FloatArray, samples: int) -> list[tuple[int, FloatArray]]:
+    """Levels (n_r,) at which a reference stands still for so many samples, and from which on."""
+    changes = np.flatnonzero(np.any(np.diff(references, axis=0) != 0, axis=1)) + 1
+    begins = np.concatenate([[0], changes])
+    lengths = np.diff([*begins.tolist(), len(references)])
+    levels: dict[tuple[float, ...], int] = {}
+    for k in begins[lengths >= samples].tolist():
+        levels.setdefault(tuple(references[k].tolist()), k)
+    return [(k, np.array(level)) for level, k in levels.items()][:_LEVELS]
 
 
 def rehearse(

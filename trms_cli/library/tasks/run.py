@@ -48,7 +48,6 @@ def perform(composition: Composition, listener: Listener) -> Done:
     from trms_cli.reporting.run_picture import Painter
     from trms_cli.simulation.closed_loop import Loop
     from trms_cli.simulation.history import History
-    from trms_cli.simulation.preparation import out_of_reach
     from trms_cli.simulation.rig_life import RigLanded
 
     begin = perf_counter()
@@ -92,8 +91,6 @@ def perform(composition: Composition, listener: Listener) -> Done:
         except Exception as error:
             assembly.raise_explained(error, experiment, 0.0)
         log = logs[0]
-        for sentence in out_of_reach(experiment, loop.references):
-            note(f"note   {sentence}")
         title = _title(composition, experiment)
         try:
             started = perf_counter()
