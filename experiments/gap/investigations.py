@@ -101,6 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--rigs", type=int, default=20, help="how many, two of each pair")
+    parser.add_argument("--effect", default="", help="only the pairs with it")
     parser.add_argument("--seed", type=int, default=7, help="of the set")
     parser.add_argument("--budget", type=float, default=300.0, help="s of rig time")
     parser.add_argument("--sure", type=float, default=0.95)
@@ -115,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _study(arguments: argparse.Namespace) -> int:
     begin = process_time()
-    subjects = subjects_of(arguments.seed, arguments.rigs, arguments.out)
+    subjects = subjects_of(arguments.seed, arguments.rigs, arguments.out, arguments.effect)
     words = [f"effort={arguments.effort}", f"jobs={arguments.jobs}"]
     while not arguments.table:
         waiting = []
@@ -134,8 +135,11 @@ def _study(arguments: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def subjects_of(seed: int, count: int, out: Path) -> list[Subject]:
-    """Matched rigs of the development set, twins next to each other."""
+def subjects_of(seed: int, count: int, out: Path, effect: str = "") -> list[Subject]:
+    """Matched rigs of the development set, twins next to each other.
+
+    ``effect``: of the rigs counted only the pairs that have it; empty: all of them.
+    """
     matched = [c for c in plan("development", seed, cases=_PLANNED) if c.kind == "matched"]
     matched.sort(key=lambda case: (case.twin, next(iter(case.effects))))
     if not 0 < count <= len(matched):
@@ -145,6 +149,7 @@ def subjects_of(seed: int, count: int, out: Path) -> list[Subject]:
     return [
         Subject(case, out / f"{case.twin:02}-{next(iter(case.effects))}")
         for case in matched[:count]
+        if not effect or effect in case.group
     ]
 
 

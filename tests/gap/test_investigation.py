@@ -1,6 +1,7 @@
 """Investigations: when they end, how large commands may be, what is kept; diagnoses by hand."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,9 @@ def test_a_longer_recording_is_another_excitation():
     assert ending_of(recorded(70), longer) is None
     assert wants_excitation(longer)
     assert not wants_excitation(believed(0.6, next_experiment=advice(5.0)))
+    # among several it may be the others that tell more than an excitation like the first
+    again = replace(longer, recordings=longer.recordings * 2)
+    assert not wants_excitation(again)
 
 
 def test_the_budget_counts_all_rig_time():

@@ -16,6 +16,7 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.gap.competing_model import Refit, refit
 from trms_cli.gap.diagnosis import NextExperiment
+from trms_cli.gap.diagnosis_result import _kin
 from trms_cli.gap.next_experiment import (
     advise,
     between,
@@ -97,6 +98,51 @@ def test_crossing_zero_tells_a_dead_zone_from_rotor_friction(
     assert "no nats in the 24 s recorded" in advice.why
 
 
+FRICTIONS = ("yaw_coulomb_friction", "yaw_stribeck_friction")
+#: Of a third of a millinewton metre.
+SMALL_FRICTION = {
+    "yaw_coulomb_friction.torque": 0.0004,
+    "yaw_stribeck_friction.torque": 0.0003,
+    "yaw_stribeck_friction.excess": 0.5,
+    "yaw_stribeck_friction.velocity": 0.03,
+}
+
+
+def test_small_levels_tell_whether_a_small_friction_is_larger_at_rest(plain: Refit) -> None:
+    frictions, _ = applicable_candidates(MODEL, {name: effect(name) for name in FRICTIONS})
+    pair = [with_rows(frictions[name], SMALL_FRICTION) for name in FRICTIONS]
+    nats = {"small": 0.0, "": 0.0}
+    for experiment, predicted in predicted_recordings(plain, SHARES / 2, "newtonian", rest=True):
+        kind = "small" if "small" in experiment.words else ""
+        own = between(signatures(predicted, pair), *FRICTIONS, FRICTIONS)
+        nats[kind] = max(nats[kind], own)
+    assert nats["small"] > 2 * nats[""]
+    assert nats["small"] > 2
+
+
+def test_a_fit_of_a_special_case_does_not_say_how_the_two_differ() -> None:
+    """An excess on its lower bound is Coulomb friction, of which Coulomb friction differs not."""
+    frictions, _ = applicable_candidates(MODEL, {name: effect(name) for name in FRICTIONS})
+    coulomb, stribeck = (frictions[name] for name in FRICTIONS)
+    assert coulomb.apart_from_special_case(SMALL_FRICTION) == SMALL_FRICTION
+    assert stribeck.apart_from_special_case(SMALL_FRICTION) == SMALL_FRICTION
+    assert stribeck.apart_from_special_case({}) == {}  # not fitted
+    bound = {**SMALL_FRICTION, f"{FRICTIONS[1]}.excess": 0.05, f"{FRICTIONS[1]}.velocity": 0.005}
+    sizes = stribeck.apart_from_special_case(bound)
+    assert sizes[f"{FRICTIONS[1]}.torque"] == 0.0003
+    assert sizes[f"{FRICTIONS[1]}.excess"] == pytest.approx(0.1**0.5)
+    assert sizes[f"{FRICTIONS[1]}.velocity"] == pytest.approx(0.001**0.5)
+
+
+def test_a_cause_that_is_not_sure_is_told_from_its_next_of_kin() -> None:
+    kin = {n: effect(n) for n in (*FRICTIONS, "pitch_stribeck_friction", "main_input_delay")}
+    frictions, _ = applicable_candidates(MODEL, kin)
+    assert _kin(FRICTIONS[0], frictions) == list(FRICTIONS)
+    assert _kin(FRICTIONS[1], frictions) == list(reversed(FRICTIONS))
+    assert _kin("main_input_delay", frictions) == ["main_input_delay"]
+    assert _kin("unknown", frictions) == []
+
+
 def test_a_thrust_in_reverse_becomes_visible(
     plain: Refit, recordings: dict, candidates: dict
 ) -> None:
@@ -141,12 +187,21 @@ def test_other_models_have_experiments(name: str) -> None:
 
 def test_a_command_makes_the_commands_that_were_predicted(tmp_path: Path) -> None:
     rollout = Rollout(MODEL, 0.02)
-    designs = experiments(rollout, [MODEL.parameters.values], 0.02, "newtonian")
-    for k, experiment in enumerate(designs):
+    values = [MODEL.parameters.values]
+    designs = list(experiments(rollout, values, 0.02, "newtonian"))
+    again = list(experiments(rollout, values, 0.02, "newtonian", rest=True, seed=3))
+    small = [experiment for experiment in again if "small" in experiment.words]
+    assert {e.words.split("of the ")[1] for e in small} == {
+        f"{rotor} rotor, the other {state}"
+        for rotor in ("main", "tail")
+        for state in ("steady", "off")
+    }
+    assert all("seed=3" in experiment.command for experiment in small)
+    for k, experiment in enumerate([*designs, small[-1]]):
         program, command, *words = shlex.split(experiment.command)
         assert program == "trms"
         if "prbs" not in experiment.command and "reversals" not in experiment.command:
-            continue  # one about an operating point, in a band of its own, and one about zero
+            continue  # one about an operating point, in a band of its own, and some about zero
         assert command == "excite"
         out = tmp_path / str(k)
         with contextlib.redirect_stdout(io.StringIO()):

@@ -196,13 +196,14 @@ def test_stribeck_friction_without_an_excess_is_coulomb_friction():
     both = {n: effect(n) for n in ("yaw_stribeck_friction", "yaw_coulomb_friction")}
     candidates, _ = applicable_candidates(model, both)
 
-    def entry(excess, *names, velocity=0.03):
-        """A stand-in for a fit."""
+    def entry(excess, *names, velocity=0.03, sd=0.0):
+        """A stand-in for a fit; ``sd`` of the excess, zero where it lies on a bound."""
         effects = tuple(candidates[n] for n in names)
         stribeck = "yaw_stribeck_friction"
         values = {f"{stribeck}.excess": excess, f"{stribeck}.velocity": velocity}
+        sds = {f"{stribeck}.excess": sd, f"{stribeck}.velocity": 0.0}
         return SimpleNamespace(
-            names=names, structure=SimpleNamespace(effects=effects), values=values
+            names=names, structure=SimpleNamespace(effects=effects), values=values, sds=sds
         )
 
     coulomb = entry(0.0, "yaw_coulomb_friction")
@@ -223,13 +224,22 @@ def test_stribeck_friction_without_an_excess_is_coulomb_friction():
     # what has both has one friction
     both_small = entry(0.05, *sorted(both))
     assert special_cases([both_small, coulomb], candidates) == {
-        both_small.names: ("yaw_coulomb_friction",)
+        both_small.names: {("yaw_coulomb_friction",): 1.0, both_small.names: 0.0}
     }
     # beside a torque from outside as alone; and where it was not fitted it keeps its name
     beside = {("yaw_disturbance", "yaw_stribeck_friction"): 1.0}
     special = special_cases([small, coulomb], candidates)
     assert merged(beside, special) == {("yaw_coulomb_friction", "yaw_disturbance"): 1.0}
     assert special_cases([small], candidates) == {}
+    # an excess that is not known to lie below a fifth is not wholly that of bristles
+    for excess, share in ((0.193, 0.535), (0.207, 0.465), (0.36, 0.0228)):
+        near = entry(excess, "yaw_stribeck_friction", sd=0.08)
+        merged_probabilities = merged(probabilities, special_cases([near, coulomb], candidates))
+        assert merged_probabilities == {
+            ("yaw_stribeck_friction",): pytest.approx(0.6 * (1 - share), abs=1e-3),
+            ("yaw_coulomb_friction",): pytest.approx(0.3 + 0.6 * share, abs=1e-3),
+            ("no_gap",): 0.1,
+        }
 
 
 def test_a_model_whose_free_runs_diverge_is_no_better_than_the_worst():

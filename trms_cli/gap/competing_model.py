@@ -295,6 +295,11 @@ class FittedModel:
         """The free parameters by name, where the search ended."""
         return self._by_name(self.fit.theta)
 
+    @property
+    def sds(self) -> dict[str, float]:
+        """Their standard deviations; zero for what lies on a bound."""
+        return self._by_name(self.fit.sd)
+
     @cached_property
     def at_mean_gains(self) -> FloatArray:
         """The free parameters if the drives' gains of the recordings average one, (n_f,).

@@ -58,6 +58,8 @@ from trms_cli.identification.free_runs import simulated_windows
 _LEAST_PROBABILITY = 0.002
 #: Probability from which two causes are to be told apart by the next experiment.
 _RIVAL = 0.05
+#: Probability from which an answer is not asked after again.
+_SURE = 0.95
 #: Places with less of the gap than this are not listed.
 _LEAST_SHARE = 0.02
 
@@ -408,7 +410,10 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
     elif best is not None and best.names[0] not in NO_EFFECT:
         # the traces differ, and yet no answer is sure: the likeliest are to be told apart
         rivals = [n for n, p in posterior.probabilities.items() if p >= _RIVAL and len(n) == 1]
-        apart = [name for (name,) in rivals if name in candidates] if len(rivals) > 1 else []
+        apart = [name for (name,) in rivals if name in candidates]
+        if len(apart) < 2 and max(posterior.probabilities.values()) < _SURE:
+            apart = _kin(best.names[0], candidates)
+        apart = apart if len(apart) > 1 else []
         for entry in race.entries:
             values = {**entry.values, **values}
     try:
@@ -423,6 +428,18 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
         )
     except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
         return None  # an experiment that cannot be predicted is no reason to lose a diagnosis
+
+
+def _kin(name: str, candidates: Mapping[str, CandidateEffect]) -> list[str]:
+    """An effect, then those of which one is a special case of the other."""
+    own = candidates.get(name)
+    kin = [own] if own is not None else []
+    for other in candidates.values():
+        if own is not None and (
+            other.special_case(candidates) is own or own.special_case(candidates) is other
+        ):
+            kin.append(other)
+    return [candidate.name for candidate in kin]
 
 
 def why_not_testable(race: Race, candidate: CandidateEffect) -> str:

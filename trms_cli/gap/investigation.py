@@ -381,9 +381,15 @@ def advised_plan(diagnosis: DiagnosisResult, ensemble: Ensemble) -> ExperimentPl
 
 
 def wants_excitation(diagnosis: DiagnosisResult) -> bool:
-    """Whether another excitation like the first is advised: longer, or for what comes at random."""
+    """Whether another excitation like the first is advised: longer, or for what comes at random.
+
+    Where there are others beside the first, it may be these that tell more: then what is advised
+    is made.
+    """
     advice = diagnosis.next_experiment
-    return advice is not None and (advice.prediction is None or advice.prediction.longer)
+    if advice is None or advice.prediction is None:
+        return advice is not None
+    return advice.prediction.longer and len(diagnosis.recordings) == 1
 
 
 def document_of(investigation: Investigation) -> dict[str, Any]:

@@ -80,6 +80,13 @@ _DESIGNED: tuple[tuple[str, str, ExcitationPlugin, bool], ...] = (
     ("random levels", "multilevel", MultilevelExcitation(), False),
     ("random levels with rotors that reverse", "multilevel", MultilevelExcitation(), True),
 )
+#: One rotor small, about the operating point or zero, while the other is steady: an axis comes to
+#: rest and breaks away many times, and what acts on it beside its friction is small.
+#: For which share of the band's shortest period a level holds at most: twice the shortest. After
+#: longer ones the axis sticks most of the time, which it does by either law.
+_SMALL_HOLD = 0.88
+#: Shares of a rotor's largest amplitude that are tried for these.
+_SMALL_SHARES = (0.2, 0.4)
 #: Played by ``trms run controller=open_loop``; by main rotor and tail rotor.
 _PLAYED: tuple[tuple[str, _Wave, _Wave], ...] = (
     (
@@ -107,15 +114,18 @@ def experiments(
     model_name: str,
     *,
     load: bool = False,
+    rest: bool = False,
+    seed: int = 0,
 ) -> Iterator[OpenLoopExperiment]:
     """Those of the experiments that the simulated rig survives.
 
     ``rollout``: of the nominal model. ``parameters``, (n_p,) arrays: with each of which the angles
     have to stay within their bounds. ``sample_time``: s. ``model_name``: as a command takes it.
-    ``load``: whether a long load is among them.
+    ``load``: whether a long load is among them. ``rest``: whether those are in which an axis often
+    comes to rest. ``seed``: of what is drawn.
     """
     trial = _Trial(rollout, parameters)
-    yield from _designed_experiments(trial, sample_time, model_name)
+    yield from _designed_experiments(trial, sample_time, model_name, rest=rest, seed=seed)
     yield from _played_experiments(
         trial, sample_time, model_name, (*_PLAYED, _LOAD) if load else _PLAYED
     )
@@ -183,18 +193,18 @@ class _Trial:
 
 
 def _designed_experiments(
-    trial: _Trial, sample_time: float, model_name: str
+    trial: _Trial, sample_time: float, model_name: str, *, rest: bool, seed: int
 ) -> Iterator[OpenLoopExperiment]:
     model = trial.model
-    rest = model.rest()
-    angles = [_FROM_REST * float(rest[model.state_index(name)]) for name in model.controlled]
+    at_rest = model.rest()
+    angles = [_FROM_REST * float(at_rest[model.state_index(name)]) for name in model.controlled]
     try:
         target = SteadyState(model).solve(np.array(angles))
         if not target.exact:
             return
         points = {
             False: (np.array(target.u), np.array(target.x)),
-            True: (np.zeros(model.n_u), rest),
+            True: (np.zeros(model.n_u), at_rest),
         }
         bands = {
             reverses: band_of(linearise_model(model, x, u), sample_time, DURATION)
@@ -203,46 +213,96 @@ def _designed_experiments(
     except TrmsError:  # no equations, no rest there: what needs neither is left
         return
     upper = model.input_bounds()[1]
+    samples = round(DURATION / sample_time)
     for words, option, excitation, reverses in _DESIGNED:
         centre, (lowest, highest) = points[reverses][0], bands[reverses]
         keys = [f"excitation={option}"]
         if option == _FAST:
             highest = float(f"{min(_FASTER * highest, _OF_NYQUIST * 0.5 / sample_time):.3g}")
             keys.append(f"band.highest={highest:g}")
-        plan = Plan(round(DURATION / sample_time), sample_time, lowest, highest, model.n_u)
+        plan = Plan(samples, sample_time, lowest, highest, model.n_u, seed)
         try:
-            shape = excitation.shape(plan).values
+            about = _AboutPoint(centre, excitation.shape(plan).values, sample_time)
         except TrmsError:
             continue
-        head = lead_in(centre, round(LEAD_IN / sample_time))
-
-        def commands(
-            amplitude: FloatArray,
-            head: FloatArray = head,
-            centre: FloatArray = centre,
-            shape: FloatArray = shape,
-        ) -> FloatArray:
-            return np.vstack([head, centre + amplitude * shape])
-
-        amplitude = trial.amplitude(commands, _OF_INPUTS * upper - np.abs(centre), len(head))
+        room = _OF_INPUTS * upper - np.abs(centre)
+        amplitude = trial.amplitude(about.commands, room, about.first)
         if amplitude is None:
             continue
+        keys += ["excitation.iterations=0"] * (option == "multisine")
+        keys += ["reversals=true"] * reverses
+        yield about.experiment(words, keys, amplitude, model, model_name, seed)
+    for reverses in (False, True) if rest else ():
+        centre, (lowest, highest) = points[reverses][0], bands[reverses]
+        plan = Plan(samples, sample_time, lowest, highest, model.n_u, seed)
+        longest = float(f"{_SMALL_HOLD / highest:.2g}")
+        try:
+            shape = MultilevelExcitation(longest=longest).shape(plan).values
+        except TrmsError:
+            continue
+        about = _AboutPoint(centre, shape, sample_time)
+        keys = ["excitation=multilevel", f"excitation.longest={longest:g}"]
+        keys += ["reversals=true"] * reverses
+        for i, name in enumerate(names(model.inputs)):
+            room = np.where(np.arange(model.n_u) == i, _OF_INPUTS * upper - np.abs(centre), 0.0)
+            trials = [_round_amplitudes(share * room) for share in _SMALL_SHARES]
+            fits = trial.fit([about.commands(amplitude) for amplitude in trials], about.first)
+            words = _words_of_small_levels(model, name, reverses)
+            for amplitude, fit in zip(trials, fits, strict=True):
+                if fit:
+                    yield about.experiment(words, keys, amplitude, model, model_name, seed)
+
+
+def _words_of_small_levels(model: Model, name: str, reverses: bool) -> str:
+    """For levels of an input of that name."""
+    rotors = {own: rotor for rotor, own in model.rotors.items()}
+    words = f"small random levels of the {rotors.get(name, name)} rotor"
+    if model.n_u > 1:
+        words += ", the other off" if reverses else ", the other steady"
+    return words
+
+
+class _AboutPoint:
+    """An excitation about an operating point, with the way to it from rest.
+
+    ``centre``, (n_u,) array: V. ``shape``, (n, n_u) array: of unit peak.
+    """
+
+    def __init__(self, centre: FloatArray, shape: FloatArray, sample_time: float) -> None:
+        self._centre, self._shape, self._sample_time = centre, shape, sample_time
+        self._head = lead_in(centre, round(LEAD_IN / sample_time))
+        self.first = len(self._head)  #: Sample at which the excitation begins
+
+    def commands(self, amplitude: FloatArray) -> FloatArray:
+        """What is played at an amplitude (n_u,), (n, n_u) V."""
+        return np.vstack([self._head, self._centre + amplitude * self._shape])
+
+    def experiment(
+        self,
+        words: str,
+        keys: Sequence[str],
+        amplitude: FloatArray,
+        model: Model,
+        model_name: str,
+        seed: int,
+    ) -> OpenLoopExperiment:
+        """With the command line that makes it; ``keys``: of the excitation."""
         amplitude_text = ", ".join(
             f"{name}: {size:g}" for name, size in zip(names(model.inputs), amplitude, strict=True)
         )
-        keys += ["excitation.iterations=0"] * (option == "multisine")
-        keys += ["reversals=true"] * reverses
-        keys += [
+        keys = [
+            *keys,
             f"duration={DURATION:g}",
             f"lead_in={LEAD_IN:g}",
             f"amplitude={{{amplitude_text}}}",
+            *[f"seed={seed}"] * (seed > 0),
         ]
-        yield OpenLoopExperiment(
+        return OpenLoopExperiment(
             words=words,
-            commands=commands(amplitude),
-            command=_command_line("excite", model_name, keys, sample_time),
-            centre=centre,
-            first=len(head),
+            commands=self.commands(amplitude),
+            command=_command_line("excite", model_name, keys, self._sample_time),
+            centre=self._centre,
+            first=self.first,
         )
 
 
@@ -306,6 +366,8 @@ VISIBLE = 12.5
 _ENOUGH = 10 * VISIBLE
 #: Of names of effects that need a long load, or a beam that hangs low, to show.
 _OF_LOAD = ("derating", "ground")
+#: Of names of effects that show where an axis comes to rest and breaks away.
+_OF_REST = ("coulomb_friction", "stribeck_friction", "hysteresis")
 #: Share of the refit's discrepancy that is taken to be left once the cause is in the model.
 _LEFT = 1 / 3
 
@@ -369,10 +431,15 @@ def advise(
     if question is None:
         return None
     now = question.worth(present)
-    load = any(word in s.name for s in question.candidates for word in _OF_LOAD)
+    load, rest = (
+        any(word in s.name for s in question.candidates for word in of)
+        for of in (_OF_LOAD, _OF_REST)
+    )
     predictions = [
         (question.worth(recording), experiment)
-        for experiment, recording in predicted_recordings(refit, shares, model_name, load=load)
+        for experiment, recording in predicted_recordings(
+            refit, shares, model_name, load=load, rest=rest
+        )
     ]
     if not predictions:
         return None
@@ -399,6 +466,10 @@ def _question(
 ) -> _Question | None:
     if len(apart) >= 2:
         selection = [candidates[name] for name in apart[:_AT_ONCE]]
+        # what a fit made of one's special case says nothing of how the two differ
+        for candidate in selection:
+            if candidate.special_case(candidates) is not None:
+                values = candidate.apart_from_special_case(values)
         rows = tuple(with_rows(candidate, values) for candidate in selection)
         return _Question(rows, True, tuple(s.name for s in selection if is_fitted(s, values)))
     names = [
@@ -495,12 +566,21 @@ def _nats(value: float) -> str:
 
 
 def predicted_recordings(
-    refit: Refit, shares: FloatArray, model_name: str, *, load: bool = False
+    refit: Refit,
+    shares: FloatArray,
+    model_name: str,
+    *,
+    load: bool = False,
+    rest: bool = False,
 ) -> Iterator[tuple[OpenLoopExperiment, FittedModel]]:
     """Experiments, and what each records; angles stay in bounds before and after the refit.
 
     ``shares``, (n_d,) array: discrepancy to be reckoned with. ``model_name``: as a command takes
-    it. ``load``: whether a long load is among them, for effects that need one.
+    it. ``load``: whether a long load is among them, for effects that need one. ``rest``: whether
+    those are in which an axis often comes to rest.
+
+    What is drawn is drawn anew for each recording that there is: commands that were played say the
+    same again.
     """
     structure = refit.structure
     problem, rollout = structure.problem, structure.windows.rollout
@@ -509,7 +589,8 @@ def predicted_recordings(
     linearisation: TrajectoryLinearisation | None = None
     step = structure.windows.sample_time
     both = (p, problem.model.parameters.values)
-    for experiment in experiments(rollout, both, step, model_name, load=load):
+    seed = len(problem.datasets) - 1
+    for experiment in experiments(rollout, both, step, model_name, load=load, rest=rest, seed=seed):
         dataset, starts = _simulate_recording(refit, rollout, p, experiment.commands)
         predicted_structure = ModelStructure(
             problem.model, problem.free, (), [dataset], problem.window_length
@@ -522,9 +603,11 @@ def predicted_recordings(
             refit.metric.discrepancy.channels,
             start_share=0.0,
         )
+        # it will be fitted beside the present recordings, and excused for as much as these are
+        excused = shares * np.maximum(1.0, refit.metric.discrepancy.scales / discrepancy.scales)
         try:
             drift = gain_drift(predicted_structure.windows, discrepancy.trajectory)
-            metric = Metric(discrepancy, shares, drift, refit.metric.drift_sizes, None)
+            metric = Metric(discrepancy, excused, drift, refit.metric.drift_sizes, None)
         except FloatingPointError:  # along this motion the equations say too little
             continue
         yield (

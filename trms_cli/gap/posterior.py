@@ -356,10 +356,14 @@ def proposed_stand_in(verdict: Verdict, flexible: Flexible | None) -> Flexible |
     return flexible
 
 
+#: Of a cause, what it is with which probability, by names of effects.
+SpecialCases = Mapping[tuple[str, ...], Mapping[tuple[str, ...], float]]
+
+
 def special_cases(
     entries: Sequence[FittedModel], candidates: Mapping[str, CandidateEffect]
-) -> dict[tuple[str, ...], tuple[str, ...]]:
-    """Causes that others are at the sizes that were fitted, by those others' effects.
+) -> SpecialCases:
+    """Causes that others are, how probably, at the sizes that were fitted.
 
     Stribeck friction with hardly an excess at rest is Coulomb friction, which then has to be among
     what was fitted.
@@ -367,24 +371,35 @@ def special_cases(
     fitted_names = {entry.names for entry in entries}
     cases = {}
     for entry in entries:
-        names_ = {c.at_sizes(entry.values, candidates).name for c in entry.structure.effects}
-        other = tuple(sorted(names_))
-        if other != entry.names and other in fitted_names:
-            cases[entry.names] = other
+        shares: dict[tuple[str, ...], float] = {(): 1.0}
+        for candidate in entry.structure.effects:
+            simpler = candidate.special_case(candidates)
+            special = candidate.special_share(entry.values, entry.sds) if simpler else 0.0
+            extended: dict[tuple[str, ...], float] = {}
+            for before, share in shares.items():
+                for one, own in ((candidate, 1 - special), (simpler, special)):
+                    if one is not None and own > 0:
+                        after = tuple(sorted({*before, one.name}))
+                        extended[after] = extended.get(after, 0.0) + share * own
+            shares = extended
+        other = {n: p for n, p in shares.items() if n != entry.names and n in fitted_names}
+        if other:
+            cases[entry.names] = {**other, entry.names: 1 - sum(other.values())}
     return cases
 
 
 def merged(
-    probabilities: Mapping[tuple[str, ...], float],
-    special: Mapping[tuple[str, ...], tuple[str, ...]],
+    probabilities: Mapping[tuple[str, ...], float], special: SpecialCases
 ) -> dict[tuple[str, ...], float]:
-    """Each cause's probability given to the one that it is a special case of, descending."""
+    """Each cause's probability given to those that it is a special case of, descending."""
     totals: dict[tuple[str, ...], float] = {}
     for names_, probability in probabilities.items():
         part = simulated_part(names_)
         beside = [n for n in names_ if n not in part]
-        own = tuple(sorted((*special.get(part, part), *beside)))
-        totals[own] = totals.get(own, 0.0) + probability
+        for instead, share in special.get(part, {part: 1.0}).items():
+            own = tuple(sorted((*instead, *beside)))
+            if share > 0:
+                totals[own] = totals.get(own, 0.0) + share * probability
     return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 

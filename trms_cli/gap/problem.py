@@ -4,6 +4,7 @@ With a candidate stands what is believed of its sizes beforehand.
 """
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
@@ -339,17 +340,61 @@ class CandidateEffect:
 
         ``values``: by name, ``<effect>.<size>``.
         """
+        if self._is_usual(values):
+            return self
+        return self.special_case(candidates) or self
+
+    def special_case(self, candidates: Mapping[str, "CandidateEffect"]) -> "CandidateEffect | None":
+        """Which of the candidates it is where its sizes vanish; None: none of them."""
         if self.effect.special_case is None:
-            return self
-        simpler, limits = self.effect.special_case
-        if all(values[f"{self.name}.{size}"] >= least for size, least in limits.items()):
-            return self
+            return None
+        simpler, _ = self.effect.special_case
         alike = (
             c
             for c in candidates.values()
             if type(c.effect) is simpler and c.locations == self.locations
         )
-        return next(alike, self)
+        return next(alike, None)
+
+    def special_share(self, values: Mapping[str, float], sds: Mapping[str, float]) -> float:
+        """How probable it is that its sizes are those of its special case.
+
+        By their errors: a size just beyond a limit says as little as one just within.
+
+        ``values``, ``sds``: fitted sizes and their standard deviations by name,
+        ``<effect>.<size>``; one that lies on a bound has none.
+        """
+        usual = 1.0
+        for size, least in self._limits.items():
+            value, sd = (by_name[f"{self.name}.{size}"] for by_name in (values, sds))
+            if sd > 0:
+                usual *= 0.5 * math.erfc((least - value) / (math.sqrt(2) * sd))
+            else:
+                usual *= value >= least
+        return 1.0 - usual
+
+    def apart_from_special_case(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Fitted sizes; typical ones in the place of those that make it its special case.
+
+        ``values``: by name, ``<effect>.<size>``, others among them.
+        """
+        sizes = dict(values)
+        if any(f"{self.name}.{size}" not in values for size in self._limits):
+            return sizes
+        if not self._is_usual(values):
+            for parameter in self.effect.parameters():
+                if parameter.name in self._limits and parameter.typical:
+                    low, high = parameter.typical
+                    sizes[f"{self.name}.{parameter.name}"] = math.sqrt(low * high)
+        return sizes
+
+    @property
+    def _limits(self) -> Mapping[str, float]:
+        """Sizes below which it is its special case."""
+        return {} if self.effect.special_case is None else self.effect.special_case[1]
+
+    def _is_usual(self, values: Mapping[str, float]) -> bool:
+        return all(values[f"{self.name}.{size}"] >= least for size, least in self._limits.items())
 
     @property
     def simulated(self) -> bool:
