@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from trms_cli.controllers.pid import Pid, PidState, _guided
+from trms_cli.controllers.pid import Pid, PidState, _derivatives, _guided, _through_rotor
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
     PiecewiseLinear,
@@ -15,6 +15,7 @@ from trms_cli.controllers.pid_feed_forward import (
     friction_torques,
     holding_torques,
     inverse,
+    path_memories,
     rotor_lag,
     rotor_tables,
     torque_curve,
@@ -28,9 +29,13 @@ from trms_cli.controllers.pid_tuning import (
     margins,
 )
 from trms_cli.core.plugins import build
+from trms_cli.effects.cable_hysteresis import CableHysteresis
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.steady_state import SteadyState
 
@@ -43,12 +48,18 @@ def started(controller: Pid, u: np.ndarray | None = None) -> PidState:
     return controller.init(setup_of(BOTH, SAMPLE_TIME, u))
 
 
+def sines(times: np.ndarray) -> np.ndarray:
+    phase = 2 * math.pi * 0.05 * times
+    return np.column_stack([0.3 * np.sin(phase), 0.5 * np.cos(phase)])
+
+
+def rms_after(trajectory, angle: str, begin: float) -> float:
+    """rad; ``begin``: s."""
+    return float(np.sqrt(np.mean(trajectory.error(angle)[round(begin / SAMPLE_TIME) :] ** 2)))
+
+
 def test_sines_are_followed_and_squares_by_another_rig_than_the_model() -> None:
     """Far better than by standing still, with an RMSE of 0.21 and 0.35 rad."""
-
-    def sines(times: np.ndarray) -> np.ndarray:
-        phase = 2 * math.pi * 0.05 * times
-        return np.column_stack([0.3 * np.sin(phase), 0.5 * np.cos(phase)])
 
     trajectory = close_loop(Pid(), BOTH, sines, 60.0)
     for angle, bound in (("alpha_v", 0.15), ("alpha_h", 0.16)):
@@ -163,7 +174,7 @@ def test_the_curve_is_the_thrust_of_the_rotor(steady, axis, channel, lever) -> N
         u = ((friction + drag) * p["R"].value / p["kphi"].value + back) / p[f"k_u{v}"].value
         return lever * p[f"k_f{v}{sign}"].value * omega * abs(omega), u
 
-    pairs = np.array([thrust_and_input(omega) for omega in np.linspace(-400, 400, 4001)])
+    pairs = np.array([thrust_and_input(omega) for omega in np.linspace(-500, 500, 4001)])
     free = np.interp(curve.at(0.0), pairs[:, 1], pairs[:, 0])
     for torque in np.linspace(curve.x[1], curve.x[-2], 40).tolist():
         wanted = np.interp(torque + free, pairs[:, 0], pairs[:, 1])
@@ -205,15 +216,19 @@ def test_the_inverse_of_a_rotor_before_an_axis_is_exact_and_the_coupling_undone(
     assert rotor_lag(found) == pytest.approx(0.4)
     own = 1 / (0.06 * s**2 + 0.02 * s + 0.1)
     cross = own * 0.13 * s / (1 + 0.1 * s)
-    assert decoupling([cross], [own], INVERTED, 0.1) == pytest.approx(-0.13)
+    other = 1 / (0.07 * s**2 + 0.01 * s + 0.15)
+    assert decoupling([cross], [own], [other], INVERTED, 0.1) == pytest.approx(-0.13)
 
 
 def test_the_reference_asks_for_no_more_than_the_rotor_has() -> None:
-    """A step of 2 rad in yaw: uncut, the filter would ask for 0.6 N m; the rotor has 0.1."""
+    """A step of 2 rad in yaw: uncut, the filter would ask for 0.6 N m; the rotor has 0.1.
+
+    Half of it is for the feedback.
+    """
     axis = started(Pid()).axes[1]
     followed, torques = zip(*(_guided(axis, 2.0) for _ in range(500)), strict=True)
-    assert min(torques) >= axis.least - 1e-12 and max(torques) <= axis.most + 1e-12
-    assert max(torques) > 0.9 * axis.most
+    assert min(torques) >= axis.least / 2 and max(torques) <= axis.most / 2 + 1e-12
+    assert max(torques) > 0.4 * axis.most
     assert followed[-1] == pytest.approx(2.0, abs=1e-3)
     assert max(followed) < 2.1
 
@@ -228,14 +243,22 @@ def test_the_friction_of_the_model_is_fed_forward() -> None:
     assert friction_torques(dry, "pitch") is None and friction_torques(BOTH, "yaw") is None
 
 
-def test_an_axis_with_friction_gets_to_its_reference() -> None:
-    """Knowing the friction it does so within seconds; else once the integral has grown over it."""
+def test_an_axis_with_friction_follows_and_gets_to_its_reference() -> None:
+    """Knowing the friction it follows; not knowing it, it waits for the integral at each turn."""
     dry = extend_model(BOTH, {"dry": CoulombFriction(axis="yaw", torque=0.005)})
-    left = []
-    for model in (BOTH, dry):
-        trajectory = close_loop(Pid(), model, squares(BOTH), 80.0, rig=dry)
-        left.append(np.sqrt(np.mean([e[-300:] ** 2 for e in trajectory.levels("alpha_h")])))
-    assert left[1] < 0.2 * left[0]
+    known, unknown = (close_loop(Pid(), model, sines, 40.0, rig=dry) for model in (dry, BOTH))
+    assert rms_after(known, "alpha_h", 10.0) < 0.3 * rms_after(unknown, "alpha_h", 10.0)
+    levels = close_loop(Pid(), dry, squares(BOTH), 80.0, rig=dry).levels("alpha_h")
+    assert np.sqrt(np.mean([e[-300:] ** 2 for e in levels])) < 0.003
+
+
+def test_friction_that_falls_with_the_rate_is_not_overcompensated() -> None:
+    """Given more than resists it, an axis swings about its reference instead of sticking."""
+    sticky = StribeckFriction(axis="yaw", torque=0.003, excess=1.0, velocity=0.03)
+    friction = friction_torques(extend_model(BOTH, {"sticky": sticky}), "yaw")
+    assert friction is not None
+    right = [friction.at(rate) for rate in (0.001, 0.01, 0.1, 1.0)]
+    assert right == sorted(right) and right[0] == pytest.approx(0.003, rel=0.01)
 
 
 def test_a_delay_does_not_slow_the_reference() -> None:
@@ -244,3 +267,90 @@ def test_a_delay_does_not_slow_the_reference() -> None:
     prompt, delayed = (Pid().init(setup_of(model, SAMPLE_TIME)).axes for model in (BOTH, late))
     for one, other in zip(prompt, delayed, strict=True):
         assert other.reference_rate == pytest.approx(one.reference_rate, rel=1e-3)
+
+
+def test_a_smooth_reference_is_followed_without_the_lags_of_the_filter() -> None:
+    for follows, low, high in ((True, 0.0, 0.01), (False, 0.09, 0.2)):
+        trajectory = close_loop(Pid(reference_rates=follows), BOTH, sines, 40.0)
+        for angle in ("alpha_v", "alpha_h"):
+            assert low <= rms_after(trajectory, angle, 10.0) < high
+
+
+def test_a_jump_of_the_reference_is_no_rate() -> None:
+    axis = started(Pid()).axes[1]
+    ramp = 0.1 * SAMPLE_TIME * np.arange(10)
+    jumped = [*ramp, *(ramp + 0.5), *([1.5] * 5)]
+    rates, accelerations = zip(*(_derivatives(axis, r) for r in jumped), strict=True)
+    np.testing.assert_allclose(rates[2:21], 0.1, rtol=1e-9)  # through the jump at 10
+    assert np.abs(accelerations[2:]).max() < 1e-9
+    np.testing.assert_allclose(rates[22:], 0.0, atol=1e-9)
+    # A reference that only jumps has no rate.
+    hopping = [_derivatives(axis, 1.5 + 0.1 * (k % 2))[0] for k in range(6)]
+    np.testing.assert_allclose(hopping[3:], 0.0, atol=1e-9)
+
+
+def test_the_lead_is_of_the_input_and_limits_tell_the_torque_that_is_left() -> None:
+    axis = started(Pid()).axes[1]
+    for _ in range(200):
+        u, torque = _through_rotor(axis, 0.03)
+    assert (u, torque) == (pytest.approx(axis.curve.at(0.03)), 0.03)
+    u, torque = _through_rotor(axis, -0.03)  # the rotor turns round
+    volts = axis.curve.at(-0.03)
+    uncut = axis.lagged + axis.lead * (volts - axis.lagged)
+    assert uncut < -2.5 and u == -2.5 and -0.03 < torque < 0.03
+
+
+def test_a_cable_that_remembers_its_path_is_held_and_fed_forward() -> None:
+    """Robust with the memory as a spring and without it; the loop is closed in simulation."""
+    cable = extend_model(BOTH, {"cable": CableHysteresis(axis="yaw", torque=0.005, width=0.15)})
+    state = Pid().init(setup_of(cable, SAMPLE_TIME))
+    assert all(margin.peak_sensitivity < 1.6 * 1.02 for margin in state.margins.values())
+    (memory,) = path_memories(cable, "yaw")
+    assert path_memories(cable, "pitch") == path_memories(BOTH, "yaw") == ()
+    for z in (-0.8, 0.0, 0.6):
+        assert memory.torque.at(z) == pytest.approx(0.005 * z, abs=1e-9)
+        fullness = (abs(z) + z) / 2  # β = 1/2: (|z| + z)/2 where the angle grows
+        assert memory.rise.at(z) == pytest.approx((1 - fullness) / 0.15, rel=1e-6)
+        assert memory.fall.at(z) == pytest.approx((1 - (abs(z) - z) / 2) / 0.15, rel=1e-6)
+    known, unknown = (close_loop(Pid(), model, sines, 40.0, rig=cable) for model in (cable, BOTH))
+    assert rms_after(known, "alpha_h", 10.0) < 0.3 * rms_after(unknown, "alpha_h", 10.0)
+    levels = close_loop(Pid(), cable, squares(BOTH), 60.0, rig=cable).levels("alpha_h")
+    assert max(np.abs(e[-50:]).max() for e in levels) < 0.01
+
+
+def test_the_drag_of_the_main_rotor_is_fed_forward_to_yaw(steady: SteadyState) -> None:
+    reaction = RotorReaction(rotor="main", drag=1.5e-7, inertia=0.0)
+    dragged = extend_model(BOTH, {"reaction": reaction})
+    knowing = Pid().init(setup_of(dragged, SAMPLE_TIME)).axes
+    (burden,) = knowing[1].burdens
+    level = SteadyState(dragged)
+    at = {angle: level.solve(np.array([angle, 0.0])) for angle in (0.0, 0.25)}
+    speed = dragged.state_index("omega_v")
+    drag = [1.5e-7 * float(at[angle].x[speed]) ** 2 for angle in at]
+    torque = knowing[0].torque_of.at(float(at[0.25].u[0]))
+    assert abs(burden.at(torque)) == pytest.approx(abs(drag[1] - drag[0]), rel=0.05)
+    assert np.abs(started(Pid()).axes[1].burdens[0].y).max() < 1e-6  # the model has no such drag
+    known, unknown = (
+        close_loop(Pid(), model, sines, 40.0, rig=dragged) for model in (dragged, BOTH)
+    )
+    assert rms_after(known, "alpha_h", 10.0) < 0.6 * rms_after(unknown, "alpha_h", 10.0)
+
+
+def test_models_that_hardly_differ_get_gains_that_hardly_differ() -> None:
+    spun = extend_model(BOTH, {"gyro": GyroscopicCoupling(inertia=1e-5, lean=0.0)})
+    for one, other in zip(
+        started(Pid()).axes, Pid().init(setup_of(spun, SAMPLE_TIME)).axes, strict=True
+    ):
+        for name in ("kp", "ki", "kd"):
+            assert getattr(other.gains, name) == pytest.approx(getattr(one.gains, name), rel=0.1)
+
+
+def test_friction_and_a_delay_that_are_known_leave_an_axis_at_rest() -> None:
+    """With all of the friction to close an error it swung by 20 mrad about its reference."""
+    effects = {
+        "dry": CoulombFriction(axis="yaw", torque=0.005),
+        "late": InputDelay(rotor="tail", delay=0.06),
+    }
+    sticky = extend_model(BOTH, effects)
+    levels = close_loop(Pid(), sticky, squares(BOTH), 60.0, rig=sticky).levels("alpha_h")
+    assert max(np.abs(e[-100:]).max() for e in levels) < 0.008

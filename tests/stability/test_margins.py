@@ -20,7 +20,7 @@ from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.controllers.pid import Pid
-from trms_cli.controllers.pid_tuning import PidDesign
+from trms_cli.controllers.pid_design import PidDesign
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import effect_names, extend_model

@@ -32,11 +32,11 @@ from trms_cli.models.vector_field import holds_at_rest, without_impulses
 
 #: Which rotor holds which axis.
 ROTOR_OF_AXIS = {"pitch": "main", "yaw": "tail"}
-#: Inputs of the curve are this part of the range apart. It also is the cell in which the infinite
-#: slope at a standing rotor is replaced by a finite one.
-_CELL = 0.06
+#: Inputs of the curve are this part of the range apart, for the slope of a cell is a gain of the
+#: loop. The wide one is that in which the infinite slope at a standing rotor becomes a finite one.
+_CELL, _STANDING_CELL = 0.02, 0.06
 #: First torque tried, N m, and how often a step may be halved or doubled.
-_SMALLEST_TORQUE, _POINTS = 1e-5, 120
+_SMALLEST_TORQUE, _POINTS = 1e-5, 240
 #: Beyond this part of the range the curve goes on as it came; before, a step that cannot be held
 #: is tried again so many times, shortened.
 _ENOUGH, _REFUSALS = 0.85, 4
@@ -48,6 +48,8 @@ _MEMORY_STEP = 0.02
 #: N m below which there is none.
 _RATES = (0.001, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _FRICTION_STEP, _NO_FRICTION = 1e-3, 1e-7
+#: Values of a path memory at which its motion and its torque are read off; rad/s of that reading.
+_MEMORY, _MEMORY_RATE = np.linspace(-1.0, 1.0, 41), 0.1
 #: rad/s: the axes are followed up to about here.
 INVERTED = np.geomspace(0.1, 3.0, 24)
 
@@ -84,6 +86,18 @@ class RotorTables:
 
     curve: PiecewiseLinear  #: Input by torque, V by N m
     holding: PiecewiseLinear  #: Torque by angle, N m by rad
+    #: Torque by the torque on each axis before this one, beyond what holds this one where those
+    #: are at 0, N m by N m
+    burdens: tuple[PiecewiseLinear, ...] = ()
+
+
+@dataclass(frozen=True)
+class PathMemory:
+    """A state of the model that only motion of an axis changes, and its torque on that axis."""
+
+    rise: PiecewiseLinear  #: Its change by the angle where that grows, 1/rad by its value
+    fall: PiecewiseLinear  #: The same where the angle shrinks
+    torque: PiecewiseLinear  #: What overcomes it, N m by its value
 
 
 def rotor_tables(
@@ -96,11 +110,17 @@ def rotor_tables(
     """
 
     def computed() -> dict[str, RotorTables]:
-        tables = {}
+        tables: dict[str, RotorTables] = {}
+        torques: dict[int, PiecewiseLinear] = {}
         for axis, channel in channels.items():
             curve = torque_curve(model, axis, channel, steady)
-            holding = holding_torques(model, axis, channel, steady, curve.inverse())
-            tables[axis] = RotorTables(curve, holding)
+            torques[channel] = curve.inverse()
+            holding = holding_torques(model, axis, channel, steady, torques[channel])
+            burdens = [
+                burden(model, other, (channels[other], channel), steady, torques)
+                for other in tables
+            ]
+            tables[axis] = RotorTables(curve, holding, tuple(burdens))
         return tables
 
     inputs = [*_all_that_steady_states_follow_from(model), sorted(channels.items())]
@@ -163,7 +183,9 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
                 step /= 4
                 continue
             change = float(abs(following.u[channel] - last.u[channel])) / limit
-            if change < _CELL / 2:
+            standing = abs(last.u[channel]) < _STANDING_CELL * limit
+            cell = _STANDING_CELL if standing else _CELL
+            if change < cell / 2:
                 step *= 2.0
                 if step > 1e6:
                     break
@@ -171,7 +193,7 @@ def torque_curve(model: Model, axis: str, channel: int, steady: SteadyState) -> 
             torque += step
             points.append((sign * torque, float(following.u[channel])))
             last = following
-            step *= min(2.0, max(0.25, _CELL / change))
+            step *= min(2.0, max(0.25, cell / change))
         sides.append(points)
     start = [(0.0, float(middle.u[channel]))] if middle is not None else []
     points = sides[0][::-1] + start + sides[1]
@@ -199,10 +221,47 @@ def holding_torques(
     model: Model, axis: str, channel: int, steady: SteadyState, torque_of: PiecewiseLinear
 ) -> PiecewiseLinear:
     """Torque that holds an axis at an angle, N m by rad, with the other axis at 0."""
+    points = [
+        (value, torque_of.at(float(target.u[channel])))
+        for value, target in _held(model, axis, steady)
+    ]
+    table = points or [(0.0, 0.0)]
+    return PiecewiseLinear([p[0] for p in table], [p[1] for p in table])
+
+
+def burden(
+    model: Model,
+    axis: str,
+    channels: tuple[int, int],
+    steady: SteadyState,
+    torques: Mapping[int, PiecewiseLinear],
+) -> PiecewiseLinear:
+    """Torque that holds another axis at 0 by the torque that holds one, N m by N m.
+
+    What a rotor's drag does to the other axis. Zero where the one is held at 0.
+
+    ``channels``: inputs of the rotors that hold the one and the other. ``torques``: torque by
+    input of each.
+    """
+    pairs, free = [], 0.0
+    for value, target in _held(model, axis, steady):
+        own, other = (torques[c].at(float(target.u[c])) for c in channels)
+        pairs.append((own, other))
+        free = other if value == 0.0 else free
+    pairs.sort()
+    table = [pairs[0]] if pairs else [(0.0, free)]
+    for own, other in pairs[1:]:
+        if own > table[-1][0] + _SMALLEST_TORQUE:
+            table.append((own, other))
+    return PiecewiseLinear([p[0] for p in table], [p[1] - free for p in table])
+
+
+def _held(model: Model, axis: str, steady: SteadyState) -> list[tuple[float, Target]]:
+    """Angles of an axis, rad, increasing, and the steady states there with the others at 0."""
     angle = model.axes[axis].angle
     position = model.controlled.index(angle)
     furthest = min(model.stops.get(angle, math.inf), _FURTHEST)
-    points: list[tuple[float, float]] = []
+    held: dict[float, Target] = {}
     for sign in (-1.0, 1.0):
         last: Target | None = None
         for value in np.linspace(0.0, sign * furthest, _ANGLES // 2 + 1).tolist():
@@ -212,16 +271,16 @@ def holding_torques(
             if not target.exact:
                 break
             last = target
-            points.append((value, torque_of.at(float(target.u[channel]))))
-    table = sorted(dict(points).items()) or [(0.0, 0.0)]
-    return PiecewiseLinear([p[0] for p in table], [p[1] for p in table])
+            held[value + 0.0] = target
+    return sorted(held.items(), key=lambda item: item[0])
 
 
 def friction_torques(model: Model, axis: str) -> PiecewiseLinear | None:
     """Torque with which dry friction resists a rate of an axis, N m by rad/s.
 
     With the beam level and at rest otherwise. Below the first of :data:`_RATES` it fades, so that a
-    reference that comes to rest asks for none. None for an axis without dry friction.
+    reference that comes to rest asks for none. Of friction that falls with the rate (Stribeck) the
+    least from a rate on. None for an axis without dry friction.
     """
     if not holds_at_rest(model):
         return None
@@ -242,8 +301,52 @@ def friction_torques(model: Model, axis: str) -> PiecewiseLinear | None:
     sides = [float(evaluate(rest + turning * v, *idle)[0]) for v in _RATES]
     if max(sides) < _NO_FRICTION:
         return None
+    # No more than at any faster rate: an axis that is given more than resists it swings.
+    sides = np.minimum.accumulate(sides[::-1])[::-1].tolist()
     rates = [-v for v in reversed(_RATES)] + [0.0] + list(_RATES)
     return PiecewiseLinear(rates, [-f for f in reversed(sides)] + [0.0] + sides)
+
+
+def path_memories(model: Model, axis: str) -> tuple[PathMemory, ...]:
+    """What the states that remember the path of an axis do to it, with the beam level.
+
+    What such a state does depends on the path alone, not on how fast it is travelled: its rate is
+    read off at one rate of the axis each way.
+    """
+    equation = names(model.disturbances).index(model.axes[axis].moment)
+    rate = turning_rate(model, equation)
+    if rate is None:
+        return ()
+    at = model.symbols()
+    x, w = at[0], at[3]
+    motion = model.dynamics(*at)
+    push = ca.jacobian(motion, w[equation])
+    turned = push / ca.jtimes(rate(*at), x, push)
+    evaluate = ca.Function("motion", list(at), [motion, push, turned])
+    idle = (np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w))
+    rest = model.rest()
+    pushed, turning = (np.array(v).ravel() for v in evaluate(rest, *idle)[1:])
+    row = int(np.argmax(np.abs(pushed)))
+
+    def motion_at(position: int, value: float, speed: float) -> FloatArray:
+        state = rest + turning * speed
+        state[position] = value
+        return np.array(evaluate(state, *idle)[0]).ravel()
+
+    memories = []
+    for i in model.path_memory:
+        torques = -np.array([motion_at(i, z, 0.0)[row] for z in _MEMORY]) / pushed[row]
+        torques -= torques[len(_MEMORY) // 2]
+        rise, fall = (
+            [float(motion_at(i, z, speed)[i]) / speed for z in _MEMORY]
+            for speed in (_MEMORY_RATE, -_MEMORY_RATE)
+        )
+        if np.abs(torques).max() < _NO_FRICTION:
+            continue
+        values = _MEMORY.tolist()
+        tables = (PiecewiseLinear(values, y) for y in (rise, fall, torques.tolist()))
+        memories.append(PathMemory(*tables))
+    return tuple(memories)
 
 
 def without_input_memory(model: Model) -> Model:
@@ -287,16 +390,25 @@ def rotor_lag(coefficients: FloatArray) -> float:
 
 
 def decoupling(
-    cross: Sequence[ComplexArray], own: Sequence[ComplexArray], omega: FloatArray, lag: float
+    cross: Sequence[ComplexArray],
+    own: Sequence[ComplexArray],
+    other: Sequence[ComplexArray],
+    omega: FloatArray,
+    lag: float,
 ) -> float:
     """Torque on an axis by the rate of another's that undoes what the other does to it, s.
 
-    Least squares of ``G_cross + G_own (d_0 + d_1 jω/(1 + jω lag))`` over all responses; d_1. A
-    rotor that speeds up turns the rig the other way round: that is a torque by a rate.
+    Least squares of ``(G_cross/G_own + d_0 + d_1 jω/(1 + jω lag))/G_other`` over all responses;
+    d_1. That is the torque left on the axis per radian that the other moves: neither axis' own
+    swing, which the loops damp, has a weight in it. A rotor that speeds up turns the rig the other
+    way round: that is a torque by a rate.
+
+    ``cross``: of the axis' angle to the other's torque. ``own``: to its own. ``other``: of the
+    other's angle to that one's torque.
     """
     rate = 1j * omega / (1 + 1j * omega * lag)
-    rows = np.concatenate([np.stack([g, g * rate], axis=-1) for g in own])
-    target = -np.concatenate(cross)
+    rows = np.concatenate([np.stack([1 / g, rate / g], axis=-1) for g in other])
+    target = -np.concatenate([c / (o * g) for c, o, g in zip(cross, own, other, strict=True)])
     solution, *_ = np.linalg.lstsq(
         np.concatenate([rows.real, rows.imag]),
         np.concatenate([target.real, target.imag]),

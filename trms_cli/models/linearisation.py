@@ -6,7 +6,7 @@ back from; :func:`require_drivable` refuses the others.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +92,7 @@ class Linearisation:
         return LinearModel(discrete, target, A, B, C)
 
 
-def require_drivable(linear: LinearModel, where: str) -> None:
+def require_drivable(linear: LinearModel, where: str, constant: Sequence[int] = ()) -> None:
     """Refuse an operating point from which some controlled angle cannot be held.
 
     Two conditions for a linear controller with integral action to exist: the inputs can give every
@@ -100,10 +100,14 @@ def require_drivable(linear: LinearModel, where: str) -> None:
     that does not decay by itself (Popov, Belevitch and Hautus).
 
     Raises ConfigurationError with the angle or mode that is not driven, and a point that will do.
+
+    ``constant``: positions of states that are taken to stay where they are.
     """
     model = linear.discrete.model
     names_of_angles = model.controlled
-    gain = _gain(linear, math.exp(_ALMOST_STEADY * linear.step_length))
+    kept = np.setdiff1d(np.arange(linear.A.shape[0]), constant)
+    A, B, C = linear.A[np.ix_(kept, kept)], linear.B[kept], linear.C[:, kept]
+    gain = _gain(A, B, C, math.exp(_ALMOST_STEADY * linear.step_length))
     output_directions, strength, _ = np.linalg.svd(gain)
     if strength[-1] < _LEAST_SHARE * strength[0] or not np.all(np.isfinite(gain)):
         weakest = names_of_angles[int(np.argmax(np.abs(output_directions[:, -1])))]
@@ -113,11 +117,11 @@ def require_drivable(linear: LinearModel, where: str) -> None:
             where=where,
             remedy=f"choose one with the rotor turning, as {where}.{weakest}=0.5",
         )
-    values, left_vectors = np.linalg.eig(linear.A.T)
+    values, left_vectors = np.linalg.eig(A.T)
     scale = 1.0 / np.maximum(np.abs(left_vectors).max(axis=0), 1e-300)
     for value, vector in zip(values, (left_vectors * scale).T, strict=True):
-        if abs(value) >= 1.0 and np.abs(vector @ linear.B).max() < 1e-9:
-            state = linear.discrete.states[int(np.argmax(np.abs(vector)))].name
+        if abs(value) >= 1.0 and np.abs(vector @ B).max() < 1e-9:
+            state = linear.discrete.states[kept[int(np.argmax(np.abs(vector)))]].name
             raise ConfigurationError(
                 f"a mode of {state} (z = {value:.4g}) does not decay and no input moves it",
                 where=where,
@@ -125,7 +129,6 @@ def require_drivable(linear: LinearModel, where: str) -> None:
             )
 
 
-def _gain(linear: LinearModel, z: float) -> FloatArray:
+def _gain(A: FloatArray, B: FloatArray, C: FloatArray, z: float) -> FloatArray:
     """Of the controlled angles to the inputs at z, rad/V, shape (n_r, n_u)."""
-    n = linear.A.shape[0]
-    return np.asarray(linear.C @ np.linalg.solve(z * np.eye(n) - linear.A, linear.B))
+    return np.asarray(C @ np.linalg.solve(z * np.eye(A.shape[0]) - A, B))
