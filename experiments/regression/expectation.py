@@ -85,7 +85,10 @@ def _figure(outcomes: Sequence[Outcome]) -> Any:
                 if k == 0:
                     panel.plot(traces["time"], traces[f"r_{axis}"], color=GREY, lw=0.8)
                 colour = COLOURS[k % len(COLOURS)]
-                panel.plot(traces["time"], traces[axis], color=colour, lw=1.0, label=controller)
+                style = "--" if k >= len(COLOURS) else "-"
+                panel.plot(
+                    traces["time"], traces[axis], style, color=colour, lw=1.0, label=controller
+                )
             panel.tick_params(labelsize=8)
             if i == 0:
                 panel.set_title(f"rig {rig}", fontsize=9)
