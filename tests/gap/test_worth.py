@@ -10,6 +10,7 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import LoopGain
 from trms_cli.gap.worth import (
     gain_in_words,
+    judged_references,
     loops_of,
     sine_within,
     square_of,
@@ -77,7 +78,7 @@ def test_a_loop_that_the_correction_makes_worse_is_named_with_what_to_use() -> N
     assert "pid on a sine cannot control with it: keep the model as it was" in warning_of([refused])
 
 
-def test_loops_are_judged_on_a_sine_and_on_a_square_as_a_whole_and_at_rest() -> None:
+def test_loops_are_judged_on_a_sine_and_on_squares_and_at_rest() -> None:
     sine = ["ref=sine", "ref.alpha_v.frequency=0.1", "ref.alpha_h.frequency=0.1"]
     assert square_of([*sine, "ref.alpha_v.amplitude=0.2"]) == [
         "ref=square", "ref.alpha_v.frequency=0.05", "ref.alpha_h.frequency=0.05",
@@ -86,15 +87,19 @@ def test_loops_are_judged_on_a_sine_and_on_a_square_as_a_whole_and_at_rest() -> 
     common = ["model=newtonian", "controller=pid", "sim.duration=30"]
     experiments = {
         ("pid", name): experiment_of(compose([*common, *words]).config)
-        for name, words in (("sine", sine), ("square", square_of(sine)))
+        for name, words in judged_references(sine, "pid").items()
     }
     gains = loops_of(experiments, Newtonian(parameters={"k_fhp": 1.2e-6, "k_oh": 0.03}))
     assert [(g.controller, g.reference) for g in gains] == [
-        ("pid", "sine"), ("pid", "square"), ("pid", "rest"),
+        ("pid", "sine"), ("pid", "square"), ("pid", "rest"), ("pid", "limited_square"),
     ]  # fmt: skip
     assert all(0 < g.after < 1 and 0 < g.before < 1 for g in gains)
-    whole, rest = gains[1:]
-    assert rest.after < 0.3 * whole.after
+    _, whole, rest, limited = gains
+    assert rest.after < 0.3 * whole.after and limited.after < 0.3 * whole.after
+    preview = {"newton_mpc": True, "pid": False}
+    for controller, known_ahead in preview.items():
+        words = judged_references(sine, controller)["limited_square"]
+        assert ("controller.preview_horizon=40" in words) == known_ahead
 
 
 def test_a_controller_that_the_corrected_model_does_not_suit_is_worse_with_it() -> None:

@@ -46,11 +46,20 @@ _WORSE = 0.02
 _SETTLED = 6.0
 
 
-#: Controllers whose loops are judged, on that sine and on a square of its amplitude.
-JUDGED_CONTROLLERS = ("newton_mpc", "pid")
+#: Controllers whose loops are judged, on that sine and on squares of its amplitude; with what each
+#: gets besides on one whose rate is limited.
+JUDGED_CONTROLLERS: Mapping[str, Sequence[str]] = {
+    "newton_mpc": ("controller.preview_horizon=40",),
+    "pid": (),
+}
 #: Hz of the square: each level stands still for ten seconds.
 _SQUARE_FREQUENCY = 0.05
-_REFERENCE_WORDS = {"sine": "on a sine", "square": "on a square", "rest": "at rest"}
+_REFERENCE_WORDS = {
+    "sine": "on a sine",
+    "square": "on a square",
+    "limited_square": "on a square of limited rate",
+    "rest": "at rest",
+}
 
 
 class _TooSlow(Exception):
@@ -90,6 +99,13 @@ def square_of(sine: Sequence[str]) -> list[str]:
     slow = f"={_SQUARE_FREQUENCY:g}"
     renamed = ("ref=square" if word == "ref=sine" else word for word in sine)
     return [w.partition("=")[0] + slow if ".frequency=" in w else w for w in renamed]
+
+
+def judged_references(sine: Sequence[str], controller: str) -> dict[str, list[str]]:
+    """Overrides by name of the references that a controller is judged on."""
+    square = square_of(sine)
+    limited = [*square, "shaping@ref.shaping=limited", *JUDGED_CONTROLLERS[controller]]
+    return {"sine": list(sine), "square": square, "limited_square": limited}
 
 
 def worth_of(
@@ -134,14 +150,14 @@ def loops_of(
 
     A loop that the corrected model alone does not close has an infinite error with it.
 
-    ``experiments``: by controller and reference, ``sine`` or ``square``; see :func:`worth_of`.
+    ``experiments``: by controller and reference (:func:`judged_references`).
     """
     gains = []
     until = process_time() + _LONGEST
     for (controller, reference), experiment in experiments.items():
         try:
-            old, noise = _errors(replace(experiment, model=before), until)
-            new = _errors_or_none(experiment, until)
+            old, noise = _errors(replace(experiment, model=before), reference, until)
+            new = _errors_or_none(experiment, reference, until)
         except _TooSlow:
             break
         except _REFUSALS:
@@ -164,10 +180,12 @@ def loops_of(
     return tuple(gains)
 
 
-def _errors_or_none(experiment: Experiment, until: float) -> dict[str, float] | None:
+def _errors_or_none(
+    experiment: Experiment, reference: str, until: float
+) -> dict[str, float] | None:
     """Errors of a loop; None for one that cannot be closed."""
     try:
-        return _errors(experiment, until)[0]
+        return _errors(experiment, reference, until)[0]
     except _REFUSALS:
         return None
 
@@ -206,17 +224,19 @@ def tracking(
     return {name: _rms(values) for name, values in differences.items()}, noise
 
 
-def _errors(experiment: Experiment, until: float) -> tuple[dict[str, float], float]:
-    """Errors over all angles by what was asked, and the largest sensor noise, rad."""
+def _errors(experiment: Experiment, name: str, until: float) -> tuple[dict[str, float], float]:
+    """Errors over all angles, rad: on the reference of that name, and on a square also at rest.
+
+    And the largest sensor noise, rad.
+    """
     differences, reference, noise = _differences(experiment, until)
     squares = np.sum([values**2 for values in differences.values()], axis=0)
+    errors = {name: float(np.sqrt(np.mean(squares)))}
     settled = round(_SETTLED / experiment.sample_time)
     changes = np.cumsum(np.any(np.diff(reference, axis=0, prepend=reference[:1]) != 0, axis=1))
     before = np.concatenate([np.full(settled, -1), changes])[: len(changes)]
     is_still = changes == before
-    # A sine never stands still, and the square counts as a whole and at rest.
-    errors = {"sine" if not is_still.any() else "square": float(np.sqrt(np.mean(squares)))}
-    if is_still.any():
+    if name == "square" and is_still.any():
         errors["rest"] = float(np.sqrt(np.mean(squares[is_still])))
     return errors, max(noise.values(), default=0.0)
 

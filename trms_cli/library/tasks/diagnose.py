@@ -614,7 +614,7 @@ def _worth(
 ) -> Worth | None:
     """What the corrected model gains in the loop; None where none is corrected, or it cannot be."""
     from trms_cli.composition.composer import compose
-    from trms_cli.gap.worth import DURATION, JUDGED_CONTROLLERS, square_of, worth_of
+    from trms_cli.gap.worth import DURATION, JUDGED_CONTROLLERS, judged_references, worth_of
     from trms_cli.library.tasks.experiment import experiment_of
 
     if applied_cause(diagnosis) is None and diagnosis.verdict != "parameters_only":
@@ -636,7 +636,7 @@ def _worth(
         loops = {
             (controller, name): loop([f"controller={controller}", *its_words, duration])
             for controller in JUDGED_CONTROLLERS
-            for name, its_words in (("sine", reference), ("square", square_of(reference)))
+            for name, its_words in judged_references(reference, controller).items()
         }
         return worth_of(loop(words), model, controller=CONTROLLER, command=command, loops=loops)
     except TrmsError:
