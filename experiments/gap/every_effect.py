@@ -87,12 +87,9 @@ class Comparison:
 
 def library_effects() -> list[str]:
     """Options of the group effect that a diagnosis may name."""
-    names = []
-    for path in sorted((config_folder() / "effect").glob("*.yaml")):
-        config = compose([f"effect=[{path.stem}]", "picture=false"]).config
-        if build(config["effect"][path.stem], f"effect.{path.stem}").explains:
-            names.append(path.stem)
-    return names
+    options = sorted(path.stem for path in (config_folder() / "effect").glob("*.yaml"))
+    config = compose([f"effect=[{','.join(options)}]", "picture=false"]).config["effect"]
+    return [name for name in options if build(config[name], f"effect.{name}").explains]
 
 
 def compare_effects(

@@ -62,7 +62,7 @@ def known() -> Composer:
     return Composer("run")
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(data=st.data())
 def test_equals_composing_afresh(known, data):
     _is_equal(known, data.draw(st.sampled_from(CHOICES)), data)

@@ -35,6 +35,7 @@ def test_a_rig_meets_the_same_noise_in_any_company() -> None:
         OwnDraws(3, [2, 2], 3).normal(0, 1.0, 4)
 
 
+@pytest.mark.slow
 def test_the_loop_follows_on_a_rig_of_other_code() -> None:
     """Two copies of a rig with one model do the same; a model of a heavier beam does not."""
     rig = rig_of("yaw_coulomb_friction", {"torque": 0.003}, 1, 0.5)

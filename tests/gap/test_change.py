@@ -90,6 +90,7 @@ def test_friction_that_was_there_from_the_beginning_has_no_onset(reference_state
     assert diagnosis.shrink["all"]["2.0"].fraction > 0.5
 
 
+@pytest.mark.slow
 def test_what_is_alike_at_one_angle_is_parted_at_two_others(reference_state):
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
     dataset = begins(rubbing, 0.0, values=VALUES, seconds=20.0, seed=14)
@@ -116,6 +117,7 @@ def test_what_is_alike_at_one_angle_is_parted_at_two_others(reference_state):
     assert experiment["ref"]["alpha_v"]["amplitude"] == 0
 
 
+@pytest.mark.slow
 def test_friction_that_begins_is_told_with_its_onset(reference_state):
     rubbing = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.004)}
     diagnosis = of(reference_state, begins(rubbing, 15.3, values=VALUES, seconds=30.0, seed=15))

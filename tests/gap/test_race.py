@@ -137,6 +137,7 @@ def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
         np.testing.assert_allclose(one.fit.theta, other.fit.theta, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_others_are_tried_in_the_stead_of_a_second_effect():
     """Beside a strong friction: a cable that hangs free off the middle is like a biased sensor."""
     names = ("yaw_coulomb_friction", "yaw_sensor_bias", "yaw_cable_stiffness")

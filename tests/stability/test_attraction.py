@@ -295,6 +295,7 @@ def answered(*overrides):
     return request.findings_of(request.request_of(composition), silent)
 
 
+@pytest.mark.slow
 def test_the_answer_for_pitch_and_its_figure():
     pitch = answered(PITCH, "study.methods=[lyapunov,integrals]", "study.boxes=20000", *FEW)
     data = json.loads(json.dumps(pitch.results, allow_nan=False))
