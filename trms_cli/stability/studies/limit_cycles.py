@@ -352,7 +352,7 @@ def _search_section(result: LimitCycleResult) -> Section:
     if search.orbits or search.continuum:
         blocks.append(_orbit_table(result))
     words = f"Motions with the commands held ({result.point.words(model)})" + (
-        " and the periodic orbits result."
+        " and the periodic orbits."
         if search.orbits or search.continuum
         else ": none repeats itself."
     )
