@@ -22,8 +22,8 @@ after Åström & Murray, "Feedback Systems", ch. 11 and 12.5, with what a rig of
 
   is the torque with which the model follows it: h what holds the axis there, c the inverse of its
   linear dynamics, rotor included; with the lead in front, it is again a polynomial of degree 3. The
-  third derivative is cut so that c r̃ stays within a part of the rotor's torque: r̃ asks for nothing
-  that cannot be followed, nor for all that there is, for then none is left to the feedback. As r̃ is
+  third derivative is cut so that c r̃ stays within a part of the torque that h leaves: r̃ asks for
+  nothing that cannot be followed, nor for all that there is, for then none is left to the feedback. As r̃ is
   smooth, D may act on r̃ − α without a kick; with ``reference_lag=0`` there is no r̃ to
   differentiate, and D acts on −α.
 - A reference that moves so that the rotor's torque could follow it is followed with its rate and
@@ -71,7 +71,8 @@ _CLOSING = 5.0
 #: Part of the friction that closes an error: with all of it, lags make the axis swing about its
 #: reference, as a relay would.
 _FOR_CLOSING = 0.7
-#: Part of the rotor's torque that a reference may ask for; the rest is left to the feedback.
+#: Part of the torque beyond what holds the axis that a reference may ask for; the rest is left to
+#: the feedback.
 _FOR_REFERENCE = 0.5
 #: Samples that a jump of the reference spoils: the difference to it, and that from it.
 _JUMP = 2
@@ -323,7 +324,9 @@ def _guided(
         held = axis.holding.at(y)
         calm = held + c1 * rate + c2 * acceleration
         if c3 > 0:
-            least, most = (_FOR_REFERENCE * limit for limit in (axis.least, axis.most))
+            least, most = (
+                held + _FOR_REFERENCE * (limit - held) for limit in (axis.least, axis.most)
+            )
             jerk = min(max(jerk, (least - calm) / c3), (most - calm) / c3)
         a1, a2, a3 = axis.ahead
         forward = held + a1 * rate + a2 * acceleration + a3 * jerk
