@@ -354,3 +354,12 @@ def test_friction_and_a_delay_that_are_known_leave_an_axis_at_rest() -> None:
     sticky = extend_model(BOTH, effects)
     levels = close_loop(Pid(), sticky, squares(BOTH), 60.0, rig=sticky).levels("alpha_h")
     assert max(np.abs(e[-100:]).max() for e in levels) < 0.008
+
+
+@pytest.mark.parametrize("pitch", [0.5, 0.8, 1.0])
+def test_a_level_that_takes_most_of_the_torque_is_reached(pitch: float) -> None:
+    """What holds the axis is no part of what a reference may ask for besides."""
+    trajectory = close_loop(
+        Pid(), BOTH, lambda time: np.broadcast_to([pitch, 0.5], (*np.shape(time), 2)), 30.0
+    )
+    assert trajectory.angles[-1, 0] == pytest.approx(pitch, abs=5e-3)

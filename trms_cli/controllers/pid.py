@@ -22,9 +22,10 @@ after Åström & Murray, "Feedback Systems", ch. 11 and 12.5, with what a rig of
 
   is the torque with which the model follows it: h what holds the axis there, c the inverse of its
   linear dynamics, rotor included; with the lead in front, it is again a polynomial of degree 3. The
-  third derivative is cut so that c r̃ stays within a part of the torque that h leaves: r̃ asks for
-  nothing that cannot be followed, nor for all that there is, for then none is left to the feedback. As r̃ is
-  smooth, D may act on r̃ − α without a kick; with ``reference_lag=0`` there is no r̃ to
+  third derivative is cut so that h + c r̃ stays within a part of the rotor's torque, or c r̃ within
+  a part of what h leaves: r̃ asks for nothing that cannot be followed, nor for all that there is,
+  for then none is left to the feedback.
+  As r̃ is smooth, D may act on r̃ − α without a kick; with ``reference_lag=0`` there is no r̃ to
   differentiate, and D acts on −α.
 - A reference that moves so that the rotor's torque could follow it is followed with its rate and
   acceleration, differences of its samples, and the lags do not hold r̃ back. A jump is not such a
@@ -71,9 +72,9 @@ _CLOSING = 5.0
 #: Part of the friction that closes an error: with all of it, lags make the axis swing about its
 #: reference, as a relay would.
 _FOR_CLOSING = 0.7
-#: Part of the torque beyond what holds the axis that a reference may ask for; the rest is left to
-#: the feedback.
-_FOR_REFERENCE = 0.5
+#: Part of the rotor's torque that a reference may ask for, the rest is left to the feedback; and of
+#: what holding the axis leaves, where that takes most of it.
+_FOR_REFERENCE, _AT_LEAST = 0.5, 0.25
 #: Samples that a jump of the reference spoils: the difference to it, and that from it.
 _JUMP = 2
 
@@ -324,9 +325,8 @@ def _guided(
         held = axis.holding.at(y)
         calm = held + c1 * rate + c2 * acceleration
         if c3 > 0:
-            least, most = (
-                held + _FOR_REFERENCE * (limit - held) for limit in (axis.least, axis.most)
-            )
+            least = min(_FOR_REFERENCE * axis.least, held + _AT_LEAST * (axis.least - held))
+            most = max(_FOR_REFERENCE * axis.most, held + _AT_LEAST * (axis.most - held))
             jerk = min(max(jerk, (least - calm) / c3), (most - calm) / c3)
         a1, a2, a3 = axis.ahead
         forward = held + a1 * rate + a2 * acceleration + a3 * jerk
