@@ -11,8 +11,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-#: Files that hold code of others for now.
-EXCEPTED = {"trms_cli/code_generation/daqp.c"}
 _PROSE = {".md", ".ipynb", ".lock", ".toml"}
 # written in parts, so that this file is no hit of its own
 _HEADER = re.compile(
@@ -29,8 +27,6 @@ _HEADER = re.compile(
 
 def borrowed(name: str, content: bytes) -> str:
     """What is borrowed in a file; empty: nothing."""
-    if name in EXCEPTED:
-        return ""
     if name.endswith((".min.js", ".min.css")):
         return "a minified script: take it from its package"
     path = Path(name)

@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
-from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState, NewtonResult
+from trms_cli.controllers.newton.state import NewtonMpcState
+from trms_cli.controllers.newton.step import NewtonResult
+from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
@@ -57,7 +59,7 @@ class Loop:
     def __post_init__(self) -> None:
         period = self.mpc.sample_time
         self._step = BufferedFunction(discretise(MODEL, period, self.substeps).step)
-        self.state = self.mpc.init(ControlSetup(MODEL, period, np.zeros(MODEL.n_u)))
+        self.state = NewtonMpcState(self.mpc, ControlSetup(MODEL, period, np.zeros(MODEL.n_u)))
 
     def begin(self, x: FloatArray, goal: FloatArray, u_before: FloatArray) -> None:
         """Target and first plan of a sample: the last plan shifted in time."""

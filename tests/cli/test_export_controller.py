@@ -110,9 +110,11 @@ def test_without_a_compiler_it_writes_and_says_so(tmp_path, capsys, monkeypatch)
     ("override", "where", "words"),
     [
         ("controller=pid", "controller", "controller=pid has no C source"),
-        ("controller.terminal=quasi_infinite", "controller.terminal", "quasi_infinite"),
-        ("controller.fallback=stop", "controller.fallback", "stop"),
-        ("qp_solver@controller.qp=osqp", "controller.qp", "other than daqp has no C source"),
+        (
+            "qp_solver@controller.qp=osqp",
+            "controller.qp",
+            "only the engine's own QP solver has C source",
+        ),
         ("plant=replay plant.file=x.csv", "plant", "recording"),
         ("name=Rig", "name", "'Rig' given"),
         ("name=mpc", "name", "'mpc' given"),

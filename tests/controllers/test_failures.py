@@ -24,7 +24,7 @@ from .closed_loop_case import SAMPLE_TIME, sample_of, setup_of
 BOTH = Newtonian()
 BLOCKS = (1, 1, 1, 1, 2, 2, 4, 4, 8)
 PREDICTIVE: dict[str, Any] = {
-    "newton_mpc": (NewtonMpc, {"prediction_horizon": 20, "max_iterations": 1}),
+    "newton_mpc": (NewtonMpc, {"prediction_horizon": 20, "max_iterations": 1, "qp": Daqp()}),
     "linear_mpc": (LinearMpc, {}),
     "nmpc": (Nmpc, {"prediction_horizon": 24, "move_blocks": BLOCKS, "machine_code": False}),
 }

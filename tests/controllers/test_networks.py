@@ -56,7 +56,7 @@ class TestSteadyState:
 
 class TestPrediction:
     def test_is_the_network_evaluated_sample_by_sample_with_the_slopes_of_its_differences(self):
-        horizon = MPC.init(setup_of(rig_like(bend=0.4))).newton.horizon
+        horizon = MPC.problem(setup_of(rig_like(bend=0.4))).horizon
         rng = np.random.default_rng(5)
         point = horizon.arguments
         point["x0"][:] = horizon.model.rest() + 0.05

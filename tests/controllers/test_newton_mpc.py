@@ -15,8 +15,9 @@ from scipy.optimize import minimize
 from trms_cli.controllers.controller import ControlSample, Status
 from trms_cli.controllers.horizon import blocks_of
 from trms_cli.controllers.linear_mpc import LinearMpc
+from trms_cli.controllers.newton.region import TerminalRegion
+from trms_cli.controllers.newton.state import NewtonMpcState
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.controllers.newton_region import TerminalRegion
 from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import BufferedFunction
@@ -60,7 +61,7 @@ QUASI: dict[str, Any] = {"terminal": "quasi_infinite"}
 
 def first_command(mpc: NewtonMpc, model: Any, x: np.ndarray, reference: list[float]) -> Any:
     """State and command of one sample."""
-    state = mpc.init(setup_of(model, mpc.sample_time))
+    state = NewtonMpcState(mpc, setup_of(model, mpc.sample_time))
     return state, mpc.step(state, sample_of(model, reference, x), want_prediction=True)
 
 
@@ -254,7 +255,7 @@ def test_merit_never_rises_within_a_sample(terminal: dict[str, Any]) -> None:
     generator = np.random.default_rng(5)
     for _ in range(25):
         x = MODEL.rest() + generator.uniform(-1, 1, 6) * [150, 0.6, 0.8, 150, 0.6, 0.5]
-        state = NewtonMpc(**SHORT, **terminal).init(setup_of(MODEL))
+        state = NewtonMpcState(NewtonMpc(**SHORT, **terminal), setup_of(MODEL))
         state.begin_sample(sample_of(MODEL, generator.uniform(-0.4, 0.4, 2), x))
         merits = []
         for _ in range(8):
@@ -264,28 +265,36 @@ def test_merit_never_rises_within_a_sample(terminal: dict[str, Any]) -> None:
         assert (np.diff(merits) <= 1e-9 * (1 + np.abs(merits[:-1]))).all()
 
 
-def test_of_two_starts_the_better_end_is_kept() -> None:
-    # A tail rotor that rests and is planned to rest sees no thrust: yaw is stuck where it is.
+@pytest.mark.parametrize("iterations", [1, 60])
+@pytest.mark.parametrize("goal", [0.3, -0.4, 1.0])
+def test_a_plan_that_sees_no_way_starts_anew_from_the_steady_input(
+    goal: float, iterations: int
+) -> None:
+    """A tail rotor that rests, and is planned to rest, has no thrust slope: its step is 0."""
     model = Newtonian(freedom="horizontal")
-    mpc = NewtonMpc(move_weights={"u_h": 0.2}, rate_weights={"alpha_h": 0.36}, **CONVERGED)
-    different = 0
-    for goal in (0.3, -0.4, 0.05):
-        sample = sample_of(model, [goal])
-        state = mpc.init(setup_of(model))
-        state.begin_sample(sample)
-        newton = state.newton
-        starts = [np.zeros_like(newton.plan), newton.plan.copy()]
-        ends = []
-        for start in starts:
-            newton.plan[:] = start
-            ends.append(newton.solve(60, 1e-7).merit)
-        newton.plan[:] = starts[0]
-        outcome = newton.solve(60, 1e-7, starts[1])
-        assert outcome.merit == pytest.approx(min(ends), rel=1e-9)
-        # What is handed out is what was chosen.
-        assert newton.merit(newton.plan) == pytest.approx(outcome.merit, rel=1e-9)
-        different += abs(ends[0] - ends[1]) > 1e-6 * ends[0]
-    assert different > 0
+    mpc = NewtonMpc(terminal="none", move_weights={"u_h": 0.2}, rate_weights={"alpha_h": 0.36})
+    state = NewtonMpcState(mpc, setup_of(model))
+    state.begin_sample(sample_of(model, [goal]))
+    newton, steady = state.newton, state.newton.plan.copy()
+    still = np.zeros_like(steady)
+    newton.plan[:] = still
+    stuck = newton.solve(iterations, 1e-7)
+    assert stuck.is_stuck and (newton.plan == still).all()
+    newton.plan[:] = steady
+    other = newton.solve(iterations, 1e-7)
+    newton.plan[:] = still
+    outcome = newton.solve(iterations, 1e-7, steady)
+    assert outcome.merit == pytest.approx(other.merit, rel=1e-9)
+    assert outcome.merit < 0.5 * stuck.merit
+    # What is handed out is what was chosen.
+    assert newton.merit(newton.plan) == pytest.approx(outcome.merit, rel=1e-9)
+
+
+def test_a_plan_that_sees_its_way_has_no_second_start() -> None:
+    state = NewtonMpcState(NewtonMpc(max_iterations=1), setup_of(MODEL))
+    state.begin_sample(sample_of(MODEL, [0.2, 0.4]))
+    outcome = state.newton.solve(1, 1e-7, np.zeros_like(state.newton.plan))
+    assert not outcome.is_stuck and outcome.iterations == 1
 
 
 def test_terminal_equality_is_met_when_it_can_be_and_else_relaxed_and_reported() -> None:
@@ -402,7 +411,7 @@ GOALS = ([0.2, 0.4], [-0.3, -0.5], [0.0, 0.1], [0.0, 0.0], [0.35, 0.02])
 
 def begun(mpc: NewtonMpc, model: Any, goal: list[float], x: np.ndarray | None = None) -> Any:
     """A state that has seen one sample, its region designed."""
-    state = mpc.init(setup_of(model, mpc.sample_time))
+    state = NewtonMpcState(mpc, setup_of(model, mpc.sample_time))
     state.begin_sample(sample_of(model, goal, x))
     return state
 
@@ -457,7 +466,7 @@ def test_equals_the_infinite_horizon_lqr_without_constraints(horizon: int) -> No
         max_iterations=3,
     )
     x, before = np.array([0.3, -0.2, 0.5, 0.1]), np.array([0.4, -0.1])
-    state = mpc.init(setup_of(model, 0.2))
+    state = NewtonMpcState(mpc, setup_of(model, 0.2))
     command = mpc.step(state, sample_of(model, [0.0, 0.0], x, before), want_prediction=False)
 
     a, b = matrices(discretise(model, 0.2).step, model)
@@ -635,7 +644,7 @@ def test_inside_the_cone_of_friction_a_command_returns_to_the_steady_one() -> No
     mpc = NewtonMpc()
     state = mpc.init(setup_of(dry, 0.1))
     goal = np.array([[0.0, 0.5]])
-    target = state.steady_state.solve(goal[0])
+    target = state.problem.steady_state.solve(goal[0])
     command = target.u + np.array([0.0, 0.02])  # V, inside the cone
     x = target.x.copy()
     away = [0.02]

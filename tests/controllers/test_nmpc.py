@@ -9,6 +9,7 @@ import pytest
 
 from trms_cli.composition.composer import compose
 from trms_cli.controllers.controller import Status
+from trms_cli.controllers.newton.state import NewtonMpcState
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.core.errors import ConfigurationError
@@ -65,7 +66,7 @@ def test_it_finds_the_optimum_of_newton_mpc(solver: str, keys: Any, model: Model
     newton = replace(law.problem(), max_iterations=200, tolerance=1e-8)
     start = SteadyState(model).solve(np.array([0.0, 0.3]))  # both rotors turn
     sample = sample_of(model, [0.15, 0.4], start.x, start.u)
-    ours, theirs = law.init(setup_of(model)), newton.init(setup_of(model))
+    ours, theirs = law.init(setup_of(model)), NewtonMpcState(newton, setup_of(model))
     answer = law.step(ours, sample, want_prediction=True)
     other = newton.step(theirs, sample, want_prediction=True)
     assert answer.status in (Status.OK, Status.RELAXED)

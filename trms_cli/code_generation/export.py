@@ -12,18 +12,16 @@ import numpy as np
 
 from trms_cli import __version__
 from trms_cli.code_generation.measure import ExampleMeasurement
-from trms_cli.code_generation.newton_source import (
-    ControllerSource,
-    check_exportable,
-    name_controller,
-    newton_source,
-    template,
-)
-from trms_cli.code_generation.observer_source import ObserverSource, observer_source
+from trms_cli.code_generation.observer_source import ObserverSource, observer_source, template
 from trms_cli.controllers.controller import ControlSample, ControlSetup
+from trms_cli.controllers.newton.source import ControllerSource, newton_source
 from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.qp.riccati import Riccati
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.c_source import with_prefix
 from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.qp import Daqp
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
@@ -95,7 +93,7 @@ class Export:
 
     def readme(self, command: str, measured: ExampleMeasurement | None) -> str:
         """Markdown: what it is, how to call it, signals, memory, times if they were measured."""
-        text = name_controller(template("readme.md").replace("MPC_CALL", _call(self)), self.name)
+        text = with_prefix(template("readme.md").replace("MPC_CALL", _call(self)), self.name)
         text = re.sub(r"\bmpc\b", self.name, text)
         for token, part in {
             "SIGNALS": _signals(self),
@@ -150,7 +148,8 @@ def export(
     if isinstance(observer, RecursiveFilter) and observing is not None:
         part = observer_source(observer, observing)
     title = f"Newton MPC of model {setup.model.name}, by trms {__version__}"
-    source = newton_source(controller, setup, name, title, part)
+    preview = controller.preview(setup)
+    source = newton_source(controller.problem(setup), preview, name, title, part)
     rows = example_rows(controller, setup, reference, samples)
     example = template("example.c")
     for token, words in {
@@ -161,11 +160,30 @@ def export(
     files = {
         f"{name}.c": source.source,
         f"{name}.h": source.header,
-        f"{name}_example.c": name_controller(example, name),
-        "Makefile": name_controller(template("example.mk"), name).replace("mpc.", f"{name}."),
-        "example.csv": example_csv(rows, setup, controller.preview(setup)),
+        f"{name}_example.c": with_prefix(example, name),
+        "Makefile": with_prefix(template("example.mk"), name).replace("mpc.", f"{name}."),
+        "example.csv": example_csv(rows, setup, preview),
     }
     return Export(name, setup, controller, source, part, files)
+
+
+def check_exportable(controller: Any, option: str = "") -> None:
+    """Raise :class:`ConfigurationError` for a controller, or an option of it, that has no C.
+
+    ``option``: as it was chosen, for the message.
+    """
+    if not isinstance(controller, NewtonMpc):
+        raise ConfigurationError(
+            f"{f'controller={option}' if option else 'this controller'} has no C source",
+            where="controller",
+            remedy="export newton_mpc: controller=newton_mpc",
+        )
+    if type(controller.qp) not in (Riccati, Daqp):
+        raise ConfigurationError(
+            "only the engine's own QP solver has C source",
+            where="controller.qp",
+            remedy="take riccati: qp_solver@controller.qp=riccati",
+        )
 
 
 def _call(export: Export) -> str:
@@ -209,8 +227,8 @@ def _signals(export: Export) -> str:
 def _figures(export: Export, measured: ExampleMeasurement | None) -> str:
     sizes = export.source.sizes
     what = (
-        f"{sizes['N']} control periods, {sizes['N_Z']} unknowns, {sizes['ROWS']} rows"
-        + (f" and {sizes['ROWS_SOFT']} of soft limits" if sizes["ROWS_SOFT"] else "")
+        f"{sizes['N']} control periods, {sizes['N_Z']} unknowns"
+        + (f", {sizes['ROWS_SOFT']} soft limits" if sizes["ROWS_SOFT"] else "")
         + f", at most {export.controller.max_iterations} iterations"
     )
     if measured is None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,16 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from trms_cli.code_generation.measure import FLAGS
-from trms_cli.code_generation.newton_source import name_controller, template
-from trms_cli.controllers.controller import (
-    Command,
-    ControlSample,
-    ControlSetup,
-    Delay,
-    Status,
-)
+from trms_cli.code_generation.observer_source import template
+from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Delay
+from trms_cli.controllers.fallback import end_of_run
+from trms_cli.controllers.newton import engine
+from trms_cli.controllers.newton.engine import EngineContext, EngineLibrary
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.c_source import with_prefix
 from trms_cli.core.compilation import build_library, compiler
 from trms_cli.core.data_file import read_bytes, read_json
 from trms_cli.core.errors import ConfigurationError
@@ -43,10 +39,6 @@ _SCHEMA = "trms.export-controller/1"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 #: Bytes of a source or a header; an export that is larger is refused when it is made.
 _LARGEST_SOURCE = 64 * 2**20
-_STATUS = (Status.OK, Status.BUDGET, Status.RELAXED, Status.FAILED)  # in the order of mpc_status
-_FALLBACKS = ("", "shifted_plan", "hold", "steady_input")  # in the order of mpc_fallback
-#: Room for the words of a step, in the order of drive.c.
-_WORDS = 8
 _REMEDY = "a folder that `trms export-controller` wrote, with NAME.c, NAME.h and controller.json"
 _Pointer = ctypes.POINTER(ctypes.c_double)
 
@@ -111,28 +103,23 @@ def _words_of(command: str) -> tuple[str, ...]:
     return tuple(word for word in shlex.split(command)[2:] if "=" in word)
 
 
-class Library:
+class Library(EngineLibrary):
     """The compiled source of an export.
 
     Raises ConfigurationError without a compiler, and for a source that does not compile.
     """
 
     def __init__(self, export: ExportFolder) -> None:
+        super().__init__(_built(export), export.name)
         self.export = export
-        self._library = ctypes.CDLL(str(_built(export)))
-        sizes, size_of = (ctypes.c_int * 7)(), (ctypes.c_size_t * 2)()
-        periods = (ctypes.c_double * 2)()
-        self.function("drive_sizes")(sizes)
-        self.function("drive_structs")(size_of, periods)
-        self.n_x, self.n_u, self.n_w, self.n_r, self.preview, self.n_y, self.n_z = sizes
-        self.context_bytes, self.observer_bytes = size_of
-        self.period, self.observer_period = periods  #: s; zero without an observer
-
-    def function(self, name: str, result: Any = None) -> Any:
-        """A function of the source, by its name without prefix."""
-        function = getattr(self._library, f"{self.export.name}_{name}")
-        function.restype = result
-        return function
+        sizes, bytes_of, period = (
+            (ctypes.c_int * 2)(),
+            (ctypes.c_size_t * 1)(),
+            (ctypes.c_double * 1)(),
+        )
+        self.function("drive_observer")(sizes, bytes_of, period)
+        self.n_y, self.n_z = sizes
+        self.observer_bytes, self.observer_period = bytes_of[0], period[0]
 
     def check_model(self, model: Model) -> None:
         """Refuse a model that has other signals than the one that was exported.
@@ -178,8 +165,8 @@ def _built(export: ExportFolder) -> Path:
         file: read_bytes(export.path / file, _LARGEST_SOURCE).decode("utf-8")
         for file in (f"{name}.c", f"{name}.h")
     }
-    driver = name_controller(template("drive.c"), name)
-    driver = driver.replace(f'"{name}_source.c"', f'"{name}.c"')
+    calls = engine.template("driver.c") + template("drive_observer.c")
+    driver = with_prefix(f'{engine.CLOCK}#include "{name}.c"\n' + calls, name)
 
     def write(folder: Path) -> Path:
         for file, content in text.items():
@@ -191,7 +178,7 @@ def _built(export: ExportFolder) -> Path:
     library = build_library(
         f"exported_{name}",
         [*text.values(), driver],
-        (*FLAGS, "-ffp-contract=off", "-fPIC", "-shared"),
+        engine.FLAGS,
         write,
     )
     if library is None:
@@ -224,20 +211,6 @@ class _Exported:
         return _library(Path(self.folder))
 
 
-@dataclass(frozen=True)
-class ControllerContext:
-    """A controller's memory in C, and the arrays that it reads and writes."""
-
-    memory: FloatArray  #: Holds the struct
-    x: FloatArray  #: (n_x,) array
-    w: FloatArray  #: (n_w,) array; N m
-    reference: FloatArray  #: (preview + 1, n_r) array; rad
-    before: FloatArray  #: (n_u,) array; V
-    u: FloatArray  #: (n_u,) array; V
-    words: FloatArray  #: What a step says of itself
-    call: Any  #: One step, its arguments bound
-
-
 @dataclass(frozen=True, kw_only=True)
 class ExportedController(_Exported):
     """The exported controller in the place of the one that it was exported from."""
@@ -253,7 +226,7 @@ class ExportedController(_Exported):
         """Control periods that the exported source sees ahead."""
         return self.library.preview
 
-    def init(self, setup: ControlSetup) -> ControllerContext:
+    def init(self, setup: ControlSetup) -> EngineContext:
         """A fresh context.
 
         Raises ConfigurationError for another model, or another period, than was exported.
@@ -261,46 +234,19 @@ class ExportedController(_Exported):
         library = self.library
         library.check_model(setup.model)
         _check_period(setup.sample_time, library.period, "controller")
-        memory = np.zeros(-(-library.context_bytes // 8))
-        x, w, before, u, words = map(
-            np.zeros, (library.n_x, library.n_w, library.n_u, library.n_u, _WORDS)
-        )
-        reference = np.zeros((library.preview + 1, library.n_r))
-        first = np.ascontiguousarray(setup.first_command, dtype=float)
-        library.function("init_at")(_pointer(memory), _pointer(first))
-        arrays = (memory, x, w, reference, before, u, words)
-        step = library.function("drive_step", ctypes.c_int)
-        call = functools.partial(step, *map(_pointer, arrays))
-        return ControllerContext(memory, x, w, reference, before, u, words, call)
+        return EngineContext(library, setup.first_command)
 
     def step(
-        self, state: ControllerContext, sample: ControlSample, *, want_prediction: bool
+        self, state: EngineContext, sample: ControlSample, *, want_prediction: bool
     ) -> Command:
-        """The command from now to the next control period."""
-        state.x[:], state.w[:] = sample.estimate.x, sample.estimate.disturbance
-        state.reference[...], state.before[:] = sample.reference, sample.previous_command
-        status = _STATUS[state.call()]
-        fallback, iterations, objective, violation, terminal, kkt, is_projected, is_held = (
-            state.words.tolist()
-        )
-        words = [f"{_FALLBACKS[int(fallback)]} acted"] if status is Status.FAILED else []
-        words += [status.meaning] if status is Status.RELAXED else []
-        if not is_held:
-            words.append("no input holds the estimated disturbance; the last target goes on")
-        elif is_projected:
-            words.append("the reference is out of reach; the nearest steady state is the target")
-        return Command(
-            state.u.copy(),
-            status,
-            int(iterations),
-            objective,
-            math.nan if status is Status.FAILED else max(violation, terminal),
-            kkt,
-            fallback=_FALLBACKS[int(fallback)],
-            message="; ".join(words),
-            out_of_reach=bool(is_projected),
-            terminal_residual=terminal,
-        )
+        """The command from now to the next control period.
+
+        Raises SimulationError for a sample without a solution where the export ends the run then.
+        """
+        command = state.step(sample)
+        if command.fallback == "stop":
+            raise end_of_run("exported", command.message)
+        return command
 
 
 @dataclass(frozen=True)

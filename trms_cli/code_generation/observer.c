@@ -95,7 +95,7 @@ void mpc_observer_init(mpc_observer *o, const double *y_first, const double *u_f
     memset(o, 0, sizeof *o);
     memcpy(o->p, mpc_filter_p, sizeof o->p);
     for (i = 0; i < MPC_N_U; i++) o->u[i] = u_first && isfinite(u_first[i]) ? u_first[i] : 0;
-    for (i = 0; i < MPC_N_S; i++) s[i] = mpc_steady_rest[i];
+    for (i = 0; i < MPC_N_S; i++) s[i] = mpc_exported_settings.steady_rest[i];
     for (i = 0; i < MPC_N_Y; i++)
         if (mpc_filter_measured[i] >= 0 && y_first && isfinite(y_first[i]))
             s[mpc_filter_measured[i]] = y_first[i];

@@ -1,12 +1,13 @@
 """The C of a recursive filter (UKF, EKF, …) that goes with a controller."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from trms_cli.code_generation.literals import number, table, text, whole_table
+from trms_cli.controllers.newton.source import Companion
+from trms_cli.core.c_source import number, table, text, whole_table
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model
 from trms_cli.models.rest import equation_weights, rest_equations
@@ -19,15 +20,11 @@ _SHORT = 1e-7
 
 
 @dataclass(frozen=True)
-class ObserverSource:
+class ObserverSource(Companion):
     """A filter in C."""
 
-    functions: Mapping[str, ca.Function]  #: What is generated for it, by name
-    sizes: Mapping[str, tuple[int, str]]  #: Macros without prefix: value and comment
-    tables: str  #: Its constants
     channels: tuple[str, ...]  #: Measured, in the order of ``y``
     states: tuple[str, ...]  #: Of its mean: states, then torques
-    period: float  #: s, between two samples
 
 
 def observer_source(observer: RecursiveFilter, setup: ObserverSetup) -> ObserverSource:
@@ -83,8 +80,20 @@ def observer_source(observer: RecursiveFilter, setup: ObserverSetup) -> Observer
         whole_table("mpc_filter_measured", measured),
     ]
     return ObserverSource(
-        functions, sizes, "\n".join(constants), setup.outputs, augmented.names, setup.sample_time
+        functions,
+        sizes,
+        "\n".join(constants),
+        setup.sample_time,
+        template("observer.h"),
+        template("observer.c"),
+        setup.outputs,
+        augmented.names,
     )
+
+
+def template(file: str) -> str:
+    """The text of a file of this folder that C or a README is made of."""
+    return (Path(__file__).parent / file).read_text(encoding="utf-8")
 
 
 def resting_step(model: Model, outputs: tuple[str, ...]) -> ca.Function:

@@ -126,8 +126,7 @@ def _check(config: Mapping[str, Any]) -> None:
 
 
 def _exported(composition: Composition) -> Export:
-    from trms_cli.code_generation.export import export
-    from trms_cli.code_generation.newton_source import check_exportable
+    from trms_cli.code_generation.export import check_exportable, export
     from trms_cli.controllers.controller import ControlSetup
     from trms_cli.library.tasks.experiment import experiment_of
     from trms_cli.models.model import names

@@ -43,11 +43,7 @@ def fall_back(
     the inputs, V.
     """
     if policy == "stop":
-        raise SimulationError(
-            f"{who}: {reason}",
-            where="controller",
-            remedy="choose another controller.fallback to go on",
-        )
+        raise end_of_run(who, reason)
     steady = None if target is None else target.u
     acting: str = policy
     command = {"shifted_plan": planned, "steady_input": steady, "hold": last}[policy]
@@ -55,6 +51,15 @@ def fall_back(
         acting, command = "hold", last
     words = f"{reason}; {acting.replace('_', ' ')} acts"
     return Command(np.clip(command, *bounds), Status.FAILED, fallback=acting, message=words)
+
+
+def end_of_run(who: str, reason: str) -> SimulationError:
+    """What the policy ``stop`` ends a run with."""
+    return SimulationError(
+        f"{who}: {reason}",
+        where="controller",
+        remedy="choose another controller.fallback to go on",
+    )
 
 
 def hold_command(last: FloatArray, reason: str) -> Command:

@@ -1,4 +1,4 @@
-"""The prediction over a horizon, compiled: trajectory, sensitivities, objective and penalties.
+"""The prediction over a horizon: trajectory, sensitivities, objective and penalties.
 
 The future inputs are the only unknowns (single shooting): each input is constant over blocks of
 control periods, ``u_k = z[:, block(k)]``, and the states follow by simulation, so that every
@@ -13,10 +13,11 @@ where ``ṙ`` is the rate of a reference that moves smoothly
 ``x_N − x_s`` and the violations of soft limits. φ is an exact penalty function: with μ above the
 multipliers its minimum meets the constraints exactly.
 
-With a terminal region (:mod:`trms_cli.controllers.newton_region`) J also has the terminal cost
+With a terminal region (:mod:`trms_cli.controllers.newton.region`) J also has the terminal cost
 ``‖L ξ_N‖²`` of ``ξ_N = (x_N − x_s, u_N−1 − u_s)``, and the terminal v is ``max(0, ‖L ξ_N‖ − √α)``.
 """
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -28,7 +29,7 @@ from msgspec import Meta
 from trms_cli.controllers.controller import ControlSetup, Delay
 from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.compilation import BufferedFunction, argument_array
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
@@ -202,7 +203,7 @@ def check_names(entries: Iterable[str], allowed_names: Sequence[str], where: str
 
 
 class Horizon:
-    """Compiled prediction of a discretised model.
+    """Prediction of a discretised model, compiled when it is first asked for.
 
     ``discrete``: one control period. ``blocks``: (N,); from :func:`blocks_of`. ``scale``: (n_x,);
     typical size of each state; the terminal residual is divided by it. Weights, limits, prices and
@@ -234,20 +235,29 @@ class Horizon:
         self.argument_names = (*ARGUMENTS, *(REGION_ARGUMENTS if self.has_region else ()))
         #: Terminal residuals: one a state of the equality, a single one of a region, or none.
         self.n_terminal = 0 if terminal is None else 1 if terminal.region else model.n_x
-        #: Arguments → states (n_x, N), terminal residual, scaled (n_x,), objective, merit,
-        #: violation; then gradient of J (n_z,), its Gauss–Newton root G (n_errors·N, n_z) with
-        #: 2 GᵀG the Hessian of the part of states and rates, slope of the terminal residual
-        #: (n_x, n_z), slopes of the limited states (n_limited·N, n_z). With a terminal region the
-        #: residual is ``‖L ξ_N‖ − √α`` (1,), and G has the rows of the terminal cost besides.
-        self.linearise = BufferedFunction(self._function(with_sensitivities=True))
-        #: Arguments of both functions by name: they share the arrays.
-        self.arguments = dict(zip(self.argument_names, self.linearise.inputs, strict=True))
-        #: The same arguments → the first five of these.
-        self.evaluate = BufferedFunction(
-            self._function(with_sensitivities=False), inputs=self.linearise.inputs
-        )
+        #: Arguments of both compiled functions by name.
+        self.arguments = {name: argument_array(size) for name, size in self._sizes().items()}
         for name, value in self._settings().items():
             self.arguments[name][...] = value
+
+    @functools.cached_property
+    def linearise(self) -> BufferedFunction:
+        """The compiled prediction with its slopes.
+
+        Arguments → states (n_x, N), terminal residual, scaled (n_x,), objective, merit, violation;
+        then gradient of J (n_z,), its Gauss–Newton root G (n_errors·N, n_z) with 2 GᵀG the Hessian
+        of the part of states and rates, slope of the terminal residual (n_x, n_z), slopes of the
+        limited states (n_limited·N, n_z). With a terminal region the residual is ``‖L ξ_N‖ − √α``
+        (1,), and G has the rows of the terminal cost besides.
+        """
+        function = self._function(with_sensitivities=True)
+        return BufferedFunction(function, inputs=tuple(self.arguments.values()))
+
+    @functools.cached_property
+    def evaluate(self) -> BufferedFunction:
+        """The compiled prediction: the same arguments → the first five of these."""
+        function = self._function(with_sensitivities=False)
+        return BufferedFunction(function, inputs=tuple(self.arguments.values()))
 
     def _settings(self) -> dict[str, FloatArray]:
         """Values of the arguments that stay the same during a run."""
@@ -271,10 +281,10 @@ class Horizon:
             "scale": self.scale,
         }
 
-    def _function(self, *, with_sensitivities: bool) -> ca.Function:
-        discrete, model, n = self.discrete, self.model, self.n_periods
-        stage = _stage(discrete, with_sensitivities)
-        n_x, n_u = model.n_x, model.n_u
+    def _sizes(self) -> dict[str, tuple[int, int]]:
+        """Of the arguments, by name."""
+        model, discrete = self.model, self.discrete
+        n, n_x, n_u = self.n_periods, model.n_x, model.n_u
         sizes = {
             "x0": (discrete.n_x, 1),
             "z": (n_u, self.n_blocks),
@@ -294,7 +304,13 @@ class Horizon:
             "root": (discrete.n_x + n_u, discrete.n_x + n_u),
             "radius": (1, 1),
         }
-        at = {name: ca.MX.sym(name, *sizes[name]) for name in self.argument_names}
+        return {name: sizes[name] for name in self.argument_names}
+
+    def _function(self, *, with_sensitivities: bool) -> ca.Function:
+        discrete, model, n = self.discrete, self.model, self.n_periods
+        stage = _stage(discrete, with_sensitivities)
+        n_x, n_u = model.n_x, model.n_u
+        at = {name: ca.MX.sym(name, *size) for name, size in self._sizes().items()}
 
         state, states, slopes = at["x0"], [], []
         sensitivity = ca.MX(discrete.n_x, 0)

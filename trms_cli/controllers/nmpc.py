@@ -23,7 +23,8 @@ from msgspec import Meta
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
 from trms_cli.controllers.fallback import NOT_FINITE, Policy
 from trms_cli.controllers.horizon import HorizonSettings, Positive
-from trms_cli.controllers.newton_mpc import NewtonMpc, NewtonMpcState
+from trms_cli.controllers.newton.state import NewtonMpcState
+from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.ocp import InteriorPoint, Method, OcpSolution, build
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError

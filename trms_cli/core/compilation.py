@@ -140,11 +140,8 @@ def build_library(
     writes the source into a folder, and says where.
     """
     program = compiler()
-    if program is None:
-        return None
-    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *flags]).encode())
-    library = cache_folder() / f"{name}_{key.hexdigest()[:32]}.so"
-    if library.exists():
+    library = _place(name, content, flags)
+    if program is None or library is None or library.exists():
         return library
     try:
         library.parent.mkdir(parents=True, exist_ok=True)
@@ -157,6 +154,21 @@ def build_library(
         # An unwritable cache or a broken compiler costs speed, never the run.
         return None
     return library
+
+
+def is_built(name: str, content: Iterable[str], flags: Sequence[str]) -> bool:
+    """Whether :func:`build_library` has nothing to build."""
+    library = _place(name, content, flags)
+    return library is not None and library.exists()
+
+
+def _place(name: str, content: Iterable[str], flags: Sequence[str]) -> Path | None:
+    """Where the library of a source is; None without a compiler."""
+    program = compiler()
+    if program is None:
+        return None
+    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *flags]).encode())
+    return cache_folder() / f"{name}_{key.hexdigest()[:32]}.so"
 
 
 class BufferedFunction:
@@ -183,10 +195,10 @@ class BufferedFunction:
         self.function = compile_function(function) if compile else function
         self._buffer, self._evaluate = self.function.buffer()
         self.inputs: tuple[FloatArray, ...] = tuple(
-            inputs or (_array(function.size_in(i)) for i in range(function.n_in()))
+            inputs or (argument_array(function.size_in(i)) for i in range(function.n_in()))
         )
         self.outputs: tuple[FloatArray, ...] = tuple(
-            _array(function.size_out(i)) for i in range(function.n_out())
+            argument_array(function.size_out(i)) for i in range(function.n_out())
         )
         for i, array in enumerate(self.inputs):
             self._buffer.set_arg(i, array.ravel(order="K").data)
@@ -205,7 +217,7 @@ class BufferedFunction:
         return self.outputs
 
 
-def _array(size: tuple[int, int]) -> FloatArray:
+def argument_array(size: tuple[int, int]) -> FloatArray:
     """Vectors as 1-D arrays, matrices in CasADi's column-major order."""
     rows, columns = size
     if columns == 1:

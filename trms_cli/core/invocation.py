@@ -68,6 +68,12 @@ def note(text: str) -> None:
         listener(text)
 
 
+def remark_wait(text: str) -> None:
+    """Tell a person at a terminal that something takes a while; nobody else."""
+    if _listener.get() is None and sys.stderr.isatty():
+        sys.stderr.write(f"{text}\n")
+
+
 @contextmanager
 def notes_to(listener: Callable[[str], None]) -> Iterator[None]:
     """Inside, remarks go to `listener`."""

@@ -98,7 +98,11 @@ class Daqp:
             model.update(H=qp.hessian, f=qp.gradient, A=rows, bupper=qp.upper, blower=qp.lower)
         else:
             model = daqp.Model()
-            model.settings = {"iter_limit": self.max_iterations}
+            model.settings = {
+                "iter_limit": self.max_iterations,
+                "primal_tol": 1e-10,
+                "dual_tol": 1e-12,
+            }
             flag, _ = model.setup(qp.hessian, qp.gradient, qp.rows, qp.upper, qp.lower, _kinds(qp))
             if flag < 0:  # no model: to ask it for a solution would be an error
                 return QpResult(np.full(len(qp.gradient), np.nan), False, 0, _reason(flag))

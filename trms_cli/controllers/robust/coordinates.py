@@ -38,7 +38,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from trms_cli.controllers.newton_mpc import typical_sizes
+from trms_cli.controllers.newton.problem import typical_sizes
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError

@@ -98,9 +98,8 @@ class RegionDesign:
         self._more_in_state = (more + _REGULARISATION) / sizes**2
         self._more_in_state[discrete.n_x :] = _REGULARISATION / inputs**2
         self._more_in_input = more / inputs**2 + _REGULARISATION
-        generator = np.random.default_rng(0)
-        self._directions = _unit(generator.standard_normal((self._n, _DIRECTIONS)))
-        self._jitter = generator.standard_normal((_ROUNDS, self._n, _DIRECTIONS))
+        self._directions = _unit(_drawn(self._n, 0))
+        self._jitter = [_drawn(self._n, i) for i in range(1, _ROUNDS + 1)]
 
     def centre(self, target: Target) -> FloatArray:
         """Full state (its memory at rest under u_s) and input of a target, shape (n,)."""
@@ -300,6 +299,21 @@ class RegionDesign:
         value = ca.sumsqr(zeta)
         gap = (value_after - value + stage) / value
         return ca.Function("region_gap", [zeta, root, inverse, centre, gain, p, w], [gap])
+
+
+def _drawn(n: int, round_number: int) -> FloatArray:
+    """Numbers that are the same everywhere and about normal, (n, n_directions).
+
+    Sums of four uniform ones by SplitMix64 (Steele, Lea & Flood 2014, OOPSLA) of their position.
+    """
+    size = n * _DIRECTIONS
+    position = np.arange(4 * size * round_number, 4 * size * (round_number + 1), dtype=np.uint64)
+    x = (position + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x ^= x >> np.uint64(31)
+    uniform = (x >> np.uint64(11)).astype(np.float64) / 2.0**53
+    return np.asarray(uniform.reshape(_DIRECTIONS, n, 4).sum(axis=2).T - 2.0)
 
 
 def _unit(columns: FloatArray) -> FloatArray:

@@ -28,16 +28,27 @@ typedef enum {
     MPC_NO_FALLBACK = 0,
     MPC_SHIFTED_PLAN = 1, /* the last plan, one period on */
     MPC_HOLD = 2,         /* the last command */
-    MPC_STEADY_INPUT = 3  /* the input of the steady state of the reference */
+    MPC_STEADY_INPUT = 3, /* the input of the steady state of the reference */
+    MPC_STOP = 4          /* the last command, and the run is to end: bring the rig to rest */
 } mpc_fallback;
+
+/* Why a step failed. */
+typedef enum {
+    MPC_NO_REASON = 0,
+    MPC_NOT_FINITE = 1,       /* an estimate, a reference or a command is no number */
+    MPC_DIVERGED = 2,         /* the predicted trajectory is not finite */
+    MPC_PROGRAM_UNSOLVED = 3  /* the quadratic program has no solution */
+} mpc_reason;
 
 typedef struct {
     mpc_status status;
     mpc_fallback fallback;
+    mpc_reason reason;
     int iterations;           /* of Newton */
-    int qp_iterations;        /* changes of the active set, all QPs of the step */
+    int qp_iterations;        /* recursions over the horizon, all QPs of the step */
     int steady_iterations;    /* of the search for the steady state */
     int target_projected;     /* 1: the reference is out of reach, the nearest is the target */
+    int target_has_no_region; /* 1: its steady state ends the horizon in place of a region */
     int target_held;          /* 0: no input holds the torques; the last target goes on */
     double objective;         /* J of the plan */
     double merit;             /* J with the penalties */
@@ -66,6 +77,59 @@ typedef struct {
     double rest[MPC_N_S];                    /* the model at rest, its memories as they are */
 } mpc_steady;
 
+#if MPC_REGION
+/* Where the horizon ends, of xi = (state, last input) - centre: |root xi| <= radius; beyond its end
+ * u = u_s + gain xi. */
+typedef struct {
+    int holds; /* 0: this target has none, its steady state ends the horizon */
+    double centre[MPC_N_V], root[MPC_N_V][MPC_N_V], gain[MPC_N_U][MPC_N_V], radius;
+} mpc_region;
+
+/* A region that was designed, by the cell that its target lies in. */
+typedef struct {
+    double cell[MPC_N_X + MPC_N_U];
+    mpc_region region;
+} mpc_known_region;
+
+#define MPC_REGIONS 16      /* that are remembered */
+#define MPC_REGION_WORST 16 /* directions that are looked around */
+#define MPC_REGION_DIRECTIONS 512
+
+typedef struct {
+    double worst[MPC_REGION_WORST][MPC_N_V], gaps[MPC_REGION_DIRECTIONS];
+} mpc_region_search;
+#endif
+
+/* A constraint of the quadratic program's interior point: room to it, price, where both go. */
+typedef struct {
+    double room, price, d_room, d_price;
+} mpc_pair;
+
+/* Work of the quadratic program. A value function is q'M q / 2 of q = (state, last input,
+ * 1, multipliers of the terminal constraint and of soft limits), without the row of 1. By block and input: slope of
+ * the cost, and gains, by q and the block's inputs. */
+typedef struct {
+    double F[MPC_N][MPC_N_FULL][MPC_N_F]; /* next state by (state, input) */
+    double value[MPC_N_ON ? 2 : MPC_N + 1][MPC_N_V + MPC_N_PRICES][MPC_N_M];
+    double slope[MPC_N_BLOCKS][MPC_N_U][MPC_N_ROW], gain[MPC_N_BLOCKS][MPC_N_U][MPC_N_ROW];
+    double miss[MPC_ROOM(MPC_N_TERMINAL)], price[MPC_ROOM(MPC_N_PRICES)];
+    double dz[MPC_N_Z], dx[MPC_N + 1][MPC_N_FULL], dx_before[MPC_N + 1][MPC_N_FULL];
+    signed char side[MPC_N_Z], turn[MPC_N_Z], order[MPC_N_BLOCKS][MPC_N_U];
+    signed char touch[MPC_ROOM(MPC_ROWS_SOFT)], touch_turn[MPC_ROOM(MPC_ROWS_SOFT)];
+    double touch_price[MPC_ROOM(MPC_ROWS_SOFT)];
+    int on[MPC_ROOM(MPC_ROWS_SOFT)]; /* multiplier of a limit that is touched */
+#if MPC_RATES_LIMITED
+    signed char fast[MPC_N_Z], fast_turn[MPC_N_Z]; /* at its limit of rate besides its bound */
+    int on_rate[MPC_N_Z];
+#endif
+    int is_interior, has_limits, n_on, width;
+    mpc_pair pair[MPC_QP_PAIRS];
+    double inside[MPC_N_Z], bound_weight[MPC_N_Z], bound_slope[MPC_N_Z];
+    double rate_weight[MPC_N_Z], rate_slope[MPC_N_Z];
+    double soft_weight[MPC_ROOM(MPC_ROWS_SOFT)], soft_slope[MPC_ROOM(MPC_ROWS_SOFT)];
+} mpc_qp;
+
+
 /* Everything that lasts from step to step comes first; the rest is scratch. */
 typedef struct {
     mpc_settings settings;
@@ -75,11 +139,16 @@ typedef struct {
     double full[MPC_N_FULL];                 /* state, then what is remembered of past commands */
     double last_u[MPC_N_U];
     mpc_target target;
+    double linearise_seconds, qp_seconds;    /* of the last step, where there is a clock */
     double solved_for[MPC_N_R + MPC_N_W + MPC_N_PATHS];
     double last_reference[MPC_N_R], moves[MPC_N_R][6]; /* what forecasts are made of */
     int n_moves[MPC_N_R], reference_seen;
-    int sense[MPC_N_Z + MPC_ROWS];           /* active sets of the last QPs: without */
-    int sense_limited[MPC_N_Z + MPC_ROOM(MPC_ROWS_LIMITED)]; /* and with soft limits */
+#if MPC_REGION
+    mpc_region region;
+    mpc_known_region regions[MPC_REGIONS];
+    int n_regions, next_region;
+    mpc_region_search region_search;
+#endif
 
     mpc_steady steady;
     int steady_iterations, qp_iterations;
@@ -88,25 +157,8 @@ typedef struct {
     double ahead[(MPC_FORECAST + 1) * MPC_N_R];
     double plan_kept[MPC_N_Z], trial[MPC_N_Z];
     double trajectory[MPC_N * MPC_N_FULL];
-    double sensitivity[2][MPC_N_FULL * MPC_N_Z];
     double stage_next[MPC_N_FULL], stage_a[MPC_N_FULL * MPC_N_FULL], stage_b[MPC_N_FULL * MPC_N_U];
-    double hessian[MPC_N_Z * MPC_N_Z], gradient[MPC_N_Z];
-    double errors[MPC_ROOM(MPC_N_WEIGHTED + MPC_N_DAMPED) * MPC_N_Z];
-    double damped_before[MPC_ROOM(MPC_N_DAMPED) * MPC_N_Z];
-    double rows[MPC_ROOM(MPC_ROWS + MPC_ROWS_SOFT) * MPC_N_Z];
-    double qp_lower[MPC_N_Z + MPC_ROWS + MPC_ROWS_SOFT];
-    double qp_upper[MPC_N_Z + MPC_ROWS + MPC_ROWS_SOFT];
-    double qp_rho[MPC_N_Z + MPC_ROWS + MPC_ROWS_SOFT], qp_w[MPC_N_Z + MPC_ROWS + MPC_ROWS_SOFT];
-    double qp_scaling[MPC_N_Z + MPC_ROWS + MPC_ROWS_SOFT];
-    double qp_dupper[MPC_N_Z + MPC_ROWS + MPC_ROWS_SOFT];
-    double qp_dlower[MPC_N_Z + MPC_ROWS + MPC_ROWS_SOFT];
-    double qp_m[MPC_ROOM(MPC_ROWS + MPC_ROWS_SOFT) * MPC_N_Z];
-    double qp_rinv[MPC_N_Z * (MPC_N_Z + 1) / 2];
-    double qp_v[MPC_N_Z], qp_x[MPC_N_Z], qp_u[MPC_N_Z], curvature[MPC_N_Z];
-    double qp_lam[MPC_QP_ACTIVE], qp_lam_star[MPC_QP_ACTIVE], qp_d[MPC_QP_ACTIVE];
-    double qp_xldl[MPC_QP_ACTIVE], qp_zldl[MPC_QP_ACTIVE], qp_waiting_lam[MPC_QP_ACTIVE];
-    double qp_l[MPC_QP_ACTIVE * (MPC_QP_ACTIVE + 1) / 2];
-    int qp_ws[MPC_QP_ACTIVE], qp_waiting[MPC_QP_ACTIVE];
+    mpc_qp qp;
     double work[MPC_ROOM(MPC_SZ_W)];
     long long int iw[MPC_ROOM(MPC_SZ_IW)];
 } mpc_ctx;

@@ -8,29 +8,17 @@
 #define MPC_RELAXED_ABOVE 1e-3
 static const double mpc_step_lengths[] = {1.0, 0.5, 0.25, 0.1, 0.03, 0.01};
 
+/* Seconds from any moment; a program that has a clock defines it before this source. */
+#ifndef MPC_CLOCK
+#define MPC_CLOCK() 0.0
+#endif
+#define MPC_STUCK 0.02 /* share of the way to the steady input that a step goes at least */
+
 typedef struct {
-    int iterations, converged, failed, stalled;
+    mpc_reason failed;
+    int iterations, converged, stalled, is_stuck;
     double objective, merit, violation, terminal_residual, kkt_residual;
 } mpc_outcome;
-
-static double mpc_clipped(double value, double lower, double upper) {
-    return value < lower ? lower : value > upper ? upper : value;
-}
-
-static int mpc_finite(const double *values, int n) {
-    int i;
-    for (i = 0; i < n; i++)
-        if (!isfinite(values[i])) return 0;
-    return 1;
-}
-
-static double mpc_largest(const double *values, int n) {
-    double largest = 0;
-    int i;
-    for (i = 0; i < n; i++)
-        if (fabs(values[i]) > largest) largest = fabs(values[i]);
-    return largest;
-}
 
 static void mpc_report(const mpc_cost *cost, mpc_outcome *outcome) {
     outcome->objective = cost->objective;
@@ -52,94 +40,6 @@ static void mpc_limit_rates(mpc_ctx *c) {
 }
 #endif
 
-/* Bounds of the QP's unknowns and rows, which are about the change of the plan. */
-static void mpc_program(mpc_ctx *c, const mpc_cost *cost) {
-    const mpc_settings *s = &c->settings;
-    int at, i, row = MPC_N_Z;
-    for (at = 0; at < MPC_N_Z; at++) {
-        c->qp_lower[at] = s->lower[at % MPC_N_U] - c->plan[at];
-        c->qp_upper[at] = s->upper[at % MPC_N_U] - c->plan[at];
-    }
-    for (i = 0; i < MPC_N_TERMINAL; i++, row++) {
-        c->qp_lower[row] = c->qp_upper[row] = -cost->terminal[i];
-        c->qp_w[row] = s->terminal_linear;
-        c->qp_rho[row] = 0.5 / s->terminal_quadratic;
-    }
-#if MPC_RATES_LIMITED
-    for (at = 0; at < MPC_N_Z; at++) {
-        const int j = at % MPC_N_U;
-        double move;
-        if (!mpc_rate_limited[j]) continue;
-        move = c->plan[at] - (at < MPC_N_U ? c->last_u[j] : c->plan[at - MPC_N_U]);
-        c->qp_lower[row] = -s->largest_moves[j] - move;
-        c->qp_upper[row] = s->largest_moves[j] - move;
-        row++;
-    }
-#endif
-}
-
-/* Solve the QP with the first `rows` rows; the active set starts from `sense`. */
-static int mpc_solve_qp(mpc_ctx *c, int rows, int *sense) {
-    qp_work q;
-    int i, flag;
-    memset(&q, 0, sizeof q);
-    q.n = q.ms = MPC_N_Z;
-    q.m = MPC_N_Z + rows;
-    q.iteration_limit = MPC_QP_ITERATIONS;
-    q.H = c->hessian;
-    q.f = c->gradient;
-    q.A = c->rows;
-    q.upper = c->qp_upper;
-    q.lower = c->qp_lower;
-    q.rho = c->qp_rho;
-    q.w = c->qp_w;
-    q.sense = sense;
-    q.M = c->qp_m;
-    q.dupper = c->qp_dupper;
-    q.dlower = c->qp_dlower;
-    q.Rinv = c->qp_rinv;
-    q.v = c->qp_v;
-    q.scaling = c->qp_scaling;
-    q.x = c->qp_x;
-    q.lam = c->qp_lam;
-    q.lam_star = c->qp_lam_star;
-    q.u = c->qp_u;
-    q.L = c->qp_l;
-    q.D = c->qp_d;
-    q.xldl = c->qp_xldl;
-    q.zldl = c->qp_zldl;
-    q.WS = c->qp_ws;
-    q.waiting = c->qp_waiting;
-    q.waiting_lam = c->qp_waiting_lam;
-    flag = qp_solve(&q);
-    c->qp_iterations += q.iterations;
-    if (flag == QP_OPTIMAL || flag == QP_SOFT_OPTIMAL) return 1;
-    /* What failed may hold a bad active set: the next solve starts afresh. */
-    for (i = 0; i < q.m; i++)
-        sense[i] = i >= MPC_N_Z && (i < MPC_N_Z + MPC_N_TERMINAL || i >= MPC_N_Z + MPC_ROWS)
-                       ? QP_SOFT
-                       : 0;
-    return 0;
-}
-
-/* The QP with the soft limits, if the solution without them breaks one; whether solved. */
-static int mpc_within_limits(mpc_ctx *c) {
-    const mpc_settings *s = &c->settings;
-    int i, k, row = MPC_N_Z + MPC_ROWS, kept = 1;
-    for (k = 0; k < MPC_N; k++)
-        for (i = 0; i < MPC_N_LIMITED; i++, row++) {
-            const double present = c->trajectory[k * MPC_N_FULL + mpc_limited_row[i]];
-            const double *slope = c->rows + (row - MPC_N_Z) * MPC_N_Z;
-            const double predicted = present + qp_dot(slope, c->qp_x, MPC_N_Z);
-            if (!(predicted >= s->soft_limits[i][0] && predicted <= s->soft_limits[i][1])) kept = 0;
-            c->qp_lower[row] = s->soft_limits[i][0] - present;
-            c->qp_upper[row] = s->soft_limits[i][1] - present;
-            c->qp_w[row] = s->soft_linear;
-            c->qp_rho[row] = 0.5 / s->soft_quadratic;
-        }
-    return kept || mpc_solve_qp(c, MPC_ROWS + MPC_ROWS_SOFT, c->sense_limited);
-}
-
 /* Along the Newton direction until phi falls (Armijo); else stay. */
 static void mpc_move(mpc_ctx *c, const double *step, double curvature, const mpc_cost *present,
                      mpc_outcome *outcome) {
@@ -160,37 +60,47 @@ static void mpc_move(mpc_ctx *c, const double *step, double curvature, const mpc
         }
     }
     outcome->stalled = !outcome->converged;
+    mpc_evaluate(c, c->plan, &cost); /* the trajectory is the last trial's */
     mpc_report(present, outcome);
+}
+
+/* Whether a step leaves an input all but where it is, far from that of the steady state: a rotor
+ * at rest has no thrust slope, so that the linearisation sees no use in it. */
+static int mpc_is_stuck(const mpc_ctx *c) {
+    int at, j;
+    for (j = 0; j < MPC_N_U; j++) {
+        double way = 0, moved = 0;
+        for (at = j; at < MPC_N_Z; at += MPC_N_U) {
+            const double off = fabs(c->plan[at] - c->target.u[j]), move = fabs(c->qp.dz[at]);
+            if (off > way) way = off;
+            if (move > moved) moved = move;
+        }
+        if (way > c->settings.tolerance && moved < MPC_STUCK * way) return 1;
+    }
+    return 0;
 }
 
 static void mpc_iterate(mpc_ctx *c, mpc_outcome *outcome) {
     mpc_cost cost;
-    double curvature = 0;
-    int a, b;
+    double curvature, begin = MPC_CLOCK(), middle;
+    int solved;
     mpc_linearise(c, c->plan, &cost);
+    middle = MPC_CLOCK();
+    c->linearise_seconds += middle - begin;
     if (!(cost.merit < HUGE_VAL)) {
-        outcome->failed = 1;
+        outcome->failed = MPC_DIVERGED;
         return;
     }
-    mpc_program(c, &cost);
-    if (!mpc_solve_qp(c, MPC_ROWS, c->sense) || (MPC_N_LIMITED && !mpc_within_limits(c))) {
-        outcome->failed = 1;
+    solved = mpc_qp_solve(c);
+    c->qp_seconds += MPC_CLOCK() - middle;
+    if (!solved) {
+        outcome->failed = MPC_PROGRAM_UNSOLVED;
         return;
     }
-    memset(c->curvature, 0, sizeof c->curvature);
-    for (a = 0; a < MPC_N_Z; a++) {
-        const double *row = c->hessian + a * MPC_N_Z, at_a = c->qp_x[a];
-        double sum = 0;
-        for (b = 0; b < a; b++) {
-            sum += row[b] * c->qp_x[b];
-            c->curvature[b] += row[b] * at_a;
-        }
-        c->curvature[a] += sum + row[a] * at_a;
-    }
-    for (a = 0; a < MPC_N_Z; a++) curvature += c->qp_x[a] * c->curvature[a];
-    outcome->kkt_residual = mpc_largest(c->curvature, MPC_N_Z);
-    outcome->converged = mpc_largest(c->qp_x, MPC_N_Z) <= c->settings.tolerance;
-    mpc_move(c, c->qp_x, curvature, &cost, outcome);
+    if (outcome->iterations == 1) outcome->is_stuck = mpc_is_stuck(c);
+    curvature = mpc_qp_curvature(c, &outcome->kkt_residual);
+    outcome->converged = mpc_largest(c->qp.dz, MPC_N_Z) <= c->settings.tolerance;
+    mpc_move(c, c->qp.dz, curvature, &cost, outcome);
 }
 
 /* Iterate from the present plan, which never gets worse in phi. */
@@ -211,29 +121,19 @@ static void mpc_hold_everywhere(const double *u, double *plan) {
     for (at = 0; at < MPC_N_Z; at++) plan[at] = u[at % MPC_N_U];
 }
 
-/* Iterate from the plan and, where the reference has changed, from the steady input too. */
-static void mpc_solve(mpc_ctx *c, int other, mpc_outcome *outcome) {
+/* Iterate from the plan and, where the reference has changed and the plan sees no way to it, from
+ * the steady input too. */
+static void mpc_solve(mpc_ctx *c, int is_new, mpc_outcome *outcome) {
     mpc_outcome second;
-    if (!other) {
-        mpc_solve_from(c, outcome);
-        return;
-    }
-    if (c->settings.max_iterations == 1) {
-        mpc_cost first_cost, second_cost;
-        mpc_hold_everywhere(c->target.u, c->plan_kept);
-        mpc_evaluate(c, c->plan, &first_cost);
-        mpc_evaluate(c, c->plan_kept, &second_cost);
-        if (!(first_cost.merit <= second_cost.merit))
-            memcpy(c->plan, c->plan_kept, sizeof c->plan);
-        mpc_solve_from(c, outcome);
-        return;
-    }
+    mpc_cost cost;
     mpc_solve_from(c, outcome);
+    if (!is_new || !(outcome->failed || outcome->is_stuck)) return;
     memcpy(c->plan_kept, c->plan, sizeof c->plan);
     mpc_hold_everywhere(c->target.u, c->plan);
     mpc_solve_from(c, &second);
     if (second.failed || (second.merit >= outcome->merit && !outcome->failed)) {
         memcpy(c->plan, c->plan_kept, sizeof c->plan);
+        mpc_evaluate(c, c->plan, &cost);
         outcome->iterations += second.iterations;
         return;
     }
@@ -241,19 +141,20 @@ static void mpc_solve(mpc_ctx *c, int other, mpc_outcome *outcome) {
     *outcome = second;
 }
 
-/* The plan one control period later: its mean over each block, the steady input at the end. */
-static void mpc_shift_plan(mpc_ctx *c) {
+/* The plan one control period later: its mean over each block, an input beyond its end. */
+static void mpc_shift_plan(mpc_ctx *c, const double *beyond) {
     int k, j, at;
     memset(c->trial, 0, sizeof c->trial);
     for (k = 0; k < MPC_N; k++)
         for (j = 0; j < MPC_N_U; j++)
             c->trial[mpc_block[k] * MPC_N_U + j] +=
-                k + 1 < MPC_N ? c->plan[mpc_block[k + 1] * MPC_N_U + j] : c->target.u[j];
+                k + 1 < MPC_N ? c->plan[mpc_block[k + 1] * MPC_N_U + j] : beyond[j];
     for (at = 0; at < MPC_N_Z; at++) c->plan[at] = c->trial[at] / mpc_periods[at / MPC_N_U];
 }
 
-/* The steady state of a reference under the present torques; the last one if there is none. */
-static void mpc_find_target(mpc_ctx *c, const double *goal) {
+/* The steady state of a reference under the present torques; the last one if there is none. Whether
+ * it is another. */
+static int mpc_find_target(mpc_ctx *c, const double *goal) {
     double given[MPC_N_R + MPC_N_W + MPC_N_PATHS];
     const int n_given = MPC_N_R + MPC_N_W + MPC_N_PATHS;
     mpc_target found;
@@ -265,7 +166,7 @@ static void mpc_find_target(mpc_ctx *c, const double *goal) {
         given[MPC_N_R + MPC_N_W + i] = c->full[mpc_memory_row[i]];
     if (c->has_target && c->solved_for_valid) {
         for (i = 0; i < n_given && given[i] == c->solved_for[i]; i++) continue;
-        if (i == n_given) return;
+        if (i == n_given) return 0;
     }
     mpc_ss_solve(c, goal, c->w, c->has_target ? &c->target : NULL, &found);
     c->target_is_held = found.converged || !c->has_target;
@@ -273,6 +174,7 @@ static void mpc_find_target(mpc_ctx *c, const double *goal) {
     memcpy(c->solved_for, given, sizeof given);
     if (c->target_is_held) c->target = found;
     c->has_target = 1;
+    return c->target_is_held;
 }
 
 #if MPC_FORECAST
@@ -330,14 +232,15 @@ static int mpc_forecast(mpc_ctx *c, const double *reference) {
 }
 #endif
 
-/* Take in a sample: state, references, target, and the plan shifted in time. Whether to try a
- * second start. */
+/* Take in a sample: state, references, target, and the plan shifted in time. Whether the reference
+ * has changed, unforeseen. */
 static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
     const int had_target = c->has_target;
     int known = MPC_PREVIEW, foreseen = 0;
     const double *asked;
     double goal[MPC_N_R], previous[MPC_N_R];
-    int i, k, changed = !had_target;
+    double beyond[MPC_N_U]; /* what the plan goes on with */
+    int i, k, is_other, changed = !had_target;
     if (!c->first && MPC_N_FULL > MPC_N_X) {
         static const double still[MPC_ROOM(MPC_N_W)] = {0};
         mpc_advance(c, c->full, c->last_u, still, c->stage_next);
@@ -363,7 +266,14 @@ static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
                                           c->settings.soft_limits[limit][1]);
         previous[i] = c->target.asked[i];
     }
-    mpc_find_target(c, goal);
+    is_other = mpc_find_target(c, goal);
+    memcpy(beyond, c->target.u, sizeof beyond);
+#if MPC_REGION
+    if (is_other) mpc_rg_choose(c);
+    else mpc_rg_tail(c, beyond);
+#else
+    (void)is_other;
+#endif
     for (i = 0; i < MPC_N_R; i++) {
         /* What cannot be held must not be striven for either. */
         const double reached = c->target.projected ? c->target.reached[i] : goal[i];
@@ -377,15 +287,15 @@ static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
         c->first = 0;
         return 0;
     }
-    mpc_shift_plan(c);
+    mpc_shift_plan(c, beyond);
     /* What overflowed once must not stay in the plan. */
     if (!mpc_finite(c->plan, MPC_N_Z)) mpc_hold_everywhere(c->target.u, c->plan);
     return changed && !foreseen;
 }
 
 /* The declared command of a step without a solution. */
-static mpc_status mpc_fall_back(const mpc_ctx *c, double *u, mpc_info *info) {
-    mpc_fallback chosen = MPC_FALLBACK;
+static mpc_status mpc_fall_back(const mpc_ctx *c, mpc_reason reason, double *u, mpc_info *info) {
+    mpc_fallback chosen = (mpc_fallback)c->settings.fallback;
     double candidate[MPC_N_U];
     int i;
     for (i = 0; i < MPC_N_U; i++)
@@ -393,25 +303,25 @@ static mpc_status mpc_fall_back(const mpc_ctx *c, double *u, mpc_info *info) {
                        : chosen == MPC_STEADY_INPUT && c->has_target ? c->target.u[i]
                                                                        : c->last_u[i];
     if (!mpc_finite(candidate, MPC_N_U) || (chosen == MPC_STEADY_INPUT && !c->has_target)) {
-        chosen = MPC_HOLD;
+        chosen = chosen == MPC_STOP ? MPC_STOP : MPC_HOLD;
         memcpy(candidate, c->last_u, sizeof candidate);
     }
     for (i = 0; i < MPC_N_U; i++)
         u[i] = mpc_clipped(candidate[i], c->settings.lower[i], c->settings.upper[i]);
     info->status = MPC_FAILED;
     info->fallback = chosen;
+    info->reason = reason;
     return MPC_FAILED;
 }
 
-void mpc_init_at(mpc_ctx *c, const double *u_first) {
+/* A controller whose settings are there. */
+static void mpc_start(mpc_ctx *c, const double *u_first) {
     static const double still[MPC_ROOM(MPC_N_W)] = {0};
     int i, k, settled;
-    memset(c, 0, sizeof *c);
-    c->settings = mpc_exported_settings;
     c->first = 1;
     c->target_is_held = 1;
     for (i = 0; i < MPC_N_U; i++) c->last_u[i] = isfinite(u_first[i]) ? u_first[i] : 0;
-    for (i = 0; i < MPC_N_FULL; i++) c->full[i] = mpc_full_rest[i];
+    for (i = 0; i < MPC_N_FULL; i++) c->full[i] = c->settings.full_rest[i];
     /* What is remembered of past commands, as after a long time at the first one. */
     for (k = 0, settled = MPC_N_FULL == MPC_N_X; k < 100000 && !settled; k++) {
         mpc_advance(c, c->full, c->last_u, still, c->stage_next);
@@ -421,18 +331,12 @@ void mpc_init_at(mpc_ctx *c, const double *u_first) {
             c->full[i] = c->stage_next[i];
         }
     }
-    for (i = 0; i < MPC_N_TERMINAL; i++) c->sense[MPC_N_Z + i] = QP_SOFT;
-    memcpy(c->sense_limited, c->sense, sizeof c->sense);
-    for (i = 0; i < MPC_ROWS_SOFT; i++) c->sense_limited[MPC_N_Z + MPC_ROWS + i] = QP_SOFT;
-#if MPC_RATES_LIMITED
-    int at, row = MPC_N_TERMINAL;
-    for (at = 0; at < MPC_N_Z; at++) {
-        if (!mpc_rate_limited[at % MPC_N_U]) continue;
-        c->rows[row * MPC_N_Z + at] = 1;
-        if (at >= MPC_N_U) c->rows[row * MPC_N_Z + at - MPC_N_U] = -1;
-        row++;
-    }
-#endif
+}
+
+void mpc_init_at(mpc_ctx *c, const double *u_first) {
+    memset(c, 0, sizeof *c);
+    c->settings = mpc_exported_settings;
+    mpc_start(c, u_first);
 }
 
 void mpc_init(mpc_ctx *c) {
@@ -445,25 +349,25 @@ mpc_status mpc_step(mpc_ctx *c, const double *x_hat, const double *w_hat,
                     mpc_info *info) {
     mpc_info ignored;
     mpc_outcome outcome;
-    int i, other, usable;
+    int i, usable;
     if (info == NULL) info = &ignored;
     memset(info, 0, sizeof *info);
     info->objective = info->merit = info->violation = NAN;
     info->terminal_residual = info->kkt_residual = NAN;
     c->steady_iterations = c->qp_iterations = 0;
-    for (i = 0; i < MPC_N_W; i++) c->w[i] = MPC_COMPENSATION && w_hat != NULL ? w_hat[i] : 0;
+    c->linearise_seconds = c->qp_seconds = 0;
+    for (i = 0; i < MPC_N_W; i++) c->w[i] = c->settings.compensation && w_hat != NULL ? w_hat[i] : 0;
     usable = mpc_finite(u_previous, MPC_N_U);
     if (usable) memcpy(c->last_u, u_previous, sizeof c->last_u);
     usable = usable && mpc_finite(x_hat, MPC_N_X) && mpc_finite(c->w, MPC_N_W) &&
              mpc_finite(reference, MPC_N_R * (MPC_PREVIEW + 1));
     if (!usable) {
-        mpc_fall_back(c, u, info);
+        mpc_fall_back(c, MPC_NOT_FINITE, u, info);
     } else {
-        other = mpc_begin(c, x_hat, reference);
-        mpc_solve(c, other, &outcome);
+        mpc_solve(c, mpc_begin(c, x_hat, reference), &outcome);
         info->iterations = outcome.iterations;
         if (outcome.failed) {
-            mpc_fall_back(c, u, info);
+            mpc_fall_back(c, outcome.failed, u, info);
         } else {
             memcpy(u, c->plan, MPC_N_U * sizeof *u);
             info->status = outcome.terminal_residual > MPC_RELAXED_ABOVE ? MPC_RELAXED
@@ -479,6 +383,7 @@ mpc_status mpc_step(mpc_ctx *c, const double *x_hat, const double *w_hat,
     info->qp_iterations = c->qp_iterations;
     info->steady_iterations = c->steady_iterations;
     info->target_projected = c->has_target && c->target.projected;
+    info->target_has_no_region = MPC_REGION && c->has_target && !mpc_in_region(c);
     info->target_held = c->target_is_held;
     memcpy(c->last_u, u, sizeof c->last_u);
     return info->status;

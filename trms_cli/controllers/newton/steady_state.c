@@ -239,7 +239,7 @@ static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
         s->r[i] = asked[i] < -stop ? -stop : asked[i] > stop ? stop : asked[i];
     }
     for (i = 0; i < MPC_N_W; i++) s->w[i] = w[i];
-    for (i = 0; i < MPC_N_S; i++) s->rest[i] = mpc_steady_rest[i];
+    for (i = 0; i < MPC_N_S; i++) s->rest[i] = c->settings.steady_rest[i];
     for (i = 0; i < MPC_N_PATHS; i++)
         s->rest[mpc_memory_unknown[i]] = c->full[mpc_memory_row[i]];
     if (guess != NULL && mpc_ss_from(c, guess, asked, target)) {

@@ -5,16 +5,48 @@
  *              + sum_k sum_j rho_j (u_jk - u_s,j)^2 + sum_b sum_j s_j (z_jb - z_j,b-1)^2
  *     phi(z) = J(z) + sum_c (mu_c |v_c| + nu_c v_c^2)
  *
- * with rate that of a reference that moves smoothly and v the scaled miss of the terminal steady state and the violations of soft limits.
+ * with rate that of a reference that moves smoothly and v the scaled miss of the terminal steady
+ * state and the violations of soft limits. A terminal region has a cost |L xi|^2 of its own, and v
+ * is how far |L xi| is beyond its radius.
  * ------------------------------------------------------------------------------------------ */
 
 #define MPC_REGULARISATION 1e-6 /* 1/V^2: inputs without influence stay where they are */
-#define MPC_N_ERRORS (MPC_N_WEIGHTED + MPC_N_DAMPED)
+
+#define MPC_SMOOTH 1e-20 /* under the root of |L xi|^2, whose slope is no number at 0 */
 
 typedef struct {
     double objective, merit, violation, terminal_residual;
-    double terminal[MPC_N_X];
+    double terminal[MPC_ROOM(MPC_N_TERMINAL)];
 } mpc_cost;
+
+/* Whether the horizon ends in a region around the target. */
+static int mpc_in_region(const mpc_ctx *c) {
+#if MPC_REGION
+    return c->region.holds;
+#else
+    (void)c;
+    return 0;
+#endif
+}
+
+static double mpc_clipped(double value, double lower, double upper) {
+    return value < lower ? lower : value > upper ? upper : value;
+}
+
+static int mpc_finite(const double *values, int n) {
+    int i;
+    for (i = 0; i < n; i++)
+        if (!isfinite(values[i])) return 0;
+    return 1;
+}
+
+static double mpc_largest(const double *values, int n) {
+    double largest = 0;
+    int i;
+    for (i = 0; i < n; i++)
+        if (fabs(values[i]) > largest) largest = fabs(values[i]);
+    return largest;
+}
 
 /* The model over one control period: (x, u, p, w) -> x_next. */
 static void mpc_advance(mpc_ctx *c, const double *x, const double *u, const double *w,
@@ -89,7 +121,28 @@ static void mpc_cost_of(const mpc_ctx *c, const double *z, mpc_cost *cost) {
     cost->merit = cost->objective;
     cost->violation = 0;
     cost->terminal_residual = 0;
-    for (i = 0; i < MPC_N_TERMINAL; i++) {
+    memset(cost->terminal, 0, sizeof cost->terminal);
+    if (mpc_in_region(c)) {
+#if MPC_REGION
+        const double *last = c->trajectory + (MPC_N - 1) * MPC_N_FULL;
+        double length = 0, beyond;
+        for (i = 0; i < MPC_N_V; i++) {
+            double sum = 0;
+            for (j = i; j < MPC_N_V; j++)
+                sum += c->region.root[i][j] *
+                       ((j < MPC_N_FULL ? last[j] : z[MPC_N_Z - MPC_N_V + j]) -
+                        c->region.centre[j]);
+            length += sum * sum;
+        }
+        cost->objective += length;
+        cost->terminal[0] = sqrt(length + MPC_SMOOTH) - c->region.radius;
+        beyond = cost->terminal[0] > 0 ? cost->terminal[0] : 0;
+        cost->terminal_residual = beyond;
+        cost->merit = cost->objective + s->terminal_linear * beyond +
+                      s->terminal_quadratic * beyond * beyond;
+#endif
+    }
+    for (i = 0; i < MPC_N_TERMINAL && !mpc_in_region(c); i++) {
         const double x = c->trajectory[(MPC_N - 1) * MPC_N_FULL + i];
         const double miss = (x - c->target.x[i]) / s->scale[i];
         cost->terminal[i] = miss;
@@ -97,7 +150,8 @@ static void mpc_cost_of(const mpc_ctx *c, const double *z, mpc_cost *cost) {
         squares += miss * miss;
         if (fabs(miss) > cost->terminal_residual) cost->terminal_residual = fabs(miss);
     }
-    if (MPC_N_TERMINAL) cost->merit += s->terminal_linear * absolute + s->terminal_quadratic * squares;
+    if (MPC_N_TERMINAL && !mpc_in_region(c))
+        cost->merit += s->terminal_linear * absolute + s->terminal_quadratic * squares;
     for (i = 0; i < MPC_N_LIMITED; i++) {
         const double lower = s->soft_limits[i][0], upper = s->soft_limits[i][1];
         absolute = squares = 0;
@@ -124,109 +178,21 @@ static void mpc_evaluate(mpc_ctx *c, const double *z, mpc_cost *cost) {
     mpc_cost_of(c, z, cost);
 }
 
-/* The slopes of the state after period k in the plan, of which `width` columns have begun. */
-static void mpc_propagate(mpc_ctx *c, int k, int width, const double *restrict before,
-                          double *restrict after) {
-    const int old = k == 0 ? 0 : (mpc_block[k - 1] + 1) * MPC_N_U;
-    const int present = mpc_block[k] * MPC_N_U;
-    int i, j, col;
-    for (i = 0; i < MPC_N_FULL; i++) {
-        double *restrict to = after + i * MPC_N_Z;
-        for (col = 0; col < width; col++) to[col] = 0;
-        for (j = 0; j < MPC_N_FULL; j++) {
-            const double a = c->stage_a[j * MPC_N_FULL + i];
-            const double *restrict from = before + j * MPC_N_Z;
-            if (a == 0) continue;
-            for (col = 0; col < old; col++) to[col] += a * from[col];
-        }
-        for (j = 0; j < MPC_N_U; j++) to[present + j] += c->stage_b[j * MPC_N_FULL + i];
-    }
-}
-
-/* Add one period's errors to the lower triangle of the Hessian and to the gradient. */
-static void mpc_add_errors(mpc_ctx *c, int k, int width, const double *restrict slopes,
-                           const double *now, const double *before) {
-    const mpc_settings *s = &c->settings;
-    double values[MPC_ROOM(MPC_N_ERRORS)];
-    double *restrict errors = c->errors;
-    int i, a, b;
-    for (i = 0; i < MPC_N_WEIGHTED; i++) {
-        const int row = mpc_weighted_row[i], ref = mpc_weighted_reference[i];
-        const double root = sqrt(s->state_weights[i]);
-        const double goal = ref < 0 ? c->target.x[row] : c->reference[k * MPC_N_R + ref];
-        values[i] = root * (now[row] - goal);
-        for (a = 0; a < width; a++) errors[i * MPC_N_Z + a] = root * slopes[row * MPC_N_Z + a];
-    }
-    for (i = 0; i < MPC_N_DAMPED; i++) {
-        const int row = mpc_damped_row[i], e = MPC_N_WEIGHTED + i;
-        const double root = sqrt(s->rate_weights[i]);
-        double *last = c->damped_before + i * MPC_N_Z;
-        values[e] = root * ((now[row] - before[row]) / MPC_PERIOD -
-                            c->rates[k * MPC_N_R + mpc_damped_reference[i]]);
-        for (a = 0; a < width; a++) {
-            const double slope = slopes[row * MPC_N_Z + a];
-            errors[e * MPC_N_Z + a] = root * ((slope - last[a]) / MPC_PERIOD);
-            last[a] = slope;
-        }
-    }
-    for (a = 0; a < width; a++) {
-        double *restrict to = c->hessian + a * MPC_N_Z;
-        double factors[MPC_ROOM(MPC_N_ERRORS)], sum = 0;
-        for (i = 0; i < MPC_N_ERRORS; i++) {
-            factors[i] = 2 * errors[i * MPC_N_Z + a];
-            sum += factors[i] * values[i];
-        }
-        c->gradient[a] += sum;
-        for (b = 0; b <= a; b++) {
-            double entry = 0;
-            for (i = 0; i < MPC_N_ERRORS; i++) entry += factors[i] * errors[i * MPC_N_Z + b];
-            to[b] += entry;
-        }
-    }
-}
-
-/* Trajectory, cost, gradient and Hessian (lower triangle) of J, and the rows of the QP that
- * depend on the trajectory. */
+/* Trajectory and cost of a plan, and the model's slopes along it. */
 static void mpc_linearise(mpc_ctx *c, const double *z, mpc_cost *cost) {
-    const mpc_settings *s = &c->settings;
     const double *x = c->full;
-    double *slopes = c->sensitivity[0], *other = c->sensitivity[1];
-    int i, j, k, b, col;
-    memset(c->hessian, 0, sizeof c->hessian);
-    memset(c->damped_before, 0, sizeof c->damped_before);
-    for (b = 0; b < MPC_N_BLOCKS; b++)
-        for (j = 0; j < MPC_N_U; j++) {
-            const int at = b * MPC_N_U + j;
-            const double rho = s->input_weights[j] * mpc_periods[b], move = s->move_weights[j];
-            const double off = z[at] - c->target.u[j];
-            const double since = z[at] - (b ? z[at - MPC_N_U] : c->last_u[j]);
-            double gradient = 2 * (rho * off + move * since), curvature = rho + move;
-            if (b + 1 < MPC_N_BLOCKS) {
-                gradient -= 2 * move * (z[at + MPC_N_U] - z[at]);
-                curvature += move;
-            }
-            c->gradient[at] = gradient;
-            c->hessian[at * MPC_N_Z + at] = 2 * curvature + MPC_REGULARISATION;
-            if (b) c->hessian[at * MPC_N_Z + at - MPC_N_U] = -2 * move;
-        }
+    int i, j, k;
     for (k = 0; k < MPC_N; k++) {
-        const int width = (mpc_block[k] + 1) * MPC_N_U;
-        double *swap = slopes, *now = c->trajectory + k * MPC_N_FULL;
+        double *now = c->trajectory + k * MPC_N_FULL;
         mpc_advance_with_slopes(c, x, z + mpc_block[k] * MPC_N_U);
         memcpy(now, c->stage_next, sizeof c->stage_next);
-        slopes = other;
-        other = swap;
-        mpc_propagate(c, k, width, other, slopes);
-        mpc_add_errors(c, k, width, slopes, now, x);
-        for (i = 0; i < MPC_N_LIMITED; i++) {
-            double *row = c->rows + (MPC_ROWS + k * MPC_N_LIMITED + i) * MPC_N_Z;
-            const double *from = slopes + mpc_limited_row[i] * MPC_N_Z;
-            for (col = 0; col < MPC_N_Z; col++) row[col] = col < width ? from[col] : 0;
+        for (i = 0; i < MPC_N_FULL; i++) {
+            double *row = c->qp.F[k][i];
+            for (j = 0; j < MPC_N_FULL; j++) row[j] = c->stage_a[j * MPC_N_FULL + i];
+            for (j = 0; j < MPC_N_U; j++) row[MPC_N_FULL + j] = c->stage_b[j * MPC_N_FULL + i];
         }
         x = now;
     }
-    for (i = 0; i < MPC_N_TERMINAL; i++)
-        for (col = 0; col < MPC_N_Z; col++)
-            c->rows[i * MPC_N_Z + col] = slopes[i * MPC_N_Z + col] / s->scale[i];
     mpc_cost_of(c, z, cost);
+    memcpy(c->qp.miss, cost->terminal, sizeof cost->terminal);
 }

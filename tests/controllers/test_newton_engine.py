@@ -1,0 +1,172 @@
+"""The compiled engine: the same answers as NumPy's; settings, failures, no compiler."""
+
+import logging
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trms_cli.controllers.controller import Command, ControlSample, Status
+from trms_cli.controllers.newton.engine import NewtonEngine
+from trms_cli.controllers.newton.state import NewtonMpcState
+from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.core.compilation import BufferedFunction, compiler
+from trms_cli.core.errors import SimulationError
+from trms_cli.core.qp import Daqp
+from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.models.discretisation import discretise
+from trms_cli.models.estimate import Estimate
+from trms_cli.models.model import Model
+from trms_cli.models.newtonian import Newtonian
+
+from .closed_loop_case import sample_of, setup_of
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+#: V; what is left is rounding.
+EQUAL = 1e-7
+MODEL = Newtonian()
+DELAYED = extend_model(MODEL, {"delay": InputDelay(rotor="tail", delay=0.15)})
+HORIZONTAL = Newtonian(freedom="horizontal")
+QUASI: dict[str, Any] = {"terminal": "quasi_infinite"}
+
+
+def pair(mpc: NewtonMpc, model: Model) -> tuple[NewtonEngine, NewtonMpcState]:
+    engine = mpc.init(setup_of(model, mpc.sample_time))
+    assert isinstance(engine, NewtonEngine)
+    return engine, NewtonMpcState(mpc, setup_of(model, mpc.sample_time))
+
+
+def both(mpc: NewtonMpc, model: Model, seconds: float = 12.0) -> list[tuple[Command, Command]]:
+    """Commands of engine and NumPy on the same samples of a loop that the engine closes."""
+    engine, state = pair(mpc, model)
+    discrete = discretise(model, mpc.sample_time, 5)
+    step, u = BufferedFunction(discrete.step), np.zeros(model.n_u)
+    full, answers = discrete.initial(model.rest(), u), []
+    levels = np.array([[0.3, 0.5], [-0.3, -0.2], [0.05, 0.0]])[:, : len(model.controlled)]
+    for k in range(round(seconds / mpc.sample_time)):
+        ahead = (k + np.arange(mpc.preview_horizon + 1)) * mpc.sample_time
+        reference = levels[(ahead / 4.0).astype(int) % len(levels)]
+        x, w = full[: model.n_x].copy(), np.full(model.n_w, 1e-3 * (k // 40))
+        sample = ControlSample(0.0, reference, Estimate(x, 0 * x, w, 0 * w), u)
+        ours = engine.step(sample, want_prediction=True)
+        theirs = state.step(sample, want_prediction=True)
+        answers.append((ours, theirs))
+        u = ours.u
+        full = step.evaluate(full, u, model.parameters.values, w)[0].copy()
+    return answers
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("mpc", "model"),
+    [
+        pytest.param(NewtonMpc(), MODEL, id="default"),
+        pytest.param(NewtonMpc(**QUASI), MODEL, id="region"),
+        pytest.param(
+            NewtonMpc(
+                **QUASI, input_rate_limits={"u_v": 6.0}, soft_limits={"alpha_v": (-0.9, 0.4)}
+            ),
+            MODEL,
+            id="region-limits",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            NewtonMpc(**QUASI, max_iterations=1), DELAYED, id="region-delay", marks=pytest.mark.slow
+        ),
+        pytest.param(NewtonMpc(terminal="none"), HORIZONTAL, id="none"),
+        pytest.param(
+            NewtonMpc(preview_horizon=6, disturbance_compensation=False), MODEL, id="preview"
+        ),
+    ],
+)
+def test_it_answers_as_numpy_does(mpc: NewtonMpc, model: Model) -> None:
+    for ours, theirs in both(mpc, model):
+        assert np.abs(ours.u - theirs.u).max() <= EQUAL
+        assert (ours.status, ours.iterations) == (theirs.status, theirs.iterations)
+        assert (ours.message, ours.out_of_reach) == (theirs.message, theirs.out_of_reach)
+        for name in ("objective", "slack", "terminal_residual"):
+            expected = pytest.approx(getattr(theirs, name), rel=1e-6, abs=1e-8, nan_ok=True)
+            assert getattr(ours, name) == expected
+        assert ours.prediction is not None and theirs.prediction is not None
+        for name in ("time", "states", "inputs"):
+            shown, expected = (getattr(a.prediction, name) for a in (ours, theirs))
+            np.testing.assert_allclose(shown, expected, rtol=1e-6, atol=1e-5)
+        assert 0.0 < ours.linearise_time < 1.0 and 0.0 < ours.qp_time < 1.0
+
+
+@needs_compiler
+def test_a_plan_that_sees_no_way_starts_anew_in_c_too() -> None:
+    """From rest, with a plan at rest, to a new reference: the tail rotor has no thrust slope."""
+    mpc = NewtonMpc(terminal="none", forecast_horizon=0, move_weights={"u_h": 0.2})
+    engine, state = pair(mpc, HORIZONTAL)
+    for goal in (0.0, 0.0, 0.4):
+        sample = sample_of(HORIZONTAL, [goal])
+        ours = engine.step(sample, want_prediction=False)
+        theirs = state.step(sample, want_prediction=False)
+        assert ours.u == pytest.approx(theirs.u, abs=EQUAL)
+        assert ours.iterations == theirs.iterations
+    assert abs(ours.u[0]) > 0.1
+
+
+@needs_compiler
+def test_tunings_of_one_structure_share_what_is_compiled(caplog: pytest.LogCaptureFixture) -> None:
+    """Weights, limits, prices and parameters are settings; none of them is compiled in."""
+    rig = Newtonian(parameters={"k_fvp": 1.4e-5, "l_cb": 0.265, "k_chp": 0.02})
+    heavy = NewtonMpc(move_weights={"u_v": 0.3, "u_h": 0.4}, terminal_linear=50.0, fallback="hold")
+    NewtonMpc().init(setup_of(MODEL))
+    with caplog.at_level(logging.INFO):
+        first, second = heavy.init(setup_of(rig)), NewtonMpc().init(setup_of(MODEL))
+    assert not [record for record in caplog.records if "compiled" in record.message]
+    sample = sample_of(rig, [0.2, 0.4])
+    a, b = (e.step(sample, want_prediction=False).u for e in (first, second))
+    assert np.abs(a - b).max() > 1e-3
+    alone = NewtonMpcState(heavy, setup_of(rig)).step(sample, want_prediction=False)
+    assert a == pytest.approx(alone.u, abs=EQUAL)
+
+
+@needs_compiler
+def test_the_first_use_says_how_long_it_took(tmp_path, monkeypatch, caplog) -> None:
+    monkeypatch.setenv("TRMS_CACHE", str(tmp_path))
+    with caplog.at_level(logging.INFO):
+        NewtonMpc(prediction_horizon=4).init(setup_of(MODEL))
+        NewtonMpc(prediction_horizon=4).init(setup_of(MODEL))
+    assert len([r for r in caplog.records if "newton_mpc: compiled" in r.getMessage()]) == 1
+
+
+@needs_compiler
+@pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input"])
+def test_it_falls_back_as_numpy_does(policy: Any) -> None:
+    engine, state = pair(NewtonMpc(fallback=policy), MODEL)
+    good = sample_of(MODEL, [0.2, 0.4])
+    bad = sample_of(MODEL, [0.2, np.nan])
+    for sample in (bad, good, good, bad):
+        ours = engine.step(sample, want_prediction=True)
+        theirs = state.step(sample, want_prediction=True)
+        assert ours.u == pytest.approx(theirs.u, abs=EQUAL)
+        assert (ours.status, ours.fallback, ours.message) == (
+            theirs.status,
+            theirs.fallback,
+            theirs.message,
+        )
+    assert ours.status is Status.FAILED and ours.prediction is None
+
+
+@needs_compiler
+def test_stop_ends_the_run() -> None:
+    engine, _ = pair(NewtonMpc(fallback="stop"), MODEL)
+    engine.step(sample_of(MODEL, [0.2, 0.4]), want_prediction=False)
+    with pytest.raises(SimulationError, match="not finite"):
+        engine.step(sample_of(MODEL, [0.2, np.nan]), want_prediction=False)
+
+
+def test_without_a_compiler_and_with_another_solver_numpy_acts(monkeypatch) -> None:
+    assert isinstance(NewtonMpc(qp=Daqp()).init(setup_of(MODEL)), NewtonMpcState)
+    monkeypatch.setattr("trms_cli.core.compilation.compiler", lambda: None)
+    state = NewtonMpc().init(setup_of(MODEL))
+    assert isinstance(state, NewtonMpcState)
+    other = replace(NewtonMpc(), qp=Daqp()).init(setup_of(MODEL))
+    sample = sample_of(MODEL, [0.2, 0.4])
+    commands = [s.step(sample, want_prediction=False).u for s in (state, other)]
+    assert (commands[0] == commands[1]).all()
