@@ -15,7 +15,8 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
-from trms_cli.controllers.newton_mpc import NewtonMpc, typical_sizes
+from trms_cli.controllers.newton.problem import typical_sizes
+from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import SteadyState

@@ -1,8 +1,9 @@
-"""The exported controller and filter in C beside the same in Python."""
+"""The exported controller and filter in C: how long, growing how, and how near to NumPy's."""
 
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -18,6 +19,7 @@ from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import compiler
+from trms_cli.core.qp import Daqp
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
 from trms_cli.observers.observer import ObserverSetup
@@ -28,14 +30,19 @@ TITLE = "newton_mpc and ukf exported to C: time of a sample"
 #: µs, medians.
 LIMIT_ONE_ITERATION, LIMIT_OBSERVER = 60.0, 100.0
 
+#: Time a period of the horizon at N = 80 over that at N = 20: linear is 1.
+LIMIT_GROWTH = 1.15
+
 _CASES = {
     "one iteration, N = 20": (LIMIT_ONE_ITERATION, newton_horizon(20), 1),
+    "one iteration, N = 40": (None, newton_horizon(40), 1),
+    "one iteration, N = 80": (None, newton_horizon(80), 1),
     "converged, N = 20": (None, newton_horizon(20), 50),
     "default": (None, (), None),
 }
 
-#: Difference that is rounding, V.
-_ROUNDING = 1e-9
+#: What two QP solvers may leave between them, V.
+_ROUNDING = 1e-7
 #: Overrides by what a loop is about.
 _LOOPS: dict[str, tuple[str, ...]] = {
     "squares": (),
@@ -60,18 +67,46 @@ _LOOPS: dict[str, tuple[str, ...]] = {
 def run(options: Options) -> list[Table]:
     """Export, compile and drive through the samples of a closed loop; Python over the same."""
     program = compiler()
-    return [_times(options, program), _agreement(options, program)]
+    times = _times(options, program)
+    return [times, _growth(times), _agreement(options, program)]
+
+
+def _growth(times: Table) -> Table:
+    """Time a period of the horizon, by its length."""
+    table = Table(
+        "exported_growth",
+        "newton_mpc exported to C: one iteration by the length of the horizon",
+        [
+            Column("periods", "N"),
+            Column("median", "median", "µs"),
+            Column("growth", "a period, to N = 20"),
+            *LIMIT,
+        ],
+    )
+    medians = {
+        int(str(row["case"]).rpartition(" ")[2]): float(str(row["median"]))
+        for row in times.rows
+        if str(row["case"]).startswith("one iteration")
+    }
+    for n, median in medians.items():
+        growth = median / n / (medians[20] / 20)
+        limit = LIMIT_GROWTH if n == max(medians) else None
+        if limit is None:
+            table.add(periods=n, median=median, growth=growth)
+        else:
+            table.add_limited("growth", growth, limit, periods=n, median=median)
+    return table
 
 
 def _agreement(options: Options, program: str | None) -> Table:
-    """How far the commands of C and Python are apart, loop by loop."""
+    """How far the commands of C and of NumPy with DAQP are apart, loop by loop."""
     table = Table(
         "exported_agreement",
-        "newton_mpc exported to C: largest difference to Python's commands with equal inputs",
+        "newton_mpc exported to C: largest difference to NumPy's commands with equal inputs",
         [
             Column("loop", "loop"),
             Column("difference", "difference", "V", 2),
-            Column("itself", "Python to itself", "V", 2),
+            Column("itself", "NumPy to itself", "V", 2),
             Column("samples", "samples"),
             *LIMIT,
         ],
@@ -89,7 +124,7 @@ def _agreement(options: Options, program: str | None) -> Table:
         example = _Example(loop_setup)
         measured = example.measured(program, passes=1)
         itself = rounding_difference(example.controller, example.setup, example.rows)
-        # What changes Python so much in the last bit of an estimate has no nearer neighbour.
+        # What changes NumPy so much in the last bit of an estimate has no nearer neighbour.
         table.add_limited(
             "difference",
             measured.largest_difference,
@@ -99,7 +134,7 @@ def _agreement(options: Options, program: str | None) -> Table:
             samples=measured.samples,
         )
     table.notes.append(
-        "“Python to itself”: the same loop again with each estimate changed in its last bit. The "
+        "“NumPy to itself”: the same loop again with each estimate changed in its last bit. The "
         f"limit is {_ROUNDING:g} V, or ten times that difference."
     )
     return table
@@ -115,8 +150,8 @@ def _times(options: Options, program: str | None) -> Table:
             Column("median", "median", "µs"),
             Column("p99", "99 %", "µs"),
             Column("slowest", "slowest", "µs"),
-            Column("python", "Python", "µs"),
-            Column("times", "Python / C"),
+            Column("python", "in Python", "µs"),
+            Column("times", "in Python / C"),
             Column("difference", "apart", "V", 2),
             Column("context", "memory", "KiB"),
             Column("samples", "samples"),
@@ -172,7 +207,9 @@ class _Example:
     """An export of an experiment's controller and observer, with the samples that go with it."""
 
     def __init__(self, chosen: Experiment) -> None:
-        self.controller = controller = newton_of(chosen)
+        self._engine = newton_of(chosen)
+        #: In NumPy, its programs solved by DAQP: the other implementation.
+        self.controller = controller = replace(self._engine, qp=Daqp())
         plant = chosen.plant.init(PlantSetup(chosen.sample_time, 1, chosen.seed))
         self.setup = ControlSetup(chosen.model, controller.sample_time, plant.first_command)
         observing = ObserverSetup(
@@ -204,21 +241,21 @@ class _Example:
             return measure(folder, "rig", program, passes)
 
     def python_median(self) -> float:
-        """Time of Python over the same samples, µs; for controllers without a preview."""
-        state, model = self.controller.init(self.setup), self.setup.model
+        """Time of the engine called from Python, µs; for controllers without a preview."""
+        state, model = self._engine.init(self.setup), self.setup.model
         ends = np.cumsum([model.n_x, model.n_w, len(model.controlled), model.n_u])
         times = []
         for row in self.rows:
             x, w, r, u, _ = np.split(row, ends)
             sample = ControlSample(0.0, r[None, :], Estimate(x, 0 * x, w, 0 * w), u)
             begin = perf_counter()
-            self.controller.step(state, sample, want_prediction=False)
+            self._engine.step(state, sample, want_prediction=False)
             times.append(perf_counter() - begin)
         return 1e6 * quantiles(np.array(times[WARM_UP:]))[0]
 
 
 def rounding_difference(controller: NewtonMpc, setup: ControlSetup, rows: FloatArray) -> float:
-    """How far the Python controller is from itself when estimates change in their last bit, V.
+    """How far the controller in NumPy is from itself when estimates change in their last bit, V.
 
     No other implementation can be expected to be nearer.
 
