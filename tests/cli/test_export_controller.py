@@ -58,6 +58,24 @@ def test_its_makefile_builds_and_checks(exported, tmp_path):
     assert "largest_difference_V" in done.stdout
 
 
+#: All that a structure may have, followed where bounds, rates and limits act.
+EVERYTHING = (
+    *("controller.terminal=quasi_infinite", "controller.prediction_horizon=20"),
+    "controller.input_rate_limits={u_v: 6.0, u_h: 8.0}",
+    "controller.soft_limits={alpha_v: [-0.7, 0.25], alpha_h: [-0.4, 0.4]}",
+    *("controller.preview_horizon=4", "controller.input_weights={u_v: 0.05}", "sim.duration=45"),
+)
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_nothing_is_undefined_or_out_of_bounds_with_everything(tmp_path):
+    folder = tmp_path / "rig"
+    command = ["export-controller", "newton_mpc", *EVERYTHING, "name=rig", f"out={folder}"]
+    assert main([*command, "measure=false"]) == 0
+    test_nothing_is_undefined_or_out_of_bounds(folder, tmp_path)
+
+
 @needs_compiler
 @pytest.mark.slow
 def test_nothing_is_undefined_or_out_of_bounds(exported, tmp_path):

@@ -40,7 +40,7 @@ from .closed_loop_case import SAMPLE_TIME, sample_of, setup_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-Wconversion")
 PERIOD = 0.1
 #: V, and states' units, relative to sizes of about 1 rad and 100 rad/s; what is left is rounding.
 EQUAL = 1e-7

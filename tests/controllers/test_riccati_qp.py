@@ -69,14 +69,16 @@ def _pointer(array: FloatArray) -> Any:
 class Program:
     """Programs of one controller, as they come and condensed."""
 
-    def __init__(self, folder: Path, controller: NewtonMpc, model: Model) -> None:
+    def __init__(
+        self, folder: Path, controller: NewtonMpc, model: Model, optimise: str = "-O1"
+    ) -> None:
         self.model, setup = model, setup_of(model)
         problem = controller.problem(setup)
         source = newton_source(problem, controller.preview(setup), "rig", "under test")
         self.sizes, self.period = source.sizes, source.period
         for name, text in (("rig.c", source.source), ("rig.h", source.header), ("s.c", _SHIM)):
             (folder / name).write_text(text)
-        command = [str(compiler()), "-std=c99", "-O1", "-fPIC", "-shared", "-o", "s.so", "s.c"]
+        command = [str(compiler()), "-std=c99", optimise, "-fPIC", "-shared", "-o", "s.so", "s.c"]
         subprocess.run([*command, "-lm"], cwd=folder, check=True)
         self.library = ctypes.CDLL(str(folder / "s.so"))
         self.library.shim_size.restype = ctypes.c_size_t
@@ -110,6 +112,8 @@ class Program:
         """The step, its curvature and the gradient's largest component."""
         out = np.zeros(3)
         assert self.library.shim_solve(self.context, _pointer(out))
+        self.recursions = int(out[2])
+        assert self.recursions <= self.sizes["RECURSIONS"]
         return self.array(_STEP, self.sizes["N_Z"]).copy(), out[0], out[1]
 
     def condensed(self) -> Qp:

@@ -1,5 +1,5 @@
 # Builds the controller and its example. The flags that count for speed and exactness:
-#   -O3                  vectorises the Hessian; -O2 is close to it
+#   -O3                  vectorises the recursion; -O2 is close to it
 #   -std=c99             GCC then keeps operations as they are written (no fused multiply-add);
 #                        clang needs -ffp-contract=off for that, where the last digits count
 #   NATIVE=-march=native uses all of this processor; the result runs on no older one

@@ -233,7 +233,8 @@ def _figures(export: Export, measured: ExampleMeasurement | None) -> str:
     )
     if measured is None:
         return (
-            f"## Memory and time\n\n{what}. Not measured here: `make check` and `make size` do.\n"
+            f"## Memory and time\n\n{what}. Not measured here: `make check` and `make size` do.\n\n"
+            + _worst_case(export)
         )
     times = {
         "step, median": measured.median,
@@ -266,6 +267,24 @@ the longest times.
 | | |
 |---|---|
 {table}
+
+{_worst_case(export)}"""
+
+
+def _worst_case(export: Export) -> str:
+    """The most that a step can take."""
+    s = export.source.sizes
+    most = export.controller.max_iterations
+    products = s["N_V"] * s["N_FULL"] * (s["N_F"] + s["N_M"])
+    products += s["N_U"] * (s["N_V"] + 1 + s["N_PRICES"]) * s["N_M"]
+    recursion = s["N"] * products
+    return f"""\
+A step makes at most {2 * most} Newton iterations ({most}, and as many from a second start where
+the reference has changed and the plan sees no way to it). Each solves one quadratic program in at
+most {s["RECURSIONS"]} recursions over the horizon, of about {recursion} multiplications and
+additions; one is usual. Where they end before the solution, the interior point's last plan acts,
+which keeps the limits of inputs and rates: `info.capped` is 1 and the status `BUDGET`. A line
+search takes at most 6 predictions.
 """
 
 

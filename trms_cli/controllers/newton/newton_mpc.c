@@ -371,7 +371,7 @@ mpc_status mpc_step(mpc_ctx *c, const double *x_hat, const double *w_hat,
         } else {
             memcpy(u, c->plan, MPC_N_U * sizeof *u);
             info->status = outcome.terminal_residual > MPC_RELAXED_ABOVE ? MPC_RELAXED
-                           : outcome.converged                           ? MPC_OK
+                           : outcome.converged && !c->qp.is_capped       ? MPC_OK
                                                                          : MPC_BUDGET;
             info->objective = outcome.objective;
             info->merit = outcome.merit;
@@ -381,6 +381,7 @@ mpc_status mpc_step(mpc_ctx *c, const double *x_hat, const double *w_hat,
         }
     }
     info->qp_iterations = c->qp_iterations;
+    info->capped = c->qp.is_capped;
     info->steady_iterations = c->steady_iterations;
     info->target_projected = c->has_target && c->target.projected;
     info->target_has_no_region = MPC_REGION && c->has_target && !mpc_in_region(c);

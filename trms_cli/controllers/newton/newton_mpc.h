@@ -18,7 +18,7 @@ MPC_DEFINITIONS
 /* How a step ended. */
 typedef enum {
     MPC_OK = 0,      /* solved */
-    MPC_BUDGET = 1,  /* stopped at the iteration budget before convergence */
+    MPC_BUDGET = 1,  /* stopped at the iteration budget, of Newton or of a QP, before convergence */
     MPC_RELAXED = 2, /* the terminal constraint could not be met and was relaxed */
     MPC_FAILED = 3   /* the solve failed; the fall-back acted */
 } mpc_status;
@@ -46,6 +46,7 @@ typedef struct {
     mpc_reason reason;
     int iterations;           /* of Newton */
     int qp_iterations;        /* recursions over the horizon, all QPs of the step */
+    int capped;               /* 1: the last QP ended at its most recursions, near its solution */
     int steady_iterations;    /* of the search for the steady state */
     int target_projected;     /* 1: the reference is out of reach, the nearest is the target */
     int target_has_no_region; /* 1: its steady state ends the horizon in place of a region */
@@ -122,7 +123,7 @@ typedef struct {
     signed char fast[MPC_N_Z], fast_turn[MPC_N_Z]; /* at its limit of rate besides its bound */
     int on_rate[MPC_N_Z];
 #endif
-    int is_interior, has_limits, n_on, width;
+    int is_interior, has_limits, is_capped, n_on, width;
     mpc_pair pair[MPC_QP_PAIRS];
     double inside[MPC_N_Z], bound_weight[MPC_N_Z], bound_slope[MPC_N_Z];
     double rate_weight[MPC_N_Z], rate_slope[MPC_N_Z];

@@ -14,15 +14,10 @@
  * ------------------------------------------------------------------------------------------ */
 
 #define QP_TOLERANCE 1e-9      /* V beyond a bound, and of a wrong sign in the cost per V */
-/* changes of the active set before the interior point; limits come a few at a time */
-#define QP_ROUNDS (MPC_N_LIMITED ? 24 : 8)
 #define QP_MANY (MPC_N_LIMITED ? 4 : 8) /* share of the inputs that is too many not to fall */
-#define QP_LAST_ROUNDS 40      /* of one change each, after it */
-#define QP_INTERIOR_ROUNDS 60
 #define QP_GAP 1e-12           /* complementarity at which the interior point ends */
 #define QP_GAP_TRIED 1e-2      /* at which the sides that it leads to are tried first, */
 #define QP_GAP_AGAIN 0.03      /* share of it at which they are again */
-#define QP_TRIALS 4            /* rounds of that */
 #define QP_INSIDE 0.995        /* share of the way to a bound that a step may go */
 #define QP_PRICE_ROUNDS 30     /* of Newton's method for the terminal multipliers */
 
@@ -460,7 +455,7 @@ static int mpc_qp_maximise(mpc_ctx *c, int without) {
                 break;
             }
         }
-        memcpy(l, trial, n * sizeof *trial);
+        memcpy(l, trial, (size_t)n * sizeof *trial);
         if (round > 2 && slope < 1e-22 * size * size) return 1;
     }
 #else
@@ -918,7 +913,7 @@ static int mpc_qp_interior(mpc_ctx *c, int soft, int *solved) {
     *solved = 0;
     mpc_qp_begin_inside(c, soft);
     mpc_qp_enter(c, soft);
-    for (round = 0; round < QP_INTERIOR_ROUNDS; round++) {
+    for (round = 0; round < MPC_INTERIOR_ROUNDS; round++) {
         double primal = 1, dual = 1, sum = 0;
         int count = 0;
         for (i = 0; i < pairs; i++) {
@@ -931,7 +926,7 @@ static int mpc_qp_interior(mpc_ctx *c, int soft, int *solved) {
         if (mu < tried) {
             tried = QP_GAP_AGAIN * mu;
             mpc_qp_identify(c, soft);
-            if (mpc_qp_pivot(c, QP_TRIALS, 1)) {
+            if (mpc_qp_pivot(c, MPC_TRIAL_ROUNDS, 1)) {
                 *solved = 1;
                 return 1;
             }
@@ -997,14 +992,15 @@ static int mpc_qp_solve(mpc_ctx *c) {
                       : c->plan[at] >= s->upper[j] - QP_TOLERANCE ? QP_AT_UPPER
                                                                   : QP_FREE;
     }
-    q->is_interior = q->has_limits = 0;
+    q->is_interior = q->has_limits = q->is_capped = 0;
 #if MPC_RATES_LIMITED
     memset(q->fast, 0, sizeof q->fast);
 #endif
-    if (!mpc_qp_pivot(c, QP_ROUNDS, 1)) {
+    if (!mpc_qp_pivot(c, MPC_ROUNDS, 1)) {
         int solved;
         if (!mpc_qp_interior(c, MPC_N_LIMITED > 0, &solved)) return 0;
-        if (!solved && !mpc_qp_pivot(c, QP_LAST_ROUNDS, 0)) { /* as near as the interior point came */
+        if (!solved && !mpc_qp_pivot(c, MPC_LAST_ROUNDS, 0)) { /* as near as the point inside came */
+            q->is_capped = 1;
             memcpy(q->dz, q->inside, sizeof q->dz);
             mpc_qp_simulate(c, q->dz);
             memset(q->touch, 0, sizeof q->touch); /* no good start for the next */

@@ -35,6 +35,11 @@ from trms_cli.models.model import names
 _MOST_ON = 12
 #: Inputs that stand at a bound and at the limit of their rate at once.
 _MOST_FAST = 8
+#: Changes of the active set before the interior point; soft limits come a few at a time.
+_ROUNDS, _ROUNDS_WITH_LIMITS = 8, 24
+#: Of the interior point; of each trial of the sides that it leads to (from a gap of 1e-2 to one of
+#: 1e-12 there are seven, at shares of 0.03); of one change each after it.
+_INTERIOR_ROUNDS, _TRIAL_ROUNDS, _MOST_TRIALS, _LAST_ROUNDS = 60, 4, 7, 40
 #: Characters of generated C that a compiler takes in a minute or two.
 _MOST_CODE = 8_000_000
 _FOLDER = Path(__file__).parent
@@ -64,6 +69,7 @@ def sizes_of(problem: NewtonProblem, preview: int) -> dict[str, tuple[int, str]]
     n_on = min(soft, _MOST_ON) + (_MOST_FAST if rates.any() else 0)
     n_m = -(-(n_v + 1 + terminal + n_on) // 4) * 4
     steady = len(problem.steady_state.unknowns)
+    rounds = _ROUNDS_WITH_LIMITS if soft else _ROUNDS
     return {
         "N_X": (model.n_x, "states: " + _units(model.states)),
         "N_U": (model.n_u, "inputs: " + _units(model.inputs)),
@@ -94,6 +100,14 @@ def sizes_of(problem: NewtonProblem, preview: int) -> dict[str, tuple[int, str]]
         "N_PRICES": (terminal + n_on, "multipliers"),
         "N_M": (n_m, "states, inputs, 1 and multipliers, filled up in the same way"),
         "N_ROW": (n_m + model.n_u, "what an input's slope is of"),
+        "ROUNDS": (rounds, "changes of the active set before the interior point"),
+        "INTERIOR_ROUNDS": (_INTERIOR_ROUNDS, "of the interior point"),
+        "TRIAL_ROUNDS": (_TRIAL_ROUNDS, "each time that the sides it leads to are tried"),
+        "LAST_ROUNDS": (_LAST_ROUNDS, "changes of one side each, after it"),
+        "RECURSIONS": (
+            rounds + _INTERIOR_ROUNDS + _MOST_TRIALS * _TRIAL_ROUNDS + _LAST_ROUNDS,
+            "over the horizon for a quadratic program, at the most",
+        ),
         "QP_PAIRS": (
             2 * n_z * (1 + int(rates.any())) + 4 * soft,
             "bounds and limits of the quadratic program",
